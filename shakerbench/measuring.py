@@ -16,15 +16,14 @@ from analysis.flights.scan import plate_of
 from analysis.flights.table import COLUMNS, flag_names
 from analysis.loop.close_loop import close_loop as close_loop_of
 from analysis.loop.result import ClosedLoop
-from analysis.loop.verdict_json import as_json as loop_json
+from analysis.loop.verdict_json import loop_json
 from analysis.plate.motion import PlateMotion
 from analysis.report.gamma import gamma_scale
-from bench.commands.compare import as_json as comparison_json
 from bench.jobs.drop_test import Request, check_request
 from bench.jobs.drop_test import measure as measure_drop
 from bench.profiles.find import load_measuring
 from bench.profiles.improved import write_improved
-from bench.terminal.comparison import sentences
+from bench.terminal.comparison import comparison_json, sentences
 from daq.recording import Recording
 from daq.recording import open_recording as open_file
 from model.tones import STANDARD_GRAVITY_MPS2

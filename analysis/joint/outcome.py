@@ -16,7 +16,7 @@ from analysis.joint.population import Population, alone
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, Systematic
 from analysis.joint.summary import RunSummary
 from analysis.joint.systematics import NAMES, PLACES, UNIT_S
-from analysis.loop.verdict import Verdict
+from analysis.loop.verdicts import Verdict
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from analysis.joint.constancy import Constancy, OneRun
-from analysis.loop.verdict import Verdict
+from analysis.loop.verdicts import Verdict
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from analysis.attribution.hypothesis import ChanceTest, Rejected
 from analysis.discovery.discover import Discovery
-from analysis.loop.verdict import Failed, Verdict
+from analysis.loop.verdict import Failed
+from analysis.loop.verdicts import Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import Thresholds

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attribution.comparison import LogScoreDifference
+from analysis.loop.verdicts import Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import Thresholds
-
-Verdict = Literal["explained", "unexplained", "nothing_missing"]
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from typing import Any
 
 from analysis.attribution.hypothesis import Rejected
@@ -11,9 +9,10 @@ from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import AddedEffect, ClosedLoop
+from daq.files.json_values import json_object
 
 
-def as_json(
+def loop_json(
     loop: ClosedLoop, next_run: dict[str, object] | None = None, kept: KeptTerm | None = None
 ) -> dict[str, Any]:
     """The verdict as JSON values.
@@ -27,65 +26,62 @@ def as_json(
     kept
         The discovered term as a kept effect.
     """
-    return {
+    return json_object({
         "verdict": loop.verdict,
         "effects": [_effect(e) for e in loop.effects],
         "discovered": [] if loop.discovered is None else [_discovery(loop.discovered)],
         "kept": None if kept is None else _kept(kept),
-        "tie_set": [list(names) for names in loop.ties],
-        "before": _row(loop.before),
-        "after": _row(loop.after),
-        "given_openings": _row(loop.given_openings),
-        "noise_floor_us": _finite(loop.noise_floor_us),
-        "takeoff_floor_us": _finite(loop.takeoff_floor_us),
-        "held_out_steps": list(loop.held_out),
+        "tie_set": loop.ties,
+        "before": loop.before,
+        "after": loop.after,
+        "given_openings": loop.given_openings,
+        "noise_floor_us": loop.noise_floor_us,
+        "takeoff_floor_us": loop.takeoff_floor_us,
+        "held_out_steps": loop.held_out,
         "remainder": {
-            "p_lack_of_fit": _finite(loop.remainder.p_lack_of_fit),
+            "p_lack_of_fit": loop.remainder.p_lack_of_fit,
             "covariate": loop.remainder.covariate,
-            "rms_standardised_residual": _finite(loop.remainder.ratio),
-            "plate_rms_z": _finite(loop.remainder.plate_rms_z),
+            "rms_standardised_residual": loop.remainder.ratio,
+            "plate_rms_z": loop.remainder.plate_rms_z,
         },
         "next_run": next_run,
-        "detection_limits": {k: _finite(v) for k, v in loop.detection.items()},
-        "not_identifiable": list(loop.not_identifiable),
+        "detection_limits": loop.detection,
+        "not_identifiable": loop.not_identifiable,
         "candidates": [
-            {"names": list(c.names), "gain_nats": _finite(c.gain), "standard_error": _finite(c.error)}
+            {"names": c.names, "gain_nats": c.gain, "standard_error": c.error}
             for c in sorted(loop.candidates, key=lambda c: -c.gain)
         ],
         "rejected": rejected_json(loop.rejected),
         "chance": [
             {
-                "names": list(x.names),
-                "gain_nats": _finite(x.gain),
+                "names": x.names,
+                "gain_nats": x.gain,
                 "p": x.p,
-                "critical_nats": _finite(x.critical),
+                "critical_nats": x.critical,
                 "accepted": x.accepted,
             }
             for x in loop.chance
         ],
-        "failed_tests": [_row(f) for f in loop.failed],
-        "rounds": list(loop.rounds),
-        "nuisances": {f"{p.effect}.{p.parameter}": _finite(p.value) for p in loop.parameters if not p.added},
-        "calibrations": [_row(c) for c in loop.calibrations],
-        "notes": list(loop.notes),
+        "failed_tests": loop.failed,
+        "rounds": loop.rounds,
+        "nuisances": {f"{p.effect}.{p.parameter}": p.value for p in loop.parameters if not p.added},
+        "calibrations": loop.calibrations,
+        "notes": loop.notes,
         "flights": len(loop.flights),
-        "sources": list(loop.paths),
+        "sources": loop.paths,
         "source_ids": [source.identity for source in loop.sources],
-    }
+    })  # fmt: skip
 
 
 def rejected_json(x: Rejected | None) -> dict[str, Any] | None:
     """The best refused candidate, or None."""
     if x is None:
         return None
-    gains = {"gain_nats": _finite(x.gain), "standard_error": _finite(x.error)}
-    return {"names": list(x.names), **gains, "reason": x.reason}
+    return json_object({"names": x.names, "gain_nats": x.gain, "standard_error": x.error, "reason": x.reason})
 
 
 def _effect(e: AddedEffect) -> dict[str, Any]:
-    intervals = {
-        k: {"value": _finite(v), "low": _finite(lo), "high": _finite(hi)} for k, (v, lo, hi) in e.parameters.items()
-    }
+    intervals = {k: {"value": v, "low": lo, "high": hi} for k, (v, lo, hi) in e.parameters.items()}
     return {"name": e.name, "parameters": intervals}
 
 
@@ -96,9 +92,9 @@ def _kept(kept: KeptTerm) -> dict[str, Any]:
         "form": kept.form or None,
         "verdict": kept.verdict,
         "effects": [_effect(e) for e in kept.effects],
-        "before": _row(kept.before),
-        "after": _row(kept.after),
-        "noise_floor_us": _finite(kept.noise_floor_us),
+        "before": kept.before,
+        "after": kept.after,
+        "noise_floor_us": kept.noise_floor_us,
     }
 
 
@@ -107,9 +103,9 @@ def _form(form: FittedForm) -> dict[str, Any]:
     return {
         "name": form.name,
         "expression": form.expression,
-        "parameters": {n: {"value": _finite(v), "sigma": _finite(s), "unit": unit} for n, v, s, unit in rows},
-        "loss_nats": _finite(form.loss),
-        "standard_error": _finite(form.error),
+        "parameters": {n: {"value": v, "sigma": s, "unit": unit} for n, v, s, unit in rows},
+        "loss_nats": form.loss,
+        "standard_error": form.error,
         "as_good": form.as_good,
     }
 
@@ -121,21 +117,12 @@ def _discovery(found: Discovery) -> dict[str, Any]:
         "description": found.description,
         "unit": found.term_unit,
         "covariate_unit": found.unit,
-        "knots": (found.scale * found.knots).tolist(),
-        "values": found.values.tolist(),
-        "low": found.low.tolist(),
-        "high": found.high.tolist(),
+        "knots": found.scale * found.knots,
+        "values": found.values,
+        "low": found.low,
+        "high": found.high,
         "similar_effects": [name for name, _ in found.similar_effects],
-        "tied_covariates": list(found.tied_covariates),
+        "tied_covariates": found.tied_covariates,
         "forms": [_form(form) for form in found.forms],
         "suggested_form": found.suggested or None,
     }
-
-
-def _row(record: Any) -> dict[str, Any]:
-    """A flat record of names and numbers."""
-    return {k: x if isinstance(x, str) else _finite(x) for k, x in dataclasses.asdict(record).items()}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

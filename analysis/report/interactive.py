@@ -7,19 +7,16 @@ paper shows the same vectors.
 from __future__ import annotations
 
 import base64
-import hashlib
 import io
-import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.style import FLIGHT_ROWS, STYLE
+from analysis.report.figures.style import FLIGHT_ROWS, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +51,7 @@ def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):  # the reader's machine lacks TeX's fonts
-        figure = Figure()
+        figure = Figure(layout="constrained")
         draw(figure)
         if not figure.axes:
             return None
@@ -116,20 +113,3 @@ def flight_columns(columns: Mapping[str, NDArray[Any]]) -> dict[str, str]:
         name: ("i4:" + packed(x, "<i4")) if np.issubdtype(x.dtype, np.integer) else "f8:" + packed(x, "<f8")
         for name, x in columns.items()
     }
-
-
-def json_element(name: str, value: Any) -> str:
-    """A value as a JSON element of the page; no text in it can end the element."""
-    text = json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-    return f'<script type="application/json" id="{name}">{text}</script>'
-
-
-def script() -> str:
-    """The page's own script."""
-    return resources.files("analysis.report").joinpath("hover.js").read_text(encoding="utf-8")
-
-
-def content_policy() -> str:
-    """Policy of the page: nothing from elsewhere, and no script but its own."""
-    digest = base64.b64encode(hashlib.sha256(script().encode("utf-8")).digest()).decode("ascii")
-    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 
+from analysis.discovery.discover import Discovery
+from analysis.discovery.symbolic import FittedForm
+from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import AddedEffect, ClosedLoop
+from analysis.loop.verdicts import VERDICTS
 from analysis.residuals.values import TREND
 from analysis.thresholds import OUTLIER_FRACTION
 from model.effects.registry import effect, trend_name
 
-VERDICTS = {
-    "explained": "Explained",
-    "unexplained": "Unexplained: something is left that no named effect accounts for",
-    "nothing_missing": "Nothing is missing: the declared model explains the recording",
-}
 BELOW = 1e-4  # a number smaller than this is written with an exponent
 
 
@@ -35,14 +34,24 @@ def interval(value: float, low: float, high: float) -> str:
     return f"{shown[0]} ({shown[1]} .. {shown[2]})"
 
 
+def fixed(value: float, digits: int) -> str:
+    """A number with so many decimals; a dash where there is none."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
 def microseconds(value: float) -> str:
     """Microseconds to a tenth, without a unit; a dash where there is none."""
-    return f"{value:.1f}" if math.isfinite(value) else "-"
+    return fixed(value, 1)
 
 
 def probability(p: float) -> str:
     """A probability as ``p = 0.03``; below 1e-9 as a bound."""
     return f"p = {p:.2g}" if p >= 1e-9 else "p < 1e-9"
+
+
+def capital(text: str) -> str:
+    """A text with its first letter as a capital."""
+    return text[:1].upper() + text[1:]
 
 
 def plain(name: str) -> str:
@@ -122,8 +131,39 @@ def plus_minus(value: float, sigma: float) -> str:
 
 
 def what_is_left(loop: ClosedLoop) -> str:
-    """Whether the remainder looks like noise; a certain one that is a trifle is told by its size."""
+    """The remainder in words: like noise, or, where it is certain and small enough to pass, by its size."""
     left = loop.remainder
     if left.p_lack_of_fit >= loop.limits.lack_p:
         return f"what is left looks like noise ({probability(left.p_lack_of_fit)})"
     return f"what is left is {left.ratio:.2f} times the noise, no more than is let pass ({loop.limits.lack_ratio:g})"
+
+
+def parameters_of(form: FittedForm) -> list[str]:
+    """Each parameter of a formula with its value, standard deviation and unit."""
+    rows = zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
+    return [
+        f"{name} = {plus_minus(value, sigma)}{'' if unit == '1' else f' {unit}'}" for name, value, sigma, unit in rows
+    ]
+
+
+def form_in_words(found: Discovery) -> str:
+    """The suggested formula with its values; empty where the curve does better than any."""
+    form = found.form
+    if form is None:
+        return ""
+    values = ", ".join(parameters_of(form))
+    return f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate}, SI)"
+
+
+def kept_in_words(kept: KeptTerm) -> list[str]:
+    """The kept term for a person, a line each."""
+    what = f"formula: {kept.form}" if kept.form else "as the curve"
+    out = [
+        f"kept: {kept.file} ({what})",
+        f"with it: {kept.words}",
+        f"  on held-out steps landings are missed by {microseconds(kept.after.landing_rms_us)} us rms, before "
+        f"{microseconds(kept.before.landing_rms_us)} us, noise {microseconds(kept.noise_floor_us)} us",
+    ]
+    if not kept.found_again:
+        out.append(f"  {plain(kept.name)} was not named: look at the file before you use it")
+    return out

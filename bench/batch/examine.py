@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.files.json_values import json_object
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def examine(
         _fill(row, path, parts, profile, anyway)
     except (InputError, ValueError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
         row["failed"] = f"{type(error).__name__}: {error}" if not isinstance(error, InputError) else str(error)
-    return row | {"processor_s": time.process_time() - began}
+    return json_object(row) | {"processor_s": time.process_time() - began}
 
 
 def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, anyway: bool) -> None:
@@ -106,7 +107,7 @@ def counted(table: Flights) -> Row:
         "flights": int((~table.has(FlightFlag.FALSE)).sum()),
         "gamma_low": float(gammas.min()) if len(gammas) else None,
         "gamma_high": float(gammas.max()) if len(gammas) else None,
-        "accelerometer_noise_mps2": _known(table.plate.noise_mps2),
+        "accelerometer_noise_mps2": table.plate.noise_mps2,
     }
 
 
@@ -116,9 +117,9 @@ def compared(table: Flights, opened: Recording) -> Row:
 
     held = compare(table, opened.setup, steps_table=opened.steps)
     return {
-        "flights_short_by": _known(held.short_by),
+        "flights_short_by": held.short_by,
         "double_hits": held.double_hits,
-        "first_bifurcation_over_predicted": _known(held.first.ratio),
+        "first_bifurcation_over_predicted": held.first.ratio,
     }
 
 
@@ -137,20 +138,15 @@ def verdict_row(loop: ClosedLoop) -> Row:
         "verdict": loop.verdict,
         "effects": " + ".join(loop.names),
         "tie_set": "; ".join(" + ".join(names) for names in loop.ties),
-        "landing_rms_before_us": _known(loop.before.landing_rms_us),
-        "landing_rms_after_us": _known(loop.after.landing_rms_us),
-        "noise_floor_us": _known(loop.noise_floor_us),
+        "landing_rms_before_us": loop.before.landing_rms_us,
+        "landing_rms_after_us": loop.after.landing_rms_us,
+        "noise_floor_us": loop.noise_floor_us,
         "term": None if loop.discovered is None else f"{loop.discovered.term} of {loop.discovered.covariate}",
     }
     for added in loop.effects:
         for name, (value, low, high) in added.parameters.items():
             column = f"{added.name}.{name}"
-            row |= {column: _known(value), f"{column}.low": _known(low), f"{column}.high": _known(high)}
+            row |= {column: value, f"{column}.low": low, f"{column}.high": high}
     for scale in loop.calibrations:
-        row[f"calibration.{scale.effect}.{scale.parameter}"] = _known(scale.value)
+        row[f"calibration.{scale.effect}.{scale.parameter}"] = scale.value
     return row
-
-
-def _known(value: float) -> float | None:
-    """A finite number; None for what does not exist."""
-    return float(value) if np.isfinite(value) else None

@@ -165,7 +165,7 @@ class _Writers:
         return keep(steps)
 
     def keep_term(self, path: Path, profile: Path | None, improved: Path | None, *, quiet: bool) -> None:
-        from analysis.report.kept import kept_in_words
+        from analysis.report.wording import kept_in_words
         from bench.jobs.keep_term import keep_term
 
         self.kept, lines = keep_term(self.loop, path, self.recordings, profile, improved, quiet=quiet)
@@ -181,10 +181,10 @@ class _Writers:
 
     def verdict(self, json: str | None) -> None:
         from analysis.loop.design import ranking_json
-        from analysis.loop.verdict_json import as_json
+        from analysis.loop.verdict_json import loop_json
         from bench.terminal.console import write_json
 
-        write_json(as_json(self.loop, ranking_json(self.ranked), self.kept), json)
+        write_json(loop_json(self.loop, ranking_json(self.ranked), self.kept), json)
 
     def report(self, folder: Path, *, quiet: bool) -> None:
         from analysis.report.page import write_report

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from bench.outputs import Overwrite
-from bench.terminal.console import finite_or_none
 
 COLUMNS = (
     "n: measured flights; ratio: their mean time over the model's; rms: of their distance to the nearest time predicted"
 )
 
 if TYPE_CHECKING:
-    from analysis.flights.compare import Comparison, StepComparison
+    from analysis.flights.compare import Comparison
     from analysis.report.gamma import GammaScale
 
 
@@ -37,6 +36,7 @@ def command(
     from bench.jobs.reprocess import draw, flights_with_progress
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load_measuring
+    from bench.terminal.comparison import comparison_json
     from bench.terminal.console import EXIT_USAGE, fail, write_json
     from daq.instrument.stored import instrument_of
     from daq.recording import open_recording
@@ -59,7 +59,7 @@ def command(
             if figures is not None:
                 draw(opened, table, figures, None if ideal else held)
             odd = plausibility_warnings(opened, table.plate, instrument_of(opened))
-            write_json(as_json(held) | {"warnings": odd}, json)
+            write_json(comparison_json(held) | {"warnings": odd}, json)
             if json != "-":
                 scale = gamma_scale(opened.setup.forcing, held.ratio)
                 _print(held, recording.name, bool(opened.attrs.get("simulated")), scale)
@@ -69,59 +69,6 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(f"{error}; name a file that can be written", EXIT_USAGE)
-
-
-def as_json(held: Comparison) -> dict[str, Any]:
-    """The comparison for a machine; what does not exist is null."""
-    first = held.first
-    bracket = None if first.measured is None else [first.measured.gamma_before, first.measured.gamma_after]
-    return {
-        "model_effects": list(held.effects),
-        "flights_short_by": finite_or_none(held.short_by),
-        "within_one_sample": finite_or_none(held.within_sample),
-        "periodic_flights": held.periodic_flights,
-        "double_hits": held.double_hits,
-        "first_bifurcation": {
-            "measured_type": None if first.measured is None else first.measured.type,
-            "measured_bracket_gamma": bracket,
-            "predicted_type": first.predicted_type or None,
-            "predicted_gamma": finite_or_none(first.predicted_gamma),
-            "predicted_gamma_same_type": finite_or_none(first.same_type_gamma),
-            "measured_over_predicted": finite_or_none(first.ratio),
-        },
-        "changes": [
-            {
-                "type": c.type,
-                "bracket_gamma": [c.gamma_before, c.gamma_after],
-                "before": c.before.label,
-                "after": c.after.label,
-            }
-            for c in held.changes
-        ],
-        "steps": [_step_json(s) for s in held.steps],
-    }
-
-
-def _step_json(own: StepComparison) -> dict[str, Any]:
-    """One step for a machine."""
-    return {
-        "step": own.step,
-        "gamma": own.gamma,
-        "gamma_peak": own.gamma_peak,
-        "measured": own.measured.label,
-        "flights": own.measured.flights,
-        "double_hits": own.measured.double_hits,
-        "predicted": own.predicted,
-        "unfit_reason": own.unfit_reason or None,
-        "predicted_flight_times_s": own.predicted_s.tolist(),
-        "mean_flight_time_ratio": finite_or_none(own.mean_ratio),
-        "rms_s": finite_or_none(own.rms_s),
-        "within_one_sample": finite_or_none(own.within_sample),
-        "forbidden_bands": [
-            {"low_s": b.low_s, "high_s": b.high_s, "observed": b.observed, "expected": b.expected, "p_value": b.p_value}
-            for b in own.bands
-        ],
-    }
 
 
 def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> None:

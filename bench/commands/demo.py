@@ -204,7 +204,7 @@ def _reprocess(recording: Path, folder: Path) -> Flights:
 def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop, bool]:
     """Close the loop on the flights found, show the verdict, then write it; whether everything could be written."""
     from analysis.loop.close_loop import completed, judge_loop
-    from analysis.loop.verdict_json import as_json
+    from analysis.loop.verdict_json import loop_json
     from analysis.report.page import write_report
     from analysis.residuals.observations import observed
     from bench.jobs.keep_verdict import keep_verdict
@@ -234,7 +234,7 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
             typer.echo(line)
 
     outputs = (
-        ("verdict as JSON", lambda: write_json(as_json(loop), str(folder / "verdict.json"))),
+        ("verdict as JSON", lambda: write_json(loop_json(loop), str(folder / "verdict.json"))),
         ("report", write_page),
         ("improved profile", write_profile),
     )

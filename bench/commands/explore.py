@@ -92,17 +92,17 @@ def command(
 
 def as_json(found: Explored, budget_s: float) -> dict[str, Any]:
     """The outcome for a machine."""
-    from analysis.loop.verdict_json import as_json as verdict
+    from analysis.loop.verdict_json import loop_json
 
     return {
         "why": found.why,
         "rig_s": found.rig_s,
         "budget_s": budget_s,
         "blocks": [
-            {"recording": str(path), "seconds": block.seconds, "reason": block.reason}
+            {"recording": path, "seconds": block.seconds, "reason": block.reason}
             for path, block in zip(found.recordings, found.blocks, strict=True)
         ],
-        "verdict": None if found.loop is None else verdict(found.loop),
+        "verdict": None if found.loop is None else loop_json(found.loop),
     }
 
 
@@ -234,8 +234,8 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
 
 def _draw(found: Explored, standard_s: float, folder: Path) -> None:
     """Where the rig chose to measure, and why, as ``choices.png`` and ``.svg``."""
-    from analysis.report.figures_choices import ChosenSteps, draw_choices
-    from analysis.report.style import badge_of, save_picture
+    from analysis.report.figures.choices import ChosenSteps, draw_choices
+    from analysis.report.figures.style import badge_of, save_picture
     from daq.recording import open_recording
     from rig.profile import parse_profile
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +56,7 @@ def command(
 
 def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
+    from daq.files.json_values import json_object
     from daq.files.tables import STEP_DTYPE
     from daq.instrument.stored import instrument_of
     from daq.recording.header import header_of
@@ -64,7 +64,7 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     from model.effects.kept import kept_files
 
     setup, instrument, later = opened.setup, instrument_of(opened), read_remarks(side_file(opened.path))
-    return {
+    return json_object({
         "file": opened.path,
         "state": report.state,
         "where": report.where,
@@ -83,16 +83,11 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
             "declared": setup.declared_values(),
         },
         "tags": list(later.tags),
-        "notes": [asdict(note) for note in notebook(header_of(opened, all_bytes=True), later)],
+        "notes": notebook(header_of(opened, all_bytes=True), later),
         "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
         "instrument": None if instrument is None else instrument.as_json(),
-        "steps": [{name: _known(row[name].item()) for name in STEP_DTYPE.names or ()} for row in opened.steps],
-    }
-
-
-def _known(value: float) -> float | None:
-    """NaN as null."""
-    return None if value != value else value
+        "steps": [{name: row[name] for name in STEP_DTYPE.names or ()} for row in opened.steps],
+    })  # fmt: skip
 
 
 def _print(told: dict[str, Any]) -> None:

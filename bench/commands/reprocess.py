@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bench.outputs import Overwrite
-from bench.terminal.console import finite_or_none
 
 if TYPE_CHECKING:
     from analysis.flights.assemble import Flights
@@ -86,7 +85,7 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
         if witness is None
         else {
             "offset_s": witness.offset_s,
-            "uncertainty_s": finite_or_none(witness.uncertainty_s),
+            "uncertainty_s": witness.uncertainty_s,
             "pairs": witness.pairs,
         },
         "accelerometer_noise_mps2": table.plate.noise_mps2,
@@ -103,18 +102,18 @@ def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
         "flights": own.flights,
         "double_hits": own.double_hits,
         "modes": own.modes,
-        "mean_flight_time_s": finite_or_none(own.mean_s),
-        "repeat_s": finite_or_none(own.repeat_s),
-        "expected_repeat_s": finite_or_none(own.expected_s),
+        "mean_flight_time_s": own.mean_s,
+        "repeat_s": own.repeat_s,
+        "expected_repeat_s": own.expected_s,
     }
     if plate is None:
         return row
     fit = plate.acceleration
     row |= {
-        "gamma": finite_or_none(plate.gamma),
-        "gamma_uncertainty": finite_or_none(plate.gamma_uncertainty),
+        "gamma": plate.gamma,
+        "gamma_uncertainty": plate.gamma_uncertainty,
         "gamma_peak": plate.gamma_peak,
-        "gamma_from_drive": finite_or_none(plate.gamma_drive),
+        "gamma_from_drive": plate.gamma_drive,
         "frequency_hz": plate.frequency_hz,
         "masked": plate.masked,
         "tones": [

@@ -48,8 +48,8 @@ def judge_runs(
         Where a file cannot be read, or summaries cannot be kept.
     """
     from analysis.joint.join_runs import join_runs
-    from analysis.joint.verdict_json import as_json
-    from analysis.report.figures_joint import write_pictures
+    from analysis.joint.verdict_json import joint_json
+    from analysis.report.figures.joint import write_pictures
     from bench.profiles.find import load_measuring
     from bench.terminal.console import print_lines, write_json
     from bench.terminal.joint_display import show
@@ -72,7 +72,7 @@ def judge_runs(
         if not quiet and path.exists():
             print_lines(f"picture: {path}")
 
-    outputs = [("verdict as JSON", lambda: write_json(as_json(found), json))]
+    outputs = [("verdict as JSON", lambda: write_json(joint_json(found), json))]
     if report is not None:
         outputs.append(("pictures", lambda: pictures(report)))
     return keep(outputs)

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from analysis.flights.assemble import Flights, flights_of
-from analysis.flights.compare import Comparison, compare
+from analysis.flights.compare import Comparison
 from daq.recording import Recording
 
 
@@ -21,14 +21,10 @@ def flights_with_progress(opened: Recording, *, quiet: bool) -> Flights:
 
 def draw(opened: Recording, table: Flights, folder: Path, held: Comparison | None = None) -> None:
     """Every picture of a recording, into ``folder``; ``held`` is its comparison with the declared model, if known."""
-    from analysis.report.figures_flights import draw_bifurcations, draw_return_maps, draw_trajectory
-    from analysis.report.figures_plate import draw_plate  # matplotlib is slow to import
-    from analysis.report.style import badge_of, save_picture
+    from analysis.report.figures.measured import measured
+    from analysis.report.figures.style import badge_of, save_picture
+    from analysis.report.figures.table import figures_of
 
     badge = badge_of(opened)
-    save_picture(folder, "plate", badge, lambda figure: draw_plate(opened, table, figure))
-    if len(table):
-        held = held or compare(table, opened.setup, steps_table=opened.steps)
-        save_picture(folder, "bifurcation", badge, lambda figure: draw_bifurcations(opened, table, figure))
-        save_picture(folder, "trajectory", badge, lambda figure: draw_trajectory(opened, table, figure))
-        save_picture(folder, "return_maps", badge, lambda figure: draw_return_maps(opened, table, held, figure))
+    for figure, drawn in figures_of(measured(opened, table, held)):
+        save_picture(folder, figure.name, badge, drawn)

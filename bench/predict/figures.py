@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report import style
+from analysis.report.figures import style
+from analysis.report.figures.zones import draw_zones, zones_over
 from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
-from analysis.report.zones import draw_zones, zones_over
 from bench.predict.request import Request, check_adaptive
 from daq.setup.errors import InputError
 from model.bifurcations.events import bifurcations
@@ -77,7 +77,7 @@ def _figure(panels: int, path: Path) -> Iterator[list[Any]]:
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 1.2 + 3.2 * panels))
+        figure = Figure(figsize=(7.0, 1.2 + 3.2 * panels), layout="constrained")
         yield list(figure.subplots(panels, 1, squeeze=False)[:, 0])
         try:
             figure.savefig(path)

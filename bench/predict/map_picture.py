@@ -15,7 +15,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from analysis.report import style
+from analysis.report.figures import style
 from analysis.report.gamma import GAMMA_LABEL
 from model.surveys.ensemble import Job
 

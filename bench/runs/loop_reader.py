@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.loop.storage import load_verdict
-from analysis.loop.verdict_json import as_json
+from analysis.loop.verdict_json import loop_json
 from daq.recording.subprocess_reader import Tell
 from daq.setup.errors import InputError
 
@@ -17,7 +17,7 @@ def look(names: list[str], tell: Tell) -> dict[str, Any]:
     for name in names:
         tell(name)
         try:
-            told[name] = as_json(load_verdict(Path(name)))
+            told[name] = loop_json(load_verdict(Path(name)))
         except InputError:
             told[name] = None
     return told

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from analysis.loop.verdicts import VERDICTS, short_verdict
 from daq.recording.subprocess_reader import apart
 
-VERDICTS = ("explained", "unexplained", "nothing_missing")
 NORMAL_95 = 1.959964  # half width of a 95 % interval, in standard deviations
 
 
@@ -71,7 +71,7 @@ def _loop(told: Any) -> Loop | None:
         identities = tuple(str(x) for x in told["source_ids"] if x)
         names = [str(effect["name"]) for effect in told["effects"]]
         others = len(told["tie_set"]) - 1
-        words = verdict.replace("_", " ") + (f": {', '.join(names)}" if names else "")
+        words = short_verdict(verdict) + (f": {', '.join(names)}" if names else "")
         errors = (told["before"]["landing_rms_us"], told["after"]["landing_rms_us"], told["noise_floor_us"])
         return Loop(
             identities, verdict, words + (f" (or {others} other sets)" if others > 0 else ""),

@@ -21,6 +21,7 @@ import numpy as np
 
 from bench.runs.catalogue import Row
 from bench.runs.folder import PLACE
+from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
 from daq.recording import open_recording
@@ -68,19 +69,15 @@ def make_flights(recording: Path, target: Path) -> Path:
         shown = chosen[:: -(-len(chosen) // MOST_SHOWN)] if len(chosen) else chosen
         told.append({
             "step": k, "start_s": stamps[k], "length_s": float(step["n_samples"]) / rate_hz,
-            "commanded": _known(step["gamma"]), "gamma": None if plate is None else _known(plate.gamma),
-            "gamma_uncertainty": None if plate is None else _known(plate.gamma_uncertainty),
-            "frequency_hz": _known(step["frequency_hz"]), "c": int(step["ratio"]),
+            "commanded": step["gamma"], "gamma": None if plate is None else plate.gamma,
+            "gamma_uncertainty": None if plate is None else plate.gamma_uncertainty,
+            "frequency_hz": step["frequency_hz"], "c": int(step["ratio"]),
             "motion": "-" if own is None else own.label, "flights": len(chosen),
             "double_hits": 0 if own is None else own.double_hits,
             "periods": np.round(flights.duration_s[shown] * step["frequency_hz"], 5).tolist(),
         })  # fmt: skip
-    write_whole(target, json.dumps({"version": FLIGHTS_VERSION, "steps": told}))
+    write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": told})))
     return target
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _lower_priority() -> None:

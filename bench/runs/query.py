@@ -6,6 +6,7 @@ import datetime
 from dataclasses import dataclass
 from typing import Any
 
+from analysis.loop.verdicts import VERDICTS
 from daq.setup.errors import InputError
 
 SORTS = {
@@ -16,7 +17,7 @@ SORTS = {
 """Keys to sort by, and the expressions behind them."""
 ENDS = ("complete", "stopped", "failed", "incomplete", "damaged")
 FIRST_DATE = "0001-01-01T00:00:00"
-VERDICTS = ("explained", "unexplained", "nothing_missing", "none")
+WITH_NONE = (*VERDICTS, "none")
 
 
 @dataclass(frozen=True)
@@ -34,13 +35,13 @@ class Query:
     tags
         All of them.
     verdict, ended
-        One of `VERDICTS`, of `ENDS`.
+        One of `WITH_NONE`, of `ENDS`.
     since, until
         Dates as ISO 8601, or the beginning of one; ``until`` includes what begins so.
     text
         Every word of it occurs in the file's name, the profile, a note, a tag, the reason of an end or the verdict.
     lost
-        Runs that lost samples alone.
+        Only runs that lost samples.
     sort, backwards, limit, offset
         One of `SORTS`; how many rows, from which on.
     """
@@ -63,7 +64,7 @@ class Query:
     def __post_init__(self) -> None:
         """Refuse words that are none of those known."""
         for option, value, known in (
-            ("sort", self.sort, tuple(SORTS)), ("verdict", self.verdict, ("", *VERDICTS)),
+            ("sort", self.sort, tuple(SORTS)), ("verdict", self.verdict, ("", *WITH_NONE)),
             ("ended", self.ended, ("", *ENDS)),
         ):  # fmt: skip
             if value not in known:

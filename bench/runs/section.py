@@ -20,10 +20,11 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from analysis.loop.verdicts import short_verdict
 from bench.runs.catalogue import Catalogue, Row
 from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
-from bench.runs.query import ENDS, VERDICTS, Query
+from bench.runs.query import ENDS, WITH_NONE, Query
 from bench.runs.scope import Scope
 from bench.web.html import fill, join
 from bench.web.page import page
@@ -104,7 +105,7 @@ class Pages:
         """The page with the table."""
         choices = {
             "ends": join(fill("<option>{}</option>", one) for one in ENDS),
-            "verdicts": join(fill('<option value="{}">{}</option>', v, v.replace("_", " ")) for v in VERDICTS),
+            "verdicts": join(fill('<option value="{}">{}</option>', v, short_verdict(v)) for v in WITH_NONE),
             "folder": self.folder,
         }
         body = fill((TEMPLATES / "table.html").read_text(encoding="utf-8"), **choices)

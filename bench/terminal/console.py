@@ -5,8 +5,6 @@ Exit 0: the job was done; 1: the run failed; 2: the call was wrong.
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import sys
 from pathlib import Path
@@ -32,11 +30,6 @@ def warn(message: str) -> None:
     sys.stderr.write(f"warning: {message}\n")
 
 
-def json_text(payload: Any) -> str:
-    """JSON as the commands write it."""
-    return json.dumps(payload, indent=1, allow_nan=False, default=_plain) + "\n"
-
-
 def write_json(payload: Any, target: str | Path | None) -> None:
     """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None.
 
@@ -44,6 +37,8 @@ def write_json(payload: Any, target: str | Path | None) -> None:
     """
     if target is None:
         return
+    from daq.files.json_values import json_text
+
     text = json_text(payload)
     if target == "-":
         sys.stdout.write(text)
@@ -136,19 +131,3 @@ def _rows_in_lines(table: Table, console: Console) -> list[str]:
                 line = f"{line}, {pair}" if line else pair
         lines.append(line)
     return lines
-
-
-def finite_or_none(value: float) -> float | None:
-    """The number as JSON can hold it: NaN and infinity as null."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _plain(value: Any) -> Any:
-    """Numpy scalars and arrays, paths and dates as JSON knows them."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "isoformat"):
-        return value.isoformat()
-    raise TypeError(f"cannot write {type(value).__name__} as JSON")

@@ -6,8 +6,7 @@ import math
 
 from analysis.attribution.priors import parameter_of
 from analysis.joint.result import JointVerdict, OverRuns
-
-WORDS = {"explained": "explained", "unexplained": "unexplained", "nothing_missing": "nothing missing"}
+from analysis.loop.verdicts import short_verdict
 
 
 def show(found: JointVerdict) -> None:
@@ -17,7 +16,9 @@ def show(found: JointVerdict) -> None:
 
     out = Console(highlight=False)
     names = f": {' + '.join(found.names)}" if found.names else ""
-    out.print(f"\nverdict on {len(found.runs)} runs: {WORDS[found.verdict]}{names}", style="bold", soft_wrap=True)
+    out.print(
+        f"\nverdict on {len(found.runs)} runs: {short_verdict(found.verdict)}{names}", style="bold", soft_wrap=True
+    )
     for run in found.odd:
         out.print(f"  {run.recording} is not explained ({', '.join(run.failed)})", soft_wrap=True)
     for x, rest, run in found.of_one_run:

@@ -6,9 +6,15 @@ import sys
 from collections.abc import Callable, Sequence
 
 from analysis.loop.result import ClosedLoop
-from analysis.report.kept import form_in_words
 from analysis.report.narrative import why_this_verdict
-from analysis.report.wording import microseconds, moved_calibrations, others_in_words, rejected_in_words, verdict_line
+from analysis.report.wording import (
+    form_in_words,
+    microseconds,
+    moved_calibrations,
+    others_in_words,
+    rejected_in_words,
+    verdict_line,
+)
 from daq.setup.errors import InputError
 
 

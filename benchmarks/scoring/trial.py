@@ -56,7 +56,7 @@ class Job:
 def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
     from analysis.loop.close_loop import fit_loop
-    from analysis.loop.verdict_json import as_json
+    from analysis.loop.verdict_json import loop_json
     from analysis.residuals.prediction_errors import scored_rows
     from model.effects.registry import effect
 
@@ -66,7 +66,7 @@ def run(job: Job) -> dict[str, Any]:
         start = time.process_time()
         loop, fitted = fit_loop([recording])
         seconds = time.process_time() - start
-        found = json.loads(json.dumps(as_json(loop)))
+        found = json.loads(json.dumps(loop_json(loop)))
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     world, best = fitted.model, fitted.selection.best.fitted.values
     rows, _ = scored_rows(world, best, loop.steps.held_out)

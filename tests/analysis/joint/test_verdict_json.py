@@ -4,7 +4,7 @@ import pytest
 
 from analysis.joint.constancy import Constancy, OneRun
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
-from analysis.joint.verdict_json import as_json
+from analysis.joint.verdict_json import joint_json
 from bench.terminal.joint_display import show
 
 CONSTANT = Constancy(9.0, 2, 0.01, 0.007, 0.0, float("inf"), 1.0)
@@ -27,7 +27,7 @@ def verdict(one: OneRun | None) -> JointVerdict:
 def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     """JSON and terminal name the run, its value and what the others say together."""
     found = verdict(OneRun(2, 5e-5, 0.0035))
-    told = as_json(found)["parameters"][0]["one_run"]
+    told = joint_json(found)["parameters"][0]["one_run"]
     assert told == {"recording": "c.h5", "others": 5e-5, "others_sigma": 0.0035}
     show(found)
     out = " ".join(capsys.readouterr().out.split())
@@ -36,14 +36,14 @@ def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_what_the_runs_share_is_nobodys_alone(capsys: pytest.CaptureFixture[str]) -> None:
     """Without such a run JSON says null, and the terminal nothing."""
-    assert as_json(verdict(None))["parameters"][0]["one_run"] is None
+    assert joint_json(verdict(None))["parameters"][0]["one_run"] is None
     show(verdict(None))
     assert "one run's alone" not in capsys.readouterr().out
 
 
 def test_what_all_runs_could_not_have_shown_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """JSON and terminal state the joint detection limits, with their units."""
-    assert as_json(verdict(None))["detection_limits"] == LIMITS
+    assert joint_json(verdict(None))["detection_limits"] == LIMITS
     show(verdict(None))
     out = " ".join(capsys.readouterr().out.split())
     assert "could not have shown less than: viscous_damping.rate_per_s 0.047 1/s" in out

@@ -19,7 +19,7 @@ from analysis.discovery.discover import Discovery
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict, save_verdict
-from analysis.loop.verdict_json import as_json
+from analysis.loop.verdict_json import loop_json
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS
 from analysis.thresholds import Thresholds
@@ -84,7 +84,7 @@ def test_a_closed_loop_holds_plain_data(computed: ClosedLoop) -> None:
 
 def test_the_agreed_keys(computed: ClosedLoop) -> None:
     """The JSON has every key agreed upon, each with its kind of value, and survives a parser that knows no NaN."""
-    found = json.loads(json.dumps(as_json(computed), allow_nan=False))
+    found = json.loads(json.dumps(loop_json(computed), allow_nan=False))
     assert set(KEYS) <= set(found)
     assert found["verdict"] in VERDICTS
     assert [set(e) for e in found["effects"]] == [{"name", "parameters"}]

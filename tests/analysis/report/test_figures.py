@@ -1,10 +1,8 @@
 """What the pictures promise: one measure of gamma, clipped points marked, harmonics told apart without colour."""
 
 import itertools
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib
@@ -17,14 +15,11 @@ from PIL import Image
 
 import model.tones
 from analysis.loop.result import ClosedLoop
-from analysis.report import style
-from analysis.report.decades import plain_decades
-from analysis.report.figures_loop import draw_candidates, draw_errors
-from analysis.report.figures_residuals import draw_landings, draw_plate, draw_takeoffs
+from analysis.report.figures import style
+from analysis.report.figures.style import HARMONICS, clipped_dots, plain_decades, plain_number
+from analysis.report.figures.table import FIGURES, figures_of
+from analysis.report.figures.zones import zones_over
 from analysis.report.gamma import gamma_scale
-from analysis.report.placing import place
-from analysis.report.style import HARMONICS, clipped_dots
-from analysis.report.zones import zones_over
 from daq.setup.setup import Forcing
 
 
@@ -65,17 +60,6 @@ def test_harmonics_differ_in_more_than_colour() -> None:
     assert all(a != b for a, b in itertools.pairwise(lines))
 
 
-def placed(draw: Callable[[Figure], None]) -> tuple[Figure, Any]:
-    """A figure with its axes placed."""
-    with matplotlib.rc_context(style.STYLE):
-        figure = Figure()
-        figure.set_layout_engine("none")
-        draw(figure)
-        renderer = FigureCanvasAgg(figure).get_renderer()
-        place(figure, renderer, 0.3)
-    return figure, renderer
-
-
 def four_scales(figure: Figure) -> None:
     """Axes with a power of ten, plain ones, large numbers and decades, the columns with one range each."""
     axes = figure.subplots(2, 2, sharex="col", gridspec_kw={"height_ratios": [1, 2]})
@@ -86,51 +70,6 @@ def four_scales(figure: Figure) -> None:
         ax.plot([0.5, 1.0], [2.0 * scale, 5.0 * scale], "--", lw=3.0, color="k")
     axes[1, 1].set_yscale("log")
     plain_decades(axes[1, 1].yaxis)
-
-
-def labels_of(ax: Any) -> list[str]:
-    """Texts of the ticks that matplotlib itself would write in view, left and below."""
-    found = []
-    for axis, side in ((ax.xaxis, "labelbottom"), (ax.yaxis, "labelleft")):
-        low, high = axis.get_view_interval()
-        for told, places, formatter in (
-            (axis.get_tick_params(), axis.get_majorticklocs(), axis.get_major_formatter()),
-            (axis.get_tick_params("minor"), axis.get_minorticklocs(), axis.get_minor_formatter()),
-        ):
-            words = zip(places, formatter.format_ticks(places), strict=True)
-            found += [word for place, word in words if told[side] and word and low <= place <= high]
-    return found
-
-
-def test_ticks_are_those_that_matplotlib_chooses() -> None:
-    """Each axes' texts are its ticks' labels in view, its power of ten and its label; shared ranges are told once."""
-    figure, _ = placed(four_scales)
-    for ax in figure.axes:
-        told = sorted(text.get_text() for text in ax.texts)
-        extra = [axis.get_major_formatter().get_offset() for axis in (ax.xaxis, ax.yaxis)]
-        names = [name for name in (ax.get_xlabel(), ax.get_ylabel(), extra[1]) if name]
-        assert told == sorted([*labels_of(ax), *names])
-    assert "1e\u22127" in {text.get_text() for text in figure.axes[0].texts}
-
-
-def test_no_text_is_cut_off_or_covered(closed_loop: ClosedLoop) -> None:
-    """Titles, ticks and labels lie within the picture, beside the axes, and none on another."""
-    parts = (draw_errors, draw_candidates, draw_landings, draw_takeoffs, draw_plate)
-    for draw in (four_scales, *(partial(part, closed_loop) for part in parts)):
-        figure, renderer = placed(draw)
-        boxes = [box for ax in figure.axes for box in boxes_beside(ax, renderer)]
-        assert len(boxes) > 6
-        for box in boxes:
-            assert min(box.x0, box.y0) >= 0.0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
-        for one, other in itertools.combinations(boxes, 2):
-            assert not (one.x0 < other.x1 and other.x0 < one.x1 and one.y0 < other.y1 and other.y0 < one.y1)
-
-
-def boxes_beside(ax: Any, renderer: Any) -> list[Any]:
-    """Extents of an axes' own texts whose middle is outside the axes."""
-    texts = [text for text in ax.get_children() if isinstance(text, Text) and text.get_text()]
-    boxes = [text.get_window_extent(renderer) for text in texts]
-    return [box for box in boxes if not ax.bbox.contains(0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1))]
 
 
 def test_png_and_svg_are_one_picture(tmp_path: Path) -> None:
@@ -152,19 +91,56 @@ def test_a_zone_reaches_to_where_it_is_born() -> None:
     assert np.all(np.diff(zones[0][:, 0]) > 0.0) and zones[0][-1, 0] == 3.0
 
 
-def test_figures_are_laid_out_around_their_labels(closed_loop: ClosedLoop) -> None:
-    """Each figure draws on the one passed in, and the layout finds room: no empty artist reaches for a corner."""
-    for draw in (draw_errors, draw_candidates, draw_landings, draw_takeoffs, draw_plate):
-        figure = Figure(layout="constrained")
-        draw(closed_loop, figure)
-        figure.draw_without_rendering()  # a layout that finds no room is a warning, and so an error here
-        assert figure.axes
+def laid_out(loop: ClosedLoop) -> Iterator[tuple[str, Figure]]:
+    """Each figure of a closed loop that draws anything, placed as it is saved."""
+    with matplotlib.rc_context(style.STYLE):
+        for one, draw in figures_of(loop):
+            figure = Figure(layout="constrained")
+            FigureCanvasAgg(figure)
+            draw(figure)
+            if figure.axes:
+                figure.draw_without_rendering()  # a layout that finds no room is a warning, and so an error here
+                yield one.name, figure
+
+
+def test_no_text_is_cut_off(closed_loop: ClosedLoop) -> None:
+    """Titles, ticks and labels of every figure lie within the picture."""
+    names = []
+    for name, figure in laid_out(closed_loop):
+        names.append(name)
+        for ax in figure.axes:
+            box = ax.get_tightbbox()
+            assert min(box.x0, box.y0) >= -1.0, name
+            assert box.x1 <= figure.bbox.width + 1.0 and box.y1 <= figure.bbox.height + 1.0, name
+    assert len(names) == 5
+
+
+def test_the_table_of_figures_is_complete() -> None:
+    """No two figures of one result share a name, and none lacks a caption."""
+    names = [(one.needs == "loop", one.name) for one in FIGURES]
+    assert len(set(names)) == len(names)
+    assert all(one.caption.endswith(".") for one in FIGURES)
 
 
 def test_no_figure_holds_a_formula_to_parse(closed_loop: ClosedLoop) -> None:
     """Texts and ticks of a report are plain Unicode, which needs no parsing."""
-    for draw in (draw_errors, draw_candidates, draw_landings, draw_takeoffs, draw_plate):
-        figure = Figure(layout="constrained")
-        draw(closed_loop, figure)
-        figure.draw_without_rendering()
-        assert not [text.get_text() for text in figure.findobj(Text) if "$" in text.get_text()]
+    for name, figure in laid_out(closed_loop):
+        assert not [text.get_text() for text in figure.findobj(Text) if "$" in text.get_text()], name
+
+
+def test_decades_are_plain_numbers() -> None:
+    """Ticks read 0.01 or 100, and as powers of ten beyond what is quickly counted."""
+    said = [plain_number(value) for value in (0.0, 0.01, 100.0, -100.0, 1e-6, -1e7, 2e-6)]
+    assert said == ["0", "0.01", "100", "\u2212100", "10⁻⁶", "\u221210⁷", "2e-06"]
+
+
+def test_ticks_between_decades_are_named_only_on_short_axes() -> None:
+    """Over less than a decade 2, 3 and more are named, as plain numbers; over three decades only the decades."""
+    ax = Figure().subplots()
+    ax.set_yscale("log")
+    plain_decades(ax.yaxis)
+    ax.set_ylim(1.5, 6.0)
+    minor = ax.yaxis.get_minor_formatter().format_ticks(ax.yaxis.get_minorticklocs())
+    assert {"2", "3", "4"} <= set(minor) and not any("$" in text for text in minor)
+    ax.set_ylim(1.0, 1000.0)
+    assert not any(ax.yaxis.get_minor_formatter().format_ticks(ax.yaxis.get_minorticklocs()))

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from analysis.report.headline import headline
-from analysis.report.narrative import why_this_verdict
+from analysis.report.narrative import headline, why_this_verdict
 from analysis.report.wording import lost_in_words, what_is_left
 from analysis.thresholds import FROZEN
 

@@ -11,7 +11,7 @@ import pytest
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.discovery.discover import Discovery
 from analysis.loop.result import ClosedLoop, FittedParameter
-from analysis.loop.verdict import Verdict
+from analysis.loop.verdicts import Verdict
 from bench.profiles.find import load
 from bench.profiles.improved import write_improved
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import gc
 import io
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,12 +60,12 @@ STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.8,
     "xtick.direction": "in",
     "ytick.direction": "in",
-    "figure.constrained_layout.use": True,
-    "figure.dpi": PNG_DPI,  # texts are measured once for placing the axes and for the PNG
+    "figure.dpi": PNG_DPI,  # texts are measured once, for placing the axes and for the PNG
     "savefig.dpi": PNG_DPI,
     "svg.fonttype": "none",
     "svg.hashsalt": "shakerbench",  # the same picture gives the same file
 }
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
 
 
@@ -87,61 +87,72 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
     InputError
         When the folder cannot be written.
     """
-    with _no_collecting():
-        files = _drawn(badge, draw)
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    enabled = gc.isenabled()
+    gc.disable()  # a picture is ten thousand objects that all live until it is saved: a search finds no garbage
     try:
+        with matplotlib.rc_context(STYLE):
+            figure = Figure()
+            FigureCanvasAgg(figure)
+            draw(figure)
+            if not figure.axes:
+                return
+            _add_badge(figure, badge)
+            # an engine that the figure owned would place the axes again for each file
+            ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - BADGE_INCHES / figure.get_figheight())).execute(figure)
+            files = {}
+            for form, options in FORMATS.items():
+                file = io.BytesIO()
+                figure.savefig(file, format=form, **options)
+                files[form] = file.getvalue()
+    finally:
+        if enabled:
+            gc.enable()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
         for form, content in files.items():
-            folder.mkdir(parents=True, exist_ok=True)
             with whole(folder / f"{name}.{form}") as part:
                 part.write_bytes(content)
     except OSError as error:
         raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
 
 
-def _drawn(badge: str, draw: Callable[[Figure], None]) -> dict[str, bytes]:
-    """The files of a picture by their ending; none where no axes are drawn."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from analysis.report.placing import place
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure()
-        figure.set_layout_engine("none")
-        canvas: Any = FigureCanvasAgg(figure)
-        draw(figure)
-        if not figure.axes:
-            return {}
-        _add_badge(figure, badge)
-        place(figure, canvas.get_renderer(), BADGE_INCHES)
-        files = {}
-        for form, options in FORMATS.items():
-            file = io.BytesIO()
-            figure.savefig(file, format=form, **options)
-            files[form] = file.getvalue()
-        return files
-
-
-@contextmanager
-def _no_collecting() -> Iterator[None]:
-    """No search for garbage: a picture is ten thousand objects that all live until it is drawn."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
 def _add_badge(figure: Figure, badge: str) -> None:
-    """The badge in the upper right corner."""
+    """Write the badge in the upper right corner, and keep the axes below it."""
     height = figure.get_figheight()
     colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE
     box = {"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"}
     at: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 8, "color": "white", "weight": "bold"}
-    figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)  # a file may be called $x$
+    text = figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)  # a file may be called $x$
+    text.set_in_layout(False)
+
+
+def plain_decades(axis: Any) -> None:
+    """Write the ticks of a logarithmic axis as plain numbers: 0.01, 100; very small or large ones as powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogFormatter  # matplotlib is slow to import
+
+    class Minor(LogFormatter):
+        """Names the ticks between decades that matplotlib names: on axes of about a decade."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return plain_number(x) if super().__call__(x, pos) else ""
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+    if axis.get_scale() == "log":
+        axis.set_minor_formatter(Minor())
+
+
+def plain_number(value: float) -> str:
+    """The text of the tick at ``value``."""
+    power = math.log10(abs(value)) if value else 0.0
+    sign = "\u2212" if value < 0.0 else ""
+    if not -4.0 < power < 6.0 and math.isclose(power, round(power)):
+        return f"{sign}10{str(round(power)).translate(SUPERSCRIPTS)}"
+    return f"{sign}{abs(value):g}"
 
 
 def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.report.style import BAND, HARMONICS, INK
+from analysis.report.figures.style import BAND, HARMONICS, INK
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

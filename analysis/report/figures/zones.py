@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.style import ZONE
+from analysis.report.figures.style import ZONE
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.tones import Forcing
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
 from analysis.loop.parameters import Z95
-from analysis.report.style import BAND, MEASURED, MODEL, badge_text, save_picture
+from analysis.report.figures.style import BAND, MEASURED, MODEL, badge_text, save_picture
 from analysis.report.wording import plain
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.loop.result import ClosedLoop, Predictions
-from analysis.report.figures_loop import sides
+from analysis.report.figures.loop import sides
+from analysis.report.figures.style import AFTER, BEFORE, FLOOR, clipped_dots
 from analysis.report.gamma import gamma_scale
-from analysis.report.style import AFTER, BEFORE, FLOOR, clipped_dots
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import GAIN, KINDS, PHASE
 
@@ -120,7 +120,7 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
     return middle, np.array([np.median(y[c]) for c in chosen])
 
 
-def draw_plate(loop: ClosedLoop, figure: Figure) -> None:
+def draw_plate_residuals(loop: ClosedLoop, figure: Figure) -> None:
     """The plate against the drive: gain and phase over gamma, and every datum in standard deviations."""
     data = loop.plate
     if not len(data):

@@ -1,4 +1,4 @@
-"""Figures of the closed loop: landing errors step by step, and the candidates compared.
+"""Figures of the closed loop: landing errors step by step, the candidates compared, and a discovered term.
 
 Before is the pale colour and after the dark one, in the same units on the same axis; the noise floor is drawn wherever
 an error is.
@@ -6,15 +6,16 @@ an error is.
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.loop.result import ClosedLoop, Predictions
+from analysis.report.figures.style import AFTER, BAND, BEFORE, ERROR_BAR, FLOOR, NEUTRAL, PLATE, plain_decades
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
-from analysis.report.style import AFTER, BEFORE, ERROR_BAR, FLOOR, NEUTRAL
 from analysis.report.wording import plain
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
 
 def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
     """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
-    from analysis.report.decades import plain_decades  # matplotlib is slow to import
-
     figure.set_size_inches(7.2, 3.6)
     ax = figure.subplots()
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
@@ -68,8 +67,6 @@ def _by_step(loop: ClosedLoop, x: Array, summary: Any) -> Array:
 
 def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and the gain required."""
-    from analysis.report.decades import plain_decades  # matplotlib is slow to import
-
     rows = list(gains(loop).items())[:MOST_ROWS][::-1]
     if not rows:
         return
@@ -110,3 +107,33 @@ def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     plain_decades(ax.xaxis)
     ax.set_xlim(left=0.0)
     ax.set_xlabel("gain on held-out steps of one effect added, nats")
+
+
+def draw_discovery(loop: ClosedLoop, figure: Figure) -> None:
+    """Draw the discovered curve with its 95 % band, over a rug of the flights; nothing where none was discovered."""
+    found = loop.discovered
+    if found is None:
+        return
+    figure.set_size_inches(6.4, 3.8)
+    ax = figure.subplots()
+    x = found.scale * found.knots
+    ax.fill_between(x, found.low, found.high, color=BAND, lw=0, label="95 % band")
+    ax.plot(x, found.values, "-", lw=1.8, color=AFTER, label="estimate")
+    inside = found.scale * found.seen
+    inside = inside[(inside >= x[0]) & (inside <= x[-1])]
+    ax.plot(
+        inside,
+        np.full(len(inside), 0.015),
+        "|",
+        ms=7,
+        color=PLATE,
+        alpha=0.5,
+        transform=ax.get_xaxis_transform(),
+        label="flights (how far they go)",
+    )
+    ax.set_xlabel(f"{found.covariate}, {found.unit}" if found.unit not in ("", "1") else found.covariate)
+    name = "force on the ball (positive: up)" if found.term == "force" else found.term
+    unit = found.term_unit.replace("^2", "\u00b2")
+    ax.set_ylabel(f"{name}, {unit}" if unit not in ("", "1") else name)
+    ax.set_title("\n".join(textwrap.wrap(found.description.replace("^2", "\u00b2"), 72)), fontsize=9, loc="left")
+    ax.legend(frameon=False, fontsize=8)

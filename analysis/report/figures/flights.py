@@ -1,4 +1,4 @@
-"""Figures of the flights: bifurcation diagram (Figs. 4-6, 10-12), return maps (Figs. 7-9), trajectory (Fig. 1).
+"""Figures of flights: bifurcation diagram (Figs. 4-6, 10-12), return maps (7-9), trajectory (1), and their history.
 
 The model lies under the measurement and uses the plate's motion as measured; flagged flights are shown by another mark.
 """
@@ -13,9 +13,10 @@ import numpy.typing as npt
 from analysis.flights.compare import Comparison, ball_on
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
-from analysis.report import style
+from analysis.report.figures import style
+from analysis.report.figures.measured import Measured
+from analysis.report.figures.zones import draw_zones, zones_over
 from analysis.report.gamma import gamma_scale
-from analysis.report.zones import draw_zones, zones_over
 from daq.recording import Recording
 from daq.setup.setup import Setup
 from model.effects.routing import Effects, ball_effects
@@ -34,20 +35,22 @@ GAMMAS = 500  # points of the model's diagram
 ZONE_GAMMAS = 60  # points of the forbidden zones
 MAPS = 6  # return maps in one figure
 CYCLES = 4.0  # of the forcing, in the trajectory
+MOST_LEVELS = 12  # flight times of a predicted cycle that are drawn as lines in the history
 
 
-def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure, loop: ClosedLoop | None = None) -> None:
-    """Measured flight times against gamma over the model's diagram, forbidden zones shaded."""
+def draw_bifurcations(shown: Measured, figure: Figure) -> None:
+    """Draw measured flight times against gamma over the model's diagram, forbidden zones shaded."""
+    recording, flights = shown.recording, shown.flights
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
         return
-    shown = gamma_scale(recording.setup.forcing, plates[-1].ratio)
-    scale = shown.factor
+    measure = gamma_scale(recording.setup.forcing, plates[-1].ratio)
+    scale = measure.factor
     values = scale * np.array([np.nan if p is None else p.gamma for p in flights.plate.steps])
     figure.set_size_inches(8.0, 5.2)
     ax = figure.subplots()
     low, high = 0.97 * min(p.gamma for p in plates), 1.03 * max(p.gamma for p in plates)
-    top = _draw_model(ax, plates[-1], recording.setup, low, high, scale, loop)
+    top = _draw_model(ax, plates[-1], recording.setup, low, high, scale, shown.loop)
     poor = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.SETTLING | FlightFlag.GAP
     true = ~flights.has(poor) & (flights.step >= 0)
     marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
@@ -66,7 +69,7 @@ def draw_bifurcations(recording: Recording, flights: Flights, figure: Figure, lo
             label="measured: double hit, or unsure",
         )
         style.name_flights(line, np.flatnonzero(true & marked))
-    ax.set_xlabel(shown.label)
+    ax.set_xlabel(measure.label)
     ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
     top = max(top, float(y[true].max()) if true.any() else 0.0)
     ax.set(xlim=(low * scale, high * scale), ylim=(0.0, 1.06 * top))
@@ -109,8 +112,11 @@ def _improved(declared: Effects, loop: ClosedLoop | None) -> Effects:
     return {**declared, **{name: {**declared.get(name, {}), **values} for name, values in added.items()}}
 
 
-def draw_return_maps(recording: Recording, flights: Flights, comparison: Comparison, figure: Figure) -> None:
-    """Return map of each of the steps with most modes and flights, measured and predicted."""
+def draw_return_maps(shown: Measured, figure: Figure) -> None:
+    """Draw the return map of each of the steps with most modes and flights, measured and predicted."""
+    recording, flights, comparison = shown.recording, shown.flights, shown.compared
+    if comparison is None:
+        return
     ranked = sorted(
         (s for s in comparison.steps if s.measured.flights >= 3),
         key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights),
@@ -145,12 +151,12 @@ def draw_return_maps(recording: Recording, flights: Flights, comparison: Compari
     figure.supylabel("next flight time (ms)", fontsize=10)
 
 
-def draw_trajectory(recording: Recording, flights: Flights, figure: Figure, step: int | None = None) -> None:
-    """Plate and ball over a few cycles of one step, measured and predicted from the first take-off."""
+def draw_trajectory(shown: Measured, figure: Figure) -> None:
+    """Draw plate and ball over a few cycles of the last step with most flights, measured and predicted."""
+    recording, flights = shown.recording, shown.flights
     good = flights.good()
     counts = np.bincount(flights.step[good & (flights.step >= 0)], minlength=len(flights.plate.steps))
-    step = int(np.flatnonzero(counts == counts.max())[-1]) if step is None and counts.size else step
-    plate = flights.plate.steps[step] if step is not None and counts.size else None
+    plate = flights.plate.steps[int(np.flatnonzero(counts == counts.max())[-1])] if counts.size else None
     if plate is None or counts[plate.step] < 2:
         return
     index = np.flatnonzero(good & (flights.step == plate.step))
@@ -221,3 +227,59 @@ def _draw_predicted(
         )
         shown = True
         t += float(found.tau[i]) / omega
+
+
+def draw_history(measured: Measured, figure: Figure) -> None:
+    """Draw flight times against time in the run, the predicted cycle of each step as lines, steps named by gamma."""
+    recording, flights = measured.recording, measured.flights
+    shown = (flights.step >= 0) & ~flights.has(FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP)
+    if not shown.any():
+        return
+    figure.set_size_inches(8.0, 3.8)
+    ax = figure.subplots()
+    scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
+    if measured.compared is not None:
+        _draw_levels(ax, recording, measured.compared)
+    settling = shown & flights.has(FlightFlag.SETTLING)
+    doubtful = shown & ~settling & flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
+    for rows, mark, size, colour, words in (
+        (shown & ~settling & ~doubtful, "o", 2.6, style.MEASURED, "measured"),
+        (doubtful, "x", 3.6, style.DOUBTFUL, "measured: double hit, or unsure"),
+        (settling, "+", 3.6, style.FLOOR, "while a step settles"),
+    ):
+        if rows.any():
+            (line,) = ax.plot(
+                flights.takeoff_s[rows], 1e3 * flights.duration_s[rows], mark, ms=size, color=colour, label=words,
+                mew=0 if mark == "o" else 0.8,
+            )  # fmt: skip
+            style.name_flights(line, np.flatnonzero(rows))
+    ax.set(xlabel="time in the run (s)", ylabel="flight time (ms)")
+    ax.set_ylim(0.0, 1.08 * float(1e3 * flights.duration_s[shown].max()))
+    _name_steps(ax, recording, flights, scale.factor, scale.symbol)
+    ax.legend(loc="lower right", fontsize=8, framealpha=0.9, ncols=2)
+
+
+def _draw_levels(ax: Any, recording: Recording, compared: Comparison) -> None:
+    """The predicted flight times of each step that has a cycle, over its hold."""
+    label: str | None = "model's cycle"
+    for own in compared.steps:
+        levels = np.unique(own.predicted_s)
+        if not own.periodic or not 0 < len(levels) <= MOST_LEVELS:
+            continue
+        row = recording.steps[own.step]
+        ends = (row["first_sample"] + np.array([row["settle_samples"], row["n_samples"]])) / recording.rate_hz
+        ax.hlines(1e3 * levels, *ends, color=style.MODEL, lw=2.6, alpha=0.8, zorder=0, label=label)
+        label = None
+
+
+def _name_steps(ax: Any, recording: Recording, flights: Flights, factor: float, symbol: str) -> None:
+    """Steps on a second axis above, by their gamma, not more of them than have room."""
+    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
+    top = ax.secondary_xaxis("top")
+    every = max(1, -(-len(plates) // 12))
+    chosen = plates[::every]
+    first = recording.steps["first_sample"] / recording.rate_hz
+    for t in first:
+        ax.axvline(float(t), color="0.85", lw=0.6, zorder=-1)
+    top.set_xticks([float(first[p.step]) for p in chosen], [f"{factor * p.gamma:.3f}" for p in chosen], fontsize=7)
+    top.set_xlabel(f"{symbol} of the step that begins", fontsize=8)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.flights.table import Flights
 from analysis.plate.motion import StepPlate
-from analysis.report import style
+from analysis.report.figures import style
+from analysis.report.figures.measured import Measured
 from analysis.report.gamma import gamma_scale
 from daq.recording import Recording
 
@@ -25,9 +25,10 @@ Floats = npt.NDArray[np.float64]
 MOST_SAMPLES = 400_000  # folded into one period
 
 
-def draw_plate(recording: Recording, flights: Flights, figure: Figure) -> None:
-    """Gain and lag of the plate against the drive at each step, and one period of the largest step."""
-    plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
+def draw_plate(shown: Measured, figure: Figure) -> None:
+    """Draw gain and lag of the plate against the drive at each step, and one period of the largest step."""
+    recording = shown.recording
+    plates = [p for p in shown.flights.plate.steps if p is not None and p.gamma > 0]
     if not plates:
         return
     scale = gamma_scale(recording.setup.forcing, plates[-1].ratio)
@@ -96,8 +97,6 @@ def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
 
 def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
     """Harmonics and slow lines, relative to the forcing."""
-    from analysis.report.decades import plain_decades  # matplotlib is slow to import
-
     tones = [m for m in plates[-1].multiples if m not in plates[-1].forcing_multiples]
     for m, (colour, mark, dashes) in zip(tones, cycle(style.HARMONICS)):
         own = np.array([abs(p.tone(m)[0]) if m in p.multiples else np.nan for p in plates])
@@ -111,7 +110,7 @@ def _harmonics(ax: Any, plates: list[StepPlate], x: Floats) -> None:
             ax.plot(at, size, "v", color="k", ms=4)
             ax.annotate(f"{line.frequency_hz:.1f} Hz", (float(at), size), fontsize=6)
     ax.set(ylabel="harmonics, of the forcing (%)", yscale="log")
-    plain_decades(ax.yaxis)
+    style.plain_decades(ax.yaxis)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * (high / low) ** 0.25)  # room for the legend above the lines
     ax.legend(fontsize=8, frameon=False, ncol=4, loc="upper right", handlelength=3.2)

@@ -1,0 +1,1 @@
+"""Figures of a report, one function a figure, and the table that lists them (`table`)."""
