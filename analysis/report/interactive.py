@@ -97,7 +97,7 @@ def _remark(points: int, known: tuple[int, int]) -> str:
 
 
 def _element(svg: str) -> str:
-    """The SVG element alone: without the head of an XML file, without metadata."""
+    """The SVG element, without the head of an XML file and without metadata."""
     text = svg[svg.index("<svg") :]
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL).strip()
 

@@ -41,7 +41,7 @@ def headline(loop: ClosedLoop) -> str:
         declared = ", ".join(plain(n) for n in loop.setup.declared) or "no effect beyond the ideal ball"
         return (
             f"Nothing is missing: the declared model ({declared}) predicts landings on held-out steps to "
-            f"{microseconds(loop.after.landing_rms_us)} us rms, where noise alone gives "
+            f"{microseconds(loop.after.landing_rms_us)} us rms, where noise gives "
             f"{microseconds(loop.noise_floor_us)} us. {_lost(loop)}"
         ).rstrip()
     best = f" Best so far, not believed: {_found(loop)}." if loop.effects else ""
@@ -57,7 +57,7 @@ def _found(loop: ClosedLoop) -> str:
 
 def _errors(loop: ClosedLoop) -> str:
     """Errors before and after, against the noise: of landings, and of the kind of data that gained most."""
-    noise = f"noise alone gives {microseconds(loop.noise_floor_us)} us"
+    noise = f"noise gives {microseconds(loop.noise_floor_us)} us"
     after, before = loop.after.landing_rms_us, loop.before.landing_rms_us
     if not loop.names:
         return f"Landings on held-out steps are missed by {microseconds(after)} us rms; {noise}."
@@ -121,7 +121,7 @@ def reasoning(loop: ClosedLoop) -> list[str]:
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
-    """Held-out gain and standard error of every candidate added alone, in nats: of each set its best, largest first."""
+    """Held-out gain and standard error of every candidate added by itself, nats: of each set its best, largest first."""
     best: dict[str, tuple[float, float]] = {}
     for c in loop.candidates:
         name = " + ".join(plain(n) for n in c.names)
@@ -148,7 +148,7 @@ def _residual_sentences(loop: ClosedLoop) -> list[str]:
         size = mad_sigma(known)
         out.append(
             f"{event} came {microseconds(abs(middle))} us {when} than the declared model predicts (median); "
-            f"they miss it by {microseconds(size)} us (robust), where noise alone would give {microseconds(floor)} us."
+            f"they miss it by {microseconds(size)} us (robust), where noise would give {microseconds(floor)} us."
         )
     plate = loop.plate
     far = {
@@ -170,7 +170,9 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
     out = []
     if ranked:
         listed = ", ".join(f"{n} {round(g)} +- {e:.0f}" for n, (g, e) in list(ranked.items())[:LISTED])
-        out.append(f"of {len(ranked)} candidates added alone, these gain most on steps not fitted (nats): {listed}.")
+        out.append(
+            f"of {len(ranked)} candidates added one at a time, these gain most on steps not fitted (nats): {listed}."
+        )
     out += [f"{words}." for words in loop.rounds]
     if loop.rejected is not None:
         out.append(f"{rejected_in_words(loop)}.")
@@ -209,7 +211,7 @@ def _failure(loop: ClosedLoop, failed: Failed) -> str:
 
 
 def what_would_separate(loop: ClosedLoop) -> list[tuple[str, str, str]]:
-    """An added effect, another that the data cannot tell from it, and what would tell them apart."""
+    """An added effect, another that the data cannot tell from it, and what would separate them."""
     others = others_in_words(loop)
     return [
         (plain(f.name), plain(other), how)

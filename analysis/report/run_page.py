@@ -97,7 +97,7 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
     run
         The recording and what was made of it.
     number
-        Of the section, from 1; sets the section's names apart.
+        Of the section, from 1; part of every name in it.
     progress
         Called with what is being done and the fraction done.
     """

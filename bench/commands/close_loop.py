@@ -111,9 +111,10 @@ def _closed(
     from analysis.loop.close_loop import fit_loop
     from bench.jobs.adaptive_runs import until_clear
     from bench.profiles.find import load_measuring
+    from bench.terminal.console import speaker
     from bench.terminal.progress import progress_bar
 
-    say: Callable[[str], None] = _nothing if wanted.quiet else typer.echo
+    say = speaker(wanted.quiet)
     if again is not None:
         loop, fitted, made, failure = until_clear(recordings, *again, say=say, quiet=wanted.quiet, anyway=wanted.anyway)
         return _Writers(loop, fitted, made, None, say), failure
@@ -207,7 +208,7 @@ class _Writers:
             write_next(self.ranked, self.recording, path)
             self.say(f"next run: {path} ({self.ranked[0].design.description})")
         else:
-            self.say(f"next run: {path} is not written, because nothing ties that another run would tell apart")
+            self.say(f"next run: {path} is not written, because nothing ties that another run would separate")
 
 
 def _check(
@@ -265,7 +266,3 @@ def _check_recordings(recordings: list[Path]) -> None:
         with open_recording(path) as recording:
             for doubt in warnings_at_start(recording.setup, str(recording.attrs.get("started", ""))):
                 warn(f"{path}: {doubt}")
-
-
-def _nothing(line: str) -> None:
-    """Say nothing: standard output belongs to the JSON."""

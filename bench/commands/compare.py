@@ -53,7 +53,7 @@ def command(
             if "continuity" not in opened.channels:
                 raise InputError(
                     f"{recording}: wanted a channel 'continuity' (take-offs and landings), found "
-                    f"{', '.join(opened.channels)}; `bench reprocess` analyses the plate alone"
+                    f"{', '.join(opened.channels)}; `bench reprocess` analyses only the plate"
                 )
             held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
             if figures is not None:
@@ -83,7 +83,7 @@ def _print(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> N
     title = f"{name}{' (simulated rig)' if simulated else ''} against the model"
     shown = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for column in ("step", scale.name.replace("_", "\n"), "measured", "model", "n", "ratio", "rms us", ""):
-        words = column in ("measured", "model")  # these alone are folded where the terminal is narrow
+        words = column in ("measured", "model")  # only these are folded where the terminal is narrow
         shown.add_column(column, justify="left" if words else "right", no_wrap=not words, overflow="fold")
     for s in held.steps:
         model = s.predicted.removesuffix(f", period {s.predicted.partition('-')[0]}")

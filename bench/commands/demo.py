@@ -1,4 +1,4 @@
-"""`bench demo`: the main job end to end on a simulated rig that hides something nobody declared."""
+"""`bench demo`: the main job end to end on a simulated rig that hides something undeclared."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ def _measure(request: Request, json_target: str | None, out: Path | None, into: 
 
 
 def _asked(question: str) -> bool | None:
-    """A person's answer; None where nobody can be asked."""
+    """A person's answer; None where no one can be asked."""
     return typer.confirm(question) if sys.stdin.isatty() else None
 
 

@@ -57,12 +57,12 @@ def command(
     from bench.live.beside import OnePage
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, speaker, write_json
     from bench.terminal.orders import typed_lines
     from daq.setup.errors import InputError
 
     quiet = json == "-"
-    say = _nothing if quiet else typer.echo
+    say = speaker(quiet)
     try:
         check_outputs(
             Folder("--out", out, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite
@@ -248,7 +248,3 @@ def _draw(found: Explored, standard_s: float, folder: Path) -> None:
         badge = badge_of(opened)
     save_picture(folder, "choices", badge, lambda figure: draw_choices(steps, standard_s, figure))
     typer.echo(f"choices: {folder / 'choices.png'}")
-
-
-def _nothing(line: str) -> None:
-    """Say nothing: standard output belongs to the JSON."""

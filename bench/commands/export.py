@@ -78,14 +78,14 @@ def command(
         fail(f"{out}: the ending does not say what to write; wanted --to {', '.join(Kind)}.", EXIT_USAGE)
     outputs = File("--out", out, FORMS[kind]), File("--json", json_out, JSON)
     try:
-        beside = out.with_name(f"{out.name}.notes.txt")
-        check_outputs(*outputs, File("--out", beside, NOTES), inputs=[recording], overwrite=overwrite)
+        notes = out.with_name(f"{out.name}.notes.txt")
+        check_outputs(*outputs, File("--out", notes, NOTES), inputs=[recording], overwrite=overwrite)
         with open_recording(recording) as opened:
             source = opened if rate is None else Resampled(opened, rate)
             export(source, out, kind, overwrite=overwrite)  # type: ignore[arg-type]
             noted = as_text(header_of(opened, all_bytes=True), read_remarks(side_file(recording)))
             if noted:
-                write_whole(beside, noted)
+                write_whole(notes, noted)
             summary = {"file": out, "kind": kind, "n_samples": source.n_samples, "bytes": out.stat().st_size}
     except InputError as error:
         fail(str(error), EXIT_USAGE)

@@ -40,16 +40,16 @@ def command(
         report = verify(recording)
         try:
             with open_recording(recording) as opened:
-                told = as_json(opened, report)
+                answer = as_json(opened, report)
         except InputError as error:
             if report.state != "damaged":
                 raise
-            told = {"file": recording, "state": report.state, "where": [*report.where, str(error)]}
+            answer = {"file": recording, "state": report.state, "where": [*report.where, str(error)]}
     except InputError as error:
         fail(str(error), EXIT_USAGE)
-    write_json(told, json)
+    write_json(answer, json)
     if json != "-":
-        _print(told)
+        _print(answer)
     if report.state in ("incomplete", "damaged"):
         raise typer.Exit(EXIT_FAILED)
 
@@ -90,7 +90,7 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     })  # fmt: skip
 
 
-def _print(told: dict[str, Any]) -> None:
+def _print(answer: dict[str, Any]) -> None:
     """The same for a person."""
     from rich import box
     from rich.table import Table
@@ -99,41 +99,43 @@ def _print(told: dict[str, Any]) -> None:
     from daq.instrument.instrument import Instrument
     from daq.recording.notebook import Entry, as_line
 
-    print_lines(f"{told['file']}", f"  verdict   {told['state']}", *(f"            {line}" for line in told["where"]))
-    if "steps" not in told:
+    print_lines(
+        f"{answer['file']}", f"  verdict   {answer['state']}", *(f"            {line}" for line in answer["where"])
+    )
+    if "steps" not in answer:
         return
-    rig = f"{'simulated rig' if told.get('simulated') else 'a rig'}, {told.get('backend') or 'back end unknown'}"
-    profile = told["profile"]
+    rig = f"{'simulated rig' if answer.get('simulated') else 'a rig'}, {answer.get('backend') or 'back end unknown'}"
+    profile = answer["profile"]
     declared = ", ".join(f"{k}.{q} = {v:g}" for k, table in profile["declared"].items() for q, v in table.items())
     lines = {
-        "note": told.get("note") or "none",
-        "tags": " ".join(told["tags"]) or "none",
-        "keys": ", ".join(f"{k} = {_short(v)}" for k, v in told["keys"].items()) or "none",
-        "started": told.get("started") or "unknown",
+        "note": answer.get("note") or "none",
+        "tags": " ".join(answer["tags"]) or "none",
+        "keys": ", ".join(f"{k} = {_short(v)}" for k, v in answer["keys"].items()) or "none",
+        "started": answer.get("started") or "unknown",
         "made on": rig,
-        "samples": f"{told['n_samples']} ({told['seconds']:.3f} s at {told['rate_hz']:.9g} Hz), "
-                   f"{told['lost_samples']} lost",
-        "channels": ", ".join(told["channels"]),
+        "samples": f"{answer['n_samples']} ({answer['seconds']:.3f} s at {answer['rate_hz']:.9g} Hz), "
+                   f"{answer['lost_samples']} lost",
+        "channels": ", ".join(answer["channels"]),
         "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
                    + (f"; {profile['description']}" if profile["description"] else ""),
         "declared": declared or "no effects",
-        "own effects": ", ".join(k["name"] for k in told["kept_effects"]) or "none kept on this computer",
-        "steps": str(len(told["steps"])),
+        "own effects": ", ".join(k["name"] for k in answer["kept_effects"]) or "none kept on this computer",
+        "steps": str(len(answer["steps"])),
     }  # fmt: skip
     print_lines(*(f"  {key:<11} {value}" for key, value in lines.items()))
-    if told["instrument"] is not None:
-        instrument = Instrument.from_json(told["instrument"])
+    if answer["instrument"] is not None:
+        instrument = Instrument.from_json(answer["instrument"])
         print_lines(*(f"  measured    {line}" for line in instrument.in_words()))
         print_lines(*(f"  doubt       {doubt.sentence}" for doubt in instrument.doubts))
-    given = 1 if told.get("note") else 0  # which stands above
-    print_lines(*(f"  noted       {as_line(Entry(**note))}" for note in told["notes"][given:]))
-    if not told["steps"]:
+    given = 1 if answer.get("note") else 0  # which stands above
+    print_lines(*(f"  noted       {as_line(Entry(**note))}" for note in answer["notes"][given:]))
+    if not answer["steps"]:
         return
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     for heading in ("step", "gamma", "achieved", "+-", "start\n(s)", "length\n(s)", "Hz", "c"):
         table.add_column(heading, justify="right", no_wrap=True)
-    rate_hz = told["rate_hz"]
-    for i, step in enumerate(told["steps"]):
+    rate_hz = answer["rate_hz"]
+    for i, step in enumerate(answer["steps"]):
         table.add_row(
             str(i), _short(step["gamma"]), _short(step["achieved_gamma"]),
             _short(step["achieved_gamma_uncertainty"], 2),

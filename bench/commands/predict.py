@@ -18,7 +18,8 @@ def command(
     effect: list[str] = typer.Option([], help="name.parameter=value, such as restitution.e0=0.514; repeatable."),
     frequency_hz: float | None = typer.Option(None, help="First tone, Hz: flight times in seconds, effects in SI."),
     profile: str | None = typer.Option(
-        None, help="Forcing, frequency and declared effects of a profile; alone: the motion in each step of its ramp."
+        None,
+        help="Forcing, frequency and declared effects of a profile; if only that: the motion in its steps.",
     ),
     sweep: str | None = typer.Option(None, help="up or down: carry the state from gamma to gamma, as a bench does."),
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),

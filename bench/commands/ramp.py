@@ -26,7 +26,7 @@ def command(
     note: str | None = typer.Option(None, "--note", help="The operator's note."),
     set_: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="A free key, as knob=3; repeatable."),
     resume: Path | None = typer.Option(None, "--resume", metavar="REC.h5", help="Go on where this recording stopped."),
-    step: int | None = typer.Option(None, "--step", metavar="N", help="With --resume: repeat step N alone."),
+    step: int | None = typer.Option(None, "--step", metavar="N", help="With --resume: repeat only step N."),
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
     live: bool = typer.Option(False, "--live", help="Serve a page on which the run is watched and stopped."),
     host: str = typer.Option("127.0.0.1", "--host", help="Of the page; other machines need the token in its address."),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,15 +28,16 @@ def command(
 
     Example: bench report run.h5 --out run.html --pdf run.pdf
     """
+    from analysis.report.run_page import write_page
     from bench.jobs.print_pdf import print_pdf, refuse_without_printer
     from bench.jobs.report import report
     from bench.outputs import HTML, JSON, PDF, File, check_outputs
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, speaker, write_json
     from daq.recording.identity import refuse_repeated
     from daq.setup.errors import InputError
 
     quiet = json == "-"
-    say: Callable[[str], None] = _nothing if quiet else typer.echo
+    say = speaker(quiet)
     try:
         check_outputs(
             File("--out", out, HTML), File("--pdf", pdf, PDF), File("--json", json, JSON),
@@ -52,7 +52,7 @@ def command(
     except OSError as error:
         fail(f"{error}; name files that can be read", EXIT_USAGE)
     try:
-        _write(found, out)
+        write_page([one.section for one in found], out)
         if pdf is not None:
             print_pdf(out, pdf)
         write_json(as_json(found, out, pdf), json)
@@ -63,12 +63,6 @@ def command(
     for one in found:
         say(f"{one.path.name}: {one.section.sentence}")
     say(f"report: {out}" + (f" and {pdf}" if pdf is not None else ""))
-
-
-def _write(found: list[Reported], out: Path) -> None:
-    from analysis.report.run_page import write_page
-
-    write_page([one.section for one in found], out)
 
 
 def as_json(found: list[Reported], out: Path, pdf: Path | None) -> dict[str, Any]:
@@ -90,7 +84,3 @@ def as_json(found: list[Reported], out: Path, pdf: Path | None) -> dict[str, Any
             for one in found
         ],
     }
-
-
-def _nothing(line: str) -> None:
-    """Say nothing: standard output belongs to the JSON."""

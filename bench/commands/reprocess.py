@@ -94,7 +94,7 @@ def as_json(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) -
 
 
 def _step_json(table: Flights, own: StepClass) -> dict[str, Any]:
-    """One step for a machine; a step that could not be fitted has its verdict alone."""
+    """One step for a machine; a step that could not be fitted has only its verdict."""
     plate = table.plate.steps[own.step]
     row: dict[str, Any] = {
         "step": own.step,

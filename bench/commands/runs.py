@@ -62,12 +62,12 @@ def command(
             with progress_bar(quiet=json == "-") as bar:
                 read = catalogue.update(all_bytes=verify, progress=bar)
             rows = catalogue.runs(query)
-            told = as_json(catalogue, rows, read)
+            answer = as_json(catalogue, rows, read)
     except InputError as error:
         fail(str(error), EXIT_USAGE)
-    write_json(told, json)
+    write_json(answer, json)
     if json != "-" and not page:
-        _print(told)
+        _print(answer)
     if page:
         _serve(folder)
     elif verify and any(row["ended"] == "damaged" for row in rows):
@@ -85,7 +85,7 @@ def as_json(catalogue: Catalogue, rows: list[Row], read: int) -> dict[str, Any]:
     }
 
 
-def _print(told: dict[str, Any]) -> None:
+def _print(answer: dict[str, Any]) -> None:
     """The table for a person, and what is wrong with damaged files."""
     from rich import box
     from rich.markup import escape
@@ -93,9 +93,9 @@ def _print(told: dict[str, Any]) -> None:
 
     from bench.terminal.console import print_lines, print_table
 
-    rows = told["runs"]
+    rows = answer["runs"]
     if not rows:
-        print_lines(f"{told['folder']}: no recordings that meet this; files read: {told['files_read']}")
+        print_lines(f"{answer['folder']}: no recordings that meet this; files read: {answer['files_read']}")
         return
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     right = ("c", "gamma", "steps", "lost")

@@ -1,6 +1,6 @@
 """Sequential design on the simulated rig: run, analyse, choose the next run, until one hypothesis stands.
 
-The analysis sees recordings alone; what the rig hides stays in the scenario file that only the back end reads.
+The analysis reads only recordings; what the rig hides stays in the scenario file that only the back end reads.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def until_clear(
     limits: Thresholds = FROZEN,
     anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop, list[Path], str]:
-    """Close the loop, and while several explanations tie, make the run that would tell them apart.
+    """Close the loop, and while several explanations tie, make the run that would separate them.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def until_clear(
         tied = "; ".join(" + ".join(names) for names in loop.ties)
         ranked = [r for r in possible_runs(loop, fitted, made[0]) if not r.design.priors]
         if not ranked or ranked[0].nats < loop.limits.gain_nats:
-            say(f"still tied: {tied}; no run that this rig can make would tell them apart")
+            say(f"still tied: {tied}; no run that this rig can make would separate them")
             return loop, fitted, made, ""
         say(f"tied: {tied}; next run: {ranked[0].design.description} (worth {ranked[0].nats:.0f} nats)")
         out = made[0].with_name(f"{made[0].stem}-next{len(made) - len(recordings) + 1}.h5")

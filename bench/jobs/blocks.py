@@ -185,7 +185,7 @@ def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: floa
 
 
 def _part_seconds(whole: Profile, places: Sequence[int]) -> float:
-    """Rig time of a block with some steps of ``whole`` alone, its fades and the end at rest included."""
+    """Rig time of a block with only some steps of ``whole``, its fades and the end at rest included."""
     gammas = whole.ramp.gammas()
     ramp = whole.ramp.model_copy(update={"gamma": tuple(gammas[i] for i in places), "order": None})
     return run_seconds(whole.model_copy(update={"ramp": ramp}))

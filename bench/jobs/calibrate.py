@@ -74,7 +74,7 @@ def contact(profile: Profile, backend: Backend) -> list[Measured]:
     """Levels of the contact circuit in contact and in the air, and how late its edges are to the impacts.
 
     The delay is that to the accelerometer's impacts (the way through the table and the sensor included), and becomes
-    the declared effect ``contact_latency``. A circuit that seems early stands beside a sensor that is late, by a filter
+    the declared effect ``contact_latency``. A circuit that seems early means a sensor that is late, by a filter
     that holds tones back by more than it does impacts: then no latency is known better than that. Raises `InputError`.
     """
     channel = profile.channels.continuity
@@ -142,9 +142,9 @@ def _gain_and_phase(profile: Profile, key: str, responses: list[tuple[complex, f
     value = np.array([z for z, _ in responses])
     sigma = np.array([math.hypot(relative, ESTIMATOR) for _, relative in responses])
     mean = complex(np.average(value, weights=sigma**-2.0))
-    apart = value / mean - 1.0  # real part: gain, imaginary: phase in rad
+    off = value / mean - 1.0  # real part: gain, imaginary: phase in rad
     own = float(np.sum(sigma**-2.0) ** -0.5)
-    gain_off, phase_off = (max(own, float(np.std(x, ddof=1)) / math.sqrt(len(x))) for x in (apart.real, apart.imag))
+    gain_off, phase_off = (max(own, float(np.std(x, ddof=1)) / math.sqrt(len(x))) for x in (off.real, off.imag))
     scale, g = profile.channels.accelerometer.sensitivity, profile.g_mps2
     relative = math.hypot(gain_off, scale.uncertainty / scale.value, g.uncertainty / g.value)
     source = f"drive to plate, block on, gamma_peak {DRIVE_PEAKS[0]:g} to {DRIVE_PEAKS[-1]:g} (bench calibrate drive)"

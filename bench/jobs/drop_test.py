@@ -71,8 +71,8 @@ class Request:
 
     def as_json(self) -> dict[str, Any]:
         """All options, for the record."""
-        told = dataclasses.asdict(self)
-        return told | {
+        options = dataclasses.asdict(self)
+        return options | {
             "files": list(map(str, self.files)),
             "corrections": [dataclasses.asdict(one) for one in self.corrected],
         }

@@ -1,7 +1,7 @@
 """A rig that chooses its own steps: block by block, until one explanation stands or the time is spent.
 
-Each block is a short ramp of its own, planned, limited, driven and recorded as any other; the analysis sees recordings
-alone. Why its steps were chosen is kept in the recording.
+Each block is a short ramp of its own, planned, limited, driven and recorded as any other; the analysis reads only
+recordings. Why its steps were chosen is noted in the recording.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class _Judged:
 
 
 def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: bool) -> _Judged:
-    """The closed loop on all blocks; with fewer steps than a verdict needs, the best set alone."""
+    """The closed loop on all blocks; with fewer steps than a verdict needs, only the best set."""
     from analysis.attribution.fit import Fitter
     from analysis.attribution.priors import priors_of
     from analysis.attribution.selection import StepwiseSelection
@@ -227,7 +227,7 @@ def _next(
     hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
     if why := _reached(loop, best, aims, hidden):
         return None, why
-    if loop.verdict == "explained":  # only what explains as much is left to be told apart
+    if loop.verdict == "explained":  # only what explains as much is left to be distinguished
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, world, fitter, known) for option in options]
@@ -262,7 +262,7 @@ def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
 
 
 def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
-    """Whether the same steps were driven before: what they were to tell apart, they did not."""
+    """Whether the same steps were driven before: what they were to distinguish, they did not."""
 
     def steps(ratio: int, frequency_hz: float, gammas: Sequence[float]) -> tuple[int, float, frozenset[float]]:
         return ratio, frequency_hz, frozenset(gammas)
@@ -290,7 +290,7 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
 def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims, hidden: Mapping[ParameterId, float]) -> str:
     """Why the aims are reached, or an empty text."""
     if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
-        return f"{' + '.join(loop.names)} alone explains everything"
+        return f"{' + '.join(loop.names)} explains everything"
     if loop.verdict == "nothing_missing" and not hidden:
         return "nothing is missing, down to the sizes asked for"
     return ""
@@ -350,7 +350,7 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
         if share * sigma > aims.until[key] and limiting:
             first = " or ".join(f"{name}.{q}" for name, q in limiting)
             return (
-                f"{' + '.join(loop.names)} alone explains everything; {'.'.join(key)} is known to {sigma:.2g}, and no "
+                f"{' + '.join(loop.names)} explains everything; {'.'.join(key)} is known to {sigma:.2g}, and no "
                 f"number of steps would bring it below {share * sigma:.2g}: calibrate {first} better, or ask for less"
             )
     return ""

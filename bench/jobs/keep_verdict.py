@@ -1,4 +1,4 @@
-"""Where the closed loop of a recording is kept: `RUN.loop` beside it, which report and catalogue read."""
+"""The file of a recording's closed loop, `RUN.loop` in its folder, which report and catalogue read."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ SAVED = ".loop"
 
 
 def verdict_file(recordings: Sequence[Path]) -> Path:
-    """``run.loop`` beside a recording ``run.h5``; of three that were judged as one, ``run+2.loop`` beside the first."""
+    """``run.loop`` for a recording ``run.h5``; of three judged as one, ``run+2.loop`` in the folder of the first."""
     first, others = recordings[0], len(recordings) - 1
     return first.with_name(f"{first.stem}+{others}{SAVED}" if others else f"{first.stem}{SAVED}")
 
 
 def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
-    """Write a closed loop beside its recordings, in place of an earlier one.
+    """Write a closed loop into the folder of its recordings, in place of an earlier one.
 
     Returns
     -------
     str
         Why it could not be kept, in a sentence; empty where it is. A folder that cannot be written, as of an archive,
-        or a file of that name that is no closed loop, costs nobody the verdict.
+        or a file of that name that is no closed loop, costs no verdict.
     """
     from analysis.loop.storage import is_verdict, save_verdict
 

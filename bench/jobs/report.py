@@ -71,16 +71,16 @@ def _loop(
     from analysis.loop.close_loop import close_loop
     from analysis.loop.storage import load_verdict
 
-    beside = verdict_file([recording.path])
-    if beside.is_file():
+    saved = verdict_file([recording.path])
+    if saved.is_file():
         try:
-            loop = load_verdict(beside)
+            loop = load_verdict(saved)
             other = not_of(loop, recording, flights)
         except InputError as error:
             other = str(error)
         if not other:
             return loop, "saved", ""
-        say(f"{beside.name} is not used: {other}")
+        say(f"{saved.name} is not used: {other}")
     try:
         loop = close_loop([recording.path], progress=lambda what, part: bar(what, 0.3 + 0.5 * part))
     except (InputError, ValueError) as error:

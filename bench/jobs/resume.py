@@ -24,7 +24,7 @@ def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[P
     first
         The recording that was stopped.
     step
-        Repeat this step alone, numbered as `bench plan` does (from 0).
+        Repeat only this step, numbered as `bench plan` does (from 0).
 
     Raises
     ------

@@ -149,13 +149,13 @@ class Catalogue(Closing):
         return path
 
     def notebook(self, row: Row) -> tuple[Entry, ...]:
-        """All notes of a run, from its file and the one beside it (raises InputError)."""
+        """All notes of a run, from its file and its side file (raises InputError)."""
         path = self.file_of(row)
         found = [header for _, header in read_headers([path]) if isinstance(header, Header)]
         return notebook(found[0] if found else None, read_remarks(side_file(path)))
 
     def change_remarks(self, row: Row, change: Callable[[Remarks], Remarks]) -> Remarks:
-        """Change tags and notes of a run in the file beside it, one process at a time.
+        """Change tags and notes of a run in its side file, one process at a time.
 
         Raises
         ------
@@ -246,10 +246,10 @@ class Catalogue(Closing):
         self._put_file(file)
         if loop is None:
             return
-        told = [loop.verdict, loop.summary, len(loop.identities), loop.before_us, loop.after_us, loop.floor_us]
+        values = [loop.verdict, loop.summary, len(loop.identities), loop.before_us, loop.after_us, loop.floor_us]
         for identity in dict.fromkeys(loop.identities):
             self._connection.execute(
-                "INSERT INTO loops VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", [file.path, identity, file.mtime_ns, *told]
+                "INSERT INTO loops VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", [file.path, identity, file.mtime_ns, *values]
             )
             for q in loop.quantities:
                 self._connection.execute(

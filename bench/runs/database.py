@@ -1,4 +1,4 @@
-"""The catalogue's database: SQLite beside the recordings, or in memory where that cannot be.
+"""The catalogue's database: SQLite in the recordings' folder, or in memory where that cannot be.
 
 All in it is made from files. One that is damaged or of an earlier version is made anew; one of a newer version is left
 as it is.

@@ -43,7 +43,7 @@ def run_id(path: str) -> str:
 
 
 def files_below(folder: Path) -> Iterator[Found]:
-    """Files below a folder that may matter to the catalogue, hidden ones and links that lead out of it apart.
+    """Files below a folder that may matter to the catalogue, without hidden ones and links that lead out of it.
 
     Raises
     ------

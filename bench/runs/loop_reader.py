@@ -13,11 +13,11 @@ from daq.setup.errors import InputError
 
 def look(names: list[str], tell: Tell) -> dict[str, Any]:
     """Verdicts as JSON by file name; None for a file that holds none."""
-    told: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for name in names:
         tell(name)
         try:
-            told[name] = loop_json(load_verdict(Path(name)))
+            found[name] = loop_json(load_verdict(Path(name)))
         except InputError:
-            told[name] = None
-    return told
+            found[name] = None
+    return found

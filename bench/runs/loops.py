@@ -37,7 +37,7 @@ class Loop:
     quantities
         Parameters of added effects, and calibrations as fitted.
     before_us, after_us, floor_us
-        Rms error of held-out landings before and after, and what noise alone leaves.
+        Rms error of held-out landings before and after, and what noise leaves.
     """
 
     identities: tuple[str, ...]
@@ -55,43 +55,43 @@ def kept_loops(paths: Iterable[Path]) -> Iterator[tuple[Path, Loop | None]]:
     while left:
         answer = apart("bench.runs.loop_reader:look", left)
         if not answer.died:
-            yield from ((Path(name), _loop(told)) for name, told in answer.value.items())
+            yield from ((Path(name), _loop(one)) for name, one in answer.value.items())
             return
         culprit = answer.at if answer.at in left else left[0]
         left.remove(culprit)
         yield Path(culprit), None
 
 
-def _loop(told: Any) -> Loop | None:
+def _loop(answer: Any) -> Loop | None:
     """The verdict from its JSON; None for JSON of something else."""
     try:
-        verdict = str(told["verdict"])
+        verdict = str(answer["verdict"])
         if verdict not in VERDICTS:
             return None
-        identities = tuple(str(x) for x in told["source_ids"] if x)
-        names = [str(effect["name"]) for effect in told["effects"]]
-        others = len(told["tie_set"]) - 1
+        identities = tuple(str(x) for x in answer["source_ids"] if x)
+        names = [str(effect["name"]) for effect in answer["effects"]]
+        others = len(answer["tie_set"]) - 1
         words = short_verdict(verdict) + (f": {', '.join(names)}" if names else "")
-        errors = (told["before"]["landing_rms_us"], told["after"]["landing_rms_us"], told["noise_floor_us"])
+        errors = (answer["before"]["landing_rms_us"], answer["after"]["landing_rms_us"], answer["noise_floor_us"])
         return Loop(
             identities, verdict, words + (f" (or {others} other sets)" if others > 0 else ""),
-            tuple(_quantities(told)),
+            tuple(_quantities(answer)),
             *(None if x is None else float(x) for x in errors),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 
 
-def _quantities(told: Any) -> Iterator[Quantity]:
+def _quantities(answer: Any) -> Iterator[Quantity]:
     """Fitted parameters of a verdict."""
-    for effect in told["effects"]:
+    for effect in answer["effects"]:
         for parameter, x in effect["parameters"].items():
             if x["value"] is None:
                 continue
             known = x["low"] is not None and x["high"] is not None
             sigma = (x["high"] - x["low"]) / (2.0 * NORMAL_95) if known else None
             yield _quantity(effect["name"], parameter, x["value"], sigma)
-    for x in told["calibrations"]:
+    for x in answer["calibrations"]:
         if x["value"] is not None:
             yield _quantity(x["effect"], x["parameter"], x["value"], x["sigma"])
 

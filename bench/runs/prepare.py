@@ -60,14 +60,14 @@ def make_flights(recording: Path, target: Path) -> Path:
     with open_recording(recording) as opened:
         flights, steps, rate_hz = flights_of(opened), opened.steps, opened.rate_hz
         stamps = [float(opened.timestamps_ns(k, k + 1)[0]) * 1e-9 for k in steps["first_sample"].tolist()]
-    told = []
+    found = []
     classes = {own.step: own for own in classify(flights)}
     for k, step in enumerate(steps):
         plate = flights.plate.steps[k] if k < len(flights.plate.steps) else None
         own = classes.get(k)
         chosen = np.flatnonzero((flights.step == k) & flights.good() & ~flights.has(FlightFlag.DOUBLE_HIT))
         shown = chosen[:: -(-len(chosen) // MOST_SHOWN)] if len(chosen) else chosen
-        told.append({
+        found.append({
             "step": k, "start_s": stamps[k], "length_s": float(step["n_samples"]) / rate_hz,
             "commanded": step["gamma"], "gamma": None if plate is None else plate.gamma,
             "gamma_uncertainty": None if plate is None else plate.gamma_uncertainty,
@@ -76,7 +76,7 @@ def make_flights(recording: Path, target: Path) -> Path:
             "double_hits": 0 if own is None else own.double_hits,
             "periods": np.round(flights.duration_s[shown] * step["frequency_hz"], 5).tolist(),
         })  # fmt: skip
-    write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": told})))
+    write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": found})))
     return target
 
 
@@ -139,9 +139,9 @@ class Workshop:
         whole = row["identity"] and row["ended"] != "damaged"
         target = self.place / f"{row['identity'] if whole else _file_key(file)}.flights.json"
         with contextlib.suppress(OSError, ValueError, KeyError):
-            told = json.loads(target.read_text(encoding="utf-8"))
-            if told["version"] == FLIGHTS_VERSION:
-                steps: list[dict[str, Any]] = told["steps"]
+            found = json.loads(target.read_text(encoding="utf-8"))
+            if found["version"] == FLIGHTS_VERSION:
+                steps: list[dict[str, Any]] = found["steps"]
                 return steps
         if self._made(f"flights {target.name}", make_flights, file, target) is None:
             return None

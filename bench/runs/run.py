@@ -35,7 +35,7 @@ class Run:
     why
         Reason of a stop, or what is damaged.
     all_bytes
-        Whether every byte was compared with the checksums, or tables and indexes alone.
+        Whether every byte was compared with the checksums, or only tables and indexes.
     note
         As `bench ramp` was given it.
     notes

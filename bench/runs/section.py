@@ -183,9 +183,9 @@ class Pages:
         from starlette.concurrency import run_in_threadpool
 
         try:
-            told = json.loads(await request.body())
-            add, remove = (tuple(map(str, told.get(key, []))) for key in ("add", "remove"))
-            note = str(told.get("note", ""))
+            answer = json.loads(await request.body())
+            add, remove = (tuple(map(str, answer.get(key, []))) for key in ("add", "remove"))
+            note = str(answer.get("note", ""))
         except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise HTTPException(422, "wanted JSON with add, remove or note") from error
         return await run_in_threadpool(self._remark, request, add, remove, note)
@@ -254,12 +254,12 @@ def _query(request: Request) -> Query:
 
 
 def _asked(job: Callable[[], Any]) -> Any:
-    """What a job gives; what it refuses is told to the browser."""
+    """What a job gives; what it refuses is answer to the browser."""
     try:
         return job()
     except (InputError, ValueError, OSError) as error:
         raise HTTPException(422, str(error)) from error
 
 
-def _json(told: Any) -> Response:
-    return JSONResponse(told)
+def _json(answer: Any) -> Response:
+    return JSONResponse(answer)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def unfit_steps(held: Comparison) -> list[str]:
     """Periodic steps that cannot judge the model, and why."""
     why = {
-        "sensitive": "the uncertainty of gamma alone moves the prediction",
+        "sensitive": "the uncertainty of gamma by itself moves the prediction",
         "unsettled": "the predicted cycle attracts too slowly for the settle time",
     }
     found: dict[str, list[str]] = {}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -54,6 +55,13 @@ def write_json(payload: Any, target: str | Path | None) -> None:
 def readable(text: str | None) -> str | None:
     """Text from a command line as it can be stored; bytes that the console's code page does not know become marks."""
     return None if text is None else text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def speaker(quiet: bool) -> Callable[[str], None]:
+    """What prints a line for a person; prints nothing where standard output belongs to the JSON."""
+    import typer
+
+    return (lambda line: None) if quiet else typer.echo
 
 
 def print_lines(*lines: str) -> None:

@@ -7,6 +7,7 @@ import math
 from analysis.attribution.priors import parameter_of
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.verdicts import short_verdict
+from analysis.report.wording import microseconds, plus_minus
 
 
 def show(found: JointVerdict) -> None:
@@ -22,9 +23,9 @@ def show(found: JointVerdict) -> None:
     for run in found.odd:
         out.print(f"  {run.recording} is not explained ({', '.join(run.failed)})", soft_wrap=True)
     for x, rest, run in found.of_one_run:
-        own = f"{x.values[rest.place]:.3g} +- {x.sigmas[rest.place]:.2g}"
-        others = f"{rest.others:.2g} +- {rest.others_sigma:.2g}"
-        words = f"one run's alone: {run.recording} has {own}, all others together {others} (unit {x.unit})"
+        own = plus_minus(x.values[rest.place], x.sigmas[rest.place])
+        others = plus_minus(rest.others, rest.others_sigma)
+        words = f"only in one run: {run.recording} has {own}, all others together {others} (unit {x.unit})"
         out.print(f"  {x.effect}.{x.parameter} is {words}", soft_wrap=True)
     if len(found.ties) > 1:
         others = "; ".join(" + ".join(names) for names in found.ties[1:])
@@ -46,8 +47,8 @@ def show(found: JointVerdict) -> None:
     for run in found.runs:
         when = run.started if found.dated else f"{run.days:.0f}"
         runs.add_row(
-            run.recording, when, str(run.flights), f"{run.ratio:.2f}", f"{run.landing_rms_us:.1f}",
-            f"{run.noise_floor_us:.1f}",
+            run.recording, when, str(run.flights), f"{run.ratio:.2f}",
+            microseconds(run.landing_rms_us), microseconds(run.noise_floor_us),
         )  # fmt: skip
     out.print(runs)
     limits = (f"{name} {size:.2g} {_unit(name)}" for name, size in found.detection.items())
@@ -66,6 +67,6 @@ def _row(x: OverRuns) -> tuple[str, ...]:
     test = x.constancy
     trend = f"{test.slope:.2g}, {test.p_trend:.2g}" if math.isfinite(test.slope_sigma) else "-"
     return (
-        f"{x.effect}.{x.parameter}", x.unit, f"{x.value:.3g} +- {x.sigma:.2g}", f"{x.spread:.2g}",
+        f"{x.effect}.{x.parameter}", x.unit, plus_minus(x.value, x.sigma), f"{x.spread:.2g}",
         f"{test.p:.2g}" if test.degrees else "-", trend, "differs" if x.differs else "",
     )  # fmt: skip

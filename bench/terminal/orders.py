@@ -133,7 +133,7 @@ class TypedLines:
         return found
 
     def answer(self, prompt: str) -> str | None:
-        """The next line that is typed after ``prompt``; None where nobody can type any more."""
+        """The next line that is typed after ``prompt``; None where no one can type any more."""
         self.take()
         typer.echo(f"{prompt}: ", nl=False)
         while True:
@@ -149,11 +149,11 @@ class TypedLines:
         def after_block(status: Status) -> None:
             for line in self.take():
                 try:
-                    told = obey(request, line)
+                    reply = obey(request, line)
                 except InputError as error:
-                    told = str(error)
+                    reply = str(error)
                 with suppress(OSError):  # the terminal may be gone
-                    typer.echo(told, err=True)
+                    typer.echo(reply, err=True)
             progress(status)
 
         return after_block

@@ -46,7 +46,7 @@ def _announce() -> None:
 
 @contextmanager
 def progress_bar(quiet: bool = False) -> Iterator[Progress]:
-    """A bar that follows ``(what, fraction done)``; where there is no terminal, compiling alone is announced."""
+    """A bar that follows ``(what, fraction done)``; where there is no terminal, only compiling is announced."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

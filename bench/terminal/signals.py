@@ -1,7 +1,7 @@
 """Ctrl-C, Ctrl-\\, SIGTERM and a closed terminal (SIGHUP) as requests to stop a run softly.
 
 The first signal ramps down, the second sets the drive to zero at once; the former handlers are restored.
-A closing terminal may send SIGHUP several times: that alone never makes a soft stop a hard one.
+A closing terminal may send SIGHUP several times: which never makes a soft stop a hard one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def stop_on_signals(request: StopRequest | None = None) -> Iterator[StopRequest]
     """A `StopRequest` that these signals set while the block runs; in the main thread only."""
     request = request or StopRequest()
     if threading.current_thread() is not threading.main_thread():
-        yield request  # Python delivers signals to the main thread alone
+        yield request  # Python delivers signals only to the main thread
         return
     asked: list[str] = []
 

@@ -99,7 +99,7 @@ def make_safe() -> None:
         if isinstance(stream, io.TextIOWrapper) and not isinstance(stream, SafeStream):
             setattr(sys, name, cast(TextIO, SafeStream(stream, vital=vital)))
     if not sys.warnoptions:
-        # a number that is not finite is answered where it matters; the line of a library helps nobody at a bench
+        # a number that is not finite is answered where it matters; the line of a library helps no one at a bench
         warnings.simplefilter("ignore", RuntimeWarning)
         warnings.showwarning = _one_line
 

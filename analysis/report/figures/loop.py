@@ -27,7 +27,7 @@ MOST_ROWS = 16  # candidates in the figure
 
 
 def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
-    """Label, predictions and colour of each model to show: before and after, or the declared one alone."""
+    """Label, predictions and colour of each model to show: before and after, or only the declared one."""
     if not loop.names:
         return [("declared model", loop.flights.after, AFTER)]
     return [("before", loop.flights.before, BEFORE), ("after", loop.flights.after, AFTER)]

@@ -59,7 +59,7 @@ def _draw(
     residual_of: Callable[[Predictions], Array],
     floor_us: float,
 ) -> None:
-    """Blocks of three covariates: the row of residuals before over the row after (alone where nothing was added)."""
+    """Blocks of three covariates: the row of residuals before over the row after (one where nothing was added)."""
     x = loop.flights.covariates
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     if rows.any():

@@ -36,7 +36,7 @@ PLATE = "#5c677d"
 BAND = "#c9d6e3"  # 95 % bands
 NEUTRAL, ERROR_BAR = "#adb5bd", "#495057"
 SIMULATED_BADGE, REAL_BADGE = "#a4161a", "#2d6a4f"
-HARMONICS = (  # colour (Okabe and Ito's, which the colour-blind tell apart), mark and line of each harmonic
+HARMONICS = (  # colour (Okabe and Ito's, which the colour-blind distinguish), mark and line of each harmonic
     ("#0072b2", "o", "-"),
     ("#d55e00", "s", "--"),
     ("#000000", "^", ":"),
