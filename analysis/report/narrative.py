@@ -121,7 +121,7 @@ def reasoning(loop: ClosedLoop) -> list[str]:
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
-    """Held-out gain and standard error of every candidate added by itself, nats: of each set its best, largest first."""
+    """Held-out gain and standard error of every candidate added singly, nats: of each set its best, largest first."""
     best: dict[str, tuple[float, float]] = {}
     for c in loop.candidates:
         name = " + ".join(plain(n) for n in c.names)
