@@ -25,7 +25,7 @@ def show(found: JointVerdict) -> None:
     for x, rest, run in found.of_one_run:
         own = plus_minus(x.values[rest.place], x.sigmas[rest.place])
         others = plus_minus(rest.others, rest.others_sigma)
-        words = f"only in one run: {run.recording} has {own}, all others together {others} (unit {x.unit})"
+        words = f"different in one run: {run.recording} has {own}, all others together {others} (unit {x.unit})"
         out.print(f"  {x.effect}.{x.parameter} is {words}", soft_wrap=True)
     if len(found.ties) > 1:
         others = "; ".join(" + ".join(names) for names in found.ties[1:])

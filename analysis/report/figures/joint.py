@@ -52,6 +52,6 @@ def _draw_one(ax: Any, x: OverRuns, runs: Sequence[RunOutcome]) -> None:
     ax.errorbar(days[known], values, Z95 * sigmas, fmt="o", ms=3.5, lw=0.9, color=MEASURED)
     words = "differs between runs" if x.differs else "one value for all runs"
     if x.one_run is not None:
-        words = f"only in one run: {Path(runs[x.one_run.place].recording).name}"
+        words = f"different in one run: {Path(runs[x.one_run.place].recording).name}"
     ax.set_title(f"{plain(x.effect)}: {plain(x.parameter)}, {words}", fontsize=9, loc="left")
     ax.set_ylabel(x.unit if x.unit != "1" else "relative")

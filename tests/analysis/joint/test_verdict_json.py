@@ -1,4 +1,4 @@
-"""A joint verdict as JSON and on the terminal: what is one run's alone is said to be that."""
+"""A joint verdict as JSON and on the terminal: what differs in one run is said to."""
 
 import pytest
 
@@ -31,14 +31,14 @@ def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert told == {"recording": "c.h5", "others": 5e-5, "others_sigma": 0.0035}
     show(found)
     out = " ".join(capsys.readouterr().out.split())
-    assert "drive_gain.relative is one run's alone: c.h5 has 0.0142 +- 0.0002, all others together 5e-05" in out
+    assert "drive_gain.relative is different in one run: c.h5 has 0.01420 +- 0.00020, all others together 0.0" in out
 
 
 def test_what_the_runs_share_is_nobodys_alone(capsys: pytest.CaptureFixture[str]) -> None:
     """Without such a run JSON says null, and the terminal nothing."""
     assert joint_json(verdict(None))["parameters"][0]["one_run"] is None
     show(verdict(None))
-    assert "one run's alone" not in capsys.readouterr().out
+    assert "different in one run" not in capsys.readouterr().out
 
 
 def test_what_all_runs_could_not_have_shown_is_told(capsys: pytest.CaptureFixture[str]) -> None:
