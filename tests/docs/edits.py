@@ -10,11 +10,13 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-EDIT = re.compile(r"^In `([\w./]+)`, after the line `([^\n]+)`:\n\n```\w*\n(.*?)```", re.MULTILINE | re.DOTALL)
+EDIT = re.compile(
+    r"^In `([\w./]+)`, (after|in place of) the line `([^\n]+)`:\n\n```\w*\n(.*?)```", re.MULTILINE | re.DOTALL
+)
 
 
 def edited_copy(page: str, folder: Path) -> list[str]:
-    """Copy the packages that a how-to edits, insert its blocks after the lines it names, and return the files changed.
+    """Copy the packages that a how-to edits, put its blocks where it says, and return the files changed.
 
     Raises
     ------
@@ -22,14 +24,15 @@ def edited_copy(page: str, folder: Path) -> list[str]:
         Where a line does not stand in its file exactly once.
     """
     edits = EDIT.findall((ROOT / "docs" / "how-to" / page).read_text(encoding="utf-8"))
-    for package in {name.split("/")[0] for name, _, _ in edits}:
+    for package in {name.split("/")[0] for name, *_ in edits}:
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-    for name, anchor, block in edits:
+    for name, where, anchor, block in edits:
         lines = (folder / name).read_text(encoding="utf-8").splitlines(keepends=True)
-        places = [i for i, line in enumerate(lines, start=1) if line.strip() == anchor]
+        places = [i for i, line in enumerate(lines) if line.strip() == anchor]
         assert len(places) == 1, f"{name}: {anchor!r} stands there {len(places)} times"
-        (folder / name).write_text("".join([*lines[: places[0]], block, *lines[places[0] :]]), encoding="utf-8")
-    return [name for name, _, _ in edits]
+        before = places[0] + (where == "after")
+        (folder / name).write_text("".join([*lines[:before], block, *lines[places[0] + 1 :]]), encoding="utf-8")
+    return [name for name, *_ in edits]
 
 
 def run_in(folder: Path, code: str) -> list[list[float]]:
