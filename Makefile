@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-slow test-lowest lint docs clean
+.PHONY: run test test-changed test-slow test-lowest lint docs clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -24,6 +24,10 @@ run: $(VENV)/.installed
 # side by side; a file's tests share their recordings, so they stay on one worker
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -m 'not slow' -n 2 --dist loadfile
+
+# what the changes since the last commit can reach, nearest first, for a minute
+test-changed: $(VENV)/.installed-test
+	$(BIN)/python -m tests.changed
 
 # those that run in real time come last, alone on the machine
 REAL_TIME := tests/bench/live tests/rig/virtual
