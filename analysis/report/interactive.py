@@ -65,7 +65,14 @@ def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
         out = io.BytesIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
         points, known = _points(figure, named)
-    return InlineFigure(_element(out.getvalue().decode("utf-8")), points, _remark(n, known))
+    text = out.getvalue().decode("utf-8")
+    element = re.sub(r"\s*<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL).strip()
+    remarks = []
+    if n > MOST_VECTOR_POINTS:
+        remarks.append(f"Its {n} points are drawn as a picture; axes and text are vectors.")
+    if known[0] < known[1]:
+        remarks.append(f"The pointer knows {known[0]} of the {known[1]} points, evenly chosen.")
+    return InlineFigure(element, points, " ".join(remarks))
 
 
 def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int, int]]:
@@ -85,21 +92,6 @@ def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int
         "row": packed(row[::stride], "<i4"),
     }
     return coded, (len(kept), len(row))
-
-
-def _remark(points: int, known: tuple[int, int]) -> str:
-    words = []
-    if points > MOST_VECTOR_POINTS:
-        words.append(f"Its {points} points are drawn as a picture; axes and text are vectors.")
-    if known[0] < known[1]:
-        words.append(f"The pointer knows {known[0]} of the {known[1]} points, evenly chosen.")
-    return " ".join(words)
-
-
-def _element(svg: str) -> str:
-    """The SVG element, without the head of an XML file and without metadata."""
-    text = svg[svg.index("<svg") :]
-    return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL).strip()
 
 
 def packed(values: Any, kind: str) -> str:

@@ -27,6 +27,16 @@ STATES = {
 }
 
 
+def source_words(name: str, *, simulated: bool) -> str:
+    """Where a figure's data come from, below it."""
+    return f"{name}, {'simulated rig' if simulated else 'measured'}"
+
+
+def software_words(version: str, commit: str) -> str:
+    """Version and commit of the software, as text."""
+    return f"shakerbench {version}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
+
+
 def file_rows(recording: Recording, found: VerifyReport) -> Rows:
     """State of the file, its seal, its losses, and what made it."""
     a, blocks = recording.attrs, recording.blocks
@@ -45,7 +55,7 @@ def file_rows(recording: Recording, found: VerifyReport) -> Rows:
         ),
         ("lost", _losses(recording, found)),
         ("blocks", f"{len(blocks)}; {noted or 'none overflown, late, clipped, filled or damaged'}"),
-        ("software", _software(a)),
+        ("software", software_words(str(a.get("software_version") or "unknown"), str(a.get("software_commit") or ""))),
     ]
     for key, words in (
         ("imported_from", "imported from"),
@@ -65,11 +75,6 @@ def _losses(recording: Recording, found: VerifyReport) -> str:
     listed = [f"{lost} before sample {first}" for first, lost in recording.gaps[:LISTED]]
     more = f", and {len(recording.gaps) - LISTED} gaps more" if len(recording.gaps) > LISTED else ""
     return f"{found.lost_samples} samples in {len(recording.gaps)} gaps: {', '.join(listed)}{more}"
-
-
-def _software(attrs: dict[str, object]) -> str:
-    version, commit = attrs.get("software_version") or "unknown", str(attrs.get("software_commit") or "")
-    return f"shakerbench {version}" + (f" ({commit[:10]}{commit[40:]})" if commit else "")
 
 
 def _when(text: object) -> str:

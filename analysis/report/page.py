@@ -21,7 +21,8 @@ from analysis.loop.verdict_json import loop_json
 from analysis.report import narrative, wording
 from analysis.report.figures.style import badge_text, save_picture
 from analysis.report.figures.table import Figure, figures_of
-from analysis.report.gamma import GammaScale, gamma_scale
+from analysis.report.gamma import gamma_scale
+from analysis.report.origin import software_words, source_words
 from analysis.residuals.covariates import COVARIATES
 from daq.files.json_values import json_text
 from daq.recording.provenance import software_commit, software_version
@@ -120,16 +121,6 @@ def whole_page(template: str, **values: Any) -> str:
     return fill(template, policy=policy, script=Markup(script), **values) + "\n"
 
 
-def source_words(name: str, *, simulated: bool) -> str:
-    """Where a figure's data come from, below it."""
-    return f"{name}, {'simulated rig' if simulated else 'measured'}"
-
-
-def software_words(version: str, commit: str) -> str:
-    """Version and commit of the software, as text."""
-    return f"shakerbench {version}{f' ({commit[:10]}{commit[40:]})' if commit else ''}"
-
-
 def write_report(
     loop: ClosedLoop, folder: Path, *, progress: Progress | None = None, kept: KeptTerm | None = None
 ) -> Path:
@@ -208,18 +199,15 @@ def _loop_page(
             figure.name, base64.b64encode(path.read_bytes()).decode()))
         for figure in figures if (path := folder / f"{figure.name}.png").exists()
     ]  # fmt: skip
+    definition = scale.definition
+    if loop.discovered is not None and loop.discovered.covariate == "gamma" and scale.factor != 1.0:
+        definition += " Only the discovered curve is over gamma = A w^2/g."
     return whole_page(
         "loop.html", title=f"Closed loop: {files}", kind="loop", heading="Closed loop", closed=loop, scale=scale,
         drawn=drawn, kept=kept, level=2, simulated=simulated, files=files,
         source=source_words(files, simulated=simulated), provenance=_provenance(loop, software),
-        definition=_definition(loop, scale),
+        definition=definition,
     )  # fmt: skip
-
-
-def _definition(loop: ClosedLoop, scale: GammaScale) -> str:
-    """Definition of gamma on the page."""
-    also = loop.discovered is not None and loop.discovered.covariate == "gamma" and scale.factor != 1.0
-    return scale.definition + (" Only the discovered curve is over gamma = A w^2/g." if also else "")
 
 
 def _provenance(loop: ClosedLoop, software: dict[str, str]) -> list[tuple[str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +47,7 @@ def command(
         fail(str(error), EXIT_USAGE)
     except BackendError as error:
         fail(str(error), EXIT_FAILED)
-    write_json({"profile": checked.name, "findings": [asdict(finding) for finding in findings]}, json)
+    write_json({"profile": checked.name, "findings": findings}, json)
     if json != "-":
         _show(findings)
     bad = [finding.what for finding in findings if finding.passed is False]

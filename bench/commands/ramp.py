@@ -76,7 +76,7 @@ def command(
         fail(str(error), EXIT_USAGE)
     except OSError as error:
         fail(str(error), EXIT_FAILED)
-    _told(summary, backend, out, json)
+    _report(summary, backend, out, json)
 
 
 def _resumed(
@@ -94,14 +94,14 @@ def _resumed(
     return profile, keys | named
 
 
-def _told(summary: RunSummary, backend: Backend, out: Path, json: str | None) -> None:
+def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None) -> None:
     """Write the summary of a run for a machine, or print it in a sentence; exit 1 where it is not complete."""
     from contextlib import suppress
 
     from bench.terminal.console import EXIT_FAILED, fail, next_command, write_json
 
-    kept = {"recording": out if summary.n_samples else None}
-    write_json(kept | {"backend": backend.name, "simulated": backend.simulated} | asdict(summary), json)
+    about = {"recording": out if summary.n_samples else None, "backend": backend.name, "simulated": backend.simulated}
+    write_json(about | asdict(summary), json)
     if json != "-":
         with suppress(OSError):  # the terminal may be gone; the exit code tells
             typer.echo(_sentence(summary, out))

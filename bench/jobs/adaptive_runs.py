@@ -57,9 +57,12 @@ def until_clear(
     """
     from bench.profiles.next_run import possible_runs, profile_of, profile_text
     from bench.terminal.progress import progress_bar
+    from daq.recording import open_recording
 
     made = list(recordings)
-    _check_simulated(made[0])
+    with open_recording(made[0]) as opened:
+        if not opened.attrs.get("simulated"):
+            raise InputError(f"{made[0]}: was not made on the simulated rig; --until-clear makes runs only there")
     text = profile_text(made[0])
     while True:
         with progress_bar(quiet) as bar:
@@ -77,15 +80,6 @@ def until_clear(
         if why:
             return loop, fitted, made, why
         made.append(out)
-
-
-def _check_simulated(path: Path) -> None:
-    """Refuse a recording of a real rig."""
-    from daq.recording import open_recording
-
-    with open_recording(path) as opened:
-        if not opened.attrs.get("simulated"):
-            raise InputError(f"{path}: was not made on the simulated rig; --until-clear makes runs only there")
 
 
 def _made_run(profile: str, out: Path, scenario: Path | None, seed: int, quiet: bool) -> str:

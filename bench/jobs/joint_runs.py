@@ -68,7 +68,11 @@ def judge_runs(
         show(found)
 
     def pictures(folder: Path) -> None:
-        path = write_pictures(found, folder, simulated=_simulated(recordings))
+        simulated = False
+        for path in recordings:
+            with open_recording(path) as opened:
+                simulated |= bool(opened.attrs.get("simulated"))
+        path = write_pictures(found, folder, simulated=simulated)
         if not quiet and path.exists():
             print_lines(f"picture: {path}")
 
@@ -85,12 +89,3 @@ def holds_summaries(path: Path) -> bool:
             return stream.read(len(BEGINS)) in (BEGINS, b"")
     except OSError:
         return False
-
-
-def _simulated(recordings: Sequence[Path]) -> bool:
-    """Whether any run was made on the simulated rig."""
-    for path in recordings:
-        with open_recording(path) as opened:
-            if opened.attrs.get("simulated"):
-                return True
-    return False

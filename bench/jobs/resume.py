@@ -33,7 +33,11 @@ def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[P
     """
     gammas = profile.ramp.gammas()
     with open_recording(first) as recording:
-        _check_same(profile, recording, first)
+        before = parse_profile(str(recording.attrs.get("profile_text", "")), f"{first} (its profile)")
+        if before.forcing != profile.forcing or before.ramp != profile.ramp:
+            raise InputError(
+                f"{first}: was driven by another ramp; wanted the same [forcing] and [ramp] as the profile's"
+            )
         began = str(recording.attrs.get("started", ""))
         if step is None:
             start = _first_unfinished(recording)
@@ -47,14 +51,6 @@ def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[P
     ramp = profile.ramp.model_copy(update={"gamma": left, "order": None})
     keys = {"continues": first.name, "continues_started": began, "from_step": start, "one_step": step is not None}
     return profile.model_copy(update={"ramp": ramp}), keys
-
-
-def _check_same(profile: Profile, recording: Recording, first: Path) -> None:
-    """Refuse to continue another ramp."""
-    text = str(recording.attrs.get("profile_text", ""))
-    before = parse_profile(text, f"{first} (its profile)")
-    if before.forcing != profile.forcing or before.ramp != profile.ramp:
-        raise InputError(f"{first}: was driven by another ramp; wanted the same [forcing] and [ramp] as the profile's")
 
 
 def _first_unfinished(recording: Recording) -> int:

@@ -63,7 +63,7 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
     with os.scandir(folder) as entries:
         for entry in sorted(entries, key=lambda one: one.name):
             name = entry.name
-            if name.startswith(".") or not _is_unicode(name):
+            if name.startswith(".") or any("\ud800" <= c <= "\udfff" for c in name):  # a name in another code page
                 continue
             try:
                 if entry.is_dir(follow_symlinks=False):
@@ -78,8 +78,3 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
             except (OSError, RuntimeError):
                 continue  # gone since, or a folder that may not be read
             yield Found(prefix + name, state.st_size, state.st_mtime_ns)
-
-
-def _is_unicode(name: str) -> bool:
-    """Whether a name can be stored; one in another code page cannot."""
-    return not any("\ud800" <= c <= "\udfff" for c in name)

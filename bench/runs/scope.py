@@ -47,7 +47,7 @@ class Scope:
             self._steps = [
                 {"start_s": float(place(int(s["first_sample"]), int(s["first_sample"]) + 1)[0]) * 1e-9,
                  "settle_s": float(s["settle_samples"]) / opened.rate_hz,
-                 "length_s": float(s["n_samples"]) / opened.rate_hz, "gamma": _finite(s["gamma"])}
+                 "length_s": float(s["n_samples"]) / opened.rate_hz, "gamma": s["gamma"]}
                 for s in opened.steps[:STEPS_SHOWN] if 0 <= s["first_sample"] < opened.n_samples
             ]  # fmt: skip
 
@@ -55,7 +55,7 @@ class Scope:
         """Whether recording and pyramid are still those that were opened."""
         return _state(self._file) == self._state and self._pyramid.path.exists()
 
-    def told(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Any]:
         """Length, channels with their scale to SI, and steps."""
         layout, si = self._pyramid.layout, {"accelerometer": 1.0 / self._setup.channels.accelerometer.volts_per_mps2}
         offset = self._setup.channels.accelerometer.offset_v
@@ -72,21 +72,21 @@ class Scope:
         }  # fmt: skip
 
     def view(self, start_s: float, stop_s: float, width: int) -> dict[str, Any]:
-        """A stretch as JSON has it; None where a column has no sample (raises ValueError, InputError)."""
+        """A stretch of the signals; NaN where a column has no sample (raises ValueError, InputError)."""
         with self._lock:
             seen = self._pyramid.view(start_s, stop_s, width, self._kept)
         samples = seen.samples_per_point == 1.0
         channels = {
-            name: {"low": _plain(low)} if samples else {"low": _plain(low), "high": _plain(seen.high_v[name])}
+            name: {"low": _short(low)} if samples else {"low": _short(low), "high": _short(seen.high_v[name])}
             for name, low in seen.low_v.items()
         }
         return {
             "start_s": seen.start_s,
             "stop_s": seen.stop_s,
             "samples_per_point": seen.samples_per_point,
-            "time_s": np.round(seen.time_s, 9).tolist(),
+            "time_s": np.round(seen.time_s, 9),
             "channels": channels,
-            "lost": seen.lost.tolist(),
+            "lost": seen.lost,
         }
 
     def close(self) -> None:
@@ -128,12 +128,7 @@ def _state(path: Path) -> tuple[int, int]:
     return state.st_size, state.st_mtime_ns
 
 
-def _plain(values: Floats) -> list[float | None]:
-    """Numbers of seven digits, counted from the largest; None for NaN."""
+def _short(values: Floats) -> Floats:
+    """Numbers of seven digits, counted from the largest."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
-    rounded = np.round(values, 6 - math.floor(math.log10(largest)) if largest > 0.0 else 0).tolist()
-    return [None if x != x else x for x in rounded] if np.isnan(values).any() else rounded
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return np.round(values, 6 - math.floor(math.log10(largest)) if largest > 0.0 else 0)

@@ -29,6 +29,7 @@ from bench.runs.scope import Scope
 from bench.web.html import fill, join
 from bench.web.page import page
 from bench.web.section import Place, Section
+from daq.files.json_values import json_values
 from daq.recording.notebook import with_note, with_tags
 from daq.setup.errors import InputError
 
@@ -152,7 +153,7 @@ class Pages:
         """What the scope of a run needs; it is made at the first call and asked for again."""
         row = self._row(request)
         scope = self._scope(row)
-        return _json({"state": "working"} if scope is None else {"state": "ready", **scope.told()})
+        return _json({"state": "working"} if scope is None else {"state": "ready", **scope.facts()})
 
     def view(self, request: Request) -> Response:
         """A stretch of a run."""
@@ -262,4 +263,4 @@ def _asked(job: Callable[[], Any]) -> Any:
 
 
 def _json(answer: Any) -> Response:
-    return JSONResponse(answer)
+    return JSONResponse(json_values(answer))

@@ -106,17 +106,12 @@ def print_table(table: Table) -> None:
 
     console = Console()
     needed = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
-    if not _has_width(console):
+    if not (console.is_terminal or os.environ.get("COLUMNS", "").isdigit()):
         Console(width=max(needed, console.width)).print(table)
     elif needed <= console.width or (console.width >= 60 and not any(c.no_wrap for c in table.columns)):
         console.print(table)
     else:
         print_lines(*_rows_in_lines(table, console))
-
-
-def _has_width(console: Console) -> bool:
-    """True where a terminal or the environment gives a width."""
-    return console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
 
 
 def _rows_in_lines(table: Table, console: Console) -> list[str]:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-from analysis.attribution.priors import parameter_of
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.verdicts import short_verdict
-from analysis.report.wording import microseconds, plus_minus
+from analysis.report.wording import microseconds, plus_minus, unit_of
 
 
 def show(found: JointVerdict) -> None:
@@ -51,16 +50,14 @@ def show(found: JointVerdict) -> None:
             microseconds(run.landing_rms_us), microseconds(run.noise_floor_us),
         )  # fmt: skip
     out.print(runs)
-    limits = (f"{name} {size:.2g} {_unit(name)}" for name, size in found.detection.items())
+    limits = (
+        f"{effect}.{parameter} {size:.2g} {unit_of(effect, parameter)}".rstrip()
+        for (effect, _, parameter), size in ((name.partition("."), size) for name, size in found.detection.items())
+    )
     if found.detection:
         out.print(f"  all runs together could not have shown less than: {'; '.join(limits)}", soft_wrap=True)
     for line in found.rounds:
         out.print(f"  {line}", soft_wrap=True)
-
-
-def _unit(name: str) -> str:
-    effect, _, parameter = name.partition(".")
-    return parameter_of((effect, parameter)).unit
 
 
 def _row(x: OverRuns) -> tuple[str, ...]:

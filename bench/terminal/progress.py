@@ -20,22 +20,22 @@ class _Compiling:
 
     Parameters
     ----------
-    told
+    say
         Called at the beginning and at the end of each compilation with the kernel's name (empty when none is being
         compiled) and the number of those done.
     """
 
-    def __init__(self, told: Callable[[str, int], None]) -> None:
-        self._told, self._depth, self._done = told, 0, 0
+    def __init__(self, say: Callable[[str, int], None]) -> None:
+        self._say, self._depth, self._done = say, 0, 0
 
     def on_start(self, name: str) -> None:
         self._depth += 1
-        self._told(name, self._done)
+        self._say(name, self._done)
 
     def on_end(self) -> None:
         self._depth, self._done = self._depth - 1, self._done + 1
         if self._depth == 0:
-            self._told("", self._done)
+            self._say("", self._done)
 
 
 @functools.cache

@@ -35,8 +35,7 @@ def draw_plate(shown: Measured, figure: Figure) -> None:
     x = scale.factor * np.array([p.gamma for p in plates])
     figure.set_size_inches(9.0, 6.0)
     axes = figure.subplots(2, 2)
-    _gain(axes[0, 0], plates, x)
-    _lag(axes[1, 0], plates, x)
+    _transfer(axes[0, 0], axes[1, 0], plates, x)
     axes[1, 0].set_xlabel(scale.label)
     _period(axes[0, 1], recording, plates[-1])
     axes[0, 1].set_title(f"{scale.symbol} = {x[-1]:.3f}", fontsize=9)
@@ -44,38 +43,27 @@ def draw_plate(shown: Measured, figure: Figure) -> None:
     axes[1, 1].set_xlabel(scale.label)
 
 
-def _transfer(plates: list[StepPlate]) -> tuple[Floats, Floats, npt.NDArray[np.complex128]]:
-    """Plate over drive at the forcing's strongest tone, (m/s^2)/V, and its relative uncertainty."""
-    values, sigmas, which = [], [], []
+def _transfer(gain_ax: Any, lag_ax: Any, plates: list[StepPlate], x: Floats) -> None:
+    """Plate over drive at the forcing's strongest tone: its size relative to the median, and its phase."""
+    values, sigmas = [], []
     for p in plates:
         rows = [p.multiples.index(m) for m in p.forcing_multiples]
         k = rows[int(np.argmax(np.abs(p.acceleration.amplitudes[rows])))]
         drive = p.drive.amplitudes[k] if p.drive is not None else np.nan
         values.append(p.acceleration.amplitudes[k] / drive)
         sigmas.append(p.acceleration.amplitude_sigma()[k] / np.abs(p.acceleration.amplitudes[k]))
-        which.append(float(k))
-    return np.array(which), np.array(sigmas), np.array(values, dtype=np.complex128)
-
-
-def _gain(ax: Any, plates: list[StepPlate], x: Floats) -> None:
-    """Plate over drive, relative to its middle."""
-    _, sigma, transfer = _transfer(plates)
+    transfer, sigma = np.array(values, dtype=np.complex128), np.array(sigmas)
     size = np.abs(transfer)
     middle = float(np.nanmedian(size)) if np.isfinite(size).any() else 1.0
-    deviation = 100.0 * (size / middle - 1.0)
-    ax.errorbar(x, deviation, 100.0 * sigma, fmt="o", ms=3.5, lw=0.8, color=style.MEASURED, label="measured")
-    ax.axhline(0.0, lw=1.2, color=style.MODEL, label="a linear shaker")
-    ax.set_ylabel("plate / drive, deviation (%)")
-    ax.set_title(f"median gain {middle:.4g} (m/s²)/V", fontsize=9)
-    ax.legend(fontsize=8, frameon=False)
-
-
-def _lag(ax: Any, plates: list[StepPlate], x: Floats) -> None:
-    """Phase of the plate behind the drive."""
-    _, sigma, transfer = _transfer(plates)
-    ax.errorbar(x, np.degrees(np.angle(transfer)), np.degrees(sigma), fmt="o", ms=3.5, lw=0.8, color=style.MEASURED)
-    ax.axhline(0.0, lw=1.2, color=style.MODEL)
-    ax.set_ylabel("plate ahead of drive (deg)")
+    look: dict[str, Any] = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": style.MEASURED}
+    gain_ax.errorbar(x, 100.0 * (size / middle - 1.0), 100.0 * sigma, label="measured", **look)
+    lag_ax.errorbar(x, np.degrees(np.angle(transfer)), np.degrees(sigma), **look)
+    for ax in (gain_ax, lag_ax):
+        ax.axhline(0.0, lw=1.2, color=style.MODEL, label="a linear shaker")
+    gain_ax.set_ylabel("plate / drive, deviation (%)")
+    gain_ax.set_title(f"median gain {middle:.4g} (m/s²)/V", fontsize=9)
+    gain_ax.legend(fontsize=8, frameon=False)
+    lag_ax.set_ylabel("plate ahead of drive (deg)")
 
 
 def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
