@@ -12,13 +12,12 @@ import numpy as np
 
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
+from analysis.report.numbers import microseconds, probability
 from analysis.report.wording import (
     capital,
     lost_in_words,
-    microseconds,
     others_in_words,
     plain,
-    probability,
     rejected_in_words,
     size_of,
     what_is_left,

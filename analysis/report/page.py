@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import Bifurcation, ClosedLoop, FirstBifurcations
 from analysis.loop.verdict_json import loop_json
-from analysis.report import narrative, wording
+from analysis.report import narrative, numbers, wording
 from analysis.report.figures.style import badge_text, save_picture
 from analysis.report.figures.table import Figure, figures_of
 from analysis.report.gamma import gamma_scale
@@ -97,9 +97,13 @@ def _templates() -> Environment:
         lstrip_blocks=True,
     )  # fmt: skip
     made.policies["json.dumps_kwargs"] = {"allow_nan": False}
-    made.filters.update(signs=signs, capital=wording.capital, plain=wording.plain, us=wording.microseconds)
+    made.filters.update(signs=signs, capital=wording.capital, plain=wording.plain, us=numbers.microseconds)
     made.globals.update(
-        words=wording, narrative=narrative, covariates=COVARIATES, effect=lambda name: effect(name).effect
+        words=wording,
+        numbers=numbers,
+        narrative=narrative,
+        covariates=COVARIATES,
+        effect=lambda name: effect(name).effect,
     )
     return made
 

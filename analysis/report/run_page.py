@@ -24,10 +24,11 @@ from analysis.report.figures.table import figures_of
 from analysis.report.gamma import GammaScale, gamma_scale
 from analysis.report.interactive import flight_columns, inline_figure
 from analysis.report.narrative import headline
+from analysis.report.numbers import microseconds
 from analysis.report.origin import calibration_rows, file_rows, rig_rows, software_words, source_words
 from analysis.report.page import Drawn, fill, whole_page
 from analysis.report.step_table import step_table
-from analysis.report.wording import microseconds, plain
+from analysis.report.wording import plain
 from daq.files.whole_file import whole
 from daq.recording import Recording
 from daq.recording.header import header_of

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.figures.measured import Measured
 from analysis.report.gamma import GammaScale
-from analysis.report.wording import fixed
+from analysis.report.numbers import fixed
 
 HEADS = (
     "step", "gamma set", "reached", "+-", "measured", "model", "flights", "mean flight time (ms)", "over model",

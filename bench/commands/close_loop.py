@@ -143,14 +143,8 @@ class _Writers:
 
     def write(self, wanted: _Wanted, kept_as: Path | None, profile: Path | None) -> bool:
         """Show the verdict and write what is wanted, a discovered term to ``kept_as``; whether all could be written."""
-        from bench.jobs.keep_verdict import keep_verdict
-        from bench.terminal.console import warn
-        from bench.terminal.loop_display import keep, show
+        from bench.jobs.keep_verdict import conclude
 
-        if not wanted.quiet:
-            show(self.loop)
-        if problem := keep_verdict(self.loop, self.recordings):
-            warn(problem)
         steps: list[Output] = []
         improved = wanted.improved
         if kept_as is not None:
@@ -163,7 +157,7 @@ class _Writers:
             steps.append(("improved profile", lambda: self.improved(improved)))
         if (next_run := wanted.next_run) is not None:
             steps.append(("next run's profile", lambda: self.next_run(next_run)))
-        return keep(steps)
+        return conclude(self.loop, self.recordings, steps, quiet=wanted.quiet)
 
     def keep_term(self, path: Path, profile: Path | None, improved: Path | None, *, quiet: bool) -> None:
         from analysis.report.wording import kept_in_words

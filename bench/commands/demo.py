@@ -207,10 +207,9 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
     from analysis.loop.verdict_json import loop_json
     from analysis.report.page import write_report
     from analysis.residuals.observations import observed
-    from bench.jobs.keep_verdict import keep_verdict
+    from bench.jobs.keep_verdict import conclude
     from bench.profiles.improved import write_improved
-    from bench.terminal.console import warn, write_json
-    from bench.terminal.loop_display import keep, show
+    from bench.terminal.console import write_json
     from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
 
@@ -221,9 +220,6 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         loop, fitted = judge_loop([recording], progress=say, known=known)
         say("first bifurcations", 0.98)
         loop = completed(loop, fitted, flights)
-    show(loop)
-    if problem := keep_verdict(loop, [recording]):
-        warn(problem)
 
     def write_page() -> None:
         with progress_bar() as say:
@@ -238,4 +234,4 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         ("report", write_page),
         ("improved profile", write_profile),
     )
-    return loop, keep(outputs)
+    return loop, conclude(loop, [recording], outputs)

@@ -214,22 +214,17 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     from dataclasses import replace
 
     from analysis.report.page import write_report
-    from bench.jobs.keep_verdict import keep_verdict
-    from bench.terminal.console import warn
-    from bench.terminal.loop_display import keep, show
+    from bench.jobs.keep_verdict import conclude
 
     if found.loop is None:
         return True
     reasons = tuple(f"block {i}, chosen: {block.reason}" for i, block in enumerate(found.blocks, start=1))
     loop = replace(found.loop, notes=(*found.loop.notes, *reasons))
-    show(loop)
-    if problem := keep_verdict(loop, found.recordings):
-        warn(problem)
     outputs = (
         ("picture of the choices", lambda: _draw(found, standard_s, folder)),
         ("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}")),
     )
-    return keep(outputs)
+    return conclude(loop, found.recordings, outputs)
 
 
 def _draw(found: Explored, standard_s: float, folder: Path) -> None:

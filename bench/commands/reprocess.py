@@ -154,6 +154,7 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
     from rich import box
     from rich.table import Table
 
+    from analysis.report.numbers import plus_minus
     from bench.terminal.console import GAMMA, print_lines, print_table
 
     title = f"{opened.path.name}{' (simulated rig)' if opened.attrs.get('simulated') else ''}"
@@ -191,6 +192,6 @@ def _print(opened: Recording, table: Flights, classes: tuple[StepClass, ...]) ->
         print_lines("the accelerometer shows no impacts: landings that relaunch at once may hide")
     elif witness.uncertainty_s < 1.0:
         print_lines(
-            f"the accelerometer shows a landing {1e6 * witness.offset_s:.1f} +- {1e6 * witness.uncertainty_s:.2f} us "
+            f"the accelerometer shows a landing {plus_minus(1e6 * witness.offset_s, 1e6 * witness.uncertainty_s)} us "
             f"after the contact circuit does ({witness.pairs} landings)"
         )

@@ -158,4 +158,4 @@ def _serve(folder: Path) -> None:
         fail(str(error), EXIT_USAGE)
     print_lines(f"pages: {access.url}  (end with Ctrl-C)")
     webbrowser.open(access.url)
-    serve(listening, access, ["bench.runs.section"], Place(folder.resolve()))
+    serve(listening, access, ["bench.runs.pages"], Place(folder.resolve()))

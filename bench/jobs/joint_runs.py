@@ -53,7 +53,7 @@ def judge_runs(
     from bench.profiles.find import load_measuring
     from bench.terminal.console import print_lines, write_json
     from bench.terminal.joint_display import show
-    from bench.terminal.loop_display import keep
+    from bench.terminal.loop_display import write_outputs
     from bench.terminal.progress import progress_bar
     from daq.instrument.stored import refuse_doubtful
 
@@ -79,7 +79,7 @@ def judge_runs(
     outputs = [("verdict as JSON", lambda: write_json(joint_json(found), json))]
     if report is not None:
         outputs.append(("pictures", lambda: pictures(report)))
-    return keep(outputs)
+    return write_outputs(outputs)
 
 
 def holds_summaries(path: Path) -> bool:

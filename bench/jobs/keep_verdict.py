@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,3 +39,29 @@ def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
     except (InputError, OSError) as error:
         return f"the verdict is not kept beside the recording, where report and catalogue look for it: {error}"
     return ""
+
+
+def conclude(
+    loop: ClosedLoop,
+    recordings: Sequence[Path],
+    outputs: Sequence[tuple[str, Callable[[], None]]],
+    *,
+    quiet: bool = False,
+) -> bool:
+    """Show a verdict unless ``quiet``, save it with its recordings, then write each output under its name.
+
+    The verdict comes first: no output that cannot be written takes it away.
+
+    Returns
+    -------
+    bool
+        Whether all outputs were written.
+    """
+    from bench.terminal.console import warn
+    from bench.terminal.loop_display import show, write_outputs
+
+    if not quiet:
+        show(loop)
+    if problem := keep_verdict(loop, recordings):
+        warn(problem)
+    return write_outputs(outputs)

@@ -14,7 +14,7 @@ from bench.web.packages import require_packages
 from daq.setup.errors import InputError
 from rig.profile import Profile
 
-SECTIONS = ("bench.live.section", "bench.runs.section", "bench.drops.section")
+SECTIONS = ("bench.live.section", "bench.runs.pages", "bench.drops.section")
 START_S = 60.0
 LINGER_S = 3.0  # in which browsers get the last word of a run
 

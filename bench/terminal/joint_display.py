@@ -6,7 +6,8 @@ import math
 
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.verdicts import short_verdict
-from analysis.report.wording import microseconds, plus_minus, unit_of
+from analysis.report.numbers import microseconds, plus_minus
+from analysis.report.wording import unit_of
 
 
 def show(found: JointVerdict) -> None:

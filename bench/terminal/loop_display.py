@@ -7,14 +7,8 @@ from collections.abc import Callable, Sequence
 
 from analysis.loop.result import ClosedLoop
 from analysis.report.narrative import why_this_verdict
-from analysis.report.wording import (
-    form_in_words,
-    microseconds,
-    moved_calibrations,
-    others_in_words,
-    rejected_in_words,
-    verdict_line,
-)
+from analysis.report.numbers import microseconds
+from analysis.report.wording import form_in_words, moved_calibrations, others_in_words, rejected_in_words, verdict_line
 from daq.setup.errors import InputError
 
 
@@ -50,7 +44,7 @@ def show(loop: ClosedLoop) -> None:
         out.print(f"  {line}", soft_wrap=True)
 
 
-def keep(outputs: Sequence[tuple[str, Callable[[], None]]]) -> bool:
+def write_outputs(outputs: Sequence[tuple[str, Callable[[], None]]]) -> bool:
     """Write each output by its function; one that fails is reported under its name and does not stop the others.
 
     Returns

@@ -17,8 +17,9 @@ from analysis.attribution.hypothesis import Rejected
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import reasoning
+from analysis.report.numbers import interval
 from analysis.report.page import write_report
-from analysis.report.wording import VERDICTS, interval, verdict_line
+from analysis.report.wording import VERDICTS, verdict_line
 from bench.cli import app
 
 

@@ -30,7 +30,7 @@ from bench.web.serve import bind, serve
 if __name__ == "__main__":
     listening, access = bind(port=0)
     print(access.url, flush=True)
-    serve(listening, access, ["bench.runs.section"], Place(Path(sys.argv[1]).resolve()))
+    serve(listening, access, ["bench.runs.pages"], Place(Path(sys.argv[1]).resolve()))
 """
 
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from bench.cli import app
 from bench.runs.folder import run_id
-from bench.runs.section import section
+from bench.runs.pages import section
 from bench.web.access import Access
 from bench.web.application import make_app
 from bench.web.section import Place
