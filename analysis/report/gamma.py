@@ -19,7 +19,7 @@ GAMMA_LABEL = "Γ = Aω²/g"
 
 @dataclass(frozen=True)
 class GammaScale:
-    """How gamma is shown.
+    """The measure of gamma that is shown.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ class InlineFigure:
 
 
 def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
-    """What ``draw`` draws on a new figure, as inline SVG; None where it draws no axes."""
+    """A new figure, filled by ``draw``, as inline SVG; None where that draws no axes."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -76,7 +76,7 @@ def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
 
 
 def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int, int]]:
-    """Places and rows of the named points, and how many are kept of how many."""
+    """Places and rows of the named points, and how many of them the page holds, of how many."""
     places, rows = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     for line in lines:
         places.append(line.get_transform().transform(np.column_stack([line.get_xdata(), line.get_ydata()])))
@@ -85,13 +85,13 @@ def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int
     seen = np.isfinite(place).all(axis=1)
     place, row = place[seen], row[seen]
     stride = -(-len(row) // MOST_HOVER_POINTS) if len(row) else 1
-    kept = place[::stride]
+    shown = place[::stride]
     coded = {
-        "x": packed(kept[:, 0], "<f4"),
-        "y": packed(72.0 * figure.get_figheight() - kept[:, 1], "<f4"),
+        "x": packed(shown[:, 0], "<f4"),
+        "y": packed(72.0 * figure.get_figheight() - shown[:, 1], "<f4"),
         "row": packed(row[::stride], "<i4"),
     }
-    return coded, (len(kept), len(row))
+    return coded, (len(shown), len(row))
 
 
 def packed(values: Any, kind: str) -> str:

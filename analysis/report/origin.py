@@ -28,7 +28,7 @@ STATES = {
 
 
 def source_words(name: str, *, simulated: bool) -> str:
-    """Where a figure's data come from, below it."""
+    """The source of a figure's data, as written below it."""
     return f"{name}, {'simulated rig' if simulated else 'measured'}"
 
 
@@ -82,7 +82,7 @@ def _when(text: object) -> str:
 
 
 def rig_rows(recording: Recording) -> Rows:
-    """What was measured with what: forcing, ball, channels, declared effects."""
+    """The measurement: forcing, ball, channels, declared effects."""
     setup = recording.setup
     forcing, channels = setup.forcing, setup.channels
     kind = "simulated rig" if recording.attrs.get("simulated") else "a rig"

@@ -140,7 +140,7 @@ def _drawn(shown: Measured, number: int, say: Progress) -> list[Drawn]:
 
 
 def _notebook(recording: Recording) -> Notebook:
-    """What the notebook of a recording holds."""
+    """The notebook of a recording."""
     try:
         later = read_remarks(side_file(recording.path))
     except InputError as error:

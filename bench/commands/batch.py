@@ -28,7 +28,7 @@ def command(
 
     Rows are kept in FILE.rows as they come in. The same command, given again, goes on where it was stopped, and does
     again only what failed or has changed since. A recording that fails has its reason in the table. Each
-    verdict is kept beside its recording (run.loop), where bench report and bench runs find it.
+    verdict is saved next to its recording (run.loop), where bench report and bench runs find it.
 
     Example: bench batch runs/ --out runs.parquet --workers 4
 
@@ -98,7 +98,7 @@ def _tell(done: int, total: int, path: Path, row: Row) -> None:
 
 
 def _print(rows: list[Row], others: int, out: Path) -> None:
-    """How many of what."""
+    """Numbers of recordings by verdict."""
     from collections import Counter
 
     counts = Counter(row.get("verdict") or "no verdict" for row in rows if not row["failed"])

@@ -46,7 +46,7 @@ def command(
 
     Example: bench close-loop run.h5 --report report --improved better.toml
 
-    The verdict is kept beside the recording (run.loop), where bench report and bench runs find it.
+    The verdict is saved next to the recording (run.loop), where bench report and bench runs find it.
 
     A term discovered outside the library becomes an effect by --keep-term sticky_rod: a file in the folder of kept
     effects, which every later call finds by its name. The loop is closed again with it; --improved is then of that.
@@ -85,7 +85,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What is to be written, and where."""
+    """Outputs that are to be written, and their paths."""
 
     json: str | None
     report: Path | None

@@ -23,8 +23,8 @@ def command(
 ) -> None:
     """Report of recordings as one HTML page: verdict, figures, steps, residuals, rig, calibrations, pedigree.
 
-    A closed loop kept beside a recording (REC.loop) is used where it belongs to it; else the loop is closed, which
-    takes a while, and kept there. Point at a dot to see its flight. --pdf needs Chromium, Chrome, Edge or WeasyPrint.
+    A closed loop saved next to a recording (REC.loop) is used where it belongs to it; else the loop is closed, which
+    takes a while, and saved there. Point at a dot to see its flight. --pdf needs Chromium, Chrome, Edge or WeasyPrint.
 
     Example: bench report run.h5 --out run.html --pdf run.pdf
     """
@@ -66,7 +66,7 @@ def command(
 
 
 def as_json(found: list[Reported], out: Path, pdf: Path | None) -> dict[str, Any]:
-    """What the page says at the top, for a machine."""
+    """The sentences at the top of the page, for a machine."""
     return {
         "file": out,
         "pdf": pdf,

@@ -137,11 +137,11 @@ IN_WORDS = {
     "CUT": "are cut off by the start, the end or a change of step",
     "UNSURE": "may hide a landing",
 }
-"""What each flag of a flight says, after a number."""
+"""Words of each flag of a flight, after a number."""
 
 
 def in_the_air(table: Flights) -> str:
-    """How many intervals in the air there are, and of what kinds, in a sentence."""
+    """The number of intervals in the air, and of each kind, in a sentence."""
     from analysis.flights.table import FlightFlag
 
     counts = ((int(table.has(flag).sum()), IN_WORDS[flag.name or ""]) for flag in FlightFlag)

@@ -72,7 +72,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Driven:
-    """How a block ended.
+    """The end of a block.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
 
 
 def forcing_in_words(profile: Profile) -> str:
-    """What a block drives."""
+    """The forcing of a block in words."""
     forcing, ramp = profile.forcing, profile.ramp
     listed = ", ".join(f"{g:g}" for g in ramp.gammas())
     return f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {listed}"

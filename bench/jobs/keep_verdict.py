@@ -26,7 +26,7 @@ def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
     Returns
     -------
     str
-        Why it could not be kept, in a sentence; empty where it is. A folder that cannot be written, as of an archive,
+        Why it could not be saved, in a sentence; empty where it is. A folder that cannot be written, as of an archive,
         or a file of that name that is no closed loop, costs no verdict.
     """
     from analysis.loop.storage import is_verdict, save_verdict
@@ -37,7 +37,7 @@ def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
             raise InputError(f"{path}: is there already, and no closed loop; give it another name")
         save_verdict(loop, path)
     except (InputError, OSError) as error:
-        return f"the verdict is not kept beside the recording, where report and catalogue look for it: {error}"
+        return f"the verdict is not saved next to the recording, where report and catalogue look for it: {error}"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""What a simulated rig hid, side by side with what a closed loop found, in the parameters of the library of effects."""
+"""Effects that a simulated rig hid, side by side with those found, in the parameters of the library of effects."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from typing import Any
 from bench.runs import query as queries
 from bench.runs.database import Opened, open_database
 from bench.runs.folder import Found, files_below
-from bench.runs.loops import Loop, kept_loops
+from bench.runs.loops import Loop, saved_loops
 from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
 from daq.files.closing import Closing
 from daq.recording.header import Header, Unread, read_headers
@@ -23,7 +23,7 @@ from daq.setup.errors import InputError
 
 Progress = Callable[[str, float], None]
 Row = dict[str, Any]
-BATCH_S = 1.0  # what was read is kept at least so often
+BATCH_S = 1.0  # what was read is saved at least so often
 
 
 class Catalogue(Closing):
@@ -200,7 +200,7 @@ class Catalogue(Closing):
         for path, header in read_headers(hdf5, all_bytes=all_bytes):
             file = files[path.relative_to(self.folder).as_posix()]
             keep(functools.partial(self._put_run, file, header))
-        for path, loop in kept_loops(loops) if loops else ():
+        for path, loop in saved_loops(loops) if loops else ():
             file = files[path.relative_to(self.folder).as_posix()]
             keep(functools.partial(self._put_loop, file, loop))
         keep(None)

@@ -17,7 +17,7 @@ from bench.runs.folder import PLACE
 NAME = "runs.sqlite"
 VERSION = 2
 BUSY_S = 10.0
-"""How long one process waits for another that is writing."""
+"""Time that one process waits for another that is writing."""
 
 SCHEMA = """
 CREATE TABLE files (path TEXT PRIMARY KEY, size INTEGER NOT NULL, mtime_ns INTEGER NOT NULL) WITHOUT ROWID;

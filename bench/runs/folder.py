@@ -31,7 +31,7 @@ class Found:
 
     @property
     def kind(self) -> Kind:
-        """What its name stands for."""
+        """The kind of file that its name stands for."""
         if self.path.endswith(ENDING):
             return "remarks"
         return "loop" if self.path.lower().endswith(SAVED) else "hdf5"

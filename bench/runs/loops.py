@@ -1,4 +1,4 @@
-"""Verdicts of closed loops kept below the runs' folder (`bench.jobs.keep_verdict`)."""
+"""Verdicts of closed loops saved below the runs' folder (`bench.jobs.keep_verdict`)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Loop:
     floor_us: float | None
 
 
-def kept_loops(paths: Iterable[Path]) -> Iterator[tuple[Path, Loop | None]]:
+def saved_loops(paths: Iterable[Path]) -> Iterator[tuple[Path, Loop | None]]:
     """The verdicts in files of `analysis.loop.storage.save_verdict`, read by another process, which may die of them."""
     left = [str(path) for path in paths]
     while left:

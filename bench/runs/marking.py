@@ -1,4 +1,4 @@
-"""What the commands tag and note share: whose the remarks are, and how the notebook is shown."""
+"""Remarks for the commands tag and note: the recording they belong to, and the notebook as text."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class Pages:
         return _json({"run": row, "notes": notes, "loops": self.catalogue.loops(row["identity"])})
 
     def open(self, request: Request) -> Response:
-        """What the scope of a run needs; it is made at the first call and asked for again."""
+        """Facts that a run's scope needs; they are made at the first call and asked for again."""
         row = self._row(request)
         scope = self._scope(row)
         return _json({"state": "working"} if scope is None else {"state": "ready", **scope.facts()})
@@ -255,7 +255,7 @@ def _query(request: Request) -> Query:
 
 
 def _asked(job: Callable[[], Any]) -> Any:
-    """What a job gives; what it refuses is answer to the browser."""
+    """The result of a job; a refusal becomes an answer to the browser, with its reason."""
     try:
         return job()
     except (InputError, ValueError, OSError) as error:

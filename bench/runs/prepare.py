@@ -1,4 +1,4 @@
-"""What a run's page needs and takes time to make: extremes for its scope, flights for its diagram; kept on disk.
+"""Data of a run's page that take time to make: extremes for its scope, flights for its diagram; cached on disk.
 
 Made by a process of its own, so that the pages answer meanwhile.
 """

@@ -1,4 +1,4 @@
-"""Which runs of the catalogue are shown, and in which order."""
+"""Filter and order of the runs that are shown."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from daq.setup.setup import Setup
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 STEPS_SHOWN = 2000
 HELD_S = 60.0
-"""How long a recording is held open after the last look at its samples."""
+"""Time for which a recording is held open after its samples were last read."""
 
 
 class Scope:

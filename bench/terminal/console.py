@@ -58,7 +58,7 @@ def readable(text: str | None) -> str | None:
 
 
 def speaker(quiet: bool) -> Callable[[str], None]:
-    """What prints a line for a person; prints nothing where standard output belongs to the JSON."""
+    """A function that prints a line for a person, or nothing where standard output belongs to the JSON."""
     import typer
 
     return (lambda line: None) if quiet else typer.echo

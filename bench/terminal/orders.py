@@ -1,4 +1,4 @@
-"""What a person types while the rig is driven: hold, go on, other steps, stop.
+"""Orders typed while the rig is driven: hold, go on, other steps, stop.
 
 One thread reads the terminal for the whole call; a run takes what came after each of its blocks, and never waits. The
 same words are answers where the call does ask.
@@ -160,7 +160,7 @@ class TypedLines:
 
 
 def typed_lines() -> TypedLines | None:
-    """What is typed at this program's terminal; None where it has none."""
+    """Lines typed at this program's terminal; None where it has none."""
     try:
         if not sys.stdin.isatty():
             return None

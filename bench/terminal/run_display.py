@@ -103,7 +103,7 @@ def narrow_lines(status: Status) -> str:
 
 
 def step_line(status: Status) -> str:
-    """Which step, and what it is doing."""
+    """The step, and its state."""
     return f"step {status.step.index + 1}/{status.n_steps}, {status.state.value}"
 
 

@@ -1,4 +1,4 @@
-"""What the figures of a recording are drawn from."""
+"""A recording as its figures take it: with flights, comparison and closed loop."""
 
 from __future__ import annotations
 

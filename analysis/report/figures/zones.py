@@ -50,7 +50,7 @@ def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
 
 
 def _onward(forcing: Forcing, last: Floats, beyond: float) -> list[Floats]:
-    """What comes of a zone after its ``last`` row towards the gamma ``beyond``, where it is not."""
+    """Rows of a zone after its ``last`` one, towards the gamma ``beyond``, where the zone is no more."""
     rows: list[Floats] = []
     for _ in range(HALVINGS if beyond != last[0] else 0):
         gamma = 0.5 * (last[0] + beyond)
