@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, TextIO, cast
 
-from analysis.report.numbers import plus_minus
 from rig.programme.sequencer import State
 
 if TYPE_CHECKING:
@@ -110,8 +109,8 @@ def step_line(status: Status) -> str:
 def health_line(status: Status) -> str:
     """Commanded and achieved gamma, whether the contact lives, samples lost."""
     achieved = "-"
-    if math.isfinite(status.achieved_gamma):
-        achieved = f"{plus_minus(status.achieved_gamma, status.achieved_gamma_uncertainty)} (last hold)"
+    if math.isfinite(status.achieved_gamma):  # one digit of the uncertainty: the line has 80 characters
+        achieved = f"{status.achieved_gamma:.4g} +- {status.achieved_gamma_uncertainty:.1g} (last hold)"
     age = status.contact_age_cycles
     contact = "alive" if age <= ALIVE_CYCLES else f"silent for {age:.0f} cycles"
     return f"gamma {status.step.gamma:.4g}, achieved {achieved}; contact {contact}; {status.lost_samples} samples lost"

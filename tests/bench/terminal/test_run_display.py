@@ -41,7 +41,7 @@ def test_the_lines_hold_every_figure(tmp_path: Path) -> None:
     assert "achieved -;" in health_line(before) and "contact alive; 0 samples lost" in health_line(before)
     held = next(s for s in statuses if s.step.index == 1 and s.achieved_gamma > 0.1)
     assert health_line(held).startswith(("gamma 0.9, achieved 0.39", "gamma 0.9, achieved 0.40"))
-    assert "+- 0.0020 (last hold)" in health_line(held)
+    assert "+- 0.002 (last hold)" in health_line(held)
     assert "100 samples lost" in health_line(last)
     loud = next(s for s in reversed(statuses) if s.state is State.HOLDING)
     parts = dict(part.rsplit(" ", 1) for part in limits_line(loud).removeprefix("of the limits: ").split(", "))
