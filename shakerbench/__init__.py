@@ -62,7 +62,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """The public name, from the module that defines it."""
     if name == "__version__":
-        from daq.recording.provenance import software_version
+        from daq.setup.provenance import software_version
 
         return software_version()
     if name not in _HOME:

@@ -27,11 +27,11 @@ from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
 from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import FROZEN, Thresholds
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated
-from daq.recording.provenance import software_commit, software_version
 from daq.setup.errors import InputError
+from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
 from model.effects.registry import registry
 

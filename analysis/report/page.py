@@ -25,8 +25,8 @@ from analysis.report.gamma import gamma_scale
 from analysis.report.origin import software_words, source_words
 from analysis.residuals.covariates import COVARIATES
 from daq.files.json_values import json_text
-from daq.recording.provenance import software_commit, software_version
 from daq.setup.errors import InputError
+from daq.setup.provenance import software_commit, software_version
 from model.effects.registry import effect
 
 if TYPE_CHECKING:

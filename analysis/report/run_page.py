@@ -33,9 +33,9 @@ from daq.files.whole_file import whole
 from daq.recording import Recording
 from daq.recording.header import header_of
 from daq.recording.notebook import notebook, read_remarks, side_file
-from daq.recording.provenance import software_commit, software_version
 from daq.recording.verify import VerifyReport
 from daq.setup.errors import InputError
+from daq.setup.provenance import software_commit, software_version
 
 if TYPE_CHECKING:
     from markupsafe import Markup

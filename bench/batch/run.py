@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.batch.examine import Row, examine
-from daq.files.journal import Journal
-from daq.recording.provenance import software_commit, software_version
+from daq.files.whole_file import Journal
+from daq.setup.provenance import software_commit, software_version
 from model.surveys.workers import outcomes
 
 Told = Callable[[int, int, Path, Row], None]

@@ -41,7 +41,7 @@ def command(
     from bench.outputs import JSON, TABLE, File, check_outputs
     from bench.profiles.find import load_measuring
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
-    from daq.files.journal import Journal
+    from daq.files.whole_file import Journal
     from daq.setup.errors import InputError
 
     quiet = json == "-"

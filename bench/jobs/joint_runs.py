@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 from daq.recording import open_recording
 
 BEGINS = b'{"key"'  # of a file of summaries

@@ -16,7 +16,7 @@ from bench.runs.database import Opened, open_database
 from bench.runs.folder import Found, files_below
 from bench.runs.loops import Loop, saved_loops
 from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
-from daq.files.closing import Closing
+from daq.files.disk import Closing
 from daq.recording.header import Header, Unread, read_headers
 from daq.recording.notebook import ENDING, Entry, Remarks, change_remarks, notebook, read_remarks, side_file
 from daq.setup.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.loop.verdicts import VERDICTS, short_verdict
-from daq.recording.subprocess_reader import apart
+from daq.recording.subprocess_reader import in_subprocess
 
 NORMAL_95 = 1.959964  # half width of a 95 % interval, in standard deviations
 
@@ -53,7 +53,7 @@ def saved_loops(paths: Iterable[Path]) -> Iterator[tuple[Path, Loop | None]]:
     """The verdicts in files of `analysis.loop.storage.save_verdict`, read by another process, which may die of them."""
     left = [str(path) for path in paths]
     while left:
-        answer = apart("bench.runs.loop_reader:look", left)
+        answer = in_subprocess("bench.runs.loop_reader:look", left)
         if not answer.died:
             yield from ((Path(name), _loop(one)) for name, one in answer.value.items())
             return

@@ -30,7 +30,7 @@ from benchmarks.plants import other_plant
 from benchmarks.scoring.tables import rate
 from benchmarks.scoring.truth import OTHER_NAMED
 from benchmarks.scoring.version import code_version
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 from model.surveys.workers import outcomes
 from rig.execution.operator import NextSteps
 from rig.profile import parse_profile

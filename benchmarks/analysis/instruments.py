@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Floats, Job, Values, jobs, recorded
 from benchmarks.scoring.tables import rate
 from benchmarks.scoring.version import code_version
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 from model.surveys.workers import outcomes
 
 Row = dict[str, Any]

@@ -21,9 +21,10 @@ from daq.export.matlab import export_matlab
 from daq.export.resample import Resampled
 from daq.export.tdms import export_tdms
 from daq.export.uff58 import export_uff58
-from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.whole_file import whole
 from daq.recording.reader import Recording
+from daq.recording.writer import copy_columns
 from daq.setup.errors import InputError
 
 Kind = Literal["csv", "npz", "h5", "parquet", "nc", "mat", "uff", "tdms"]
@@ -76,7 +77,7 @@ def export(
             f"{out}: {kind} holds the recording as it is; another rate is written as CSV, NPZ, Parquet, NetCDF or MAT."
         )
     if kind == "h5":
-        _export_h5(recording, out, tell, overwrite=overwrite)  # type: ignore[arg-type]
+        copy_columns(recording, out, recording.stored, tell, overwrite=overwrite, compression="gzip")  # type: ignore[arg-type]
         return
     with whole(out) as part:
         if kind == "csv":
@@ -138,24 +139,6 @@ def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) ->
         for name, value in extras.items():
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, np.asarray(value), allow_pickle=False)
-
-
-def _export_h5(recording: Recording, out: Path, tell: Progress, *, overwrite: bool) -> None:
-    names = recording.channels
-    dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
-    scales = {name: recording.scale(name) for name in names}
-    writer = ColumnWriter(
-        out, recording.setup, dtypes, scales, recording.stored, overwrite=overwrite, compression="gzip"
-    )
-    try:
-        for a, b in _pieces(recording.n_samples, CHUNK_SAMPLES):
-            writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})
-            tell(b)
-        writer.check(recording.steps, recording.blocks, recording.side)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.rename()
 
 
 WRITERS: dict[str, Callable[[Any, Path, Progress], None]] = {

@@ -1,8 +1,8 @@
 """The column file: what a recording is once it is closed. One HDF5 dataset a channel, compressed and checksummed.
 
-A column file is written beside its final name, whole, checked, and only then renamed; a reader
-never meets half of one. What was written is read back and compared at once, while it is in the cache; at the end every
-stored byte must still be what was compared. Layout in docs/reference/recording-format.md.
+A column file is written under another name, whole, checked, and only then renamed; a reader never meets half of one.
+What was written is read back and compared at once, while it is in the cache; at the end every stored byte must still be
+what was compared. Layout in docs/reference/recording-format.md.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import time
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from types import TracebackType
+from typing import Any, Literal, Self
 
 import h5py
 import hdf5plugin
@@ -46,6 +47,8 @@ Compression = Literal["lz4", "gzip"]
 
 class ColumnWriter:
     """Write a column file piece by piece; memory does not depend on its length.
+
+    A ``with`` block ends with `rename`, or with `abandon` where it raised.
 
     Parameters
     ----------
@@ -97,7 +100,14 @@ class ColumnWriter:
         self._attributes = dict(attributes)
         self._sets = {"timestamp": self._dataset("timestamp", np.dtype("<i8"))}
         for name, dtype in dtypes.items():
-            self._sets[name] = self._channel(name, dtype, scales[name], setup)
+            dataset = self._sets[name] = self._dataset(name, dtype)
+            dataset.attrs["scale_factor"], dataset.attrs["add_offset"] = map(np.float64, scales[name])
+            dataset.attrs["units"] = "V"
+            dataset.attrs["long_name"] = LONG_NAMES.get(name, name)
+            described = getattr(setup.channels, name, None)
+            if described is not None:
+                for key in ("coupling", "terminal", "serial_number"):
+                    dataset.attrs[key] = getattr(described, key)
         self._held: dict[str, list[NDArray[Any]]] = {name: [] for name in self._sets}
         self._n_held = 0
         self._crc = dict.fromkeys(self._sets, 0)
@@ -107,18 +117,6 @@ class ColumnWriter:
         return self._file.create_dataset(
             name, (0,), maxshape=(None,), dtype=dtype, chunks=(CHUNK_SAMPLES,), fletcher32=True, **self._filters
         )
-
-    def _channel(self, name: str, dtype: np.dtype[Any], scale: tuple[float, float], setup: Setup) -> Any:
-        dataset = self._dataset(name, dtype)
-        dataset.attrs["scale_factor"], dataset.attrs["add_offset"] = map(np.float64, scale)
-        dataset.attrs["units"] = "V"
-        dataset.attrs["long_name"] = LONG_NAMES.get(name, name)
-        described = getattr(setup.channels, name, None)
-        if described is not None:
-            dataset.attrs["coupling"] = described.coupling
-            dataset.attrs["terminal"] = described.terminal
-            dataset.attrs["serial_number"] = described.serial_number
-        return dataset
 
     def append(self, timestamps_ns: NDArray[np.int64] | None, columns: Mapping[str, NDArray[Any]]) -> None:
         """Add samples: ``timestamps_ns`` (n,) (None: `write_timestamps` gives them), an array (n,) a channel."""
@@ -170,7 +168,7 @@ class ColumnWriter:
             raise OSError(f"{self.part}: what was written does not read back: {name}: samples {start} to {last}")
 
     def flush(self) -> None:
-        """Write what is held back."""
+        """Write the samples that wait for a whole chunk."""
         if self._n_held:
             self._write(self._n_held)
         self._file.flush()
@@ -241,7 +239,11 @@ class ColumnWriter:
                 if dataset.shape != (self.n_samples,) or int(dataset.attrs["crc32"]) != self._crc[name]:
                     faults.append(f"{name}: its length or its checksum")
             for name in TABLES:
-                faults += [f"{name}/{key}: {error}" for key, error in _unreadable(written.get(name, {}))]
+                for key, dataset in written.get(name, {}).items():
+                    try:
+                        dataset[()]
+                    except (OSError, RuntimeError) as error:
+                        faults.append(f"{name}/{key}: {error}")
         return faults
 
     def rename(self) -> None:
@@ -251,7 +253,7 @@ class ColumnWriter:
             try:
                 self.part.replace(self.path)
                 return
-            except PermissionError:  # on Windows also while somebody reads the frames: a live page, a virus scanner
+            except PermissionError:  # on Windows also while the frames are read: by a live page, a virus scanner
                 if sys.platform != "win32" or time.monotonic() > ends:
                     raise
                 time.sleep(0.05)
@@ -269,6 +271,14 @@ class ColumnWriter:
         self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION, "sealed": True}
         self._attributes["attributes_crc32"] = text_crc(self._attributes)
         self._file.attrs.update(self._attributes)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.rename() if kind is None else self.abandon()
 
     def abandon(self) -> None:
         """Close and remove the unfinished file."""
@@ -319,13 +329,3 @@ def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArr
     for name, column in columns.items():
         rows[name] = column[()]
     return rows
-
-
-def _unreadable(group: Any) -> list[tuple[str, str]]:
-    bad = []
-    for key, dataset in group.items():
-        try:
-            dataset[()]
-        except (OSError, RuntimeError) as error:
-            bad.append((key, str(error)))
-    return bad

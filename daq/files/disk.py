@@ -1,7 +1,7 @@
-"""A file for HDF5 to write to, on a disk that may refuse.
+"""A file for HDF5 to write to, on a disk that may refuse; and what closes itself at the end of a ``with`` block.
 
-HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What
-the disk does not take is kept in memory, and the writer is told.
+HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What the disk does not
+take stays in memory, and the writer asks for the refusal.
 """
 
 from __future__ import annotations
@@ -10,11 +10,28 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
+
+
+class Closing:
+    """A context manager whose end is a call of ``close``, whatever happened inside."""
+
+    def close(self) -> None:
+        """Let go of the files or threads of the class."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
 
 def refusal(error: OSError, path: Path) -> OSError:
-    """What a person is told where the disk refused to take more of the file, or of files in the folder, ``path``."""
+    """The error where the disk refused to take more of the file, or of files in the folder, ``path``."""
     why = error.strerror or str(error)
     hint = "free some space there, or choose another place"
     return OSError(error.errno, f"the disk refuses to take more ({why}); {hint}", str(path))
@@ -30,7 +47,7 @@ class DiskFile(io.RawIOBase):
         super().__init__()
         self._path = path
         self._file = path.open("w+b", buffering=0)
-        self._kept: list[tuple[int, bytes]] = []
+        self._refused: list[tuple[int, bytes]] = []
         self._at = self._end = 0
         self.error: OSError | None = None
 
@@ -78,19 +95,19 @@ class DiskFile(io.RawIOBase):
             except OSError as error:
                 self.error = error
         if self.error is not None:
-            self._kept.append((self._at, bytes(view)))
+            self._refused.append((self._at, bytes(view)))
         self._at += len(view)
         self._end = max(self._end, self._at)
         return len(view)
 
     def readinto(self, buffer: Any) -> int:
-        """As of any file, what the disk did not take too."""
+        """As of any file, with what the disk did not take."""
         view = memoryview(buffer).cast("B")
         start = self._at
         self._file.seek(start)
         n = self._file.readinto(view) or 0
         view[n:] = bytes(len(view) - n)
-        for offset, data in self._kept:
+        for offset, data in self._refused:
             a, b = max(offset, start), min(offset + len(data), start + len(view))
             if a < b:
                 view[a - start : b - start] = data[a - offset : b - offset]
@@ -108,7 +125,7 @@ class DiskFile(io.RawIOBase):
         return self._end
 
     def close(self) -> None:
-        """Close the file; a refusal of the disk is kept, not raised."""
+        """Close the file; a refusal of the disk is noted, not raised."""
         if not self.closed:
             try:
                 self._file.close()

@@ -1,6 +1,6 @@
 """Reader of a frames file: a recording while the run lasts, or one that was cut off.
 
-Only acknowledged blocks count, and rows that fit their checksum. The rest is said and left out.
+Only acknowledged blocks count, and rows that fit their checksum. Faults are listed; what they touch is left out.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _superblock(path: Path) -> bytes:
 def as_if_ended(path: Path) -> Patched:
     """A frames file as if its writer had closed it, so that HDF5 does not wait for tables that are damaged.
 
-    A reader of a file in single-writer-multiple-readers mode repeats what does not read, for ever longer times. The
+    A reader of a file in single-writer-multiple-readers mode repeats what does not read, ever more slowly. The
     superblock (version 3) is read with the mode's bits cleared, the file's own length, and the checksum of that.
     """
     head = bytearray(_superblock(path))
@@ -130,7 +130,14 @@ class FrameFile:
         self._frames = dataset_of(file, FRAMES, path, dimensions=2)
         self.faults: list[str] = []
         self.lost: list[tuple[int, int]] = []
-        self.ending = self._ending(table_of(file, FRAME_END, np.dtype("u1"), path)[0].tobytes())
+        text = table_of(file, FRAME_END, np.dtype("u1"), path)[0].tobytes()
+        try:
+            self.ending: dict[str, Any] = dict(json.loads(text))
+            if ROW_CRC in self.ending and self.ending.pop(ROW_CRC) != text_crc(self.ending):
+                raise ValueError(ROW_CRC)
+        except (ValueError, TypeError):
+            self.faults.append("how the run ended differs from what was written: it is taken as cut off")
+            self.ending = {"ended": "incomplete", "why": "", "ended_at": ""}
         stored = min(self._frames.shape[0], self._frames.id.get_num_chunks() * self._frames.chunks[0])
         self.blocks: NDArray[np.void] = self._whole_blocks(*table_of(file, FRAME_BLOCKS, BLOCK_DTYPE, path), stored)
         self.n_samples = int(self.blocks[-1]["first_sample"] + self.blocks[-1]["n_samples"]) if len(self.blocks) else 0
@@ -142,20 +149,11 @@ class FrameFile:
             self.faults += [f"{name}: row {i} differs from what was written" for i in np.flatnonzero(~intact)]
             return rows[intact]
 
-        self.steps: NDArray[np.void] = _clip_steps(sound(FRAME_STEPS, STEP_DTYPE), self.n_samples)
+        steps = sound(FRAME_STEPS, STEP_DTYPE)
+        self.steps: NDArray[np.void] = steps[steps["first_sample"] < self.n_samples].copy()
+        self.steps["n_samples"] = np.minimum(self.steps["n_samples"], self.n_samples - self.steps["first_sample"])
         self.side = {table: sound(FRAME_SIDE[table], dtype) for table, dtype in SIDE_TABLES.items()}
         self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
-
-    def _ending(self, text: bytes) -> dict[str, Any]:
-        """How the run ended; as one that was cut off where that does not read."""
-        try:
-            ending: dict[str, Any] = dict(json.loads(text))
-            if ROW_CRC in ending and ending.pop(ROW_CRC) != text_crc(ending):
-                raise ValueError(ROW_CRC)
-        except ValueError:
-            self.faults.append("how the run ended differs from what was written: it is taken as cut off")
-            return {"ended": "incomplete", "why": "", "ended_at": ""}
-        return ending
 
     def _whole_blocks(self, rows: NDArray[np.void], intact: NDArray[np.bool_], stored: int) -> NDArray[np.void]:
         """Blocks that follow each other and whose frames are there; where a row differs, its samples are lost."""
@@ -180,7 +178,7 @@ class FrameFile:
         return rows if whole.all() else rows[: int(np.argmin(whole))]
 
     def rows(self, start: int, stop: int) -> NDArray[np.int16]:
-        """Frames ``start`` to ``stop``, int16 ``(n, channels)``; the last range read is kept."""
+        """Frames ``start`` to ``stop``, int16 ``(n, channels)``; the last range that was read stays in memory."""
         stop = min(stop, self.n_samples)
         if (start, stop) != self._held[:2]:
             self._held = (start, stop, self._frames[start:stop])
@@ -228,10 +226,3 @@ def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[ND
     stored = sealed[ROW_CRC].tolist()
     intact = [zlib.crc32(held[k * size : (k + 1) * size]) == crc for k, crc in enumerate(stored)]
     return rows, np.array(intact, np.bool_)
-
-
-def _clip_steps(steps: NDArray[np.void], n_samples: int) -> NDArray[np.void]:
-    """Steps that began before the recording's end, none longer than what was recorded."""
-    kept = steps[steps["first_sample"] < n_samples].copy()
-    kept["n_samples"] = np.minimum(kept["n_samples"], n_samples - kept["first_sample"])
-    return kept

@@ -1,9 +1,9 @@
 """The frames file: what a recording is while the run lasts. Row-major int16 frames, a checksum a block.
 
-Once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is
-created before the first sample, the file is in HDF5's single-writer-multiple-readers mode, and each block is flushed
-(frames first, then the row that acknowledges them). A row without its frames cannot exist; frames without a row are
-not part of the recording. The end state is ``incomplete`` from the start.
+Once `FrameWriter.append` has returned, killing the process cannot lose the block. Everything is created before the
+first sample, the file is in HDF5's single-writer-multiple-readers mode, and each block is flushed (frames first, then
+the row that acknowledges them). A row without its frames cannot exist; frames without a row are not part of the
+recording. The end state is ``incomplete`` from the start.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class FrameWriter:
 
     @contextlib.contextmanager
     def _refusals(self) -> Iterator[None]:
-        """HDF5 reports a disk that refuses as one of two errors; for a person it is one, and the last."""
+        """One error for both by which HDF5 reports a disk that refuses; it is the last that happens to the file."""
         if self.is_broken:
             raise OSError(f"{self.path}: the disk had refused")
         try:
@@ -147,16 +147,13 @@ class FrameWriter:
         """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""
         row = step_row(step)
         with self._refusals():
-            self._mark_step(row)
-
-    def _mark_step(self, row: NDArray[np.void]) -> None:
-        if int(row["first_sample"][0]) != self._last_step_first:
-            self._steps.resize((self._n_steps + 1,))
-            self._n_steps += 1
-            self._last_step_first = int(row["first_sample"][0])
-        self._steps[self._n_steps - 1 :] = sealed_rows(row)
-        self._steps.id.flush()
-        os.fsync(self._descriptor)
+            if int(row["first_sample"][0]) != self._last_step_first:
+                self._steps.resize((self._n_steps + 1,))
+                self._n_steps += 1
+                self._last_step_first = int(row["first_sample"][0])
+            self._steps[self._n_steps - 1 :] = sealed_rows(row)
+            self._steps.id.flush()
+            os.fsync(self._descriptor)
 
     def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
         """Add rows to one of `daq.files.tables.SIDE_TABLES`."""
@@ -216,20 +213,17 @@ class FrameWriter:
             self._let_go()
             raise OSError(f"{self.path}: could not be closed ({error})") from error
         finally:
-            where = self._rescued() if vanished else self.path
+            where = self.path
+            if vanished:  # this process still holds the content: it is copied
+                folder = where.parent if where.parent.is_dir() else Path(tempfile.gettempdir())
+                where = folder / f"{where.stem}.rescued-{os.getpid()}{where.suffix}"
+                with where.open("xb") as copy:
+                    os.lseek(self._descriptor, 0, os.SEEK_SET)
+                    while piece := os.read(self._descriptor, 1 << 20):
+                        copy.write(piece)
             os.close(self._descriptor)
         if self.is_broken and not vanished:
             raise OSError(f"{self.path}: the disk had refused")
-        return where
-
-    def _rescued(self) -> Path:
-        """A copy of a file whose name is gone but whose content this process still holds."""
-        folder = self.path.parent if self.path.parent.is_dir() else Path(tempfile.gettempdir())
-        where = folder / f"{self.path.stem}.rescued-{os.getpid()}{self.path.suffix}"
-        with where.open("xb") as copy:
-            os.lseek(self._descriptor, 0, os.SEEK_SET)
-            while piece := os.read(self._descriptor, 1 << 20):
-                copy.write(piece)
         return where
 
 

@@ -1,7 +1,7 @@
 """The seal: checksums over every byte of a closed recording, behind the end of the HDF5 file.
 
-HDF5 is handed only bytes that were found to be those that were written. Damaged tables and indexes
-make it loop or crash; so they are compared before it sees them, and put right from a second copy in the seal.
+HDF5 is handed only bytes that were found to be those that were written. Damaged tables and indexes make it loop or
+crash; so they are compared before it sees them, and put right from a second copy in the seal.
 """
 
 from __future__ import annotations
@@ -11,16 +11,17 @@ import io
 import json
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
 
+Found = TypeVar("Found")
 MAGIC = b"\x89SEAL\r\n\x1a"
 FOOTER = struct.Struct("<8sQQI")
 """Magic, length of the HDF5 part, length of the seal's body, CRC-32 of the body."""
@@ -34,7 +35,7 @@ _LONGEST = 1 << 20  # bytes of an extent without samples
 
 @dataclass(frozen=True)
 class Seal:
-    """What the seal of a file says: its length without the seal, the columns' names, the extents, the second copy."""
+    """The seal of a file: its length without the seal, the columns' names, the extents, the second copy."""
 
     end: int
     columns: tuple[str, ...]
@@ -44,7 +45,7 @@ class Seal:
 
 @dataclass(frozen=True)
 class Checked:
-    """What a comparison with the seal found.
+    """Result of a comparison with the seal.
 
     Attributes
     ----------
@@ -78,46 +79,36 @@ def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:
     OSError
         When the disk refuses.
     """
+    chunks: list[tuple[int, int, int, int, int, int]] = []
     with h5py.File(path, "r") as file:
-        chunks = [row for i, name in enumerate(columns) for row in _chunks(file[name], i)]
-    extents = _covering(np.array(sorted(chunks), EXTENT_DTYPE), path.stat().st_size)
-    kept = []
+        for i, name in enumerate(columns):
+            length, per_chunk, stored = file[name].shape[0], file[name].chunks[0], list[Any]()
+            file[name].id.chunk_iter(stored.append)
+            for chunk in stored:
+                first = int(chunk.chunk_offset[0])
+                n_samples = min(per_chunk, length - first)
+                chunks.append((int(chunk.byte_offset), int(chunk.size), 0, i, first, n_samples))
+    # extents of the chunks, and of what lies between them, to the end of the file
+    rows, at = [], 0
+    for offset, row in [*((row[0], row) for row in sorted(chunks)), (path.stat().st_size, None)]:
+        rows += [(a, min(_LONGEST, offset - a), 0, -1, 0, 0) for a in range(at, offset, _LONGEST)]
+        if row is not None:
+            rows.append(row)
+            at = offset + row[1]
+    extents = np.array(rows, EXTENT_DTYPE)
+    tables = []
     with path.open("r+b") as raw:
         for row in extents:
             data = _read(raw, int(row["offset"]), int(row["n_bytes"]))
             row["crc32"] = zlib.crc32(data)
             if row["column"] < 0:
-                kept.append(data)
-        packed, copy = io.BytesIO(), np.frombuffer(b"".join(kept), "u1")
+                tables.append(data)
+        packed, copy = io.BytesIO(), np.frombuffer(b"".join(tables), "u1")
         np.savez_compressed(packed, columns=np.array(columns), extents=extents, copy=copy)
         body = packed.getvalue()
         raw.seek(0, io.SEEK_END)
         raw.write(body + FOOTER.pack(MAGIC, raw.tell(), len(body), zlib.crc32(body)))
     return extents
-
-
-def _chunks(dataset: Any, column: int) -> list[tuple[int, int, int, int, int, int]]:
-    """Extents of a dataset's chunks."""
-    found: list[tuple[int, int, int, int, int, int]] = []
-    length, per_chunk = dataset.shape[0], dataset.chunks[0]
-
-    def add(chunk: Any) -> None:
-        first = int(chunk.chunk_offset[0])
-        found.append((int(chunk.byte_offset), int(chunk.size), 0, column, first, min(per_chunk, length - first)))
-
-    dataset.id.chunk_iter(add)
-    return found
-
-
-def _covering(chunks: NDArray[np.void], end: int) -> NDArray[np.void]:
-    """Chunks, and extents of what lies between them, to the end of the file."""
-    rows, at = [], 0
-    for offset, row in [(int(row["offset"]), row) for row in chunks] + [(end, None)]:
-        rows += [(a, min(_LONGEST, offset - a), 0, -1, 0, 0) for a in range(at, offset, _LONGEST)]
-        if row is not None:
-            rows.append(tuple(row))
-            at = offset + int(row["n_bytes"])
-    return np.array(rows, EXTENT_DTYPE)
 
 
 def _read(raw: Any, offset: int, n_bytes: int) -> bytes:
@@ -148,18 +139,28 @@ def read_seal(path: Path) -> Seal | bool:
     return Seal(end, tuple(map(str, columns)), extents.astype(EXTENT_DTYPE), copy.tobytes())
 
 
+def once_per_state(examined: Callable[[Path], Found]) -> Callable[[Path], Found]:
+    """The function, called once for a file that has not changed since."""
+
+    @functools.lru_cache(maxsize=64)
+    def cached(path: Path, identity: tuple[int, int, int]) -> Found:
+        del identity
+        return examined(path)
+
+    @functools.wraps(examined)
+    def of_state(path: Path) -> Found:
+        state = path.stat()
+        return cached(path, (state.st_ino, state.st_size, state.st_mtime_ns))
+
+    return of_state
+
+
+@once_per_state
 def check(path: Path) -> Checked | None:
     """Compare every byte of a file with its seal; None where it has none. A file that has not changed is read once.
 
-    Bytes alone are read, so this ends whatever they are; a gigabyte takes about half a second of processor time.
+    Only bytes are read, so this ends whatever they are; a gigabyte takes about half a second of processor time.
     """
-    state = path.stat()
-    return _check(path.resolve(), (state.st_ino, state.st_size, state.st_mtime_ns))
-
-
-@functools.lru_cache(maxsize=64)
-def _check(path: Path, identity: tuple[int, int, int]) -> Checked | None:
-    del identity
     return _compare(path, samples=True)
 
 
@@ -178,34 +179,31 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
     patches: list[tuple[int, bytes]] = []
     spans: dict[bool, dict[str, tuple[tuple[int, int], ...]]] = {True: {}, False: {}}
     where: list[str] = []
-    for row, data, copy in _differing(path, seal, samples=samples):
-        place = f"bytes {row['offset']} to {row['offset'] + row['n_bytes'] - 1}"
-        right = copy or mended(data, int(row["n_bytes"]), int(row["crc32"]))
-        if row["column"] < 0:
-            where.append(f"{place} (tables, attributes, indexes) differ from what was written; a second copy has them")
-        else:
-            name, first = seal.columns[row["column"]], int(row["first_sample"])
-            last = first + int(row["n_samples"])
-            said = "one byte differs and is put right by its checksum" if right else "differ from what was written"
-            where.append(f"{name}: samples {first} to {last - 1} ({place}): {said}")
-            of = spans[bool(right)]
-            of[name] = (*of.get(name, ()), (first, last))
-        if right:
-            patches.append((int(row["offset"]), right))
-    return Checked(tuple(patches), spans[False], spans[True], tuple(where))
-
-
-def _differing(path: Path, seal: Seal, *, samples: bool) -> Iterator[tuple[np.void, bytes, bytes]]:
-    """Extents that differ from what was written, with what is there and the second copy (none of samples)."""
-    at = 0
+    at = 0  # in the second copy, which holds extents without samples one after the other
     with path.open("rb", buffering=_LONGEST) as raw:
         for row in seal.extents if samples else seal.extents[seal.extents["column"] < 0]:
-            n_bytes, copy = int(row["n_bytes"]), b""
+            n_bytes, is_table, copy = int(row["n_bytes"]), row["column"] < 0, b""
             data = _read(raw, int(row["offset"]), n_bytes)
-            if row["column"] < 0:
+            if is_table:
                 at, copy = at + n_bytes, seal.copy[at : at + n_bytes]
-            if len(data) != n_bytes or zlib.crc32(data) != row["crc32"]:
-                yield row, data, copy
+            if len(data) == n_bytes and zlib.crc32(data) == row["crc32"]:
+                continue
+            place = f"bytes {row['offset']} to {row['offset'] + row['n_bytes'] - 1}"
+            right = copy or mended(data, n_bytes, int(row["crc32"]))
+            if is_table:
+                where.append(
+                    f"{place} (tables, attributes, indexes) differ from what was written; a second copy has them"
+                )
+            else:
+                name, first = seal.columns[row["column"]], int(row["first_sample"])
+                last = first + int(row["n_samples"])
+                how = "one byte differs and is put right by its checksum" if right else "differ from what was written"
+                where.append(f"{name}: samples {first} to {last - 1} ({place}): {how}")
+                of = spans[bool(right)]
+                of[name] = (*of.get(name, ()), (first, last))
+            if right:
+                patches.append((int(row["offset"]), right))
+    return Checked(tuple(patches), spans[False], spans[True], tuple(where))
 
 
 def mended(data: bytes, n_bytes: int, crc: int) -> bytes:

@@ -1,7 +1,7 @@
 """Blocks of frames as a back end hands them over, and the tables that describe a run: blocks and steps.
 
-A block says what happened to it (flags, clock, samples lost before it); nothing is inferred later
-that could have been written down at the time.
+A block says what happened to it (flags, clock, samples lost before it); nothing is inferred later that could have been
+written down at the time.
 """
 
 from __future__ import annotations
@@ -98,14 +98,13 @@ text in UTF-8."""
 
 STEP_NAMES = STEP_DTYPE.names or ()
 BLOCK_NAMES = BLOCK_DTYPE.names or ()
-DRIVE_NAMES = DRIVE_DTYPE.names or ()
 
 SIDE_TABLES = {"drive_changes": DRIVE_DTYPE, "clock_readings": CLOCK_DTYPE, "clock_map": MAP_DTYPE, "notes": NOTE_DTYPE}
 """Tables of a recording that only some runs have, by name."""
 
 
 class BlockFlag(enum.IntFlag):
-    """What a back end or the recorder knows about a block."""
+    """Properties of a block that a back end or the recorder knows."""
 
     OVERFLOW = 1  # the driver said that input was lost
     UNDERFLOW = 2  # the driver said that output was late

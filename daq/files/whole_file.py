@@ -1,16 +1,21 @@
-"""Files that appear whole or not at all.
+"""Files that a kill cannot tear: written whole or not at all, or grown line by line.
 
-What is written gets a name beside the final one, reaches the disk, and is renamed in one step. A
-process that is killed half-way leaves the old file as it was, and at most a ``.part`` beside it.
+A file that is written gets another name in the same folder, reaches the disk, and is renamed in one step: a process
+that is killed half-way leaves the old file as it was, and at most a ``.part``. A journal has one JSON object a line,
+on the disk before the next one is begun; a last line that was cut off is left out.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+from daq.setup.errors import InputError
 
 
 @contextmanager
@@ -54,3 +59,58 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+Row = dict[str, Any]
+
+
+class Journal:
+    """Rows by key in a file that only grows; of rows with one key the last counts.
+
+    Parameters
+    ----------
+    path
+        Its file; made by the first row.
+
+    Attributes
+    ----------
+    path
+    rows : dict
+        The rows so far, by key.
+
+    Raises
+    ------
+    InputError
+        Where the file holds something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: dict[str, Row] = {}
+        text = path.read_bytes() if path.exists() else b""
+        lines = text.split(b"\n")
+        for number, line in enumerate(lines[:-1], start=1):
+            if not line.strip():
+                continue
+            try:
+                entry = json.loads(line)
+                self.rows[str(entry["key"])] = dict(entry["row"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise InputError(
+                    f"{path}, line {number}: wanted a result written by this program ({error}); name another file, or "
+                    "remove the line"
+                ) from error
+        self._torn = bool(lines[-1])
+        self._whole_bytes = len(text) - len(lines[-1])
+
+    def add(self, key: str, row: Row) -> None:
+        """Add a row; it is on the disk when this returns (raises OSError)."""
+        line = json.dumps({"key": key, "row": row}, allow_nan=False)
+        if self._torn:
+            os.truncate(self.path, self._whole_bytes)
+            self._torn = False
+        with self.path.open("ab") as stream:
+            stream.write(line.encode() + b"\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        self.rows[key] = row

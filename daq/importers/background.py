@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Event
 from typing import TypeVar
 
-from daq.files.closing import Closing
+from daq.files.disk import Closing
 
 Item = TypeVar("Item")
 _PIECE_BYTES = 1 << 20

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.closing import Closing
-from daq.files.disk import refusal
+from daq.files.disk import Closing, refusal
 
 
 class Scratch(Closing):

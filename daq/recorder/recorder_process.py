@@ -1,8 +1,8 @@
 """The recorder as a process of its own, fed through a ring in shared memory.
 
-Nothing that an operator's process does (pictures, garbage collection, a busy script, reading
-other files) can cost a sample. The recorder does nothing but take blocks and write them; the ring holds what comes
-while the disk is slow. `RecorderProcess` is used like `RecordingWriter`.
+Nothing that an operator's process does (pictures, garbage collection, a busy script, reading other files) can cost a
+sample. The recorder does nothing but take blocks and write them; the ring holds what comes while the disk is slow.
+`RecorderProcess` is used like `RecordingWriter`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, renumbered
-from daq.recording.writer import Ending, RecordingWriter
+from daq.recording.writer import ClosedRun, Ending, RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -40,7 +39,7 @@ NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")  # words to the run, whi
 _BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-class RecorderProcess:
+class RecorderProcess(ClosedRun):
     """Record one run in a process of its own.
 
     Parameters
@@ -55,7 +54,7 @@ class RecorderProcess:
         How long `append` waits for room in a full ring before the block counts as lost; 0 for a device, which cannot
         wait.
     private
-        Whether nobody else attaches to the ring by its name; it then has none any more once the recorder runs.
+        Whether no other process attaches to the ring by its name; it then loses its name once the recorder runs.
 
     Raises
     ------
@@ -86,12 +85,12 @@ class RecorderProcess:
         self._process = context.Process(
             target=_record, args=(theirs, shape, str(path), setup.model_dump_json(), options), name="recorder"
         )
-        with _one_blas_thread(), _held_signals():
+        with _start_conditions():
             self._process.start()
         theirs.close()
         self.n_samples = 0
         self._is_open = True
-        self._fault = ""  # what the recorder said when it gave up
+        self._fault = ""  # the recorder's message when it gave up
         try:
             self._answer("start", START_S)
         except (InputError, OSError):
@@ -99,6 +98,11 @@ class RecorderProcess:
             raise
         if private:
             self.ring.unname()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `close` was not called yet."""
+        return self._is_open
 
     @property
     def safe_samples(self) -> int:
@@ -168,33 +172,6 @@ class RecorderProcess:
             self._fault = message
             raise OSError(message)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close a run that its owner did not close: an exception says why."""
-        if error is None:
-            self.close("complete")
-        else:
-            self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
-
-
-class _one_blas_thread:
-    """While it lasts, processes that start are told to use one thread for linear algebra."""
-
-    def __enter__(self) -> None:
-        self._before = {name: os.environ.get(name) for name in _BLAS}
-        os.environ.update(dict.fromkeys(_BLAS, "1"))
-
-    def __exit__(self, *_: object) -> None:
-        for name, value in self._before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
 
 def _not_for_us() -> list[signal.Signals]:
     """Signals that the recorder outlives, of those that this system has."""
@@ -202,22 +179,30 @@ def _not_for_us() -> list[signal.Signals]:
 
 
 @contextmanager
-def _held_signals() -> Iterator[None]:
-    """Signals for the run held back (POSIX), so that none meets the recorder before it knows to ignore them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _not_for_us())
+def _start_conditions() -> Iterator[None]:
+    """Conditions under which the recorder starts: one thread for linear algebra, and no signal that is for the run.
+
+    Signals are held back (POSIX), so that none meets the recorder before it knows to ignore them.
+    """
+    environment = {name: os.environ.get(name) for name in _BLAS}
+    os.environ.update(dict.fromkeys(_BLAS, "1"))
+    can_hold = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _not_for_us()) if can_hold else set()
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if can_hold:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for name, value in environment.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
 
 
 def _record(
     pipe: Connection, shape: tuple[int, int, int, str], path: str, setup_json: str, options: dict[str, Any]
 ) -> None:
-    """The recorder's whole life."""
+    """Body of the recorder's process."""
     for number in _not_for_us():
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):

@@ -1,9 +1,8 @@
 """A ring of blocks in shared memory: one process puts blocks in, another takes them out, neither waits for the other.
 
-Nothing is torn and nothing is dropped in silence. Each slot carries the checksum of its frames, so
-a slot that is read while it is being written is read again; a block that finds the ring full is counted, and the next
-one that fits says how many samples are missing before it. The memory is taken when it is asked for, not when it is
-written to, and it is left behind by nobody: its name tells whose it is.
+Each slot carries the checksum of its frames, so a slot that is read while it is being written is read again; a block
+that finds the ring full is counted, and the next one that fits says how many samples are missing before it. The memory
+is taken when it is asked for, not when it is written to; its name says whose it is, so that none is left behind.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 from daq.files.tables import BLOCK_DTYPE, Block, crc32
 
 NAME = "shakerbench"
-YOUNG_S = 60.0  # a segment that is still being handed over is no one's to clear
+YOUNG_S = 60.0  # age up to which a segment may still be being handed over
 FOLDER = Path("/dev/shm")  # of named segments, where the system shows them (Linux)
 _COUNTERS = ("put", "taken", "safe_samples", "dropped_blocks", "worst_backlog")
 
@@ -105,44 +104,33 @@ class Ring:
         slot = int(self._counters[0]) % self.slots
         self._frames[slot, :n] = block.codes
         lost = block.lost_before + self._missing
-        self._rows[slot] = (
-            block.first_sample,
-            n,
-            block.flags,
-            block.clock_ns,
-            lost,
-            block.lost_uncertainty,
-            block.adc_ns,
-            crc32(block.codes),
-        )
+        clocks = block.clock_ns, lost, block.lost_uncertainty, block.adc_ns
+        self._rows[slot] = (block.first_sample, n, block.flags, *clocks, crc32(block.codes))
         self._missing = 0
         self._counters[4] = max(self._counters[4], waiting + 1)
         self._counters[0] += 1
         return True
 
     def take(self, most: int = 64) -> list[Block]:
-        """Take out what is there, in order, at most so many blocks; never waits."""
+        """Take out the blocks that are there, in order, at most so many; never waits."""
         taken: list[Block] = []
         at = int(self._counters[1])
         for i in range(at, min(int(self._counters[0]), at + most)):
-            slot = i % self.slots
-            row = self._rows[slot].copy()
-            codes = self._frames[slot, : int(row["n_samples"])].copy()
-            if crc32(codes) != int(row["crc32"]):
+            block = self._block(i)
+            if block is None:
                 break  # not all of it is visible to this process yet: next time
-            taken.append(
-                Block(
-                    int(row["first_sample"]),
-                    codes,
-                    int(row["flags"]),
-                    int(row["clock_ns"]),
-                    int(row["lost_before"]),
-                    int(row["lost_uncertainty"]),
-                    int(row["adc_ns"]),
-                )
-            )
+            taken.append(block)
         self._counters[1] = at + len(taken)
         return taken
+
+    def _block(self, i: int) -> Block | None:
+        """Block number ``i`` since the start; None where its frames do not fit their checksum."""
+        row = self._rows[i % self.slots].copy()
+        codes = self._frames[i % self.slots, : int(row["n_samples"])].copy()
+        if crc32(codes) != int(row["crc32"]):
+            return None
+        names = ("flags", "clock_ns", "lost_before", "lost_uncertainty", "adc_ns")
+        return Block(int(row["first_sample"]), codes, *(int(row[name]) for name in names))
 
     def _reserve(self, size: int) -> None:
         """Take all of the memory now: on Linux it is found missing only when it is written to, and the process dies."""
@@ -178,7 +166,7 @@ class Ring:
 
 
 class RingReader(Ring):
-    """A third process's view of a ring: reads what is put in, takes nothing out, can change nothing."""
+    """A third process's view of a ring: reads what is put in, takes nothing out, and cannot change it."""
 
     def __init__(self, slots: int, block_samples: int, channels: int, name: str) -> None:
         super().__init__(slots, block_samples, channels, name)
@@ -192,12 +180,9 @@ class RingReader(Ring):
         self._next = max(self._next, put - self.slots + 2)
         blocks = []
         for i in range(self._next, min(put, self._next + most)):
-            slot = i % self.slots
-            row = self._rows[slot].copy()
-            codes = self._frames[slot, : int(row["n_samples"])].copy()
-            if crc32(codes) == int(row["crc32"]):
-                lost = int(row["lost_before"])
-                blocks.append(Block(int(row["first_sample"]), codes, int(row["flags"]), lost_before=lost))
+            block = self._block(i)
+            if block is not None:
+                blocks.append(block)
         self._next = min(put, self._next + most)
         return blocks
 
@@ -210,23 +195,16 @@ def clear_left_behind(folder: Path = FOLDER) -> list[str]:
     for path in folder.glob(f"{NAME}-*-*"):
         owner = path.name.split("-")[1]
         try:
-            if owner.isdecimal() and not _is_alive(int(owner)) and time.time() - path.stat().st_mtime > YOUNG_S:
+            if not owner.isdecimal() or time.time() - path.stat().st_mtime <= YOUNG_S:
+                continue
+            try:
+                os.kill(int(owner), 0)  # asks whether there is such a process (POSIX)
+            except ProcessLookupError:
                 path.unlink()
                 cleared.append(path.name)
         except OSError:
-            continue  # somebody else's, or gone meanwhile
+            continue  # another user's, or gone meanwhile
     return cleared
-
-
-def _is_alive(pid: int) -> bool:
-    """Whether there is such a process (POSIX)."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 def renumbered(blocks: list[Block], first_sample: int) -> list[Block]:

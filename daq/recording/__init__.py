@@ -14,8 +14,7 @@ from pathlib import Path
 
 from daq.files.tables import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Block, BlockFlag
 from daq.recording.reader import Recording
-from daq.recording.survey import examine
-from daq.recording.verify import VerifyReport, verify
+from daq.recording.verify import VerifyReport, examine, verify
 from daq.recording.writer import RecordingWriter
 
 __all__ = [

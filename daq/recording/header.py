@@ -1,4 +1,4 @@
-"""Headers of recordings: what each file says of itself, read without its samples.
+"""Headers of recordings: attributes and tables of each file, read without its samples.
 
 A list of thousands of recordings is made in seconds. Tables, attributes and indexes are compared with the seal first;
 files without one are read by another process, which may hang or die of them.
@@ -9,11 +9,9 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from daq.files.column_file import FORMAT
 from daq.files.seal import Checked, check, check_tables, read_seal
@@ -21,7 +19,7 @@ from daq.files.tables import notes_of_rows
 from daq.recording.identity import stored_id
 from daq.recording.opening import SIGNATURE, differing_blocks, open_checked, open_file, unsealed
 from daq.recording.reader import Recording, attributes_intact
-from daq.recording.subprocess_reader import Tell, apart
+from daq.recording.subprocess_reader import Tell, in_subprocess
 from daq.recording.verify import report_of
 from daq.setup.errors import InputError
 
@@ -38,7 +36,7 @@ class Header:
     identity
         `daq.recording.identity.stored_id`: the same for each copy of a run; empty where the run is not closed.
     state, where
-        As `daq.recording.verify.VerifyReport` has them, of what was compared.
+        As in `daq.recording.verify.VerifyReport`, of what was compared.
     all_bytes
         Whether the samples were compared with the seal as well.
     attrs
@@ -50,7 +48,7 @@ class Header:
     gammas, achieved_gammas, ratios
         Of each step; None where it is not known.
     notes
-        Sample, Unix time (ns) and text of what was noted during the run.
+        Sample, Unix time (ns) and text of each note of the run.
     """
 
     identity: str
@@ -78,13 +76,6 @@ class Unread:
     format: str = ""
 
 
-@dataclass(frozen=True)
-class _Later:
-    """Files that only another process may read, with what is known of them."""
-
-    found: dict[str, list[str]] = field(default_factory=dict)
-
-
 def read_headers(paths: Iterable[Path], *, all_bytes: bool = False) -> Iterator[tuple[Path, Header | Unread]]:
     """Read the headers of recordings, those without a seal last.
 
@@ -100,7 +91,7 @@ def read_headers(paths: Iterable[Path], *, all_bytes: bool = False) -> Iterator[
     Path, Header or Unread
         A file that is no longer there is left out.
     """
-    later = _Later()
+    later: dict[str, list[str]] = {}  # files that only another process may read, with the faults that are known
     for path in paths:
         try:
             answer = _sealed(path, later, all_bytes=all_bytes)
@@ -110,10 +101,10 @@ def read_headers(paths: Iterable[Path], *, all_bytes: bool = False) -> Iterator[
             answer = Unread(f"cannot be read ({error.strerror or error})", damaged=True)
         if answer is not None:
             yield path, answer
-    yield from _apart(later.found)
+    yield from _by_subprocess(later)
 
 
-def _sealed(path: Path, later: _Later, *, all_bytes: bool) -> Header | Unread | None:
+def _sealed(path: Path, later: dict[str, list[str]], *, all_bytes: bool) -> Header | Unread | None:
     """Header of a sealed file, read here; None where another process has to."""
     size = path.stat().st_size
     with path.open("rb") as raw:
@@ -121,12 +112,12 @@ def _sealed(path: Path, later: _Later, *, all_bytes: bool) -> Header | Unread | 
     if read_seal(path) is False:
         if head != SIGNATURE:
             return Unread("cannot be read as HDF5 (it does not begin as one)", damaged=True)
-        later.found[str(path)] = []
+        later[str(path)] = []
         return None
     every = all_bytes or size <= SMALL_BYTES
     found = check(path) if every else check_tables(path)
     if found is None or found.seal_differs:
-        later.found[str(path)] = list(found.where) if found else []
+        later[str(path)] = list(found.where) if found else []
         return None
     try:
         with open_checked(path, found) as recording:
@@ -139,29 +130,27 @@ def _sealed(path: Path, later: _Later, *, all_bytes: bool) -> Header | Unread | 
 def header_of(recording: Recording, *, all_bytes: bool) -> Header:
     """Header of an open recording."""
     report, steps = report_of(recording), recording.steps
+    gammas, achieved = (
+        tuple(float(x) if math.isfinite(x) else None for x in steps[name]) for name in ("gamma", "achieved_gamma")
+    )
     attrs = {k: v for k, v in recording.attrs.items() if not k.endswith("_json") and k != "profile_text"}
     return Header(
         stored_id(recording), report.state, tuple(report.where), all_bytes, attrs,
         recording.setup.model_dump(mode="json"), recording.rate_hz, recording.n_samples, report.lost_samples,
-        recording.channels, _known(steps["gamma"]), _known(steps["achieved_gamma"]),
+        recording.channels, gammas, achieved,
         tuple(int(c) for c in steps["ratio"]), tuple(notes_of_rows(recording.notes)),
     )  # fmt: skip
 
 
-def _known(values: np.ndarray) -> tuple[float | None, ...]:
-    """Numbers as JSON has them."""
-    return tuple(float(x) if math.isfinite(x) else None for x in values)
-
-
-def _apart(found: dict[str, list[str]]) -> Iterator[tuple[Path, Header | Unread]]:
+def _by_subprocess(left: dict[str, list[str]]) -> Iterator[tuple[Path, Header | Unread]]:
     """Headers of files without a seal, by another process; where it dies, the next goes on after that file."""
-    left = dict(found)
     while left:
-        answer = apart("daq.recording.header:look", list(left), left)
-        for name, told in (answer.value or {}).items():
+        answer = in_subprocess("daq.recording.header:look", list(left), left)
+        for name, read in (answer.value or {}).items():
             left.pop(name)
-            if told is not None:
-                yield Path(name), _taken(told)
+            if read is not None:
+                values: dict[str, Any] = {key: tuple(x) if isinstance(x, list) else x for key, x in read.items()}
+                yield Path(name), Header(**values) if "attrs" in values else Unread(**values)
         if not answer.died:
             return
         at = answer.at if answer.at in left else next(iter(left))
@@ -169,37 +158,27 @@ def _apart(found: dict[str, list[str]]) -> Iterator[tuple[Path, Header | Unread]
         yield Path(at), Unread(f"{answer.died}; run: bench verify {at}", damaged=True)
 
 
-def _taken(told: dict[str, Any]) -> Header | Unread:
-    """The value that the process sent as JSON."""
-    values: dict[str, Any] = {key: tuple(x) if isinstance(x, list) else x for key, x in told.items()}
-    return Header(**values) if "attrs" in values else Unread(**values)
-
-
 def look(names: list[str], found: dict[str, list[str]], tell: Tell) -> dict[str, Any]:
     """Body of the process: the headers of all of them."""
-    told: dict[str, Any] = {}
+    headers: dict[str, Any] = {}
     for name in names:
         tell(name)
+        checked = Checked(where=tuple(found[name]), seal_differs=True) if found[name] else None
         try:
-            told[name] = dataclasses.asdict(_unsealed(Path(name), found[name]))
+            try:
+                header = _opened(Path(name), checked, ended=True)  # as if its writer had closed it
+            except InputError:
+                header = _opened(Path(name), checked, ended=False)  # as it is being written
+            headers[name] = dataclasses.asdict(header)
         except FileNotFoundError:
-            told[name] = None
+            headers[name] = None
         except (InputError, OSError, RuntimeError) as error:
-            why = _without(Path(name), str(error))
-            told[name] = dataclasses.asdict(Unread(why, damaged=True))
-    return told
-
-
-def _unsealed(path: Path, where: list[str]) -> Header | Unread:
-    """Header of a file that nobody vouches for: as if its writer had closed it, or else as it is being written."""
-    found = Checked(where=tuple(where), seal_differs=True) if where else None
-    try:
-        return _opened(path, found, ended=True)
-    except InputError:
-        return _opened(path, found, ended=False)
+            headers[name] = dataclasses.asdict(Unread(_without(Path(name), str(error)), damaged=True))
+    return headers
 
 
 def _opened(path: Path, found: Checked | None, *, ended: bool) -> Header | Unread:
+    """Header of a file without a sound seal."""
     with open_file(path, Checked(), ended=ended) as file:
         format = file.attrs.get("format", "")
     if format != FORMAT:

@@ -22,14 +22,13 @@ def content_id(recording: Recording) -> tuple[tuple[str, int, int], ...]:
 
     Profile, note and compression do not enter: a copy that was calibrated anew holds the same run.
     """
-    return tuple((name, recording.n_samples, _crc(recording, name)) for name in recording.channels)
-
-
-def _crc(recording: Recording, channel: str) -> int:
-    crc = 0
-    for start in range(0, recording.n_samples, CHUNK_SAMPLES):
-        crc = crc32(recording.codes(channel, start, start + CHUNK_SAMPLES), crc)
-    return crc
+    found = []
+    for name in recording.channels:
+        crc = 0
+        for start in range(0, recording.n_samples, CHUNK_SAMPLES):
+            crc = crc32(recording.codes(name, start, start + CHUNK_SAMPLES), crc)
+        found.append((name, recording.n_samples, crc))
+    return tuple(found)
 
 
 def stored_id(recording: Recording) -> str:

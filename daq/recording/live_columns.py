@@ -1,6 +1,6 @@
-"""Columns written beside the frames while a run lasts, so that closing it has little left to do.
+"""Columns written in addition to the frames while a run lasts, so that closing it has little left to do.
 
-They are a shortcut and no part of what keeps a recording safe: the frames are written first and stay until the end.
+They are a shortcut and no part of what makes a recording safe: the frames are written first and stay until the end.
 Where the columns meet anything unexpected (no room to spare, a disk that refuses, samples that are not those of the
 frames file) they are dropped, and closing writes them from the frames.
 """

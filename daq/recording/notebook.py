@@ -1,7 +1,7 @@
-"""The notebook of a recording: what persons noted before, during and after the run, and tags.
+"""The notebook of a recording: notes from before, during and after the run, and tags.
 
-What was noted until the run was over stands in the recording. What comes later, and tags, stand in a small file beside
-it, so that the recording stays as it was sealed.
+Notes made until the run was over stand in the recording. Later ones, and tags, stand in a small file next to it, so
+that the recording stays as it was sealed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ class Entry:
     at_s
         Recorded time before it, s; None for one that was written before or after the run.
     text
-        What was noted.
     """
 
     at: str
@@ -55,7 +54,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Remarks:
-    """What a person said of a recording.
+    """Later notes and tags of a recording.
 
     Attributes
     ----------
@@ -73,10 +72,14 @@ class Remarks:
 
 
 def entries_of(header: Header) -> tuple[Entry, ...]:
-    """What stands in the recording itself: the note that the run was given, and those typed while it went on."""
+    """Entries of the recording itself: the note that the run was given, and those typed while it went on."""
     given = str(header.attrs.get("note") or "").strip()
     first = (Entry(str(header.attrs.get("started") or ""), None, given),) if given else ()
-    return (*first, *(Entry(_utc(ns), sample / header.rate_hz, text) for sample, ns, text in header.notes))
+    typed = []
+    for sample, unix_ns, text in header.notes:
+        at = datetime.fromtimestamp(unix_ns / 1e9, UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+        typed.append(Entry(at, sample / header.rate_hz, text))
+    return (*first, *typed)
 
 
 def notebook(header: Header | None, later: Remarks) -> tuple[Entry, ...]:
@@ -87,7 +90,7 @@ def notebook(header: Header | None, later: Remarks) -> tuple[Entry, ...]:
     header
         Of the recording (`daq.recording.header.header_of`); None where it does not read.
     later
-        What was noted since.
+        Notes since then.
     """
     own = () if header is None else entries_of(header)
     return (*own, *(Entry(note.at, None, note.text) for note in later.notes))
@@ -106,12 +109,8 @@ def as_text(header: Header | None, later: Remarks) -> str:
     return "\n".join(lines) + "\n" if lines else ""
 
 
-def _utc(unix_ns: int) -> str:
-    return datetime.fromtimestamp(unix_ns / 1e9, UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-
-
 def side_file(recording: Path) -> Path:
-    """The file beside a recording that holds its tags and notes."""
+    """The file next to a recording that holds its tags and later notes."""
     return recording.with_name(recording.name + ENDING)
 
 
@@ -128,12 +127,12 @@ def read_remarks(path: Path) -> Remarks:
             return Remarks()
         if path.stat().st_size > MOST_BYTES:
             raise ValueError(f"more than {MOST_BYTES} bytes")
-        told = json.loads(path.read_text(encoding="utf-8"))
-        if told["format"] != FORMAT or told["version"] > VERSION:
-            raise ValueError(f"format {told['format']!r}, version {told['version']!r}")
-        tags = tuple(str(tag) for tag in told["tags"])
-        notes = tuple(Note(str(note["at"]), str(note["text"])) for note in told["notes"])
-        return Remarks(str(told["identity"]), tags, notes)
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored["format"] != FORMAT or stored["version"] > VERSION:
+            raise ValueError(f"format {stored['format']!r}, version {stored['version']!r}")
+        tags = tuple(str(tag) for tag in stored["tags"])
+        notes = tuple(Note(str(note["at"]), str(note["text"])) for note in stored["notes"])
+        return Remarks(str(stored["identity"]), tags, notes)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{path}: wanted the tags and notes of a recording, version {VERSION} ({error}); mend it, or move it away"
@@ -148,10 +147,10 @@ def write_remarks(path: Path, remarks: Remarks) -> None:
     InputError
         Where the folder cannot be written.
     """
-    told = {"format": FORMAT, "version": VERSION, **asdict(remarks)}
+    stored = {"format": FORMAT, "version": VERSION, **asdict(remarks)}
     try:
         if remarks.tags or remarks.notes:
-            write_whole(path, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+            write_whole(path, json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
         else:
             path.unlink(missing_ok=True)
     except OSError as error:
@@ -185,7 +184,7 @@ def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], R
 
 @contextmanager
 def _held(lock: Path, path: Path) -> Iterator[None]:
-    """A file that one process alone can make; one left behind by a process that died counts for `STALE_S`."""
+    """A file that only one process can make; one left behind by a process that died counts for `STALE_S`."""
     ends = time.monotonic() + STALE_S
     while True:
         try:
@@ -212,7 +211,10 @@ def _unwritable(path: Path, error: OSError) -> str:
 
 def with_tags(remarks: Remarks, tags: tuple[str, ...], *, remove: bool = False) -> Remarks:
     """Remarks with more tags, or fewer (raises InputError for what is no tag)."""
-    checked = [_tag(tag) for tag in tags]
+    checked = [tag.strip() for tag in tags]
+    for tag in checked:
+        if not tag or len(tag) > LONGEST_TAG or any(c.isspace() or c == "," or not c.isprintable() for c in tag):
+            raise InputError(f"tag {tag!r}: wanted one word of at most {LONGEST_TAG} characters, without commas")
     if remove:
         return Remarks(remarks.identity, tuple(t for t in remarks.tags if t not in checked), remarks.notes)
     return Remarks(remarks.identity, tuple(dict.fromkeys((*remarks.tags, *checked))), remarks.notes)
@@ -231,11 +233,3 @@ def without_last_note(remarks: Remarks) -> Remarks:
     if not remarks.notes:
         raise InputError("there is no note to take back; the note that `bench ramp` was given stays in the recording")
     return Remarks(remarks.identity, remarks.tags, remarks.notes[:-1])
-
-
-def _tag(text: str) -> str:
-    """A tag: one word."""
-    tag = text.strip()
-    if not tag or len(tag) > LONGEST_TAG or any(c.isspace() or c == "," or not c.isprintable() for c in tag):
-        raise InputError(f"tag {text!r}: wanted one word of at most {LONGEST_TAG} characters, without commas")
-    return tag

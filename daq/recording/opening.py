@@ -1,7 +1,7 @@
 """Open the HDF5 file of a recording, its damaged bytes put right or left out.
 
-Whoever opens a file has proven its bytes before (`daq.files.seal`), or had another process read
-them (`daq.recording.survey`).
+The bytes of a file were compared before (`daq.files.seal`), or another process has read them
+(`daq.recording.verify`).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from daq.setup.errors import InputError, require_file
 
 UNCHECKED = "recorded by an earlier version, without checksums over its tables: they are read unchecked"
 CHUNK_CACHE_BYTES = 1 << 20  # of each open column: it holds the chunk that the next read begins in
-LEAST_RECENT_FIRST = 0.0  # HDF5 else keeps chunks that were read in part, however long ago, and drops the last ones
+LEAST_RECENT_FIRST = 0.0  # else HDF5 drops the latest chunks, and holds those that were read in part however long ago
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 def open_quickly(path: Path) -> Recording | None:
-    """Open a sealed recording of which tables, attributes and indexes alone are compared with the seal.
+    """Open a sealed recording of which only tables, attributes and indexes are compared with the seal.
 
     Its samples are as safe as HDF5's own checksum of each chunk; `daq.recording.open_recording` compares them all.
 
@@ -49,22 +49,20 @@ def open_quickly(path: Path) -> Recording | None:
 
 
 def unsealed(recording: Recording, found: Checked | None, *, intact: bool) -> tuple[str, ...]:
-    """What is to be said of a closed recording that cannot be compared with a seal."""
+    """Faults of a closed recording that cannot be compared with a seal."""
     if recording.frames is not None:
         return ()
     lines = [] if found is None else list(found.where)
     if not intact:
         lines.append("the root attributes differ from what was written")
-    if found is None:
-        lines.append(_without_seal(recording.path) if recording.stored.get("sealed") else UNCHECKED)
+    if found is None and not recording.stored.get("sealed"):
+        lines.append(UNCHECKED)
+    elif found is None:
+        # a file that HDF5 has written to ends where HDF5's part does
+        is_cut = recording.path.stat().st_size > stated_bytes(recording.path) > 0
+        cut = "the file was cut off behind its samples and tables, of which nothing is missing"
+        lines.append(f"its checksums are gone: {cut if is_cut else 'another program has written to it since'}")
     return tuple(lines)
-
-
-def _without_seal(path: Path) -> str:
-    """Why a recording that was sealed has no seal; a file that HDF5 has written to ends where HDF5's part does."""
-    if path.stat().st_size > stated_bytes(path) > 0:
-        return "its checksums are gone: the file was cut off behind its samples and tables, of which nothing is missing"
-    return "its checksums are gone: another program has written to it since"
 
 
 def differing_blocks(recording: Recording) -> list[str]:
@@ -109,15 +107,21 @@ def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recordin
     try:
         require_recording(path, file)
         for name, spans in found.mended.items():
-            wrong = [span for span in spans if not _reads(file[name], *span)]
-            if wrong:
-                lost[name] = [*lost.get(name, ()), *wrong]
+            for first, last in spans:
+                try:  # HDF5's own checksum of the chunk must fit what was put right
+                    file[name][first:last]
+                except (OSError, RuntimeError):
+                    lost[name] = [*lost.get(name, ()), (first, last)]
         return Recording(path, file, lost, found.where)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         file.close()
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: damaged: {_in_words(error)}; run: bench verify {path}") from error
+        why = str(error)
+        if isinstance(error, ValidationError):
+            first_fault = error.errors(include_url=False)[0]
+            why = f"setup_json, {'.'.join(map(str, first_fault['loc'])) or 'whole'}: {first_fault['msg']}"
+        raise InputError(f"{path}: damaged: {why}; run: bench verify {path}") from error
 
 
 def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
@@ -154,20 +158,3 @@ def require_recording(path: Path, file: Any) -> None:
         )
     if int(file.attrs["format_version"]) > FORMAT_VERSION:
         raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")
-
-
-def _reads(dataset: Any, first: int, last: int) -> bool:
-    """Whether samples read back: HDF5's own checksum of the chunk fits what was put right."""
-    try:
-        dataset[first:last]
-    except (OSError, RuntimeError):
-        return False
-    return True
-
-
-def _in_words(error: Exception) -> str:
-    """One line of an error; of a setup that does not fit, the first fault."""
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False)[0]
-        return f"setup_json, {'.'.join(map(str, first['loc'])) or 'whole'}: {first['msg']}"
-    return str(error)

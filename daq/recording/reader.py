@@ -1,7 +1,7 @@
-"""A recording as a reader sees it: volts, codes, times and tables, of a closed file, a growing one or one cut off.
+"""An open recording: volts, codes, times and tables, of a closed file, a growing one or one cut off.
 
-Nothing is read that was not asked for, so memory does not depend on the length of the file. What is
-damaged is a gap. `daq.recording.opening` opens files.
+Samples are read when they are asked for, so memory does not depend on the length of the file. What is damaged is a gap.
+`daq.recording.opening` opens files.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.claims import refuse_columns
-from daq.files.closing import Closing
 from daq.files.column_file import TABLES, read_table
+from daq.files.disk import Closing
 from daq.files.frame_file import FRAMES, FrameFile
 from daq.files.holes import Holes
 from daq.files.seal import text_crc
@@ -56,20 +56,19 @@ class Recording(Closing):
     Attributes
     ----------
     path, setup, rate_hz, n_samples
-        Where it is, what was measured with what, samples a second, samples a channel.
+        File, setup of the measurement, samples a second, samples a channel.
     channels
         Names of the channels.
     steps, blocks
         `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
     drive_changes
         `DRIVE_DTYPE` array: every change of the drive's amplitudes, from which the commanded samples follow bit for
-        bit (`rig.programme.sequencer.commanded`); empty in an imported recording.
+        bit (`rig.programme`); empty in an imported recording.
     clock_readings, clock_map
-        `CLOCK_DTYPE` and `MAP_DTYPE` arrays: where another clock played the drive, what was read of it and the map
-        fitted to that (`daq.clocks.clock_sync`); else empty.
+        `CLOCK_DTYPE` and `MAP_DTYPE` arrays: where another clock played the drive, its readings and the map fitted to
+        them (`daq.clocks.clock_sync`); else empty.
     notes
-        `NOTE_DTYPE` array: what the operator noted during the run. ``side`` holds this table and the three before by
-        name.
+        `NOTE_DTYPE` array: the operator's notes during the run. ``side`` holds this table and the three before by name.
     gaps
         int64 ``(n, 2)``: first sample after the gap, samples lost.
     attrs
@@ -79,7 +78,7 @@ class Recording(Closing):
     """
 
     def __repr__(self) -> str:
-        """What it holds, in a line."""
+        """File, channels, length and steps in a line."""
         seconds = self.n_samples / self.rate_hz
         return f"<Recording {self.path}: {', '.join(self.channels)}; {seconds:.3f} s, {len(self.steps)} steps>"
 
@@ -89,7 +88,7 @@ class Recording(Closing):
         self.path = path
         self.damage = tuple(damage)
         self._file, self._lost = file, dict(lost or {})
-        self._columns: dict[str, Any] = {}  # open datasets: each keeps the chunks it read last
+        self._columns: dict[str, Any] = {}  # open datasets: each holds the chunks that it read last
         self._holes: Holes | None = None
         self.frames = FrameFile(file, path, without=tuple(self._lost)) if FRAMES in file else None
         self.stored: dict[str, Any] = {k: _plain(v) for k, v in file.attrs.items()}
@@ -104,7 +103,7 @@ class Recording(Closing):
             raise InputError(f"{path}: damaged: rate_hz is {self.rate_hz:g}; wanted samples a second")
         self.channels: tuple[str, ...] = tuple(map(str, self.stored["channels"]))
         if not all(name.isidentifier() for name in self.channels):
-            raise InputError(f"{path}: damaged: channels called {self.channels}; wanted letters, digits and _ alone")
+            raise InputError(f"{path}: damaged: channels called {self.channels}; wanted only letters, digits and _")
         self._scales: dict[str, list[float]]
         if self.frames is not None:
             self.n_samples = self.frames.n_samples
@@ -208,7 +207,7 @@ class Recording(Closing):
         Parameters
         ----------
         channel, start, stop
-            Which samples; ``stop`` None is the end.
+            ``stop`` None is the end.
         out
             Array of the stored type to read into, at least as long; saves the allocation.
         """
@@ -244,8 +243,10 @@ class Recording(Closing):
         dataset = self._columns[channel]
         if out is None:
             out = np.empty(max(stop - start, 0), dataset.dtype)
-        if stop > start:
-            _read_span(dataset.id, start, out[: stop - start])
+        if stop > start:  # h5py's own selections cost as much as unpacking a chunk
+            there = dataset.id.get_space()
+            there.select_hyperslab((start,), (stop - start,))
+            dataset.id.read(h5py.h5s.create_simple((stop - start,)), there, out[: stop - start])
         return out[: max(stop - start, 0)]
 
     def read_v(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
@@ -277,13 +278,6 @@ class Recording(Closing):
         """Close the file."""
         self._columns.clear()
         self._file.close()
-
-
-def _read_span(dataset: Any, start: int, out: NDArray[Any]) -> None:
-    """Read values from ``start`` on into ``out`` (n,); h5py's own selections cost as much as unpacking a chunk."""
-    there = dataset.get_space()
-    there.select_hyperslab((start,), (len(out),))
-    dataset.read(h5py.h5s.create_simple((len(out),)), there, out)
 
 
 def _plain(value: Any) -> Any:

@@ -1,7 +1,6 @@
 """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk, or that is damaged.
 
-The file is only read; what is rebuilt is a new file, checked, marked as recovered. What cannot be
-read is a gap in it.
+The file is only read; what is rebuilt is a new file, checked, marked as recovered. What cannot be read is a gap in it.
 """
 
 from __future__ import annotations
@@ -9,17 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.recording.opening import UNCHECKED
-from daq.recording.reader import Recording
-from daq.recording.survey import examine
-from daq.recording.writer import now_utc
+from daq.recording.verify import examine
+from daq.recording.writer import copy_columns, now_utc
 from daq.setup.errors import InputError
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was recovered: into which file, how much, which blocks of the frames are gone, what was damaged.
+    """Result of a recovery: the file, its size, blocks of the frames that are gone, damage.
 
     ``is_less``: something that had been recorded is not there.
     """
@@ -34,7 +31,7 @@ class Recovery:
 
 
 def default_out(path: Path) -> Path:
-    """Where `recover` writes when nobody says: ``NAME.recovered.h5`` beside ``path``."""
+    """Default output of `recover`: ``NAME.recovered.h5`` in the folder of ``path``."""
     return path.with_name(f"{path.stem}.recovered{path.suffix}")
 
 
@@ -46,7 +43,7 @@ def recover(path: Path, out: Path | None = None) -> Recovery:
     path
         Recording that was cut off, or is damaged.
     out
-        File to create; the default is ``NAME.recovered.h5`` beside it.
+        File to create; the default is `default_out`.
 
     Raises
     ------
@@ -63,31 +60,16 @@ def recover(path: Path, out: Path | None = None) -> Recovery:
             raise InputError(f"{path}: was closed properly and is sound; there is nothing to recover.")
         if recording.n_samples == 0:
             raise InputError(f"{path}: no block had been recorded when it was cut off, or none can be read.")
-        return _rebuilt(recording, out, damage, looked.bad_blocks)
-
-
-def _rebuilt(recording: Recording, out: Path, damage: list[str], bad: list[int]) -> Recovery:
-    """Write the recovered file."""
-    n_samples, path = recording.n_samples, recording.path
-    changed: dict[str, object] = {"recovered": True, "recovered_at": now_utc(), "recovered_from": path.name}
-    if recording.stored["ended"] == "incomplete":
-        changed |= {"ended": "stopped", "why": f"cut off after {n_samples} samples, recovered"}
-    if damage:
-        changed["damage"] = "\n".join(damage)
-    dtypes = {name: recording.codes(name, 0, 1).dtype for name in recording.channels}
-    scales = {name: recording.scale(name) for name in recording.channels}
-    plain = {k: v.encode(errors="replace").decode() if isinstance(v, str) else v for k, v in recording.stored.items()}
-    attributes = plain | {"channels": list(recording.channels)} | changed
-    writer = ColumnWriter(out, recording.setup, dtypes, scales, attributes)
-    try:
-        for start in range(0, n_samples, CHUNK_SAMPLES):
-            stop = min(start + CHUNK_SAMPLES, n_samples)
-            columns = {name: recording.codes(name, start, stop) for name in recording.channels}
-            writer.append(recording.timestamps_ns(start, stop), columns)
-        writer.check(recording.steps, recording.blocks, recording.side)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.rename()
-    lost = int(recording.gaps[:, 1].sum())
-    return Recovery(out, n_samples, len(recording.steps), bad, lost, damage, recording.is_less)
+        changed: dict[str, object] = {"recovered": True, "recovered_at": now_utc(), "recovered_from": path.name}
+        if recording.stored["ended"] == "incomplete":
+            changed |= {"ended": "stopped", "why": f"cut off after {recording.n_samples} samples, recovered"}
+        if damage:
+            changed["damage"] = "\n".join(damage)
+        attributes = recording.stored | {"channels": list(recording.channels)} | changed
+        for key, value in attributes.items():
+            if isinstance(value, str):  # damaged text may not encode
+                attributes[key] = value.encode(errors="replace").decode()
+        copy_columns(recording, out, attributes)
+        lost = int(recording.gaps[:, 1].sum())
+        n_samples, n_steps = recording.n_samples, len(recording.steps)
+        return Recovery(out, n_samples, n_steps, looked.bad_blocks, lost, damage, recording.is_less)

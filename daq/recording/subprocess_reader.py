@@ -1,7 +1,7 @@
-"""A function in a process of its own, ended when it hangs; what it met is told either way.
+"""Call of a function in a process of its own, which is ended when it hangs.
 
-HDF5 loops, crashes or asks for all memory where a file's own tables are damaged. A file whose bytes
-nobody vouches for is first read in a process that may do so.
+HDF5 loops, crashes or asks for all memory where a file's own tables are damaged. A file without checksums is first read
+in a process that may do so.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from daq.setup.errors import InputError
 
@@ -29,7 +29,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a process answered, or why it did not, and the last thing that it was about to do."""
+    """Answer of a process, or why it gave none, and the last thing that it was about to do."""
 
     value: Any
     died: str = ""
@@ -39,30 +39,36 @@ class Answer:
 SERVE = "from daq.recording.subprocess_reader import serve; serve()"
 
 
-def apart(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
+def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
     """Call ``module:function`` in a process of its own.
 
     Parameters
     ----------
     function
-        Takes ``arguments``, and a function by which it tells what it is about to do, at least every ``patience_s``.
+        Takes ``arguments``, and a function by which it says what it is about to do, at least every ``patience_s``.
         Arguments and answer are what JSON knows.
 
     Raises
     ------
     InputError, OSError
-        As the function did; whatever else ends it is told in the answer.
+        As the function did; whatever else ends it is in the answer.
     """
     places = [str(Path(entry or ".").resolve()) for entry in sys.path]
     errors: list[str] = []
     said: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+
+    def pass_on() -> None:
+        for line in process.stdout or ():
+            said.put(line)
+        said.put(None)
+
     with subprocess.Popen(
         [sys.executable, "-c", SERVE, function, json.dumps(arguments)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace",
         env=os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1", "PYTHONIOENCODING": "utf-8"},
     ) as process:  # fmt: skip
         readers = [
-            threading.Thread(target=_pass_on, args=(process.stdout, said), daemon=True),
+            threading.Thread(target=pass_on, daemon=True),
             threading.Thread(target=lambda: errors.extend(process.stderr or ()), daemon=True),
         ]
         for reader in readers:
@@ -79,12 +85,6 @@ def apart(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Ans
         last = next((line.strip() for line in reversed(errors) if line.strip()), "")
         return Answer(None, f"reading it ended the process ({last or f'status {process.returncode}'})", answer.at)
     return answer
-
-
-def _pass_on(lines: IO[str] | None, said: queue.SimpleQueue[str | None]) -> None:
-    for line in lines or ():
-        said.put(line)
-    said.put(None)
 
 
 def _follow(said: queue.SimpleQueue[str | None], patience_s: float) -> Answer:
@@ -122,7 +122,7 @@ def serve() -> None:
 
 
 def limit_memory(n_bytes: int) -> None:
-    """Let this process have ``n_bytes`` more than it has; Linux only: elsewhere what a file claims is bounded alone."""
+    """Limit this process to ``n_bytes`` more than it has; on Linux only: elsewhere just a file's claims are bounded."""
     status = Path("/proc/self/statm")
     if sys.platform != "linux" or not status.exists():
         return

@@ -1,7 +1,7 @@
 """Write a recording while a run lasts, and turn its frames into columns when it ends.
 
-What was acknowledged is never lost. The frames stay until the column file beside them, which grows with them, has
-been written, read back and found right; one rename then puts it in their place.
+Acknowledged frames are never lost. They stay until the column file, which grows with them under another name, has been
+written, read back and found right; one rename then puts it in their place.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -24,9 +24,9 @@ from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording.live_columns import LiveColumns
 from daq.recording.opening import open_checked
-from daq.recording.provenance import software_commit, software_version
 from daq.recording.reader import Recording, timestamps_ns
 from daq.setup.errors import InputError
+from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
 
 RESERVE_BYTES = 8_000_000
@@ -65,7 +65,33 @@ def root_attributes(
     }
 
 
-class RecordingWriter:
+class ClosedRun:
+    """A context manager that closes a run which its owner did not close: an exception says why."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `close` was not called yet."""
+        raise NotImplementedError
+
+    def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
+        """End the recording."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self.is_open:
+            return
+        if error is None:
+            self.close("complete")
+        else:
+            self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
+
+
+class RecordingWriter(ClosedRun):
     """Record one run.
 
     Parameters
@@ -73,13 +99,13 @@ class RecordingWriter:
     path
         File to create; refused when it exists.
     setup
-        What is measured with what; its ``sampling.rate_hz`` is the recording's.
+        Its ``sampling.rate_hz`` is the recording's.
     profile_text
         The whole profile as its file says it.
     channels
         Names in the order of a block's columns.
     backend, simulated
-        Which back end, and whether it is a simulation.
+        Name of the back end, and whether it is a simulation.
     note, extra
         The operator's note and free keys (anything JSON knows).
     scenario_sha256
@@ -113,15 +139,12 @@ class RecordingWriter:
         self.path = Path(path)
         require_space(self.path, expected_samples, len(channels))
         attributes = root_attributes(
-            setup,
-            profile_text=profile_text,
-            backend=backend,
-            simulated=simulated,
-            note=note,
-            extra=extra,
+            setup, profile_text=profile_text, backend=backend, simulated=simulated, note=note, extra=extra,
             scenario_sha256=scenario_sha256,
-        )
-        known = {name: (scales or {}).get(name, _default_scale(setup, name)) for name in channels}
+        )  # fmt: skip
+        described = {name: getattr(setup.channels, name, None) for name in channels}
+        known = {name: (volts_per_code(c.range_v if c is not None else 10.0), 0.0) for name, c in described.items()}
+        known |= {name: scale for name, scale in (scales or {}).items() if name in known}
         attributes |= {
             "channels": list(channels),
             "scales_json": json.dumps(known),
@@ -132,12 +155,19 @@ class RecordingWriter:
         self._frames = FrameWriter(self.path, channels, attributes)
 
         def columns() -> ColumnWriter:
-            return _columns(self.path, setup, channels, known, attributes, overwrite=True)
+            return ColumnWriter(
+                self.path, setup, dict.fromkeys(channels, np.dtype("<i2")), known, attributes, overwrite=True
+            )
 
         def spare_bytes(n_samples: int) -> int:
             return RESERVE_BYTES + 2 * len(channels) * max(expected_samples - n_samples, 0)
 
         self._live = LiveColumns(columns, channels, setup.sampling.rate_hz, spare_bytes)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `close` was not called yet."""
+        return self._frames.is_open
 
     @property
     def n_samples(self) -> int:
@@ -174,12 +204,12 @@ class RecordingWriter:
         self._frames.mark_rows(table, rows)
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
-        """End the recording: finish the column file beside, check it, rename it into place.
+        """End the recording: finish the column file, check it, rename it into place.
 
         Parameters
         ----------
         how, why
-            How the run ended, and the reason where it was not completed.
+            The reason is for a run that was not completed.
         expected_samples
             Samples that the device must have given (played, or clocked). The recording is marked as suspect where
             recorded and declared as lost do not add up to that, within the uncertainty of the gaps.
@@ -192,7 +222,12 @@ class RecordingWriter:
         where = self.path
         try:
             if not self._frames.is_broken:
-                self._frames.end({"ended": how, "why": why, "ended_at": now_utc(), **self._balance(expected_samples)})
+                ending: dict[str, Any] = {"ended": how, "why": why, "ended_at": now_utc()}
+                if expected_samples is not None:
+                    missing = expected_samples - self._frames.n_samples - self._frames.n_lost
+                    suspect = abs(missing) > self._frames.n_doubtful
+                    ending |= {"expected_samples": expected_samples, "suspect": suspect}
+                self._frames.end(ending)
             where = self._frames.close()
             if where != self.path:
                 self._live.drop()
@@ -206,29 +241,9 @@ class RecordingWriter:
         if where != self.path:
             raise OSError(f"{self.path}: was removed while it was being written; all of the run is kept in {where}")
 
-    def _balance(self, expected_samples: int | None) -> dict[str, Any]:
-        """Whether recorded and lost samples add up."""
-        if expected_samples is None:
-            return {}
-        missing = expected_samples - self._frames.n_samples - self._frames.n_lost
-        return {"expected_samples": expected_samples, "suspect": abs(missing) > self._frames.n_doubtful}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close a run that its owner did not close: an exception says why."""
-        if self._frames.is_open:
-            if error is None:
-                self.close("complete")
-            else:
-                self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
-
 
 def require_space(path: Path, n_samples: int, n_channels: int) -> None:
-    """Refuse to begin what the disk cannot hold: frames, the column file beside them, and a reserve.
+    """Refuse to begin what the disk cannot hold: frames, the column file, and a reserve.
 
     Raises
     ------
@@ -244,22 +259,44 @@ def require_space(path: Path, n_samples: int, n_channels: int) -> None:
         )
 
 
-def _default_scale(setup: Setup, name: str) -> tuple[float, float]:
-    described = getattr(setup.channels, name, None)
-    return (volts_per_code(described.range_v if described is not None else 10.0), 0.0)
-
-
-def _columns(
-    target: Path,
-    setup: Setup,
-    names: Sequence[str],
-    scales: Mapping[str, tuple[float, float]],
+def copy_columns(
+    recording: Recording,
+    out: Path,
     attributes: Mapping[str, Any],
-    *,
-    overwrite: bool,
-) -> ColumnWriter:
-    """An empty column file of codes."""
-    return ColumnWriter(target, setup, dict.fromkeys(names, np.dtype("<i2")), scales, attributes, overwrite=overwrite)
+    progress: Callable[[int], None] | None = None,
+    **options: Any,
+) -> None:
+    """Write what an open recording holds as a column file.
+
+    Parameters
+    ----------
+    recording
+    out
+        File to create.
+    attributes
+        Root attributes.
+    progress
+        Called with the samples done.
+    options
+        Of `ColumnWriter`.
+
+    Raises
+    ------
+    InputError
+        When ``out`` exists and may not be replaced.
+    OSError
+        When the disk refuses.
+    """
+    names = recording.channels
+    dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
+    scales = {name: recording.scale(name) for name in names}
+    with ColumnWriter(out, recording.setup, dtypes, scales, attributes, **options) as writer:
+        for a in range(0, recording.n_samples, CHUNK_SAMPLES):
+            b = min(a + CHUNK_SAMPLES, recording.n_samples)
+            writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})
+            if progress is not None:
+                progress(b)
+        writer.check(recording.steps, recording.blocks, recording.side)
 
 
 def columns_from_frames(source: Path, target: Path, live: LiveColumns | None = None) -> list[int]:
@@ -270,7 +307,7 @@ def columns_from_frames(source: Path, target: Path, live: LiveColumns | None = N
     source, target
         Frames file and column file; the same path replaces it.
     live
-        What was written of it while the run lasted.
+        Columns that were written while the run lasted.
     """
     damaged: list[int] = []
     with open_checked(source, Checked()) as recording:
@@ -279,9 +316,9 @@ def columns_from_frames(source: Path, target: Path, live: LiveColumns | None = N
             raise InputError(f"{source}: is a column file already; nothing to do.")
         writer = None if live is None else live.finish(recording, dict(recording.stored))
         if writer is None:
-            names = recording.channels
-            scales = {n: recording.scale(n) for n in names}
-            writer = _columns(target, recording.setup, names, scales, recording.stored, overwrite=source == target)
+            dtypes = dict.fromkeys(recording.channels, np.dtype("<i2"))
+            scales = {n: recording.scale(n) for n in recording.channels}
+            writer = ColumnWriter(target, recording.setup, dtypes, scales, recording.stored, overwrite=source == target)
             try:
                 damaged = _copy(recording, frames, writer)
             except BaseException:

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.analysis import chains, instruments
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Chain, Job, jobs
 from benchmarks.plants.handed_over import Afterwards
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 
 
 def test_the_plan_holds_every_chain_with_every_hidden_cause():

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from daq.files.closing import Closing
+from daq.files.disk import Closing
 
 LONGEST_LINE = 1 << 16
 _BLOCK_BYTES = 1 << 22

@@ -11,7 +11,7 @@ from bench.batch.recordings import find_recordings
 from bench.batch.run import Batch, run_batch
 from bench.batch.table import columns
 from bench.cli import app
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 from daq.setup.errors import InputError
 
 PARTS = ("reprocess", "compare")

@@ -8,7 +8,7 @@ import shakerbench as sb
 from bench.batch.examine import PARTS
 from bench.batch.run import Batch, run_batch
 from bench.batch.table import write_table
-from daq.files.journal import Journal
+from daq.files.whole_file import Journal
 
 RECORDINGS = 6
 SMALL = {"ramp.gamma": [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0], "ramp.settle_cycles": 6, "ramp.hold_cycles": 12}

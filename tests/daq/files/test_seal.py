@@ -22,7 +22,7 @@ from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.recording.recover import recover
-from daq.recording.subprocess_reader import apart
+from daq.recording.subprocess_reader import in_subprocess
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -342,11 +342,11 @@ def test_a_process_that_hangs_or_dies_is_ended(tmp_path: Path, monkeypatch: pyte
     """What reads a damaged file may loop or crash: the answer says that, and where; a refusal comes through."""
     (tmp_path / "hands.py").write_text(HANDS, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    hung, dead = apart("hands:hang", patience_s=0.3), apart("hands:crash")
+    hung, dead = in_subprocess("hands:hang", patience_s=0.3), in_subprocess("hands:crash")
     assert (hung.at, "does not come to an end" in hung.died) == ("the index", True)
     assert (dead.at, "ended the process" in dead.died) == ("the heap", True)
     with pytest.raises(InputError, match="not this one"):
-        apart("hands:refuse")
+        in_subprocess("hands:refuse")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits a process' memory")
@@ -354,4 +354,4 @@ def test_a_process_that_asks_for_all_memory_is_refused(tmp_path: Path, monkeypat
     """A claim of 16 GB ends the process that believes it, not the machine."""
     (tmp_path / "hands.py").write_text(HANDS, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    assert "MemoryError" in apart("hands:hoard").died
+    assert "MemoryError" in in_subprocess("hands:hoard").died

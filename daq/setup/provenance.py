@@ -1,7 +1,4 @@
-"""Which software made a file: version and commit.
-
-An unknown commit is written as an empty text, never guessed.
-"""
+"""Version and commit of the software that makes a file; an unknown commit is an empty text, never guessed."""
 
 from __future__ import annotations
 
