@@ -82,12 +82,12 @@ class LoadedTones:
         return np.concatenate([[self.gravity], np.column_stack([fit.amplitudes.real, fit.amplitudes.imag]).ravel()])
 
     def load(self) -> Load:
-        """Sums for the load's share in the motion; raises ``ValueError`` where the tones cannot be told apart."""
+        """Sums for the load's share in the motion; raises ``ValueError`` where the tones cannot be distinguished."""
         x = self.unmasked.solve(0)
         columns = self._load_columns(x)
-        beside = self.unmasked_contact.gram @ columns
-        tones_of_load = self.unmasked.inverse() @ beside
-        square = float(columns @ beside - tones_of_load @ beside)
+        common = self.unmasked_contact.gram @ columns
+        tones_of_load = self.unmasked.inverse() @ common
+        square = float(columns @ common - tones_of_load @ common)
         cross = float(columns @ self.unmasked_contact.rhs[:, 0] - tones_of_load @ self.unmasked.rhs[:, 0])
         freedom = x.n - self.unmasked.gram.shape[0]
         return Load(cross, max(square, 0.0), x.rms**2 * freedom, x.n)
@@ -103,7 +103,7 @@ class LoadedTones:
         Raises
         ------
         ValueError
-            Where the values cannot tell the tones apart.
+            Where the values cannot distinguish the tones.
         """
         x = self.unmasked.solve(0)
         share, share_sigma = (self.load() if load is None else load).share()

@@ -1,7 +1,7 @@
 """Complex amplitudes of known tones by joint least squares: one estimator for the control loop and for the analysis.
 
-A complex amplitude ``z`` at ``f`` means ``Re[z exp(i 2 pi f n / rate)]`` with ``n`` counted from
-sample 0 of the recording, whatever piece of it is handed in, masked or not.
+A complex amplitude ``z`` at ``f`` means ``Re[z exp(i 2 pi f n / rate)]`` with ``n`` counted from sample 0 of the
+recording, whatever piece of it is handed in, masked or not.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +35,7 @@ class ToneFit:
     rms : float
         Root mean square of the residual, degrees of freedom counted.
     offset, offset_uncertainty : float
-        The constant fitted beside the tones, and its standard deviation.
+        The constant fitted with the tones, and its standard deviation.
     n : int
         Values used.
     """
@@ -90,6 +90,15 @@ class ToneFits:
         return cls(parts[0].frequencies_hz, *(np.concatenate(own) for own in each))
 
 
+class _Sums(NamedTuple):
+    """Normal matrices, right sides, sums of squares and numbers of values, each by sort; see `LockIn`."""
+
+    grams: Floats
+    sides: Floats
+    squares: Floats
+    counts: npt.NDArray[np.int64]
+
+
 class LockIn:
     """Normal equations of a joint tone fit, accumulated in one pass over any number of pieces.
 
@@ -100,12 +109,12 @@ class LockIn:
     frequencies_hz : array, shape (k,)
         Positive, pairwise different.
     channels : int
-        How many channels share the tones and the mask.
+        Number of channels, which share the tones and the mask.
     boxcar : int
         When the values are means over ``boxcar`` recorded samples each (then ``rate_hz`` is the rate of the means and
         a value's index is that of its mean): the boxcar's gain and delay are taken out exactly.
     sorts : int
-        How many sorts of values are kept apart (`part` gives the fit of some of them).
+        Number of sorts of values with sums of their own (`part` gives the fit of some of them).
     """
 
     def __init__(
@@ -117,50 +126,52 @@ class LockIn:
         if self.frequencies_hz.size and not np.all(np.isfinite(self.frequencies_hz) & (self.frequencies_hz > 0)):
             raise ValueError(f"tone frequencies must be positive and finite, got {self.frequencies_hz}")
         p = 2 * self.frequencies_hz.size + 1
-        self._grams = np.zeros((sorts, p, p))
-        self._sides = np.zeros((sorts, p, channels))
-        self._squares = np.zeros((sorts, channels))
-        self._counts = np.zeros(sorts, dtype=np.int64)
+        self._sums = _Sums(
+            np.zeros((sorts, p, p)), np.zeros((sorts, p, channels)), np.zeros((sorts, channels)),
+            np.zeros(sorts, dtype=np.int64),
+        )  # fmt: skip
         self._response = boxcar_response(self.frequencies_hz, self.rate_hz, boxcar)
         self.forget()
 
     def forget(self) -> None:
-        """Drop what was solved, and keep the sums."""
+        """Drop the solutions, not the sums."""
         self._inverse: Floats | None = None
         self._fits: dict[int, ToneFit] = {}
         self._parts: dict[tuple[int, ...], LockIn] = {}
 
-    def _of_sums(self, grams: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]) -> LockIn:
+    def _of_sums(self, sums: _Sums) -> LockIn:
         """A fit of the same tones from other sums."""
         own = object.__new__(LockIn)  # the tones are known to be sound
         own.rate_hz, own.boxcar = self.rate_hz, self.boxcar
         own.frequencies_hz, own._response = self.frequencies_hz, self._response
-        own._grams, own._sides, own._squares, own._counts = grams, sides, squares, counts
+        own._sums = sums
         own.forget()
         return own
 
     @property
     def gram(self) -> Floats:
         """Normal matrix over all sorts, shape (2k + 1, 2k + 1): constant, then cosine and sine of each tone."""
-        return np.asarray(self._grams[0] if len(self._grams) == 1 else self._grams.sum(axis=0))
+        grams = self._sums.grams
+        return np.asarray(grams[0] if len(grams) == 1 else grams.sum(axis=0))
 
     @property
     def rhs(self) -> Floats:
         """Right sides over all sorts, shape (2k + 1, channels)."""
-        return np.asarray(self._sides[0] if len(self._sides) == 1 else self._sides.sum(axis=0))
+        sides = self._sums.sides
+        return np.asarray(sides[0] if len(sides) == 1 else sides.sum(axis=0))
 
     @property
     def n(self) -> int:
         """Values used, of all sorts."""
-        return int(self._counts.sum())
+        return int(self._sums.counts.sum())
 
     @property
     def counts(self) -> npt.NDArray[np.int64]:
         """Values used, of each sort."""
-        return self._counts
+        return self._sums.counts
 
     def response(self) -> Complexes:
-        """What the boxcar makes of each tone, gain and delay, shape (k,)."""
+        """Response of the boxcar at each tone, gain and delay, shape (k,)."""
         return self._response
 
     def add(self, x: npt.ArrayLike, first: int, mask: npt.ArrayLike | None = None) -> None:
@@ -176,8 +187,8 @@ class LockIn:
         """
         values = np.asarray(x, dtype=np.float64)
         values = values.reshape(values.shape[0], -1)
-        if values.shape[1] != self._sides.shape[2]:
-            raise ValueError(f"expected {self._sides.shape[2]} channels, got {values.shape[1]}")
+        if values.shape[1] != self._sums.sides.shape[2]:
+            raise ValueError(f"expected {self._sums.sides.shape[2]} channels, got {values.shape[1]}")
         sort = np.zeros(values.shape[0], dtype=np.int8)
         if mask is not None:
             given = np.asarray(mask)
@@ -186,96 +197,69 @@ class LockIn:
             raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")
         cycles = self.frequencies_hz / self.rate_hz
         self.forget()
-        accumulate(
-            np.ascontiguousarray(values),
-            sort,
-            int(first),
-            cycles,
-            self._response,
-            self._grams,
-            self._sides,
-            self._squares,
-            self._counts,
-        )
+        accumulate(np.ascontiguousarray(values), sort, int(first), cycles, self._response, self._sums)
 
     def add_stretches(self, x: npt.ArrayLike, edges: npt.NDArray[np.int64]) -> None:
         """Accumulate values ``edges[0] .. edges[-1] - 1`` of the only channel, those between two edges as a sort."""
         values = np.ascontiguousarray(x, dtype=np.float64)
         if values.shape != (int(edges[-1] - edges[0]),):
             raise ValueError(f"expected {edges[-1] - edges[0]} values of one channel, got shape {values.shape}")
+        cycles = self.frequencies_hz / self.rate_hz
         self.forget()
-        add_stretches(
-            values,
-            np.ascontiguousarray(edges, dtype=np.int64),
-            self.frequencies_hz / self.rate_hz,
-            self._response,
-            self._grams,
-            self._sides,
-            self._squares,
-            self._counts,
-        )
+        add_stretches(values, np.ascontiguousarray(edges, dtype=np.int64), cycles, self._response, self._sums)
 
     def part(self, sorts: npt.ArrayLike) -> LockIn:
-        """The fit of some sorts alone: one object for each choice until values are added, not to be added to."""
+        """The fit of only some sorts: one object for each choice until values are added, not to be added to."""
         chosen = np.asarray(sorts, dtype=np.int64)
         key = tuple(chosen.tolist())
         if key not in self._parts:
-            self._parts[key] = self._summed(chosen)
+            total = _Sums(*(np.zeros((1, *each.shape[1:]), each.dtype) for each in self._sums))
+            add_sorts(chosen, self._sums, total)
+            self._parts[key] = self._of_sums(total)
         return self._parts[key]
 
-    def _summed(self, chosen: npt.NDArray[np.int64]) -> LockIn:
-        """Sums over the chosen sorts as those of one sort."""
-        own = self._grams, self._sides, self._squares, self._counts
-        sums = tuple([np.zeros((1, *each.shape[1:]), each.dtype) for each in own])
-        add_sorts(chosen, *own, *sums)
-        return self._of_sums(*sums)
-
     def only(self, tones: Mask) -> LockIn:
-        """The fit of the chosen ``tones`` (k,) alone, of all sorts, from the sums there are; not to be added to."""
+        """The fit of only the chosen ``tones`` (k,), of all sorts, from the sums there are; not to be added to."""
         rows = np.append(0, (2 * np.flatnonzero(tones)[:, None] + [1, 2]).ravel())
         gram, side = self.gram[None, rows[:, None], rows], self.rhs[None, rows]
-        part = self._of_sums(gram, side, self._squares.sum(axis=0)[None], self._counts.sum()[None])
+        part = self._of_sums(_Sums(gram, side, *(each.sum(axis=0)[None] for each in self._sums[2:])))
         part.frequencies_hz, part._response = self.frequencies_hz[tones], self._response[tones]
         return part
 
     def __add__(self, other: LockIn) -> LockIn:
         """The fit of both pieces together (same tones, same channels, sorts merged)."""
-        total = LockIn(self.rate_hz, self.frequencies_hz, self._sides.shape[2], self.boxcar)
-        total._grams[0] = self.gram + other.gram
-        total._sides[0] = self.rhs + other.rhs
-        total._squares[0] = self._squares.sum(axis=0) + other._squares.sum(axis=0)
-        total._counts[0] = self.n + other.n
-        return total
+        pairs = zip(self._sums, other._sums, strict=True)
+        return self._of_sums(_Sums._make(a.sum(axis=0)[None] + b.sum(axis=0)[None] for a, b in pairs))
 
     def __sub__(self, other: LockIn) -> LockIn:
         """The fit without the values of ``other``, which are some of these (same tones, same channels, one sort)."""
-        sums = self._grams - other._grams, self._sides - other._sides, self._squares - other._squares
-        return self._of_sums(*sums, self._counts - other._counts)
+        return self._of_sums(_Sums._make(a - b for a, b in zip(self._sums, other._sums, strict=True)))
 
     def inverse(self) -> Floats:
-        """Inverse of the normal matrix; raises ``ValueError`` when the values cannot tell the tones apart."""
+        """Inverse of the normal matrix; raises ``ValueError`` when the values cannot distinguish the tones."""
         if self._inverse is None:
             self._inverse = _inverses(self.gram[None], np.array([self.n]), self.frequencies_hz)[0]
         return self._inverse
 
     def solve(self, channel: int = 0) -> ToneFit:
-        """Fit of one channel; raises ``ValueError`` when the values cannot tell the tones apart."""
+        """Fit of one channel; raises ``ValueError`` when the values cannot distinguish the tones."""
         if channel not in self._fits:
-            square = float(np.add.reduce(self._squares[:, channel]))
+            square = float(np.add.reduce(self._sums.squares[:, channel]))
             self._fits[channel] = solved(self.frequencies_hz, self.inverse(), self.rhs[:, channel], square, self.n)
         return self._fits[channel]
 
     def solve_each(self, channel: int = 0) -> ToneFits:
-        """Fits of every sort alone; raises ``ValueError`` when one cannot tell the tones apart."""
-        inverses = _inverses(self._grams, self._counts, self.frequencies_hz)
-        sums = self._sides[:, :, channel], self._squares[:, channel], self._counts
-        solutions, variances = _solutions(inverses, *sums)
-        amplitudes = solutions[:, 1::2] + 1j * solutions[:, 2::2]
-        return ToneFits(self.frequencies_hz, amplitudes, solutions[:, 0], np.sqrt(variances), self._counts)
+        """A fit of each sort; raises ``ValueError`` when one cannot distinguish the tones."""
+        grams, sides, squares, counts = self._sums
+        inverses, sides = _inverses(grams, counts, self.frequencies_hz), sides[:, :, channel]
+        solutions = (inverses @ sides[:, :, None])[:, :, 0]
+        left = np.maximum(squares[:, channel] - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
+        rms = np.sqrt(left / (counts - sides.shape[1]))
+        return ToneFits(self.frequencies_hz, solutions[:, 1::2] + 1j * solutions[:, 2::2], solutions[:, 0], rms, counts)
 
 
 def boxcar_response(frequencies_hz: Floats, rate_hz: float, boxcar: int) -> Complexes:
-    """What the mean over ``boxcar`` samples, ``rate_hz`` means a second, makes of each tone, shape (k,)."""
+    """Response of the mean over ``boxcar`` samples, ``rate_hz`` means a second, at each tone, shape (k,)."""
     theta = np.pi * frequencies_hz / (rate_hz * boxcar)  # half a recorded sample's phase
     gain = np.sin(boxcar * theta) / (boxcar * np.sin(theta))
     return np.asarray(gain * np.exp(1j * theta * (boxcar - 1)))
@@ -311,15 +295,6 @@ def solved(frequencies_hz: Floats, inverse: Floats, side: Floats, square: float,
         offset_uncertainty=math.sqrt(inverse[0, 0] * variance),
         n=n,
     )
-
-
-def _solutions(
-    inverses: Floats, sides: Floats, squares: Floats, counts: npt.NDArray[np.int64]
-) -> tuple[Floats, Floats]:
-    """Unknowns (m, 2k + 1) and variances of the residuals (m,) from the sums of each of m fits."""
-    solutions = (inverses @ sides[:, :, None])[:, :, 0]
-    sums = np.maximum(squares - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
-    return solutions, sums / (counts - sides.shape[1])
 
 
 def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floats) -> Floats:

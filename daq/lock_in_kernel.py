@@ -1,6 +1,7 @@
 """Inner loops of `daq.lock_in`: sums over values, and inverses of normal matrices.
 
-Sums run along memory, so that the processor takes several values at a time.
+``sums`` are normal matrices (sorts, p, p), right sides (sorts, p, channels), sums of squares (sorts, channels) and
+numbers of values (sorts,). They run along memory, so that the processor takes several values at a time.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ RESYNC = 512  # samples between exact restarts of the rotating phasors: rounding
 
 @njit(error_model="numpy")
 def turns(cycles, cosine, sine):  # type: ignore[no-untyped-def]
-    """Cosine and sine (k, n) of what tones turn by in 0 to n - 1 values, ``cycles`` (k,) in each."""
+    """Cosine and sine (k, n) of the turns of tones over 0 to n - 1 values, ``cycles`` (k,) in each."""
     for j in range(cycles.shape[0]):
         step, turn = np.exp(2j * np.pi * cycles[j]), 1.0 + 0j
         for i in range(cosine.shape[1]):
@@ -23,11 +24,12 @@ def turns(cycles, cosine, sine):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def accumulate(x, sort, first, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
+def accumulate(x, sort, first, cycles, response, sums):  # type: ignore[no-untyped-def]
     """Add the normal equations of the rows of ``x`` to those of their sort.
 
     In each stretch of `RESYNC` values those of one sort stand together, so that the sums run along memory.
     """
+    grams, sides, squares, counts = sums
     n, channels = x.shape
     k, sorts = cycles.shape[0], grams.shape[0]
     p = 2 * k + 1
@@ -110,11 +112,12 @@ def _add_product(a, b, total, gram, side, square):  # type: ignore[no-untyped-de
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-def add_stretches(x, edges, cycles, response, grams, sides, squares, counts):  # type: ignore[no-untyped-def]
+def add_stretches(x, edges, cycles, response, sums):  # type: ignore[no-untyped-def]
     """Add the normal equations of successive whole stretches of one channel, each to a sort of its own.
 
     What tones have in common over an unbroken stretch is known in closed form: only sums with ``x`` are left.
     """
+    grams, sides, squares, counts = sums
     k = cycles.shape[0]
     longest = min(RESYNC, x.shape[0])
     cosine, sine = np.empty((k, longest)), np.empty((k, longest))
@@ -146,7 +149,7 @@ def add_stretches(x, edges, cycles, response, grams, sides, squares, counts):  #
 
 @njit(error_model="numpy")
 def _phases(cycles, sample, response, at):  # type: ignore[no-untyped-def]
-    """Each tone at a sample, as what the boxcar makes of it."""
+    """Each tone at a sample, after the boxcar."""
     for j in range(cycles.shape[0]):
         phase = cycles[j] * sample
         at[j] = np.exp(2j * np.pi * (phase - np.floor(phase))) * response[j]
@@ -183,8 +186,10 @@ def _add_common(at, cycles, n, gram):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def add_sorts(chosen, grams, sides, squares, counts, gram, side, square, count):  # type: ignore[no-untyped-def]
-    """Add the sums of the ``chosen`` sorts, one after the other, to those of the only sort of the last four."""
+def add_sorts(chosen, sums, total):  # type: ignore[no-untyped-def]
+    """Add the sums of the ``chosen`` sorts, one after the other, to those of the only sort of ``total``."""
+    grams, sides, squares, counts = sums
+    gram, side, square, count = total
     for s in chosen:
         count[0] += counts[s]
         for a in range(grams.shape[1]):

@@ -23,7 +23,7 @@ import numpy as np
 import daq.clocks.lag
 import daq.clocks.sample_loss
 from daq.clocks.lag import LagFit, PlayedBuffer
-from daq.clocks.loss_search import Beside
+from daq.clocks.loss_search import InThread
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block, BlockFlag
 
@@ -36,7 +36,7 @@ FIT_SUMS = 16  # multiplications a frame, in the sums of a fit
 CASES = ("clean", "lost", "dry", "unplugged", "storm")
 
 
-class Caught(Beside):
+class Caught(InThread):
     """Searches beside, which this benchmark waits for between blocks: it hands them over faster than a card does."""
 
     def wait(self) -> None:
@@ -85,7 +85,7 @@ def counted(counter: Counter) -> Iterator[None]:
     wrap(PlayedBuffer, "piece", lambda played, start, stop: 2 * abs(stop - start))
     wrap(PlayedBuffer, "add", lambda played, drive_v: 2 * len(drive_v))
     wrap(LossDetector, "_volts", lambda finder: 4 * finder._n_waiting)  # concatenated, its mean, spread and extremes
-    wrap(LossDetector, "_settled", lambda finder, *found: finder._n_waiting + 2 * finder._chunk)
+    wrap(LossDetector, "_settled", lambda finder, *found, **flag: finder._n_waiting + 2 * finder._chunk)
     wrap(daq.clocks.lag, "candidates", lambda played, heard, first, low, high, gain: 60 * (high - low + len(heard)))
     try:
         yield

@@ -2,7 +2,7 @@
 
 Nothing is resampled. The drive is looped back into the device. A start marker assigns once, without ambiguity, played
 samples to frames; from there the looped-back drive is compared with the played one, window by window
-(`daq.clocks.lag.lag_at`). Raw readings are kept, and the map fitted to them carries its uncertainty.
+(`daq.clocks.lag.lag_at`). Raw readings are stored, and the map fitted to them carries its uncertainty.
 
 The place of frame ``m`` among the played samples is ``m + s(m)``. Its lag ``s`` is an integrated random walk: the rate
 of a quartz wanders with its temperature. Kalman filter forwards, Rauch-Tung-Striebel smoother backwards (AIAA J. 3,
@@ -30,10 +30,10 @@ WORST_PPM = 500.0  # by which two clocks may differ
 SURE_SAMPLES = 1.0  # largest uncertainty of a window that counts as a reading
 JUMP_SAMPLES = 0.5
 BROKEN = 4.0  # times the usual misfit, beyond which a window was cut or patched and says nothing
-USUAL = 31  # windows from which the usual misfit is told
+USUAL = 31  # windows that give the usual misfit
 WANDERS = 10.0 ** np.arange(-24.0, -13.0)  # variance of the rate gained in one sample, tried one by one
 START_RATE = WORST_PPM * 1e-6
-UNKNOWN = 1e6  # variance of a lag of which nothing is known, samples squared
+UNKNOWN = 1e6  # variance of an unknown lag, samples squared
 
 
 def start_marker(rate_hz: float) -> Floats:
@@ -48,7 +48,7 @@ def start_marker(rate_hz: float) -> Floats:
 
 
 def find_marker(heard_v: Floats, marker: Floats) -> float | None:
-    """Where in ``heard_v`` the marker begins, in samples and parts of one; None where it is absent."""
+    """Place in ``heard_v`` at which the marker begins, in samples and parts of one; None where it is absent."""
     if len(heard_v) <= len(marker):
         return None
     match = sliding_products(heard_v - heard_v.mean(), marker)

@@ -43,7 +43,7 @@ class Lag:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Played samples from index ``first`` on."""
+    """Played samples ``held`` (n,) from index ``first`` on."""
 
     first: int
     held: Floats
@@ -67,7 +67,7 @@ class PlayedBuffer:
     Parameters
     ----------
     keep
-        How many are kept, `LATENCY` at least.
+        Number of samples that stay, `LATENCY` at least.
     """
 
     def __init__(self, keep: int) -> None:
@@ -76,11 +76,11 @@ class PlayedBuffer:
 
     @property
     def first(self) -> int:
-        """Index of the first sample that is kept."""
+        """Index of the first sample that is left."""
         return max(self.stop - len(self._ring), -LATENCY)
 
     def add(self, drive_v: Floats) -> None:
-        """Append what was handed to the device."""
+        """Append samples handed to the device."""
         n = len(self._ring)
         drive_v = drive_v[-n:]
         place = (self.stop + max(len(drive_v) - n, 0)) % n
@@ -90,7 +90,7 @@ class PlayedBuffer:
         self.stop += len(drive_v)
 
     def piece(self, start: int, stop: int) -> Floats:
-        """Samples ``start .. stop``; beyond what is kept the nearest is repeated."""
+        """Samples ``start .. stop``; beyond what is left the nearest is repeated."""
         low, high = (min(max(k, self.first), self.stop) for k in (start, stop))
         n = len(self._ring)
         place = low % n
@@ -101,7 +101,7 @@ class PlayedBuffer:
         return Stretch(low, inside if len(inside) else self._ring[[(low - 1) % n]]).piece(start, stop)
 
     def stretch(self, start: int, stop: int) -> Stretch:
-        """A copy of samples ``start .. stop``, as far as they are kept."""
+        """A copy of samples ``start .. stop``, as far as they are left."""
         low = min(max(start, self.first), self.stop - 1)
         return Stretch(low, self.piece(low, min(max(stop, low + 1), self.stop)))
 

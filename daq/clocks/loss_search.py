@@ -1,7 +1,7 @@
-"""Searches for latency and losses, run at once or in a thread beside the run.
+"""Searches for latency and losses, run at once or in a thread of their own.
 
-A question holds copies of all it needs, and its answer depends on nothing else: so it does not
-matter when the answer comes. With a device the search runs beside the run, with a simulated rig at once.
+A question holds copies of all it needs, and its answer depends on nothing else: so it does not matter when the answer
+comes. With a device the search runs in a thread, with a simulated rig at once.
 """
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.clocks.lag import LARGEST, LATENCY, Floats, Lag, Stretch, candidates, lag_at
+from daq.clocks.lag import LARGEST, LATENCY, Floats, Stretch, candidates, lag_at
 
 SURE_SAMPLES = 0.05  # a lag known less well than this decides nothing
 SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
 CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything
 MISFIT = 4.0  # times what a fit usually leaves over: more does not fit
-LIKE_NOISE = 0.1  # of the heard drive: what a fit may leave over when the latency is told
+LIKE_NOISE = 0.1  # of the heard drive: what the fit of a latency may leave over
 
 
 @dataclass(frozen=True)
 class Found:
-    """An answer: what was heard before ``at`` fits the lag known before, the rest fits ``lag``.
+    """An answer: frames before ``at`` fit the lag known before, the rest fits ``lag``.
 
     Attributes
     ----------
     lag
-        The lag from there on; None where nothing that was played fits.
+        The lag from there on; None where no played sample fits.
     at, lost, uncertainty
-        Frame of the piece before which samples are missing, how many, and by how much that may be off.
+        Frame of the piece before which samples are missing, their number, and its uncertainty.
     gain, rms_v
-        Heard volts a played volt, and what the fit leaves over.
+        Heard volts a played volt, and the fit's residual.
     """
 
     lag: float | None
@@ -47,18 +47,18 @@ NOTHING = Found(None)
 
 
 class Question(Protocol):
-    """A search that is to be made."""
+    """A search for a latency or a loss."""
 
     def answer(self) -> Found:
-        """Make it."""
+        """Search."""
 
 
 @dataclass(frozen=True)
 class WhichLatency:
-    """How long the drive takes to come back, once it moves.
+    """Search for the time that the drive takes to come back, once it moves.
 
-    A drive that grows looks like itself a part of a cycle earlier, only smaller: where several latencies fit, more is
-    listened to before one is believed.
+    A drive that grows looks like itself a part of a cycle earlier, only smaller: where several latencies fit, a longer
+    piece is taken before one is believed.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class WhichLatency:
     lost
         Samples lost so far.
     last
-        Whether no more is listened to.
+        Whether there will be no longer piece.
     """
 
     played: Stretch
@@ -96,13 +96,13 @@ class WhichLoss:
     played, heard, first
         Played samples, recorded loop-back (n,), and the number of its first frame.
     before
-        Loop-back before it.
+        Loop-back before the piece.
     lag, gain, usual_v
         The lag before, the gain of the loop-back, and the usual residual of a fit.
     chunk
         Frames that are looked at together.
     excess_samples
-        By how many the clock beside the blocks ran ahead; None without a clock.
+        Samples by which the blocks' clock ran ahead; None without a clock.
     counted
         Whether that clock is the device's own count: a loss that it contradicts by half a period is none.
     """
@@ -120,11 +120,26 @@ class WhichLoss:
 
     def answer(self) -> Found:
         """The loss that fits; of several the one nearest to the clock's."""
-        old, whole = self.lag, [f for f in self._fitting() if self._is_possible(f)]
+        old, start = self.lag, self.first
+        low, limit_v = round(old), MISFIT * self.usual_v
+        tail = self.heard[-min(self.chunk, len(self.heard)) // 2 :]
+        start += len(self.heard) - len(tail)
+        found = candidates(self.played, tail, start, low - self.chunk, low + LARGEST, self.gain)
+        found = [f for f in found if f.rms_v < limit_v]
+        if not found:  # no lag fits the end of the piece: try the whole piece near the old one
+            near = lag_at(self.played, self.heard, self.first, low)
+            found = [near] if near.rms_v < limit_v else []
+        expected = self.excess_samples or 0.0
+        whole = []
+        for f in found:
+            off = f.samples - old
+            contradicted = self.counted and abs(off - expected) > self.chunk / 2
+            # a lag goes backwards only where frames are there twice
+            if not contradicted and abs(off - round(off)) < 0.3 and (off > -0.5 or self._repeats(round(-off))):
+                whole.append(f)
         if not whole:
             return NOTHING
-        wanted = self.excess_samples or 0.0
-        best = min(whole, key=lambda f: abs(f.samples - old - wanted))
+        best = min(whole, key=lambda f: abs(f.samples - old - expected))
         lost = round(best.samples - old)
         if lost == 0:
             return NOTHING
@@ -132,25 +147,6 @@ class WhichLoss:
         ambiguity_samples = min(rivals) if rivals and self.excess_samples is None else 0.0
         uncertainty = int(np.ceil(max(ambiguity_samples, 3.0 * best.sigma) - 0.5))
         return Found(old + lost, self._where(old + lost), lost, uncertainty)
-
-    def _fitting(self) -> list[Lag]:
-        """Lags at which the end of the piece fits; else those at which all of it does."""
-        tail = self.heard[-min(self.chunk, len(self.heard)) // 2 :]
-        start = self.first + len(self.heard) - len(tail)
-        low = round(self.lag)
-        found = candidates(self.played, tail, start, low - self.chunk, low + LARGEST, self.gain)
-        found = [f for f in found if f.rms_v < MISFIT * self.usual_v]
-        if found:
-            return found
-        near = lag_at(self.played, self.heard, self.first, low)
-        return [near] if near.rms_v < MISFIT * self.usual_v else []
-
-    def _is_possible(self, found: Lag) -> bool:
-        """Whole samples off, and backwards only where frames are there twice."""
-        off = found.samples - self.lag
-        if self.counted and abs(off - (self.excess_samples or 0.0)) > self.chunk / 2:
-            return False
-        return abs(off - round(off)) < 0.3 and (off > -0.5 or self._repeats(round(-off)))
 
     def _repeats(self, n: int) -> bool:
         """Whether ``n`` frames are there twice, noise and all; a loss of the rest of a period only looks like it."""
@@ -196,14 +192,14 @@ class AtOnce:
         return True
 
     def answer(self, *, wait: bool) -> Found:
-        """What was found."""
+        """The answer to the last question."""
         return self._found
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is no thread."""
 
 
-class Beside:
+class InThread:
     """Answers in a thread of its own; one question at a time, so that nothing piles up."""
 
     def __init__(self) -> None:
@@ -218,7 +214,7 @@ class Beside:
         return True
 
     def answer(self, *, wait: bool) -> Found | None:
-        """What was found, once it is."""
+        """The answer to the last question, once there is one."""
         if self._future is None or not (wait or self._future.done()):
             return None
         return self._future.result()

@@ -1,11 +1,11 @@
 """Sample-loss detection: number and place of the samples that a device lost, by loop-back and block clocks.
 
 Driver reports are not used. The looped-back drive is compared with the played samples: a jump of its lag is the
-number of samples missing there. A jump by a whole number of the drive's periods is invisible, so the clock that ran
-beside the blocks decides between the candidates.
+number of samples missing there. A jump by a whole number of the drive's periods is invisible, so the clock of the
+blocks decides between the candidates.
 
-What the sample path does with a block is bounded by the block's own length: the sums of one fit. Only where they do
-not fit is a lag searched for (`daq.clocks.loss_search`), beside the run; the blocks wait for the answer, in order.
+The work on a block is bounded by the block's own length: the sums of one fit. Only where they do not fit is a lag
+searched for (`daq.clocks.loss_search`), in a thread; the blocks wait for the answer, in order.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.clocks.lag import LARGEST, LATENCY, Floats, Lag, LagFit, PlayedBuffer, lag_at
+from daq.clocks.lag import LARGEST, LATENCY, Floats, LagFit, PlayedBuffer, lag_at
 from daq.clocks.loss_search import (
     CLOCK_SLACK,
     LIKE_NOISE,
@@ -32,7 +32,7 @@ from daq.clocks.loss_search import (
 from daq.files.tables import Block, BlockFlag
 
 CHUNK = 1024  # frames looked at together, at least
-OPENING = 8  # chunks from which the latency is told, at most
+OPENING = 8  # chunks that give the latency, at most
 PATIENCE = 3  # chunks held back, at most, to settle a loss
 SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
 HELD_S = 2.0  # of frames that wait for an answer; afterwards they are flagged and go on
@@ -44,8 +44,8 @@ CATCH_UP = 3  # times a block's frames, looked at in one call once an answer is 
 class BlockClock:
     """Seconds missing according to the clock at each block's end.
 
-    A block may be reported late, never early, so the least delay over a while is what the clock really says; it is
-    learned anew while the loop-back agrees that nothing is missing, so that two clocks that drift apart are no loss.
+    A block may be reported late, never early, so the least delay over a while is the clock's true one; it is learned
+    anew while the loop-back agrees that nothing is missing, so that two clocks that drift apart are no loss.
     """
 
     def __init__(self, rate_hz: float, keep: int = 64) -> None:
@@ -79,7 +79,7 @@ class LossDetector:
     chunk
         Frames looked at together; blocks wait until there are so many.
     searcher
-        Where searches run: at once, or `daq.clocks.loss_search.Beside`, for a device.
+        Where searches run: at once, or `daq.clocks.loss_search.InThread`, for a device.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class LossDetector:
         return self.heard_samples + self.lost_samples + self._n_waiting + self._declared + self._queued
 
     def flush(self) -> list[Block]:
-        """Settle what is waiting, however short; call it at the end."""
+        """Settle the waiting blocks, however short; call it at the end."""
         out = self._advance(self._queued + 1, wait=True)
         while self._waiting:
             out += self._look(patient=False) + self._advance(0, wait=True)
@@ -179,7 +179,7 @@ class LossDetector:
         return found
 
     def _taken_in(self, block: Block, volts: Floats) -> list[Block]:
-        """One block more of what is looked at together."""
+        """Add a block to those that are looked at together."""
         self._queued -= len(block.codes) + block.lost_before
         self._declared += block.lost_before
         if block.lost_before and self._lag is not None:
@@ -204,7 +204,7 @@ class LossDetector:
         return None if self._expected is None else self._expected + lost
 
     def _look(self, *, patient: bool) -> list[Block]:
-        """Examine what is waiting: settle it, wait for more, or ask for a search."""
+        """Examine the waiting blocks: settle them, wait for more, or ask for a search."""
         ended_ns, began_ns = self._waiting[-1][0].clock_ns, self._waiting[-1][0].adc_ns
         counted, before_last = self._counted()
         adc_s = self._adc.excess(began_ns, before_last)
@@ -217,24 +217,27 @@ class LossDetector:
         fit = self._fit
         now = fit.solve() if fit else lag_at(self._played, volts, self.heard_samples, round(self._lag))
         fits = now.rms_v < MISFIT * usual_v
-        if fits and self._is_silent(now, usual_v):
-            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+        moves = fit is not None and self._gain * fit.drive_v > MISFIT * usual_v
+        if fits and moves and now.gain < SILENT_PART * self._gain:  # silent: a search would find nothing
+            return self._settled(flag=int(BlockFlag.FILLED))
         if now.sigma > SURE_SAMPLES and fits:
             return self._settled(*self._by_adc())
         if fits and abs(now.samples - self._lag) < 0.5:
             self._rms.append(now.rms_v)
             self._lag += 0.05 * (now.samples - self._lag)
-            return self._settled(-1, 0, 0, 0)
+            return self._settled()
         if self._goes_on(volts, usual_v):
-            return self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+            return self._settled(flag=int(BlockFlag.FILLED))
         if patient and any(block.flags & BlockFlag.UNDERFLOW for block, _ in self._waiting):
             return []  # the drive ran dry, as is known: wait until it is back
-        return self._ask(self._which_loss(volts, usual_v))
-
-    def _is_silent(self, now: Lag, usual_v: float) -> bool:
-        """Whether the loop-back is silent while the drive moves; then a search would find nothing."""
-        moves = self._fit is not None and self._gain * self._fit.drive_v > MISFIT * usual_v
-        return moves and now.gain < SILENT_PART * self._gain
+        low = self.heard_samples + round(self._lag) - self._chunk - LARGEST // 8
+        high = self.heard_samples + round(self._lag) + LARGEST + len(volts) + self._chunk
+        wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
+        counted_by_device = adc_s is not None and self._adc.jitter_s < COUNTED_S
+        return self._ask(WhichLoss(
+            self._played.stretch(low, high), volts, self.heard_samples, self._before, self._lag, self._gain, usual_v,
+            self._chunk, wanted, counted_by_device,
+        ))  # fmt: skip
 
     def _goes_on(self, volts: Floats, usual_v: float) -> bool:
         """Whether the latest loop-back fits as before and the clock shows no loss: then it was a disturbance."""
@@ -246,17 +249,6 @@ class LossDetector:
         last = lag_at(self._played, tail, start, round(lag), iterations=1)
         fits = last.rms_v < MISFIT * usual_v and last.sigma < SURE_SAMPLES
         return fits and abs(last.samples - lag) < 0.5 and abs(last.gain / self._gain - 1.0) < 0.1
-
-    def _which_loss(self, volts: Floats, usual_v: float) -> WhichLoss:
-        """The search for what is missing in what is waiting."""
-        lag, excess_s = self._lag or 0.0, self._excess_s[0]
-        low = self.heard_samples + round(lag) - self._chunk - LARGEST // 8
-        high = self.heard_samples + round(lag) + LARGEST + len(volts) + self._chunk
-        wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
-        return WhichLoss(
-            self._played.stretch(low, high), volts, self.heard_samples, self._before, lag, self._gain, usual_v,
-            self._chunk, wanted, self._excess_s[1] is not None and self._adc.jitter_s < COUNTED_S,
-        )  # fmt: skip
 
     def _begin(self) -> list[Block]:
         """The latency, once the drive moves: as expected, or searched for."""
@@ -284,7 +276,7 @@ class LossDetector:
         return []
 
     def _concluded(self, found: Found) -> list[Block]:
-        """What an answer means for the blocks that waited for it."""
+        """Settle the blocks that waited for an answer, by it."""
         self._question = None
         if self._lag is None:
             if found.lag is not None:
@@ -292,31 +284,31 @@ class LossDetector:
                 self._rms.append(found.rms_v)
             return self._settled(*self._by_adc())
         if found.lag is None:
-            return [] if self._patient else self._settled(-1, 0, 0, int(BlockFlag.FILLED))
+            return [] if self._patient else self._settled(flag=int(BlockFlag.FILLED))
         self._lag = found.lag
-        return self._settled(found.at, found.lost, found.uncertainty, 0)
+        return self._settled(found.at, found.lost, found.uncertainty)
 
-    def _by_adc(self) -> tuple[int, int, int, int]:
-        """Loss by the device's own time, to its jitter, where the drive does not determine it."""
+    def _by_adc(self) -> tuple[int, int, int]:
+        """Loss by the device's own time, to its jitter, where the drive does not determine it; as for `_settled`."""
         adc_s, jitter_s = self._excess_s[1], self._adc.jitter_s
         if adc_s is None or adc_s < max(1.5 / self._rate_hz, 8.0 * jitter_s):
-            return -1, 0, 0, 0
+            return -1, 0, 0
         lost = round(adc_s * self._rate_hz)
         if self._lag is not None:
             self._lag += lost
-        return 0, lost, int(np.ceil(jitter_s * self._rate_hz)), 0
+        return 0, lost, int(np.ceil(jitter_s * self._rate_hz))
 
     def _volts(self) -> Floats:
-        """The looped-back drive of what is waiting."""
+        """The looped-back drive of the waiting blocks."""
         return np.concatenate([volts for _, volts in self._waiting])
 
     def _counted(self) -> tuple[int, int]:
-        """Samples counted up to the end of what is waiting, and up to its last block."""
+        """Samples counted up to the end of the waiting blocks, and up to the last one."""
         counted = self.heard_samples + self.lost_samples + self._n_waiting + self._declared
         return counted, counted - len(self._waiting[-1][1])
 
-    def _settled(self, at: int, lost: int, sigma: int, flag: int) -> list[Block]:
-        """What was waiting, with ``lost`` samples missing before frame ``at`` of it."""
+    def _settled(self, at: int = -1, lost: int = 0, sigma: int = 0, flag: int = 0) -> list[Block]:
+        """The blocks that waited, with ``lost`` (+- ``sigma``) samples missing before frame ``at`` of them."""
         blocks = [block for block, _ in self._waiting]
         self._before = np.concatenate([self._before, self._volts()])[-2 * self._chunk :]
         if lost == 0 and not flag:
@@ -357,12 +349,12 @@ class LossDetector:
 
 def _without(blocks: list[Block], at: int, n: int) -> list[Block]:
     """Blocks without ``n`` repeated frames from frame ``at`` on, flagged where frames were taken out."""
-    kept = []
+    left = []
     for block in blocks:
         mask = np.ones(len(block.codes), np.bool_)
         mask[max(at, 0) : max(at + n, 0)] = False
         changed = not mask.all()
         flags = block.flags | (int(BlockFlag.FILLED) if changed else 0)
-        kept.append(replace(block, codes=block.codes[mask], flags=flags))
+        left.append(replace(block, codes=block.codes[mask], flags=flags))
         at -= len(block.codes)
-    return [b for b in kept if len(b.codes)]
+    return [b for b in left if len(b.codes)]

@@ -1,8 +1,8 @@
 """The serial wire format: bytes in, frames out, no I/O inside; the layout is in docs/reference/serial-frame.md.
 
-Any byte stream yields good frames or counted losses, never an exception and never a wrong sample.
-A frame counts only when its CRC-32 fits, its size is what its header says, and its counters go on from those of the
-frame before by no more than the frames between could have held.
+Any byte stream yields good frames or counted losses, never an exception and never a wrong sample. A frame counts only
+when its CRC-32 fits, its size is what its header says, and its counters go on from those of the frame before by no more
+than the frames between could have held.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class SerialFrame:
 
 @dataclass
 class WireCounts:
-    """What came over the wire since the decoder was made.
+    """Counts of what came over the wire since the decoder was made.
 
     Attributes
     ----------
@@ -115,13 +115,9 @@ class FrameDecoder:
         self._last: SerialFrame | None = None
 
     def feed(self, data: bytes) -> list[SerialFrame]:
-        """Take in what was read; gives back the frames that are complete, in order, their losses declared."""
+        """Take in bytes; gives back the frames that are complete, in order, their losses declared."""
         *ended, open_end = data.split(b"\0")
-        frames = []
-        for part in ended:
-            frame = self._packet(part)
-            if frame is not None:
-                frames.append(frame)
+        frames = [frame for part in ended if (frame := self._packet(part)) is not None]
         self._hold(open_end)
         return frames
 
@@ -135,7 +131,7 @@ class FrameDecoder:
             self._skipping = True
 
     def _packet(self, part: bytes) -> SerialFrame | None:
-        """What was held and ``part``, up to a delimiter, as a frame that goes on from the one before."""
+        """The held bytes and ``part``, up to a delimiter, as a frame that goes on from the one before."""
         self._hold(part)
         wire, skipped = bytes(self._held), self._skipping
         self._held.clear()

@@ -32,7 +32,10 @@ class SegmentCosts:
         origin = np.median(values, axis=0)
         shifted = values - origin
         self._origin = origin
-        self._w, self._wy, self._wyy = (_cumulative(x) for x in (weight, weight * shifted, weight * shifted**2))
+        self._w, self._wy, self._wyy = (
+            np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
+            for x in (weight, weight * shifted, weight * shifted**2)
+        )
 
     def cuts(self, penalty: float) -> list[int]:
         """Ends of the cheapest partition, the first and the last included; each part costs ``penalty``."""
@@ -50,10 +53,6 @@ class SegmentCosts:
         return self._origin + (self._wy[stop] - self._wy[start]) / w, 1.0 / np.sqrt(w)
 
 
-def _cumulative(x: Floats) -> Floats:
-    return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
-
-
 def segments(values: Floats, sigma: Floats, same: Floats, penalty: float) -> list[tuple[int, int]]:
     """Parts of constant level as ``(start, stop)``, in order, covering the sequence.
 
@@ -67,20 +66,16 @@ def segments(values: Floats, sigma: Floats, same: Floats, penalty: float) -> lis
         Price of a part.
     """
     costs = SegmentCosts(values, sigma)
-    return _merged(costs, list(pairwise(costs.cuts(penalty))), same)
-
-
-def _merged(costs: SegmentCosts, parts: list[tuple[int, int]], same: Floats) -> list[tuple[int, int]]:
-    """Join neighbours whose levels cannot be told apart."""
-    kept = parts[:1]
-    for start, stop in parts[1:]:
-        before, sigma_before = costs.mean(*kept[-1])
+    first, *others = pairwise(costs.cuts(penalty))
+    parts = [first]
+    for start, stop in others:
+        before, sigma_before = costs.mean(*parts[-1])
         after, sigma_after = costs.mean(start, stop)
         if np.all(np.abs(after - before) < np.maximum(4.0 * np.hypot(sigma_before, sigma_after), same)):
-            kept[-1] = (kept[-1][0], stop)
+            parts[-1] = (parts[-1][0], stop)
         else:
-            kept.append((start, stop))
-    return kept
+            parts.append((start, stop))
+    return parts
 
 
 @njit(error_model="numpy")

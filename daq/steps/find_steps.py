@@ -1,7 +1,7 @@
 """Find the steps of a ramp in a recorded drive (or, where there is none, in the plate's acceleration).
 
-A step is a stretch in which every tone's amplitude and the frequency are constant; the change before
-it is its fade. The frequency is fitted to the phase over the whole hold, because every later phase rides on it.
+A step is a stretch in which every tone's amplitude and the frequency are constant; the change before it is its fade.
+The frequency is fitted to the phase over the whole hold, because every later phase depends on it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from daq.lock_in import ToneFit
 from daq.setup.setup import Forcing
 from daq.steps.forcing_detection import Read, regions, weights
 from daq.steps.tone_tracking import (
+    SETTLE_CYCLES,
     SteadySegment,
     fit,
     frequency_correction,
@@ -27,8 +28,7 @@ from daq.steps.tone_tracking import (
 
 Floats = NDArray[np.float64]
 
-SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
-SHORTEST_CYCLES = 4.0  # of a step that somebody set
+SHORTEST_CYCLES = 4.0  # of a step that the file states
 QUIET = 2e-3  # of the largest amplitude
 SAME_FREQUENCY = 3e-5  # relative
 SAME_MOTION = 1e-3  # relative
@@ -36,51 +36,29 @@ _READ_AHEAD = 1 << 18
 
 
 @dataclass(frozen=True)
-class FoundStep:
-    """One step as found.
+class FoundStep(SteadySegment):
+    """One step as found; ``frequency_hz`` is fitted.
 
     Attributes
     ----------
-    start, hold, stop
-        First sample of the fade, first sample of what holds still, end (exclusive).
-    frequency_hz, frequency_sigma_hz
-        Fitted frequency of the first tone.
+    frequency_sigma_hz
     tones
         Complex amplitudes of the tones (in volts, phase at sample 0) over the hold after settling.
     """
 
-    start: int
-    hold: int
-    stop: int
-    frequency_hz: float
     frequency_sigma_hz: float
     tones: ToneFit
 
-    def settled(self, rate_hz: float) -> int:
-        """First sample that counts as hold: two cycles after what moves, or the middle of a short step."""
-        return _settled(self.hold, self.stop, self.frequency_hz, rate_hz)
 
-
-def _settled(hold: int, stop: int, frequency_hz: float, rate_hz: float) -> int:
-    """See `FoundStep.settled`."""
-    return min(hold + round(SETTLE_CYCLES * rate_hz / frequency_hz), (hold + stop) // 2)
-
-
-def find_steps(
-    read: Read,
-    start: int,
-    stop: int,
-    rate_hz: float,
-    forcing: Forcing,
-) -> list[FoundStep]:
+def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[FoundStep]:
     """Steps between two samples, in order.
 
     Parameters
     ----------
     read
         Gives volts of samples ``a .. b``.
-    start, stop, rate_hz
-        What to look at.
+    start, stop
+    rate_hz
     forcing
         Ratio and relative amplitudes of the tones, and a rough frequency: right within a factor of 8 is enough.
     """
@@ -99,7 +77,7 @@ def find_steps(
 def given_step(
     read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing, frequency_hz: float
 ) -> list[FoundStep]:
-    """The step that somebody set between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
+    """Step that a file states between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
     if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < SHORTEST_CYCLES:
         return []
     return [_refined(_ReadAhead(read, stop).read, SteadySegment(start, start, stop, frequency_hz), rate_hz, forcing)]
@@ -117,7 +95,6 @@ def step_table(
     Parameters
     ----------
     found, forcing, rate_hz
-        What was found, and in what.
     gammas
         Gamma of each step, NaN where unknown.
     achieved
@@ -167,34 +144,26 @@ class _ReadAhead:
 
 def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing) -> list[FoundStep]:
     """Join neighbours that one unbroken motion explains: equal tones, the phase continued across the border."""
-    kept = found[:1]
+    joined = found[:1]
     for step in found[1:]:
-        last = kept[-1]
+        last, there_s = joined[-1], step.hold / rate_hz
         nearby = step.hold - last.stop < SETTLE_CYCLES * rate_hz / step.frequency_hz
-        if nearby and _continues(last, step, rate_hz):
-            kept[-1] = _refined(
-                read, SteadySegment(last.start, last.hold, step.stop, last.frequency_hz), rate_hz, forcing
-            )
+        alike = abs(last.frequency_hz - step.frequency_hz) <= SAME_FREQUENCY * step.frequency_hz
+        before, after = (
+            one.tones.amplitudes * np.exp(2j * np.pi * one.tones.frequencies_hz * there_s) for one in (last, step)
+        )
+        if nearby and alike and np.all(np.abs(before - after) < SAME_MOTION * np.abs(after).max()):
+            both = SteadySegment(last.start, last.hold, step.stop, last.frequency_hz)
+            joined[-1] = _refined(read, both, rate_hz, forcing)
         else:
-            kept.append(step)
-    return kept
-
-
-def _continues(last: FoundStep, step: FoundStep, rate_hz: float) -> bool:
-    """Whether two steps' tones agree, in amplitude, frequency and phase, where they meet."""
-    if abs(last.frequency_hz - step.frequency_hz) > SAME_FREQUENCY * step.frequency_hz:
-        return False
-    there_s = step.hold / rate_hz
-    before, after = (
-        one.tones.amplitudes * np.exp(2j * np.pi * one.tones.frequencies_hz * there_s) for one in (last, step)
-    )
-    return bool(np.all(np.abs(before - after) < SAME_MOTION * np.abs(after).max()))
+            joined.append(step)
+    return joined
 
 
 def _refined(read: Read, still: SteadySegment, rate_hz: float, forcing: Forcing) -> FoundStep:
     """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
     frequency, sigma = still.frequency_hz, np.nan
-    settled = _settled(still.hold, still.stop, frequency, rate_hz)
+    settled = still.settled(rate_hz)
     for _ in range(2):
         correction, sigma = frequency_correction(read, settled, still.stop, rate_hz, frequency, forcing)
         frequency += correction

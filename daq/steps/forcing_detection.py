@@ -1,7 +1,7 @@
 """Detection of a forcing in a signal: where it is present, and roughly at which frequency.
 
-Only the range of the frequency and the ratio of the two tones are assumed. A stretch in
-which the forcing's tones do not carry a fifth of the alternating power is silence.
+Only the range of the frequency and the ratio of the two tones are assumed. A stretch in which the forcing's tones do
+not carry a fifth of the alternating power is silence.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
     ----------
     read
         Gives volts of samples ``a .. b``.
-    start, stop, rate_hz
-        What to look at.
+    start, stop
+    rate_hz
     forcing
         Its tones' ratio and amplitudes, and a frequency that is right within a factor of `SPAN`.
     """
@@ -106,7 +106,7 @@ def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_
     top = max(m for m, _ in tones)
     low = max(int(hint_hz / SPAN / step), 2 * _PAD)
     high = min(int(hint_hz * SPAN / step), (n_fft // 2 - 1) // top)
-    looked_at = top * (high + 1) + 3  # bins: the highest tone's, and those about it that tell where its peak is
+    looked_at = top * (high + 1) + 3  # bins: the highest tone's, and those around its peak
     spectrum = np.abs(np.fft.rfft(x * hann, n_fft, axis=1)[:, :looked_at]) * (2.0 / hann.sum())
     found = np.zeros((3, len(x)))
     power = np.mean(x**2, axis=1)
@@ -117,19 +117,16 @@ def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_
     for i in np.flatnonzero(power > 0.0):
         own, k = spectrum[i], int(bins[np.argmax(score[i])])
         strongest = max(tones, key=lambda tone: tone[0] * own[k * tone[0]])[0]
-        frequency = _peak(own, k * strongest, strongest) * step / strongest
+        first, last = max((k - 1) * strongest, 1), min((k + 1) * strongest, len(own) - 2)
+        top_bin = first + int(np.argmax(own[first : last + 1]))
+        # top of the peak by a parabola through its logarithm
+        a, b, c = np.log(own[top_bin - 1 : top_bin + 2] + 1e-300)
+        bend = a - 2.0 * b + c
+        shift = 0.5 * float(a - c) / float(bend) if bend < 0 else 0.0
+        frequency = (top_bin + shift) * step / strongest
         amplitude = float(np.hypot.reduce([own[k * m] for m, _ in tones]))
         found[:, i] = frequency, amplitude, 0.5 * amplitude**2 / power[i]
     return found
-
-
-def _peak(spectrum: Floats, around: int, reach: int) -> float:
-    """Top of the peak near a bin, by a parabola through its logarithm, in bins."""
-    low, high = max(around - reach, 1), min(around + reach, len(spectrum) - 2)
-    k = low + int(np.argmax(spectrum[low : high + 1]))
-    a, b, c = np.log(spectrum[k - 1 : k + 2] + 1e-300)
-    bend = a - 2.0 * b + c
-    return k + (0.5 * float(a - c) / float(bend) if bend < 0 else 0.0)
 
 
 def _grouped(

@@ -1,7 +1,7 @@
 """Follow a forcing's tones cycle by cycle, and cut where they change.
 
-What is compared from cycle to cycle is a joint least-squares fit of the tones to that cycle, so
-neither the sampling's phase nor a constant nor the other tone leaks in.
+Cycles are compared by joint least-squares fits of the tones to each, so neither the sampling's phase nor a constant nor
+the other tone leaks in.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from daq.steps.forcing_detection import Read, Region, weights
 
 Floats = NDArray[np.float64]
 
+SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
 SHORTEST_WINDOWS = 4  # a shorter stillness is part of a fade
 PIECE_WINDOWS = 20  # of a sweep that never rests
 LEAST_SWEEP = 12  # windows; what is shorter may be a fade, what is longer and holds still is a step
 RESTS = 0.3  # share of the loud windows below which what holds still is chance, and the whole a sweep
 QUIET = 2e-3  # of the largest amplitude
-STEADY = 3e-4  # relative change of amplitude from cycle to cycle that nobody calls a step
+STEADY = 3e-4  # relative change of amplitude from cycle to cycle that is no step
 SAME_LEVEL = 1e-3
 SAME_ADVANCE = 1e-3  # radians a window
 PENALTY = 30.0
@@ -44,6 +45,10 @@ class SteadySegment:
     hold: int
     stop: int
     frequency_hz: float
+
+    def settled(self, rate_hz: float) -> int:
+        """First sample that counts as hold: two cycles after the fade, or the middle of a short step."""
+        return min(self.hold + round(SETTLE_CYCLES * rate_hz / self.frequency_hz), (self.hold + self.stop) // 2)
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing,
     track = _track(read, region, rate_hz, forcing)
     if track is None or not track.loud.any():
         return []
-    smooth = _running_median(track.advance[:, None], 5)[:, 0]
+    smooth = _running(track.advance[:, None], 5)[:, 0]
     loud = smooth[track.loud]
     spread = float(np.percentile(loud, 98) - np.percentile(loud, 2))
     own = track.frequency_change(0, len(track.advance), weights(forcing)[track.main][0], rate_hz)
@@ -141,16 +146,16 @@ def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing,
 
 def _absorbed(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Short pieces join what follows (they are the change itself), the last one what precedes."""
-    kept: list[tuple[int, int]] = []
+    parts: list[tuple[int, int]] = []
     begin = 0
     for _, stop in cuts:
         if stop - begin >= SHORTEST_WINDOWS:
-            kept.append((begin, stop))
+            parts.append((begin, stop))
             begin = stop
     end = cuts[-1][1]
     if begin < end:
-        kept = [*kept[:-1], (kept[-1][0] if kept else 0, end)]
-    return kept
+        parts = [*parts[:-1], (parts[-1][0] if parts else 0, end)]
+    return parts
 
 
 def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> list[SteadySegment]:
@@ -163,7 +168,11 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
     steady = np.array([_steady(track, a, b, sigma) for a, b in parts]) & ~_on_the_way(track.amplitude, parts)
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
     if covered < RESTS * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
-        parts, steady = _in_pieces(track.loud)
+        # a sweep that never rests is taken in equal pieces of its loud part
+        loud = np.flatnonzero(track.loud)
+        cuts = range(int(loud[0]), int(loud[-1]) + 2, PIECE_WINDOWS)
+        parts = list(pairwise(cuts)) or [(int(loud[0]), int(loud[-1]) + 1)]
+        steady = np.array([b - a >= SHORTEST_WINDOWS for a, b in parts])
     found: list[SteadySegment] = []
     fade_from = None
     for (a, b), take in zip(parts, steady, strict=True):
@@ -186,7 +195,7 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
 def frequency_correction(
     read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, forcing: Forcing
 ) -> tuple[float, float]:
-    """How far the true frequency is from ``frequency_hz``: slope of the tones' phases, with its standard deviation."""
+    """Correction to ``frequency_hz`` by the slope of the tones' phases, with its standard deviation."""
     pieces = _edges(start, stop, rate_hz, frequency_hz)
     edges = pieces[:: max(1, len(pieces) // _PIECES)]
     if len(edges) < 3:
@@ -224,7 +233,7 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     windows: dict[int, Floats] = {}
 
     def noted(start: int, stop: int) -> Floats:
-        """Volts, those of the windows that are looked at again kept."""
+        """Volts; a copy of the windows that are looked at again stays in memory."""
         x = read(start, stop)
         inside = (k for k in looked_at if start <= edges[k] and edges[k + 1] <= stop)
         windows.update({k: x[edges[k] - start : edges[k + 1] - start].copy() for k in inside})
@@ -262,7 +271,7 @@ def _independent_share(
 
 
 def _features(track: _Track) -> tuple[Floats, Floats, Floats]:
-    """What must hold still, its noise, and the least change that counts: amplitudes and the phase's advance."""
+    """Amplitudes and the phase's advance, which hold still in a step; their noise, and the least change that counts."""
     amplitude, floor, main = track.amplitude, track.floor, track.main
     none = np.zeros_like(amplitude)
     sigma_a = np.maximum.reduce(
@@ -281,15 +290,11 @@ def _noise(x: Floats) -> Floats:
     if len(x) < 3:
         return np.zeros_like(x)
     bend = np.abs(np.diff(x, 2, axis=0))
-    spread: Floats = 1.4826 / np.sqrt(6.0) * _running_median(np.pad(bend, ((1, 1), (0, 0)), mode="edge"), 25)
+    spread: Floats = 1.4826 / np.sqrt(6.0) * _running(np.pad(bend, ((1, 1), (0, 0)), mode="edge"), 25)
     return spread
 
 
-def _running_median(x: Floats, width: int) -> Floats:
-    return _running(x, width, 0.5)
-
-
-def _running(x: Floats, width: int, quantile: float) -> Floats:
+def _running(x: Floats, width: int, quantile: float = 0.5) -> Floats:
     """Quantile over a sliding window along the first axis; the ends are mirrored."""
     half = min(width, len(x) - 1) // 2
     padded = np.pad(x, ((half, half), (0, 0)), mode="reflect")
@@ -331,11 +336,3 @@ def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> NDArray[np.b
         onward = own @ (mean[after] - mean[i]) >= 0.0 and own @ (mean[i] - mean[before]) >= 0.0
         moving[i] = onward and own @ path > 0.5 * float(path @ path)
     return moving
-
-
-def _in_pieces(loud: NDArray[np.bool_]) -> tuple[list[tuple[int, int]], NDArray[np.bool_]]:
-    """A sweep that never rests, taken in equal pieces of its loud part."""
-    where = np.flatnonzero(loud)
-    cuts = list(range(int(where[0]), int(where[-1]) + 2, PIECE_WINDOWS))
-    parts = list(pairwise(cuts)) or [(int(where[0]), int(where[-1]) + 1)]
-    return parts, np.array([b - a >= SHORTEST_WINDOWS for a, b in parts])

@@ -13,7 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from daq.clocks.loss_search import AtOnce, Beside
+from daq.clocks.loss_search import AtOnce, InThread
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block
 from rig.execution.high_pass import HighPass
@@ -49,7 +49,7 @@ class LossAccount:
     ) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
-        self._finder = LossDetector(rate_hz, chunk, Beside() if threaded else AtOnce())
+        self._finder = LossDetector(rate_hz, chunk, InThread() if threaded else AtOnce())
         self._column = drive_column
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0

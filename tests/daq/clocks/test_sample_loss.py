@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.daq import losses, sample_path
-from daq.clocks.loss_search import NOTHING, AtOnce, Beside, Found
+from daq.clocks.loss_search import NOTHING, AtOnce, Found, InThread
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block, BlockFlag
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
@@ -128,7 +128,7 @@ def test_the_sample_path_does_bounded_work(case: str) -> None:
 def test_an_answer_that_comes_late_is_the_same() -> None:
     """Searches beside the run, however slow, declare what searches at once declare, at the same samples."""
 
-    class Slow(Beside):
+    class Slow(InThread):
         """Answers when it has been looked at twenty times, however fast its thread is."""
 
         def __init__(self) -> None:
