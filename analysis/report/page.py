@@ -19,8 +19,8 @@ from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import Bifurcation, ClosedLoop, FirstBifurcations
 from analysis.loop.verdict_json import loop_json
 from analysis.report import narrative, numbers, wording
-from analysis.report.figures.style import badge_text, save_picture
-from analysis.report.figures.table import Figure, figures_of
+from analysis.report.figures.loop import FIGURES
+from analysis.report.figures.style import Figure, badge_text, save_picture
 from analysis.report.gamma import gamma_scale
 from analysis.report.origin import software_words, source_words
 from analysis.residuals.covariates import COVARIATES
@@ -152,7 +152,6 @@ def write_report(
         "software_version": software_version(),
         "software_commit": software_commit(),
     }
-    figures = figures_of(loop)
     badge = badge_text(loop.sources[0].file, simulated=loop.sources[0].simulated)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -162,11 +161,11 @@ def write_report(
             "report": software,
         }
         (folder / "report.json").write_text(json_text(payload), encoding="utf-8")
-        for i, (figure, draw) in enumerate(figures):
-            say(f"report: figure of {figure.name}", i / len(figures))
-            save_picture(folder, figure.name, badge, draw)
+        for i, figure in enumerate(FIGURES):
+            say(f"report: figure of {figure.name}", i / len(FIGURES))
+            save_picture(folder, figure.name, badge, functools.partial(figure.draw, loop))
         page = folder / "report.html"
-        page.write_text(_loop_page(loop, software, folder, [figure for figure, _ in figures], kept), encoding="utf-8")
+        page.write_text(_loop_page(loop, software, folder, kept), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page
@@ -189,9 +188,7 @@ def _bifurcations_json(first: FirstBifurcations | None) -> dict[str, object] | N
     }
 
 
-def _loop_page(
-    loop: ClosedLoop, software: dict[str, str], folder: Path, figures: list[Figure], kept: KeptTerm | None
-) -> str:
+def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: KeptTerm | None) -> str:
     """The page, with the figures that are in ``folder`` put in."""
     from markupsafe import Markup
 
@@ -201,7 +198,7 @@ def _loop_page(
     drawn = [
         Drawn(figure, Markup('<img alt="{}" src="data:image/png;base64,{}">').format(
             figure.name, base64.b64encode(path.read_bytes()).decode()))
-        for figure in figures if (path := folder / f"{figure.name}.png").exists()
+        for figure in FIGURES if (path := folder / f"{figure.name}.png").exists()
     ]  # fmt: skip
     definition = scale.definition
     if loop.discovered is not None and loop.discovered.covariate == "gamma" and scale.factor != 1.0:

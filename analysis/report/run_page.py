@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +20,9 @@ import numpy as np
 from analysis.flights.table import FlightFlag, Flights
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdicts import short_verdict
+from analysis.report.figures import loop as of_loop
+from analysis.report.figures import recording as of_recording
 from analysis.report.figures.measured import Measured, measured
-from analysis.report.figures.table import figures_of
 from analysis.report.gamma import GammaScale, gamma_scale
 from analysis.report.interactive import flight_columns, inline_figure
 from analysis.report.narrative import headline
@@ -125,13 +127,14 @@ def _drawn(shown: Measured, number: int, say: Progress) -> list[Drawn]:
     """Figures of the recording and of its closed loop, as elements."""
     from markupsafe import Markup
 
-    figures = figures_of(shown) + ([] if shown.loop is None else figures_of(shown.loop))
+    figures = [(figure, partial(figure.draw, shown), "flights") for figure in of_recording.FIGURES]
+    if shown.loop is not None:
+        figures += [(figure, partial(figure.draw, shown.loop), "loop") for figure in of_loop.FIGURES]
     out = []
-    for i, (figure, draw) in enumerate(figures):
+    for i, (figure, draw, table) in enumerate(figures):
         say(f"{shown.recording.path.name}: figure of {figure.name}", i / len(figures))
         made = inline_figure(draw)
         if made is not None:
-            table = "loop" if figure.needs == "loop" else "flights"
             points = dict(made.points) if made.points["row"] else None
             out.append(
                 Drawn(figure, Markup(made.svg), made.remark, f"{figure.name}{number}", f"{table}-{number}", points)

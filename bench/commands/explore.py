@@ -229,7 +229,7 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
 
 def _draw(found: Explored, standard_s: float, folder: Path) -> None:
     """The gammas where the rig chose to measure, and why, as ``choices.png`` and ``.svg``."""
-    from analysis.report.figures.choices import ChosenSteps, draw_choices
+    from analysis.report.figures.several import ChosenSteps, draw_choices
     from analysis.report.figures.style import badge_of, save_picture
     from daq.recording import open_recording
     from rig.profile import parse_profile

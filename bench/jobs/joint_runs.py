@@ -49,7 +49,7 @@ def judge_runs(
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.verdict_json import joint_json
-    from analysis.report.figures.joint import write_pictures
+    from analysis.report.figures.several import write_pictures
     from bench.profiles.find import load_measuring
     from bench.terminal.console import print_lines, write_json
     from bench.terminal.joint_display import show

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -22,9 +23,10 @@ def flights_with_progress(opened: Recording, *, quiet: bool) -> Flights:
 def draw(opened: Recording, table: Flights, folder: Path, held: Comparison | None = None) -> None:
     """Every picture of a recording, into ``folder``; ``held`` is its comparison with the declared model, if known."""
     from analysis.report.figures.measured import measured
+    from analysis.report.figures.recording import FIGURES
     from analysis.report.figures.style import badge_of, save_picture
-    from analysis.report.figures.table import figures_of
 
     badge = badge_of(opened)
-    for figure, drawn in figures_of(measured(opened, table, held)):
-        save_picture(folder, figure.name, badge, drawn)
+    shown = measured(opened, table, held)
+    for figure in FIGURES:
+        save_picture(folder, figure.name, badge, partial(figure.draw, shown))

@@ -1,1 +1,1 @@
-"""Figures of a report, one function a figure, and the table that lists them (`table`)."""
+"""Figures of a report, one function a figure, and the tables that list them (`recording.FIGURES`, `loop.FIGURES`)."""

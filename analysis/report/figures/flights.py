@@ -42,7 +42,7 @@ def draw_bifurcations(shown: Measured, figure: Figure) -> None:
     """Draw measured flight times against gamma over the model's diagram, forbidden zones shaded."""
     recording, flights = shown.recording, shown.flights
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
-    if not plates:
+    if not plates or not len(flights):
         return
     measure = gamma_scale(recording.setup.forcing, plates[-1].ratio)
     scale = measure.factor

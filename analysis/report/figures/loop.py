@@ -1,4 +1,4 @@
-"""Figures of the closed loop: landing errors step by step, the candidates compared, and a discovered term.
+"""Figures of the closed loop: landing errors step by step, candidates, a discovered term; and the table of all.
 
 Before is the pale colour and after the dark one, in the same units on the same axis; the noise floor is drawn wherever
 an error is.
@@ -12,28 +12,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.loop.result import ClosedLoop, Predictions
-from analysis.report.figures.style import AFTER, BAND, BEFORE, ERROR_BAR, FLOOR, NEUTRAL, PLATE, plain_decades
+from analysis.loop.result import ClosedLoop
+from analysis.report.figures.residuals import draw_landings, draw_plate_residuals, draw_takeoffs, sides
+from analysis.report.figures.style import AFTER, BAND, BEFORE, ERROR_BAR, FLOOR, NEUTRAL, PLATE, Figure, plain_decades
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
 from analysis.report.wording import plain
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Canvas
 
 Array = NDArray[np.float64]
 
 MOST_ROWS = 16  # candidates in the figure
 
 
-def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
-    """Label, predictions and colour of each model to show: before and after, or only the declared one."""
-    if not loop.names:
-        return [("declared model", loop.flights.after, AFTER)]
-    return [("before", loop.flights.before, BEFORE), ("after", loop.flights.after, AFTER)]
-
-
-def draw_errors(loop: ClosedLoop, figure: Figure) -> None:
+def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
     """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
     figure.set_size_inches(7.2, 3.6)
     ax = figure.subplots()
@@ -65,7 +59,7 @@ def _by_step(loop: ClosedLoop, x: Array, summary: Any) -> Array:
     return np.array([1e6 * summary(x[r]) if r.any() else np.nan for r in rows])
 
 
-def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
+def draw_candidates(loop: ClosedLoop, figure: Canvas) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and the gain required."""
     rows = list(gains(loop).items())[:MOST_ROWS][::-1]
     if not rows:
@@ -109,7 +103,7 @@ def draw_candidates(loop: ClosedLoop, figure: Figure) -> None:
     ax.set_xlabel("gain on held-out steps of one effect added, nats")
 
 
-def draw_discovery(loop: ClosedLoop, figure: Figure) -> None:
+def draw_discovery(loop: ClosedLoop, figure: Canvas) -> None:
     """Draw the discovered curve with its 95 % band, over a rug of the flights; nothing where none was discovered."""
     found = loop.discovered
     if found is None:
@@ -137,3 +131,32 @@ def draw_discovery(loop: ClosedLoop, figure: Figure) -> None:
     ax.set_ylabel(f"{name}, {unit}" if unit not in ("", "1") else name)
     ax.set_title("\n".join(textwrap.wrap(found.description.replace("^2", "\u00b2"), 72)), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)
+
+
+FIGURES = (
+    Figure(
+        "errors", draw_errors, "errors",
+        "Landing error of each step (robust), before (open squares) and after (dots), with the noise floor. Diamonds: "
+        "held-out steps.",
+    ),
+    Figure(
+        "candidates", draw_candidates, "why",
+        "Candidates added one at a time: gain on steps not fitted, with its standard error. Hatched: rejected.",
+    ),
+    Figure(
+        "discovered", draw_discovery, "why",
+        "What was discovered beyond the named effects, with its 95 % band.",
+    ),
+    Figure(
+        "residuals", draw_landings, "residuals",
+        "Landings: measured minus predicted, against what might cause them.",
+    ),
+    Figure(
+        "takeoffs", draw_takeoffs, "residuals",
+        "Take-offs: measured minus predicted, against what might cause them.",
+    ),
+    Figure(
+        "plate_residuals", draw_plate_residuals, "residuals",
+        "The plate against the drive as the model predicts it, before and after.",
+    ),
+)  # fmt: skip

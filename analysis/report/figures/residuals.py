@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.loop.result import ClosedLoop, Predictions
-from analysis.report.figures.loop import sides
 from analysis.report.figures.style import AFTER, BEFORE, FLOOR, clipped_dots
 from analysis.report.gamma import gamma_scale
 from analysis.residuals.covariates import COVARIATES
@@ -36,6 +35,13 @@ AT_LEAST_FLOORS = 4.0  # half height of an axis, at least, over the noise floor
 PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
 STILL = 1e-6  # relative spread of a covariate below which it counts as constant
 TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
+
+
+def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
+    """Label, predictions and colour of each model to show: before and after, or only the declared one."""
+    if not loop.names:
+        return [("declared model", loop.flights.after, AFTER)]
+    return [("before", loop.flights.before, BEFORE), ("after", loop.flights.after, AFTER)]
 
 
 def draw_landings(loop: ClosedLoop, figure: Figure) -> None:

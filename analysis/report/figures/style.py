@@ -1,4 +1,4 @@
-"""Plot style, colours and the badge of every picture, and how a picture is saved.
+"""Plot style, colours and badge of every picture, the row of a table of figures, and the saving of a picture.
 
 Measured values are dark dots, predicted ones the light line or cloud beneath them. A badge on each saved picture
 separates a simulated rig from a real one.
@@ -10,8 +10,9 @@ import gc
 import io
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from daq.recording import Recording
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Canvas
 
 Floats = npt.NDArray[np.float64]
 
@@ -69,6 +70,28 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each of its points
 
 
+@dataclass(frozen=True)
+class Figure:
+    """A row of a table of figures.
+
+    Attributes
+    ----------
+    name
+        Of its files and of its element in the page.
+    draw
+        Draws a `Measured` or a `ClosedLoop` on an empty figure. What draws no axes is left out.
+    place
+        Part of the page; figures of one part stand in the order of the table.
+    caption
+        One or two sentences.
+    """
+
+    name: str
+    draw: Callable[[Any, Canvas], None]
+    place: Literal["flights", "plate", "errors", "why", "residuals"]
+    caption: str
+
+
 def badge_text(name: str, *, simulated: bool) -> str:
     """Text of the badge: simulated or real, and which recording."""
     return f"{'SIMULATED RIG' if simulated else 'measured on a rig'}: {name}"
@@ -79,7 +102,7 @@ def badge_of(recording: Recording) -> str:
     return badge_text(recording.path.name, simulated=bool(recording.attrs.get("simulated")))
 
 
-def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], None]) -> None:
+def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], None]) -> None:
     """Save what ``draw`` draws on a new figure as PNG and SVG, with the badge; nothing where it draws no axes.
 
     Raises
@@ -89,14 +112,14 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Canvas
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     enabled = gc.isenabled()
     gc.disable()  # a picture is ten thousand objects that all live until it is saved: a search finds no garbage
     try:
         with matplotlib.rc_context(STYLE):
-            figure = Figure()
+            figure = Canvas()
             FigureCanvasAgg(figure)
             draw(figure)
             if not figure.axes:
@@ -121,7 +144,7 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Figure], N
         raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
 
 
-def _add_badge(figure: Figure, badge: str) -> None:
+def _add_badge(figure: Canvas, badge: str) -> None:
     """Write the badge in the upper right corner, and keep the axes below it."""
     height = figure.get_figheight()
     colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE

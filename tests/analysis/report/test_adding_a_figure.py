@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import flights_of
-from analysis.report.figures import table
+from analysis.report.figures import recording as table
+from analysis.report.figures.style import Figure
 from analysis.report.run_page import Run, section_of
 from bench.jobs.reprocess import draw
 from daq.recording import open_recording
@@ -23,7 +24,7 @@ def test_a_function_and_a_row_are_a_figure(
 ) -> None:
     """With the page's two pieces of code, and nothing else, the page shows the figure and the folder holds it."""
     function, row = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    names: dict[str, Any] = {"Figure": table.Figure}
+    names: dict[str, Any] = {"Figure": Figure}
     exec(function, names)
     (added,) = eval(row, names)
     others = tuple(one for one in table.FIGURES if one.name == "plate")

@@ -15,9 +15,10 @@ from PIL import Image
 
 import model.tones
 from analysis.loop.result import ClosedLoop
+from analysis.report.figures import loop as of_loop
+from analysis.report.figures import recording as of_recording
 from analysis.report.figures import style
 from analysis.report.figures.style import HARMONICS, clipped_dots, plain_decades, plain_number
-from analysis.report.figures.table import FIGURES, figures_of
 from analysis.report.figures.zones import zones_over
 from analysis.report.gamma import gamma_scale
 from daq.setup.setup import Forcing
@@ -94,10 +95,10 @@ def test_a_zone_reaches_to_where_it_is_born() -> None:
 def laid_out(loop: ClosedLoop) -> Iterator[tuple[str, Figure]]:
     """Each figure of a closed loop that draws anything, placed as it is saved."""
     with matplotlib.rc_context(style.STYLE):
-        for one, draw in figures_of(loop):
+        for one in of_loop.FIGURES:
             figure = Figure(layout="constrained")
             FigureCanvasAgg(figure)
-            draw(figure)
+            one.draw(loop, figure)
             if figure.axes:
                 figure.draw_without_rendering()  # a layout that finds no room is a warning, and so an error here
                 yield one.name, figure
@@ -115,11 +116,11 @@ def test_no_text_is_cut_off(closed_loop: ClosedLoop) -> None:
     assert len(names) == 5
 
 
-def test_the_table_of_figures_is_complete() -> None:
-    """No two figures of one result share a name, and none lacks a caption."""
-    names = [(one.needs == "loop", one.name) for one in FIGURES]
-    assert len(set(names)) == len(names)
-    assert all(one.caption.endswith(".") for one in FIGURES)
+def test_the_tables_of_figures_are_complete() -> None:
+    """No two figures share a name, which is their element's in the page, and each has a caption."""
+    figures = (*of_recording.FIGURES, *of_loop.FIGURES)
+    assert len({one.name for one in figures}) == len(figures)
+    assert all(one.caption.endswith(".") for one in figures)
 
 
 def test_no_figure_holds_a_formula_to_parse(closed_loop: ClosedLoop) -> None:
