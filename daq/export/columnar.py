@@ -6,19 +6,16 @@ Parquet holds volts; NetCDF the codes with the scale that its readers apply. Los
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daq.export.facts import facts, missing, step_columns
+from daq.export.facts import Progress, facts, missing, pieces, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import disk_file
 from daq.recording.reader import Recording
-
-Progress = Callable[[int], None]
 
 
 def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
@@ -30,13 +27,13 @@ def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress)
         raise missing("pyarrow", "Parquet") from error
     names = [f"{name}_v" for name in recording.channels]
     steps = {name: column.tolist() for name, column in step_columns(recording).items()}
-    told = {key: str(value) for key, value in facts(recording).items()} | {"steps_json": json.dumps(steps)}
+    metadata = {key: str(value) for key, value in facts(recording).items()} | {"steps_json": json.dumps(steps)}
     units = ["s", *("V" for _ in names)]
     fields = [
         pa.field(name, pa.float64(), nullable=False, metadata={"units": unit})
         for name, unit in zip(["time_s", *names], units, strict=True)
     ]
-    schema = pa.schema(fields, metadata=told)
+    schema = pa.schema(fields, metadata=metadata)
     with pq.ParquetWriter(part, schema, compression="zstd") as writer:
         for a, b in pieces(recording.n_samples):
             columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(n, a, b) for n in recording.channels)]
@@ -67,7 +64,8 @@ def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) 
                 factor, offset = recording.scale(name)
                 channels[name][0].attrs.update({"scale_factor": np.float64(factor), "add_offset": np.float64(offset)})
         for name, column in step_columns(recording).items():
-            file.create_variable(f"step_{name}", ("step",), column.dtype, data=column).attrs["units"] = _unit(name)
+            variable = file.create_variable(f"step_{name}", ("step",), column.dtype, data=column)
+            variable.attrs["units"] = "Hz" if name.endswith("_hz") else "1"
         for a, b in pieces(recording.n_samples):
             file.resize_dimension("time", b)
             time[a:b] = recording.timestamps_ns(a, b) * 1e-9
@@ -75,13 +73,3 @@ def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) 
                 variable[a:b] = recording.codes(name, a, b) if whole_numbers else recording.read_v(name, a, b)
             disk.check()
             tell(b)
-
-
-def _unit(name: str) -> str:
-    """Unit of a column of the step table."""
-    return "Hz" if name.endswith("_hz") else "1"
-
-
-def pieces(n: int) -> list[tuple[int, int]]:
-    """Ranges of samples that are read at once."""
-    return [(a, min(a + CHUNK_SAMPLES, n)) for a in range(0, n, CHUNK_SAMPLES)]

@@ -1,7 +1,7 @@
-"""Write a recording for readers that know nothing of it: tables, arrays, HDF5 with gzip, and what other fields use.
+"""Write a recording for other programs: tables, arrays, HDF5 with gzip, and the formats of other fields.
 
-What is written reads back to the same numbers (`bench import` of the CSV gives the same codes
-when divided by their scale), and appears under its name only when it is whole.
+The files read back to the same numbers (`bench import` of the CSV gives the same codes when divided by their scale),
+and appear under their names only when they are whole.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import gzip
 import math
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.export.columnar import export_netcdf, export_parquet
+from daq.export.facts import Progress, pieces
 from daq.export.matlab import export_matlab
 from daq.export.resample import Resampled
 from daq.export.tdms import export_tdms
 from daq.export.uff58 import export_uff58
-from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.whole_file import whole
 from daq.recording.reader import Recording
 from daq.recording.writer import copy_columns
@@ -29,7 +30,6 @@ from daq.setup.errors import InputError
 
 Kind = Literal["csv", "npz", "h5", "parquet", "nc", "mat", "uff", "tdms"]
 AS_RECORDED = ("h5", "uff", "tdms")  # kinds that hold the samples as they were taken, never at another rate
-Progress = Callable[[int], None]
 _ROWS = 16384
 
 
@@ -86,10 +86,6 @@ def export(
             WRITERS[kind](recording, part, tell)
 
 
-def _pieces(n: int, rows: int) -> list[tuple[int, int]]:
-    return [(a, min(a + rows, n)) for a in range(0, n, rows)]
-
-
 def _digits(recording: Recording | Resampled, channel: str) -> str:
     """Format that keeps a channel's numbers: a thousandth of a code, or all of a float."""
     factor, _ = recording.scale(channel)
@@ -99,20 +95,18 @@ def _digits(recording: Recording | Resampled, channel: str) -> str:
 
 
 def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
-    names = recording.channels
+    names, titles = recording.channels, ["time_s"]
+    for title in (f"{name}_v" for name in names):
+        if title[:1] in ("=", "+", "-", "@", "\t", "\r"):  # no spreadsheet may take a name for a formula
+            title = f"'{title}"
+        titles.append('"' + title.replace('"', '""') + '"' if any(c in title for c in ',"\r\n') else title)
     line = ",".join(["%.9f", *(_digits(recording, name) for name in names)]) + "\n"
     with gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n") as file:
-        file.write(",".join(["time_s", *(_plain_text(f"{name}_v") for name in names)]) + "\n")
-        for a, b in _pieces(recording.n_samples, _ROWS):
+        file.write(",".join(titles) + "\n")
+        for a, b in pieces(recording.n_samples, _ROWS):
             columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(name, a, b) for name in names)]
             file.write(line * (b - a) % tuple(np.column_stack(columns).ravel().tolist()))
             tell(b)
-
-
-def _plain_text(name: str) -> str:
-    """A name as a field of a CSV that no spreadsheet takes for a formula."""
-    text = f"'{name}" if name[:1] in ("=", "+", "-", "@", "\t", "\r") else name
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
 
 def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
@@ -120,17 +114,14 @@ def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) ->
         with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
             header = {"descr": "<f8", "fortran_order": False, "shape": (recording.n_samples,)}
             np.lib.format.write_array_header_1_0(file, header)
-            for a, b in _pieces(recording.n_samples, CHUNK_SAMPLES):
+            for a, b in pieces(recording.n_samples):
                 file.write(np.ascontiguousarray(read(a, b), "<f8").data)
                 tell(b)
-
-    def volts(name: str) -> Callable[[int, int], NDArray[Any]]:
-        return lambda a, b: recording.read_v(name, a, b)
 
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
         write(archive, "time_s", lambda a, b: recording.timestamps_ns(a, b) * 1e-9)
         for name in recording.channels:
-            write(archive, f"{name}_v", volts(name))
+            write(archive, f"{name}_v", partial(recording.read_v, name))
         extras = {
             "rate_hz": np.float64(recording.rate_hz),
             "steps": recording.steps,

@@ -13,8 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.export.columnar import pieces
-from daq.export.facts import facts, step_columns
+from daq.export.facts import Progress, facts, pieces, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import disk_file
@@ -22,7 +21,6 @@ from daq.recording.reader import Recording
 
 HEADER_BYTES = 512
 CLASSES = {"f8": "double", "i8": "int64", "i1": "int8"}
-Progress = Callable[[int], None]
 
 
 def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) -> None:

@@ -6,19 +6,16 @@ Waveform properties say the rate. Where samples were lost or times are uneven, a
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daq.export.columnar import pieces
-from daq.export.facts import facts, missing, step_columns
+from daq.export.facts import Progress, facts, missing, pieces, step_columns
 from daq.recording.reader import Recording
 
 GROUP = "recording"
 RAW = 0xFFFFFFFF  # input source of a scale: the stored numbers
-Progress = Callable[[int], None]
 
 
 def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
@@ -28,9 +25,10 @@ def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
     except ImportError as error:
         raise missing("npTDMS", "TDMS") from error
     timed = bool(len(recording.gaps)) or not recording.stored.get("uniform", True)
-    told: dict[str, Any] = {name: _text(value) for name, value in facts(recording).items()}
+    stated: dict[str, Any] = facts(recording)
+    stated = {k: v.replace("\x00", "") if isinstance(v, str) else v for k, v in stated.items()}
     with TdmsWriter(str(part)) as writer:
-        writer.write_segment([RootObject({"name": recording.path.name, **told}), GroupObject(GROUP)])
+        writer.write_segment([RootObject({"name": recording.path.name, **stated}), GroupObject(GROUP)])
         for a, b in pieces(recording.n_samples):
             channels = []
             if timed:
@@ -41,15 +39,12 @@ def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
                 channels.append(ChannelObject(GROUP, name, recording.codes(name, a, b), properties))
             writer.write_segment(channels)
             tell(b)
-        tables = {"steps": step_columns(recording), "gaps": _gap_columns(recording)}
+        gaps = np.asarray(recording.gaps, np.int64)
+        first, lost = (np.ascontiguousarray(gaps[:, i]) for i in (0, 1))
+        tables = {"steps": step_columns(recording), "gaps": {"first_sample_after": first, "samples_lost": lost}}
         writer.write_segment(
             [ChannelObject(group, name, column) for group, table in tables.items() for name, column in table.items()]
         )
-
-
-def _gap_columns(recording: Recording) -> dict[str, np.ndarray]:
-    gaps = np.asarray(recording.gaps, np.int64)
-    return {"first_sample_after": np.ascontiguousarray(gaps[:, 0]), "samples_lost": np.ascontiguousarray(gaps[:, 1])}
 
 
 def _properties(recording: Recording, name: str) -> dict[str, Any]:
@@ -57,7 +52,7 @@ def _properties(recording: Recording, name: str) -> dict[str, Any]:
     from nptdms.types import Uint32
 
     factor, offset = recording.scale(name)
-    started = _time(str(recording.stored.get("started") or ""))
+    started = str(recording.stored.get("started") or "")
     out: dict[str, Any] = {
         "unit_string": "V",
         "wf_increment": 1.0 / recording.rate_hz,
@@ -70,16 +65,7 @@ def _properties(recording: Recording, name: str) -> dict[str, Any]:
         "NI_Scale[0]_Linear_Y_Intercept": float(offset),
         "NI_Scale[0]_Linear_Input_Source": Uint32(RAW),
     }
-    return out if started is None else out | {"wf_start_time": started}
-
-
-def _time(text: str) -> np.datetime64 | None:
-    """The start as TDMS keeps it, UTC; None where the recording does not say."""
-    if not text:
-        return None
-    when = datetime.datetime.fromisoformat(text).astimezone(datetime.UTC).replace(tzinfo=None)
-    return np.datetime64(when, "us")
-
-
-def _text(value: str | float | int) -> str | float | int:
-    return value.replace("\x00", "") if isinstance(value, str) else value
+    if started:
+        when = datetime.datetime.fromisoformat(started).astimezone(datetime.UTC).replace(tzinfo=None)
+        out["wf_start_time"] = np.datetime64(when, "us")
+    return out

@@ -6,7 +6,6 @@ finds them; doubles are exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
@@ -14,13 +13,13 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.export.facts import Progress
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.recording.reader import Recording
 
 LINE = 80
 EVEN_NS = 1.5  # farthest from an even grid, nanoseconds, at which a piece is written as even
 TIME_RESPONSE, DOUBLE, TIME, GENERAL = 1, 4, 17, 1  # codes of the format
-Progress = Callable[[int], None]
 
 
 def export_uff58(recording: Recording, part: Path, tell: Progress) -> None:
@@ -40,7 +39,7 @@ def export_uff58(recording: Recording, part: Path, tell: Progress) -> None:
 def _write_set(
     file: BinaryIO, recording: Recording, number: int, name: str, first: int, stamps: NDArray[np.int64], lost: int
 ) -> None:
-    """One channel from sample ``first`` on; times that are not even stand beside the values."""
+    """One channel from sample ``first`` on; times that are not even stand next to the values."""
     volts, n = recording.read_v(name, first, first + len(stamps)), len(stamps)
     grid = (np.arange(n) * (1e9 / recording.rate_hz)) + stamps[0]
     even = bool(np.max(np.abs(stamps - grid)) <= EVEN_NS)
@@ -58,7 +57,7 @@ def _write_set(
     lines = [
         f"{-1:6d}",
         f"{58:6d}b{1:6d}{2:6d}{11:12d}{8 * len(values):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
-        *(_ascii(text) for text in texts),
+        *("".join(c if " " <= c <= "~" else "?" for c in text)[:LINE].ljust(LINE) for text in texts),
         f"{TIME_RESPONSE:5d}{0:10d}{0:5d}{0:10d} {'NONE':<10}{number:10d}{0:4d} {'NONE':<10}{0:10d}{0:4d}",
         f"{DOUBLE:10d}{n:10d}{int(even):10d}{begin:13.5e}{step:13.5e}{0.0:13.5e}",
         _axis(TIME, "Time", "s"),
@@ -69,11 +68,6 @@ def _write_set(
     file.write(("\n".join(lines) + "\n").encode("ascii"))
     file.write(np.ascontiguousarray(values, "<f8").tobytes())
     file.write(f"{-1:6d}\n".encode("ascii"))
-
-
-def _ascii(text: str) -> str:
-    """One text line of the header."""
-    return "".join(c if " " <= c <= "~" else "?" for c in text)[:LINE].ljust(LINE)
 
 
 def _axis(kind: int, name: str, unit: str) -> str:

@@ -1,4 +1,4 @@
-"""What the instruments of a recording are, measured from it, and where that contradicts its profile.
+"""Properties of a recording's instruments, measured from it, and contradictions to its profile.
 
 Other rooms take `instrument_of` and `refuse_doubtful` (`stored.py`), and `examine` (`measure.py`).
 """

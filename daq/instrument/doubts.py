@@ -16,7 +16,7 @@ from daq.setup.setup import ContinuityChannel, Setup
 Floats = NDArray[np.float64]
 
 OFTEN = 0.7  # part of the steps that must show the same tones
-HIGHEST = 4  # ratio up to which the first tone is strong enough to be found beside the second
+HIGHEST = 4  # ratio up to which the first tone is strong enough to be found next to the second
 OTHER_SCALE = 1.5  # ratio of gamma at the plate to gamma commanded, up or down, that is a doubt
 DEAD = 0.05  # ratio of the two gammas below which the accelerometer counts as dead
 NOISE_SIGMAS = 4.0  # uncertainties within which gamma counts as zero
@@ -45,7 +45,17 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
     if "accelerometer_sense" not in kinds:
         scale += tuple(_bias(seen, setup))
     found += scale
-    return (*found, *_resampled(seen))
+    if seen.interpolation_hz is not None:
+        found += (
+            Doubt(
+                "resampled",
+                f"the noise of several channels comes and goes at {1e-3 * seen.interpolation_hz:.3g} kHz, as where a "
+                "file was brought to another rate by linear interpolation",
+                "import the file as it was recorded: impacts are blurred, and their times with them",
+                False,
+            ),
+        )
+    return found
 
 
 def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
@@ -105,24 +115,24 @@ def _tones(seen: Measured, setup: Setup) -> Iterator[Doubt]:
 
 
 def _pooled(seen: Measured, which: str) -> Floats:
-    """Accelerations beside all rises or falls of the contact, (n, delays)."""
+    """Accelerations at all rises or falls of the contact, (n, delays)."""
     return np.concatenate([np.zeros((0, len(DELAYS_S))), *(getattr(hold, which) for hold in seen.holds)])
 
 
 def edges_g(seen: Measured, contact: ContinuityChannel | None) -> tuple[Floats, Floats]:
-    """The plate's acceleration beside openings and closings of the contact, by the profile, in g, (n, delays)."""
+    """The plate's acceleration at openings and closings of the contact, by the profile, in g, (n, delays)."""
     rises, falls = _pooled(seen, "rises_g"), _pooled(seen, "falls_g")
     return (rises, falls) if contact is None or contact.swing_v > 0.0 else (falls, rises)
 
 
-def at_edges_g(beside: Floats) -> float | None:
+def at_edges_g(edges: Floats) -> float | None:
     """Median acceleration at edges (n, delays); None where there are few."""
-    return float(np.median(beside[:, len(DELAYS_S) // 2])) if len(beside) >= FEWEST_EDGES else None
+    return float(np.median(edges[:, len(DELAYS_S) // 2])) if len(edges) >= FEWEST_EDGES else None
 
 
-def _spread(beside: Floats) -> float:
+def _spread(edges: Floats) -> float:
     """Relative spread of the accelerations at edges (n, delays), for the delay at which it is least."""
-    low, middle, high = np.quantile(beside, [0.25, 0.5, 0.75], axis=0)
+    low, middle, high = np.quantile(edges, [0.25, 0.5, 0.75], axis=0)
     return float(np.min((high - low) / np.maximum(np.abs(middle), 1e-9)))
 
 
@@ -137,7 +147,15 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     at, other, rest_g = at_edges_g(opens), at_edges_g(closes), _rest_g(seen, setup)
     turned = False
     if at is not None and other is not None and contact is not None:
-        if at * other < 0.0 and _are_takeoffs(closes, opens):
+        # take-offs are the edges whose accelerations lie closer together; in a single locked motion landings lie as
+        # close together, and take-offs are those nearer to g
+        spread, other_spread = _spread(opens), _spread(closes)
+        if max(spread, other_spread) > LOCKED:
+            closings_are_takeoffs = other_spread < TIGHTER * spread
+        else:
+            from_g, other_from_g = (abs(math.log(max(abs(x), 1e-9))) for x in (at, other))
+            closings_are_takeoffs = other_from_g < from_g and at > 0.0
+        if at * other < 0.0 and closings_are_takeoffs:
             at = other
             yield Doubt(
                 "contact_sense",
@@ -166,18 +184,6 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             "turn its leads, or write phase_deg = 180 in [drive]",
             False,
         )
-
-
-def _are_takeoffs(closes: Floats, opens: Floats) -> bool:
-    """Whether the ball takes off at the closings, both (n, delays): those whose accelerations lie closer together.
-
-    In a single locked motion landings lie as close together as take-offs, which then are what is nearer to g.
-    """
-    spread, other_spread = _spread(opens), _spread(closes)
-    if max(spread, other_spread) > LOCKED:
-        return other_spread < TIGHTER * spread
-    at, other = (abs(math.log(max(abs(at_edges_g(x) or 0.0), 1e-9))) for x in (opens, closes))
-    return other < at and (at_edges_g(opens) or 0.0) > 0.0
 
 
 def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:
@@ -225,7 +231,7 @@ def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
 
 
 def _scale(seen: Measured, setup: Setup) -> Iterator[Doubt]:
-    """Gamma at the plate far from gamma commanded, or from what the take-offs say."""
+    """Gamma at the plate far from gamma commanded, or from that of the take-offs."""
     table = np.array([hold.gammas(setup) for hold in seen.holds]).reshape(-1, 3)
     known = np.isfinite(table).all(axis=1) & (table[:, 0] > 0.0)
     at_g = abs(at_edges_g(edges_g(seen, setup.channels.continuity)[0]) or 1.0)
@@ -260,7 +266,7 @@ def _scale(seen: Measured, setup: Setup) -> Iterator[Doubt]:
 
 
 def _rest_g(seen: Measured, setup: Setup) -> float | None:
-    """What the accelerometer reads at rest by the profile, in units of g; None where that is not known."""
+    """The accelerometer's reading at rest by the profile, in units of g; None where that is not known."""
     sensor = setup.channels.accelerometer
     if seen.bias_v is None or sensor.coupling == "ac" or sensor.offset_v is None:
         return None
@@ -287,15 +293,3 @@ def _bias(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         cure,
         True,
     )
-
-
-def _resampled(seen: Measured) -> Iterator[Doubt]:
-    """Noise that comes and goes as linear interpolation makes it."""
-    if seen.interpolation_hz is not None:
-        yield Doubt(
-            "resampled",
-            f"the noise of several channels comes and goes at {1e-3 * seen.interpolation_hz:.3g} kHz, as where a file "
-            "was brought to another rate by linear interpolation",
-            "import the file as it was recorded: impacts are blurred, and their times with them",
-            False,
-        )

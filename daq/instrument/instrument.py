@@ -1,4 +1,4 @@
-"""The instruments of a recording as values: what was measured of them, doubts about the profile, and both in words."""
+"""The instruments of a recording as values: measured properties, doubts about the profile, and both in words."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Doubt:
     kind
         One of `DOUBT_KINDS`.
     finding
-        What was found, with its numbers.
+        The contradiction, with its numbers.
     cure
         What to write or to do.
     makes_meaningless
@@ -65,7 +65,7 @@ class Instrument:
     levels_v
         Lower and upper level of the contact circuit.
     doubts
-        What contradicts the profile.
+        Contradictions to the profile.
     """
 
     rate_hz: float
@@ -98,8 +98,11 @@ class Instrument:
         return cls(**values | {"doubts": tuple(Doubt(**doubt) for doubt in values["doubts"])})
 
     def in_words(self) -> tuple[str, ...]:
-        """What the instruments are, a line each for recording, accelerometer and contact."""
-        lines = [f"{self.rate_hz:.6g} samples/s, {self.steps} steps, {_tones_in_words(self.tones_hz, self.tones_g)}"]
+        """The instruments, a line each for recording, accelerometer and contact."""
+        each = [f"{hz:.5g} Hz ({g:.3g} g)" for hz, g in zip(self.tones_hz, self.tones_g, strict=True)]
+        count = "a tone" if len(each) == 1 else f"{len(each)} tones"
+        tones = f"{count} at {' and '.join(each)} in the loudest step" if each else "no tones found"
+        lines = [f"{self.rate_hz:.6g} samples/s, {self.steps} steps, {tones}"]
         sensor = []
         if self.noise_mps2 is not None and self.noise_mps2_rthz is not None:
             flat = f"flat to {0.5e-3 * self.rate_hz:.3g} kHz"
@@ -118,11 +121,3 @@ class Instrument:
             )
             lines.append(f"contact: {low:.3g} and {high:.3g} V, {seen}")
         return tuple(lines)
-
-
-def _tones_in_words(tones_hz: tuple[float, ...], tones_g: tuple[float, ...]) -> str:
-    """The forcing's tones."""
-    if not tones_hz:
-        return "no tones found"
-    each = [f"{hz:.5g} Hz ({g:.3g} g)" for hz, g in zip(tones_hz, tones_g, strict=True)]
-    return f"{'a tone' if len(each) == 1 else f'{len(each)} tones'} at {' and '.join(each)} in the loudest step"

@@ -28,14 +28,14 @@ LEVELS = (0.01, 0.99)  # quantiles of the contact's volts that count as its leve
 BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
 BOUNCE_S = 1e-3  # shorter contacts and openings are bounce
 REST_CYCLES, REST_S = 0.08, 3e-3  # contact before a take-off and flight after it, at least
-DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # at which the plate is looked at beside an edge: either may be late
+DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # after an edge, at which the plate is looked at: either may be late
 RESTS = 0.9  # peak below which it certainly rests
 SHOCK_S = (1e-3, 8e-3)  # before and after an edge of the contact, left out of the noise
 
 
 @dataclass(frozen=True)
 class Hold:
-    """What the hold of a step shows; accelerations by the profile's sense and scale, in units of g.
+    """One step's hold; accelerations by the profile's sense and scale, in units of g.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ def _between(volts: Floats) -> float:
 
 
 def _at_edges(high: Bools, acceleration: Floats, rate_hz: float, hz: float) -> tuple[Floats, Floats]:
-    """Acceleration beside the rises of a level, and beside its falls, between two states of some length."""
+    """Acceleration at the rises of a level, and at its falls, between two states of some length."""
     starts = np.flatnonzero(np.diff(high)) + 1
     bounds = np.concatenate([[0], starts, [len(high)]])
     state, length = high[bounds[:-1]], np.diff(bounds)

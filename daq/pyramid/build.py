@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES
-from daq.pyramid.kernel import fold_buckets, fold_samples
 from daq.pyramid.layout import BUCKET, FACTOR, Layout, read_layout
 from daq.recording import Recording
 from daq.recording.identity import stored_id
+from kernels import njit
 
 PIECE = 4 * CHUNK_SAMPLES
 """Samples read at a time."""
@@ -27,14 +27,14 @@ BUCKETS = 1 << 18
 
 
 def pyramid_key(recording: Recording) -> str:
-    """Hash of what a pyramid is made of: the stored checksums (of a run that goes on: of its blocks), and the gaps."""
+    """Hash of a pyramid's source: the stored checksums (of a run that goes on: of its blocks), and the gaps."""
     blocks = "" if recording.frames is None else hashlib.sha256(recording.blocks["crc32"].tobytes()).hexdigest()
     made_of = [stored_id(recording), blocks, recording.channels, recording.n_samples, recording.gaps.tolist()]
     return hashlib.sha256(json.dumps(made_of).encode()).hexdigest()[:32]
 
 
 def has_pyramid(path: Path, key: str) -> bool:
-    """Whether the file ``path`` is a whole pyramid made of what ``key`` stands for."""
+    """Whether the file ``path`` is a whole pyramid of the source with the hash ``key``."""
     try:
         found = read_layout(path)
     except (OSError, ValueError, TypeError, KeyError):
@@ -177,3 +177,48 @@ def _write(file: IO[bytes], offset: int, first: int, values: NDArray[Any]) -> No
     """Write extremes from the bucket ``first`` on."""
     file.seek(offset + first * values.itemsize)
     file.write(values.tobytes())
+
+
+@njit(nogil=True)
+def fold_samples(codes: NDArray[Any], skipped: int, bucket: int, low: NDArray[Any], high: NDArray[Any]) -> None:
+    """Widen the extremes ``low``, ``high`` (k,) of buckets by samples (n,) that do not jump over lost ones.
+
+    Parameters
+    ----------
+    codes
+        Samples; one that is no number (NaN) is passed over.
+    skipped
+        Samples of the first bucket that came before.
+    bucket
+        Samples a bucket.
+    low, high
+        Extremes so far; ``low > high``: none yet.
+    """
+    at, k, n = 0, 0, len(codes)
+    end = min(bucket - skipped, n)
+    while at < n:
+        least, most = low[k], high[k]
+        for i in range(at, end):
+            x = codes[i]
+            least = x if x < least else least
+            most = x if x > most else most
+        low[k], high[k] = least, most
+        at, end, k = end, min(end + bucket, n), k + 1
+
+
+@njit(nogil=True)
+def fold_buckets(
+    low: NDArray[Any],
+    high: NDArray[Any],
+    begins: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    into_low: NDArray[Any],
+    into_high: NDArray[Any],
+) -> None:
+    """Extremes (k,) of the buckets ``begins[k]`` to ``ends[k]`` (exclusive) of ``low``, ``high``."""
+    for k in range(len(begins)):
+        least, most = low[begins[k]], high[begins[k]]
+        for i in range(begins[k] + 1, ends[k]):
+            least = low[i] if low[i] < least else least
+            most = high[i] if high[i] > most else most
+        into_low[k], into_high[k] = least, most

@@ -30,14 +30,13 @@ TOP_BUCKETS = 1024
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the extremes of a recording stand.
+    """Places of a recording's extremes in the file.
 
     Attributes
     ----------
     key
-        What the pyramid was made of: channels, checksums, gaps.
+        Hash of the channels, checksums and gaps that the pyramid was made of.
     rate_hz, n_samples
-        Of the recording.
     channels
         Name, type and scale (volts a code, volts at zero) of each channel.
     gaps
@@ -137,9 +136,9 @@ def read_layout(path: Path) -> tuple[Layout, int, int] | None:
         size = raw.seek(0, 2)
     if zlib.crc32(text) != crc:
         return None
-    told = json.loads(text)
-    told["channels"] = tuple((name, kind, factor, offset) for name, kind, factor, offset in told["channels"])
-    told["gaps"] = tuple((first, lost) for first, lost in told["gaps"])
-    layout = Layout(**told)
+    header = json.loads(text)
+    for name in ("channels", "gaps"):
+        header[name] = tuple(map(tuple, header[name]))
+    layout = Layout(**header)
     begin = HEAD.size + len(text)
     return (layout, begin, body_crc32) if size == begin + layout.body_bytes else None

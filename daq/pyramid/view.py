@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.pyramid.build import empty_extremes, read_extremes
-from daq.pyramid.kernel import widen
 from daq.pyramid.layout import read_layout
 from daq.recording import Recording
 from daq.setup.errors import InputError
+from kernels import njit
 
 Floats = NDArray[np.float64]
 WIDEST = 8192
@@ -193,3 +193,15 @@ class Pyramid:
         out = np.array(rows, float).reshape(-1, 3)
         out[:, :2] /= layout.rate_hz
         return out
+
+
+@njit(nogil=True)
+def widen(
+    low: NDArray[Any], high: NDArray[Any], column: NDArray[np.int64], into_low: NDArray[Any], into_high: NDArray[Any]
+) -> None:
+    """Widen the extremes of columns of a picture by buckets, or samples, that fall into ``column`` (n,) each."""
+    for i in range(len(column)):
+        k = column[i]
+        if 0 <= k < len(into_low):
+            into_low[k] = low[i] if low[i] < into_low[k] else into_low[k]
+            into_high[k] = high[i] if high[i] > into_high[k] else into_high[k]

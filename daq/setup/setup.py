@@ -1,7 +1,7 @@
 """Setup of a measurement: channels, scales, coupling, the ball, declared effects, local g.
 
-Stored, resolved, in every recording, so that the analysis needs no rig. Every number that
-scales a measurement is a `Quantity` that can carry its uncertainty, date and source; nothing is guessed.
+Stored, resolved, in every recording, so that the analysis needs no rig. Every number that scales a measurement is a
+`Quantity` that can carry its uncertainty, date and source; nothing is guessed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _iso_date(value: Any) -> Any:
 
 
 class QuantityTable(Frozen):
-    """A number with its pedigree."""
+    """A number with its uncertainty, date and source."""
 
     value: float
     uncertainty: float = Field(default=0.0, ge=0.0, description="one standard deviation, in the unit of the value")
@@ -175,7 +175,7 @@ class ContinuityChannel(Frozen):
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
-        """Refuse levels that cannot be told apart or read."""
+        """Refuse levels that cannot be distinguished or read."""
         open_v, closed_v = self.open_v.value, self.closed_v.value
         if open_v == closed_v:
             raise ValueError(f"open_v and closed_v are both {open_v:g} V: contact could not be told from flight")

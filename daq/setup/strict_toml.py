@@ -1,7 +1,7 @@
 """Strict TOML: a file either becomes a checked, frozen model, or one error names every fault in it.
 
-Each fault is one line with its dotted key, what was wanted and what came; a key that is nearly
-right is answered with the right one.
+Each fault is one line with its dotted key, what was wanted and what came; a key that is nearly right is answered with
+the right one.
 """
 
 from __future__ import annotations
@@ -87,16 +87,20 @@ def _fault_lines(error: ValidationError, data: dict[str, Any], model: type[BaseM
     lines: list[str] = []
     for fault in error.errors(include_url=False):
         place = _place(fault["loc"], data, missing=fault["type"] == "missing")
-        came = _came(fault)
-        line = f"{_dotted(place) or '(file)'}: {_wanted(fault, place, data, model)}{came}"
-        if line not in lines:
-            lines.append(line)
-    return lines
+        dotted = ""  # as ramp.gamma[2]
+        for key in place:
+            dotted += f"[{key}]" if isinstance(key, int) else f".{key}" if dotted else key
+        came = ""
+        if fault["type"] != "missing" and not isinstance(fault["input"], dict) and ", came " not in fault["msg"]:
+            text = json.dumps(fault["input"], default=str, ensure_ascii=False)
+            came = f", came {text if len(text) <= 60 else text[:57] + '...'}"
+        lines.append(f"{dotted or '(file)'}: {_wanted(fault, place, data, model)}{came}")
+    return list(dict.fromkeys(lines))
 
 
 def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> list[int | str]:
-    """Drop the names of union branches from ``location``, keeping what stands in the file (and a missing last key)."""
-    kept: list[int | str] = []
+    """Keys of ``location`` that stand in the file, and a missing last one, without the names of union branches."""
+    place: list[int | str] = []
     here: Any = data
     for i, key in enumerate(location):
         if isinstance(here, Mapping) and isinstance(key, str) and key in here:
@@ -105,16 +109,8 @@ def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> list
             here = here[key] if key < len(here) else None
         elif not (missing and i == len(location) - 1):
             continue
-        kept.append(key)
-    return kept
-
-
-def _dotted(place: list[int | str]) -> str:
-    """``["ramp", "gamma", 2]`` as ``ramp.gamma[2]``."""
-    text = ""
-    for key in place:
-        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else key
-    return text
+        place.append(key)
+    return place
 
 
 def _wanted(fault: Any, place: list[int | str], data: dict[str, Any], model: type[BaseModel]) -> str:
@@ -154,21 +150,18 @@ def _wanted(fault: Any, place: list[int | str], data: dict[str, Any], model: typ
     return simple.get(kind, f"wanted: {fault['msg']}")
 
 
-def _came(fault: Any) -> str:
-    """What stood there, shortened."""
-    if fault["type"] == "missing" or isinstance(fault["input"], dict) or ", came " in fault["msg"]:
-        return ""
-    text = json.dumps(fault["input"], default=str, ensure_ascii=False)
-    return f", came {text if len(text) <= 60 else text[:57] + '...'}"
-
-
 def _allowed(location: tuple[int | str, ...], model: type[BaseModel]) -> list[str]:
     """The keys of the table that holds ``location``, from the model's own schema."""
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
     nodes = [schema]
     for key in location[:-1]:
-        below = [child for node in nodes for child in _children(_branches(node, definitions), key)]
+        below = []
+        for branch in (b for node in nodes for b in _branches(node, definitions)):
+            if key in branch.get("properties", {}):
+                below.append(branch["properties"][key])
+            elif isinstance(branch.get("additionalProperties"), dict):
+                below.append(branch["additionalProperties"])
         nodes = below or nodes  # the name of a union branch leads nowhere: stay
     return sorted({name for node in nodes for b in _branches(node, definitions) for name in b.get("properties", {})})
 
@@ -179,15 +172,3 @@ def _branches(node: dict[str, Any], definitions: dict[str, Any]) -> list[dict[st
         return _branches(definitions[node["$ref"].rsplit("/", 1)[-1]], definitions)
     inner = [*node.get("anyOf", []), *node.get("oneOf", []), *node.get("allOf", [])]
     return [node, *(b for child in inner for b in _branches(child, definitions))]
-
-
-def _children(branches: list[dict[str, Any]], key: int | str) -> list[dict[str, Any]]:
-    """The schemas found under ``key`` in any of ``branches``."""
-    found = []
-    for branch in branches:
-        properties = branch.get("properties", {})
-        if key in properties:
-            found.append(properties[key])
-        elif isinstance(branch.get("additionalProperties"), dict):
-            found.append(branch["additionalProperties"])
-    return found
