@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from analysis.drop.curves import FitPlot
 from analysis.drop.film.tracking import Tracked
 from analysis.drop.times.one_ahead import Drop
-from analysis.drop.times.wav import open_wav
+from daq.files.wav import open_wav
 
-_ROWS, _COLUMNS = 6, 3000
+_ROWS = 6  # drops of a sound, at most
+_COLUMNS = 3000
 
 
 def draw_track(tracked: Tracked, title: str, target: Path) -> Path:
@@ -68,8 +69,8 @@ def draw_sound(path: Path, drops: Sequence[Drop], target: Path) -> Path:
         broken = bounces.impacts_s[bounces.broken]
         axes.vlines(broken, -top, top, color="tab:orange", lw=1.5, label="irregular bounce")
         axes.plot(bounces.false_s, np.zeros(len(bounces.false_s)), "kx", ms=6, label="no impact of this ball")
-        middles = bounces.gaps_s
-        axes.plot(middles, np.full(len(middles), 0.8 * top), "v", color="tab:red", ms=6, label="impact missed here")
+        gaps = np.full(len(bounces.gaps_s), 0.8 * top)
+        axes.plot(bounces.gaps_s, gaps, "v", color="tab:red", ms=6, label="impact missed here")
         axes.set(xlim=(start, stop), ylim=(-top, top), ylabel=drop.name[-24:], yticks=[])
     rows[0].legend(fontsize=7, loc="upper right", ncols=4)
     rows[-1].set_xlabel("time in the file (s)")

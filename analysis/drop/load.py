@@ -1,4 +1,4 @@
-"""Any file of a drop test, told apart by its first bytes: impact times, or the ball's path."""
+"""Any file of a drop test, recognised by its first bytes: impact times, or the ball's path."""
 
 from __future__ import annotations
 
@@ -9,30 +9,27 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.drop.arrays import Array
+from analysis.drop.corrections import NOTHING, Corrections, Progress
 from analysis.drop.film.flights import Clip, near_impacts
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
-from analysis.drop.options.corrections import NOTHING, Corrections
-from analysis.drop.options.progress import Progress
 from analysis.drop.read.contents import read_tables
 from analysis.drop.read.readings import Points
 from analysis.drop.read.tables import read_grids
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.one_ahead import Drop
-from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file
-from analysis.drop.times.wav import is_wav
+from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file, unheard
+from daq.files.wav import is_wav
 from daq.setup.errors import InputError
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _OTHER_SOUND = {".mp3", ".m4a", ".aac", ".ogg", ".flac", ".wma", ".opus", ".caf", ".amr", ".aiff", ".aif"}
 _OTHER_SOUND_STARTS = (b"ID3", b"OggS", b"fLaC", b"\xff\xfb", b"\xff\xf3", b"\xff\xf1", b"#!AMR", b"caff", b"FORM")
-
-
+_HDF5 = b"\x89HDF"
 _IGNORE_REACH_S = 0.02
 _BY_HAND = 3.0  # strength of an impact that a person added: worth some events that were only heard
 _SAME_S = 1e-9
@@ -63,6 +60,11 @@ class Path2D:
     tracked: Tracked | None = None
     remarks: tuple[str, ...] = ()
     not_read: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The file it came from."""
+        return self.clip.name
 
 
 class Known:
@@ -104,17 +106,13 @@ def load_all(
     head = _head(path)
     if not head:
         raise InputError(f"{path}: the file is empty")
-    if is_wav(path):
-        onsets, rate_hz = known.made(path, "onsets", lambda: onsets_of_file(path, progress))
-        return _drops(path, onsets, 1.0 / rate_hz, corrections, sound=True)
+    if (heard := _heard(path, known, progress)) is not None:
+        return _drops(path, *heard, corrections, sound=is_wav(path))
     if path.suffix.lower() in _OTHER_SOUND or head[8:11] == b"M4A" or head.startswith(_OTHER_SOUND_STARTS):
         raise InputError(
             f"{path}: sound, but not WAV; only WAV is read (compression smears onsets): record as WAV, or convert it, "
             "for instance with: ffmpeg -i FILE drop.wav"
         )
-    if head.startswith(b"\x89HDF"):
-        times, uncertainty = known.made(path, "contact", lambda: contact_onsets(path))
-        return _drops(path, Onsets(times, np.ones(len(times)), np.full(len(times), np.nan)), uncertainty, corrections)
     if path.suffix.lower() in FILMS or head[:4] == b"RIFF" or head[4:8] == b"ftyp":
         return [_film(path, progress, corrections, known)]
     if path.suffix.lower() == ".wav":
@@ -130,11 +128,11 @@ def events_in(path: Path, corrections: Corrections, known: Known) -> Array:
     InputError
         Nothing in the file can be read.
     """
-    if is_wav(path):
-        times = known.made(path, "onsets", lambda: onsets_of_file(path))[0].times_s
-    elif path.is_file() and _head(path).startswith(b"\x89HDF"):
-        times = known.made(path, "contact", lambda: contact_onsets(path))[0]
-    elif path.is_file() and path.suffix.lower() not in FILMS:
+    if not path.is_file():
+        return np.empty(0)
+    if (heard := _heard(path, known)) is not None:
+        times = heard[0].times_s
+    elif path.suffix.lower() not in FILMS:
         found = [item for _, item in read_tables(read_grids(path), str(path)).found]
         times = found[0] if len(found) == 1 and not isinstance(found[0], Points) else np.empty(0)
     else:
@@ -142,26 +140,41 @@ def events_in(path: Path, corrections: Corrections, known: Known) -> Array:
     return np.sort(np.concatenate([times[corrections.keeps(times, _IGNORE_REACH_S)], corrections.add_s]))
 
 
-def _drops(
-    path: Path, events: Onsets, uncertainty_s: float, corrections: Corrections, sound: bool = False
-) -> list[Drop]:
-    kept = corrections.keeps(events.times_s, _IGNORE_REACH_S)
-    added = np.array(corrections.add_s)
-    times = np.concatenate([events.times_s[kept], added])
-    strength = np.concatenate([events.strength[kept], np.full(len(added), _BY_HAND)])
-    loudness = np.concatenate([events.loudness[kept], np.full(len(added), np.nan)])
-    found = drops_of(times, str(path), uncertainty_s, strength, loudness)
-    names = [path.name] if len(found) == 1 else [f"{path.name} ({k} of {len(found)})" for k in range(1, len(found) + 1)]
-    used = np.concatenate([bounces.impacts_s for bounces in found])
-    unused = [when for when in corrections.add_s if np.abs(used - when).min() > _SAME_S]
-    said = tuple(f"{path.name}: no flight of the ball begins or ends at the impact added at {w:.4f} s" for w in unused)
-    drops = [Drop(name, bounces, file=path, sound=sound) for name, bounces in zip(names, found, strict=True)]
-    return [replace(drops[0], remarks=said, events_s=np.sort(times)), *drops[1:]]
-
-
 def _head(path: Path) -> bytes:
     with path.open("rb") as file:
         return file.read(16)
+
+
+def _heard(path: Path, known: Known, progress: Progress | None = None) -> tuple[Onsets, float] | None:
+    """Events of a sound or of a contact circuit, and their uncertainty, s; None for a file of another kind."""
+    if is_wav(path):
+        onsets, rate_hz = known.made(path, "onsets", lambda: onsets_of_file(path, progress))
+        return onsets, 1.0 / rate_hz
+    if _head(path).startswith(_HDF5):
+        times, uncertainty_s = known.made(path, "contact", lambda: contact_onsets(path))
+        return unheard(times), uncertainty_s
+    return None
+
+
+def _drops(
+    path: Path, events: Onsets, uncertainty_s: float, corrections: Corrections, sound: bool = False
+) -> list[Drop]:
+    """Every drop among the events of a file, those that a person added included."""
+    used = corrections.keeps(events.times_s, _IGNORE_REACH_S)
+    added = np.array(corrections.add_s)
+    times = np.concatenate([events.times_s[used], added])
+    strength = np.concatenate([events.strength[used], np.full(len(added), _BY_HAND)])
+    loudness = np.concatenate([events.loudness[used], np.full(len(added), np.nan)])
+    found = drops_of(times, str(path), uncertainty_s, strength, loudness)
+    numbers = [f" ({k + 1} of {len(found)})" if len(found) > 1 else "" for k in range(len(found))]
+    impacts = np.concatenate([bounces.impacts_s for bounces in found])
+    said = tuple(
+        f"{path.name}: no flight of the ball begins or ends at the impact added at {when:.4f} s"
+        for when in corrections.add_s
+        if np.abs(impacts - when).min() > _SAME_S
+    )
+    drops = [Drop(path.name + n, bounces, file=path, sound=sound) for n, bounces in zip(numbers, found, strict=True)]
+    return [replace(drops[0], remarks=said, events_s=np.sort(times)), *drops[1:]]
 
 
 def _film(path: Path, progress: Progress | None, corrections: Corrections, known: Known) -> Path2D:
@@ -171,23 +184,21 @@ def _film(path: Path, progress: Progress | None, corrections: Corrections, known
         own = replace(corrections, ignore_s=ignore_s, add_s=())
         return known.made(path, own, lambda: track_film(path, progress, own))
 
+    def clip_of(tracked: Tracked) -> Clip:
+        track = tracked.track
+        return Clip(path.name, track.clock + tracked.first, track.height, track.acceleration, track.x, tracked.watched)
+
     try:
         tracked = tracked_without(())
-        frames = _frames_meant(_clip_of(path, tracked), tracked.fps, corrections)
+        frames = _frames_meant(clip_of(tracked), tracked.fps, corrections)
     except InputError:
         if not corrections.ignore_s:
             raise
-        frames = corrections.ignore_s
+        frames = corrections.ignore_s  # perhaps a frame that leads the tracker astray is among them
     if frames:
         tracked = tracked_without(frames)
     frame_s = 1.0 / tracked.fps if tracked.fps else None
-    clip = _corrected(_clip_of(path, tracked), frame_s, corrections)
-    return Path2D(clip, frame_s, metres=False, tracked=tracked, remarks=tracked.remarks)
-
-
-def _clip_of(path: Path, tracked: Tracked) -> Clip:
-    track = tracked.track
-    return Clip(path.name, track.clock + tracked.first, track.height, track.acceleration, track.x, tracked.watched)
+    return Path2D(_corrected(clip_of(tracked), frame_s, corrections), frame_s, False, tracked, tracked.remarks)
 
 
 def _frames_meant(clip: Clip, fps: float | None, corrections: Corrections) -> tuple[float, ...]:
@@ -216,31 +227,28 @@ def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
     not_read = list(contents.not_read)
     refused: InputError | None = None
     for number, (label, item) in enumerate(contents.found):
-        name = path.name if len(contents.found) == 1 else f"{path.name} ({label or number + 1})"
+        label = label or str(number + 1)
+        name = path.name if len(contents.found) == 1 else f"{path.name} ({label})"
         try:
             if isinstance(item, Points):
                 paths.append(_path(item, name, corrections))
-                continue
-            read = _drops(path, Onsets(item, np.ones(len(item)), np.full(len(item), np.nan)), 0.0, corrections)
+            else:
+                read = _drops(path, unheard(item), 0.0, corrections)
+                more = [f" {k + 1} of {len(read)}" if len(read) > 1 else "" for k in range(len(read))]
+                drops += [replace(drop, name=name + words) for drop, words in zip(read, more, strict=True)]
         except InputError as error:
-            refused = refused or (error if isinstance(item, Points) else _in_milliseconds(error, item))
-            not_read.append(f"{label or number + 1}: {_without(str(error), path)}")
-            continue
-        more = "" if len(read) == 1 else " {} of " + str(len(read))
-        drops += [replace(drop, name=name + more.format(k + 1)) for k, drop in enumerate(read)]
+            why = str(error)
+            if not isinstance(item, Points) and len(item) > 1 and np.median(np.diff(np.sort(item))) > _LONGEST_STEP_S:
+                hint = ". Are these milliseconds or microseconds? Then say so in the heading: time (ms)"
+                error = InputError(why + hint)
+            refused = refused or error
+            not_read.append(f"{label}: {_without(why, path)}")
     if refused is not None and not drops and not paths:
         raise refused
     said = tuple(f"{path.name}: not read: {words}" for words in not_read)
     if drops:
         return [replace(drops[0], not_read=said), *drops[1:]]
     return [replace(paths[0], not_read=said), *paths[1:]]
-
-
-def _in_milliseconds(error: InputError, times: Array) -> InputError:
-    """The error with a hint, where the numbers would be seconds too long for any flight."""
-    if len(times) > 1 and float(np.median(np.diff(np.sort(times)))) > _LONGEST_STEP_S:
-        return InputError(f"{error}. Are these milliseconds or microseconds? Then say so in the heading: time (ms)")
-    return error
 
 
 def _without(words: str, path: Path) -> str:
@@ -251,7 +259,11 @@ def _without(words: str, path: Path) -> str:
 
 
 def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
-    frame_s = _frame_s(found.clock) if found.in_seconds else 1.0
+    """The ball's path among points of a table; a time to be left out is an impact's, or else a sample's."""
+    frame_s = 1.0
+    if found.in_seconds:  # times may be rounded: the whole time over the number of steps
+        steps = np.diff(np.unique(found.clock))
+        frame_s = float(steps.sum() / np.maximum(np.round(steps / np.median(steps)), 1.0).sum())
     clip, remarks = _clip(found, name, replace(corrections, ignore_s=()), frame_s)
     if corrections.ignore_s:
         frames = _frames_meant(clip, 1.0 / frame_s, corrections)
@@ -261,27 +273,14 @@ def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
 
 
 def _clip(found: Points, name: str, corrections: Corrections, frame_s: float) -> tuple[Clip, tuple[str, ...]]:
-    """The ball among the points that are left, and what was noticed."""
-    kept = corrections.keeps(found.clock, 0.6 * frame_s)
+    """The ball among the points that are left, on whole frames but for rounding, and what was noticed."""
+    used = corrections.keeps(found.clock, 0.6 * frame_s)
     if corrections.region is not None:
         left, top, right, bottom = corrections.region
-        kept &= (found.x >= left) & (found.x <= right) & (found.y >= top) & (found.y <= bottom)
-    track = ball_of(found.clock[kept], found.x[kept], found.y[kept], name, corrections.axis_deg)
-    clip = Clip(name, _in_frames(track.clock, frame_s), track.height, track.acceleration * frame_s**2)
-    return clip, track.remarks
-
-
-def _frame_s(clock: Array) -> float:
-    """Seconds a frame from times that may be rounded: the whole time over the number of steps."""
-    times = np.unique(clock)
-    steps = np.diff(times)
-    usual = float(np.median(steps))
-    return float(steps.sum() / np.maximum(np.round(steps / usual), 1.0).sum())
-
-
-def _in_frames(clock: Array, frame_s: float) -> Array:
-    """Times in frames from the first; on whole frames where all are there but for rounding."""
-    frames = (clock - clock[0]) / frame_s
+        used &= (found.x >= left) & (found.x <= right) & (found.y >= top) & (found.y <= bottom)
+    track = ball_of(found.clock[used], found.x[used], found.y[used], name, corrections.axis_deg)
+    frames = (track.clock - track.clock[0]) / frame_s
     whole = np.round(frames)
-    rounded = bool(np.abs(frames - whole).max() < _ROUNDED_FRAMES)
-    return np.asarray(clock[0] / frame_s + (whole if rounded else frames))
+    frames = whole if np.abs(frames - whole).max() < _ROUNDED_FRAMES else frames
+    clip = Clip(name, track.clock[0] / frame_s + frames, track.height, track.acceleration * frame_s**2)
+    return clip, track.remarks

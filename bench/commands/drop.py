@@ -77,7 +77,7 @@ def command(
 
     Several files of one ball are fitted together. Example: bench drop drop.avi --fps 1000 --scale 0.0002 --json -
     """
-    from analysis.drop.options.corrections import Corrections
+    from analysis.drop.corrections import Corrections
     from bench.jobs.drop_test import Request, check_request, parse_region
 
     made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track", "sound"))

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from analysis.drop.options.corrections import Corrections
+from analysis.drop.corrections import Corrections
 from bench.jobs.drop_test import Request
 from daq.setup.errors import InputError
 

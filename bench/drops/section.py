@@ -9,12 +9,12 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from analysis.drop.times.wav import is_wav, open_wav
 from bench.drops.desk import DropDesk
 from bench.web.html import Html
 from bench.web.hub import socket_route
 from bench.web.page import page
 from bench.web.section import Place, Section
+from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
 
 HERE = Path(__file__).parent

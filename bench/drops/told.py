@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from analysis.drop.corrections import Corrections
 from analysis.drop.load import Path2D, events_in
-from analysis.drop.options.corrections import Corrections
 from analysis.drop.times.one_ahead import Drop
-from analysis.drop.times.wav import is_wav, open_wav
 from bench.jobs.drop_test import DropTest, Request
+from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
 
 Told = dict[str, Any]

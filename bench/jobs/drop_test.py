@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.drop.options.corrections import NOTHING, Corrections
+from analysis.drop.corrections import NOTHING, Corrections
 from daq.setup.errors import InputError
 from daq.setup.setup import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
+    from analysis.drop.corrections import Progress
     from analysis.drop.curves import FitPlot
     from analysis.drop.filmed import Units
     from analysis.drop.load import Known, Path2D
-    from analysis.drop.options.progress import Progress
     from analysis.drop.outcome import Outcome
     from analysis.drop.times.one_ahead import Drop
 
@@ -164,7 +164,7 @@ class DropTest:
 
 
 def measure(request: Request, progress: Progress | None = None, known: Known | None = None) -> DropTest:
-    """Read, fit and judge; ``known`` keeps what is slow and does not depend on corrections by hand.
+    """Read, fit and judge; ``known`` has what is slow and does not depend on corrections by hand.
 
     Raises
     ------
@@ -184,14 +184,12 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
     stated = [request.stated[number] for number, _ in loaded]
     if times and paths:
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
-    done = DropTest(
-        request, loaded, *(_from_times(times, stated, request) if times else _from_paths(paths, stated, request))
-    )
+    parts = _from_times(times, stated, request) if times else _from_paths(paths, stated, request)
+    done = DropTest(request, loaded, *parts)
+    outcome = done.outcome
     not_read = [words for _, item in loaded for words in item.not_read]
-    done.outcome.payload["not_read"] = not_read
-    done.outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read
-    done.outcome.payload["options"] = request.as_json()
-    done.outcome.payload["in_words"] = done.outcome.sentences
+    outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read
+    outcome.payload |= {"not_read": not_read, "options": request.as_json(), "in_words": outcome.sentences}
     return done
 
 
@@ -200,35 +198,38 @@ def draw(done: DropTest, out: Path) -> None:
     from analysis.drop.figures import draw_fit, draw_sound, draw_track
     from analysis.drop.times.one_ahead import Drop
 
+    def target(name: str, what: str) -> Path:
+        return out / f"{Path(name).stem}-{what}.png"
+
+    out.mkdir(parents=True, exist_ok=True)
     said = done.outcome.sentences
     for number, path in enumerate(done.request.files):
         own = [item for n, item in done.items if n == number]
         drops = [item for item in own if isinstance(item, Drop) and item.sound]
         if drops:
-            said.append(f"check picture: {draw_sound(path, drops, _target(out, path.name, 'sound'))}")
+            said.append(f"check picture: {draw_sound(path, drops, target(path.name, 'sound'))}")
         for item in own:
             if not isinstance(item, Drop) and item.tracked is not None:
-                drawn = draw_track(item.tracked, item.clip.name, _target(out, item.clip.name, "track"))
-                said.append(f"check picture: {drawn}")
-    names = [item.name if isinstance(item, Drop) else item.clip.name for _, item in done.items]
+                said.append(f"check picture: {draw_track(item.tracked, item.name, target(item.name, 'track'))}")
+    names = [item.name for _, item in done.items]
     title = names[0] if len(names) == 1 else f"{len(names)} drops ({names[0]} ...)"
-    said.append(f"picture: {draw_fit(done.plot, title, _target(out, names[0], 'residuals'))}")
+    said.append(f"picture: {draw_fit(done.plot, title, target(names[0], 'residuals'))}")
 
 
 def _from_times(drops: list[Drop], stated: list[Height | None], request: Request) -> tuple[Outcome, FitPlot]:
     """Impact times: the models, judged on held-out bounces."""
     from analysis.drop.curves import times_plot
-    from analysis.drop.outcome import of_times
+    from analysis.drop.timed import of_times
     from analysis.drop.times.model_selection import judge
 
     rng = np.random.default_rng(request.seed)
-    g, blind = request.gravity_mps2, None
+    g, without_heights = request.gravity_mps2, None
     verdict = judge(drops, g, rng, request.drag_limits)
     if request.use_height == "data":
-        blind = verdict
+        without_heights = verdict
         drops = [replace(drop, height_m=height) for drop, height in zip(drops, stated, strict=True)]
         verdict = judge(drops, g, rng, request.drag_limits)
-    return of_times(drops, verdict, g, stated, rng, blind), times_plot(drops, verdict, g)
+    return of_times(drops, verdict, g, stated, rng, without_heights), times_plot(drops, verdict, g)
 
 
 def _from_paths(
@@ -244,59 +245,39 @@ def _from_paths(
     units = _units(paths, request)
     rng = np.random.default_rng(request.seed)
     fit = fit_camera([item.clip for item in paths], rng)
-    outcome = of_camera([item.clip.name for item in paths], fit, units, rng)
-    for item in paths:
-        if item.tracked is not None:
-            outcome.payload.setdefault("lost_frames", []).append((item.tracked.lost + item.tracked.first).tolist())
-    _check_height(outcome, stated)
-    shape = next(r.shape for r in fit.candidates if r.model.name == outcome.payload["best"])
-    seen = fit.impacts[shape]
-    step = [item.frame_s or 1.0 for item in paths]
+    height = next((height for height in stated if height is not None), None)
+    outcome = of_camera([item.name for item in paths], fit, units, rng, height)
+    films = [item.tracked for item in paths if item.tracked is not None]
+    if films:
+        outcome.payload["lost_frames"] = [(film.lost + film.first).tolist() for film in films]
+    shape = next(one.shape for one in fit.candidates if one.model.name == outcome.payload["best"])
+    seen, steps = fit.impacts[shape], [item.frame_s for item in paths]
     impacts = [
-        (int(clip), float(frame) * step[int(clip)], bool(both))
+        (int(clip), float(frame) * (steps[int(clip)] or 1.0), bool(both))
         for clip, frame, both in zip(seen.clip, seen.frame, seen.bounced, strict=True)
     ]
-    return outcome, camera_plot(fit, shape, [item.frame_s for item in paths]), impacts
+    return outcome, camera_plot(fit, shape, steps), impacts
 
 
 def _units(paths: list[Path2D], request: Request) -> Units:
     """Seconds a frame and metres a unit: what was said on the command line first, then what the files say."""
     from analysis.drop.filmed import Units
 
-    stated = {item.frame_s for item in paths}
-    if request.fps is None and len(stated) > 1 and max(s or 0.0 for s in stated) > 1.01 * min(s or 0.0 for s in stated):
+    rates = [item.frame_s or 0.0 for item in paths]
+    if request.fps is None and max(rates) > 1.01 * min(rates):
         raise InputError("the files have different frame rates; say --fps, or run them one by one")
     first = paths[0]
-    own = request.fps is None or (first.tracked is None and first.frame_s is not None)
-    frame_s = first.frame_s if own or request.fps is None else 1.0 / request.fps
-    ball = None
+    is_clocked = first.tracked is None and first.frame_s is not None  # a table in seconds knows better than --fps
+    frame_s = first.frame_s if is_clocked or request.fps is None else 1.0 / request.fps
+    scale, ball = request.scale_m, None
     if first.tracked is not None:
         ball = float(np.median(np.minimum(first.tracked.tall_px, first.tracked.width_px)))
-    scale = request.scale_m
     if request.ball_size_m is not None and scale is None:
         if ball is None:
             raise InputError("--ball-size: only a film shows the ball's size; say --scale")
         scale = request.ball_size_m / ball
     if scale is None and all(item.metres for item in paths):
         scale = 1.0
-    assumed = request.fps is None and first.tracked is not None
-    return Units(
-        frame_s, scale, request.gravity_mps2, request.scale_uncertainty, request.fps_uncertainty, assumed, ball
-    )
-
-
-def _check_height(outcome: Outcome, stated: list[Height | None]) -> None:
-    """Hold the filmed fall against the stated height."""
-    given = [height for height in stated if height is not None]
-    found = outcome.payload["drop_height_m"]
-    if given and found["value"] is not None:
-        value, sigma = given[0]
-        own = (found["high"] - found["low"]) / 3.92
-        off = (found["value"] - value) / (own**2 + sigma**2) ** 0.5
-        outcome.payload["stated_height_m"] = {"value": value, "uncertainty": sigma, "sigmas_off": off}
-        outcome.sentences.append(f"stated height {value:.3f} m: the filmed fall is {off:+.1f} sigma from it")
-
-
-def _target(out: Path, name: str, what: str) -> Path:
-    out.mkdir(parents=True, exist_ok=True)
-    return out / f"{Path(name).stem}-{what}.png"
+    is_assumed = request.fps is None and first.tracked is not None
+    uncertainties = request.scale_uncertainty, request.fps_uncertainty
+    return Units(frame_s, scale, request.gravity_mps2, *uncertainties, is_assumed, ball)

@@ -25,11 +25,11 @@ from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.flights import Clip, flights_of
 from analysis.drop.film.tracking import track_film
 from analysis.drop.filmed import Units, of_camera
-from analysis.drop.laws.choice import choose
+from analysis.drop.laws.choice import Verdict, choose
 from analysis.drop.load import Path2D, load
-from analysis.drop.outcome import of_times
+from analysis.drop.timed import of_times
 from analysis.drop.times.impact_chain import bounces_of
-from analysis.drop.times.model_selection import Verdict, judge
+from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from daq.setup.errors import InputError
@@ -182,7 +182,7 @@ def _tabled(
 
 
 def _count(
-    cause: str, truth: Any, verdict: Verdict, payload: dict[str, Any], matrix: Counter[Any], tally: Counter[str]
+    cause: str, truth: Any, verdict: Verdict[Judged], payload: dict[str, Any], matrix: Counter[Any], tally: Counter[str]
 ) -> None:
     tied = cause in verdict.tie_set and verdict.chosen != cause
     matrix[cause, verdict.chosen + (" (truth tied)" if tied else "")] += 1

@@ -11,32 +11,38 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.drop import lack_of_fit
+from analysis.drop.arrays import Array, Counts, Flags
 from analysis.drop.film.flights import Clip, Flight, flights_of
 from analysis.drop.film.restitution import RestitutionFit, fit_restitution
-from analysis.drop.film.steadiness import in_words, wander_of
 from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
-from analysis.drop.laws.bouncelaw import CONSTANT, DRAG, FRICTION, SPEED, SPEED_DRAG, BounceModel
-from analysis.drop.laws.flightlaw import FlightLaw
+from analysis.drop.laws.bounce_law import (
+    CONSTANT,
+    DRAG,
+    FRICTION,
+    FRICTION_DRAG,
+    SPEED,
+    SPEED_DRAG,
+    SPEED_FRICTION,
+    BounceModel,
+)
+from analysis.drop.laws.flight_law import FlightLaw
+from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.errors import InputError
 
-Array = NDArray[np.float64]
-
-FRICTION_DRAG = BounceModel("coulomb_friction+quadratic_drag", ("e0", "mu", "k_per_m"))
-SPEED_FRICTION = BounceModel("speed_dependent_restitution+coulomb_friction", ("e0", "e1_s_per_m", "mu"))
-CAMERA_MODELS: tuple[tuple[BounceModel, str, bool], ...] = (
-    (CONSTANT, "parabola", False),
-    (SPEED, "parabola", True),
-    (DRAG, "drag", False),
-    (FRICTION, "friction", False),
-    (SPEED_DRAG, "drag", True),
-    (SPEED_FRICTION, "friction", True),
-    (FRICTION_DRAG, "friction+drag", False),
-)
+_SHAPE_OF = {
+    CONSTANT: "parabola",
+    SPEED: "parabola",
+    DRAG: "drag",
+    FRICTION: "friction",
+    SPEED_DRAG: "drag",
+    SPEED_FRICTION: "friction",
+    FRICTION_DRAG: "friction+drag",
+}
 _DRAWS = 300
-_IMPACT_FRAMES = 0.8
-_LEAST_CLEAR = 4
+_IMPACT_FRAMES = 0.8  # around an impact, in which an exposure may show both flights
+_LEAST_CLEAR = 4  # samples of a flight outside
 _MOST_WORTH = 0.5  # a tracker errs alike over several frames (the same pixels, the same edge), seen or not
 
 
@@ -57,7 +63,7 @@ class Impacts:
         The same for each draw of the fit.
     """
 
-    clip: NDArray[np.int64]
+    clip: Counts
     frame: Array
     speed_in: Array
     speed_out: Array
@@ -68,33 +74,71 @@ class Impacts:
     floor_draws: Array
 
     @property
-    def bounced(self) -> NDArray[np.bool_]:
+    def bounced(self) -> Flags:
         """Impacts with a measured speed on both sides."""
         return np.isfinite(self.speed_in) & np.isfinite(self.speed_out)
 
-    def flight_after(self) -> Array:
-        """Frames until the next impact of the same clip; NaN for the last."""
-        gap = np.append(np.diff(self.frame), np.nan)
-        same = np.append(np.diff(self.clip) == 0, False)
-        return np.where(same, gap, np.nan)
+    def restitution(self) -> tuple[Array, Array]:
+        """Restitution of each impact that has speeds on both sides, and its standard deviation."""
+        index = np.flatnonzero(self.bounced)
+        sigma = (self.out_draws[:, index] / self.in_draws[:, index]).std(axis=0)
+        return self.speed_out[index] / self.speed_in[index], sigma
 
 
 @dataclass(frozen=True)
 class CameraCandidate:
-    """One model: shape and law of restitution, with held-out scores (flights first, then bounces)."""
+    """One model: shape and law of restitution, with held-out scores (`laws.choice.Candidate`).
+
+    Attributes
+    ----------
+    model : BounceModel
+    shape : str
+    law : RestitutionFit
+    forces : dict
+        Value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units.
+    rms, held_out_rms : float
+        Of flight durations, frames; NaN where there are none.
+    scores : (flights + bounces,) float64
+        Held-out log likelihoods.
+    """
 
     model: BounceModel
     shape: str
     law: RestitutionFit
-    residual_frames: Array
-    held_out_frames: Array
+    forces: dict[str, tuple[float, float]]
+    rms: float
+    held_out_rms: float
     scores: Array
-    significant: bool
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether there are bounces enough for the law of restitution."""
+        return bool(np.isfinite(self.law.half_width).all())
+
+    @property
+    def significant(self) -> bool:
+        """Whether every interval after that of ``e0`` excludes zero; a drag or friction below zero is none."""
+        law = self.law
+        clear = len(law.theta) < 2 or abs(float(law.theta[1])) > float(law.half_width[1])
+        return clear and all(value > half for value, half in self.forces.values())
+
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Value and half of the 95 % interval of each parameter, in the file's units."""
+        pairs = zip(self.law.theta.tolist(), self.law.half_width.tolist(), strict=True)
+        return dict(zip(("e0", "e1_s_per_m"), pairs, strict=False)) | self.forces
+
+    def intervals(self) -> dict[str, tuple[float, float, float]]:
+        """Value and 95 % interval of each parameter, in the file's units."""
+        floor = {"e0": 0.0, "k_per_m": 0.0}
+        return {
+            name: (value, max(value - half, floor.get(name, -np.inf)), value + half)
+            for name, (value, half) in self.estimates().items()
+        }
 
 
 @dataclass(frozen=True)
 class CameraFit:
-    """What the camera saw.
+    """What was measured of a camera's drops.
 
     Attributes
     ----------
@@ -134,8 +178,11 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     InputError
         No impact with a flight resolved on both sides.
     """
-    flights = [flight for number, clip in enumerate(clips) for flight in flights_of(clip, number)]
-    flights = _centred([f for f in flights if len(f.frame) >= 3])
+    flights = [f for number, clip in enumerate(clips) for f in flights_of(clip, number) if len(f.frame) >= 3]
+    # Heights count from the middle of all; the scale is that of a ruler from their lowest to their highest.
+    top, bottom = max(float(f.height.max()) for f in flights), min(float(f.height.min()) for f in flights)
+    middle, reach = 0.5 * (top + bottom), 0.5 * (top - bottom)
+    flights = [replace(f, height=f.height - middle, reach=reach) for f in flights]
     acceleration = float(np.median([clip.acceleration for clip in clips]))
     noise = noise_of(flights)
     flights = _clear_of_impacts(flights, fit_shape("friction", flights, acceleration, noise))
@@ -146,26 +193,20 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     shapes = {name: replace(s, covariance=s.covariance / worth) for name, s in shapes.items()}
     values, impacts, falls = {}, {}, {}
     for name, shape in shapes.items():
-        values[name], at, top = draws_of(shape, rng, _DRAWS, worth)
-        impacts[name], falls[name] = impacts_of(shape, flights, values[name], at, top)
+        values[name], at, top_draws = draws_of(shape, rng, _DRAWS, worth)
+        impacts[name], falls[name] = impacts_of(shape, flights, values[name], at, top_draws)
     if not impacts["parabola"].bounced.any():
         raise InputError(f"{clips[0].name}: no impact with a measured speed on both sides; show the fall and a bounce")
     scores = {name: _position_scores(shape, flights, noise, worth) for name, shape in shapes.items()}
     for name, shape in shapes.items():
         if "f" in SHAPES[name] and shape.law.friction < 0.0:  # rods do not push: nothing gained
             scores[name] = scores["drag" if "k" in SHAPES[name] else "parabola"]
-    candidates = tuple(_candidate(*candidate, shapes, values, impacts, scores) for candidate in CAMERA_MODELS)
-    moved = [in_words(wander_of(c, [f for f in flights if f.clip == k])) for k, c in enumerate(clips)]
+    candidates = tuple(
+        _candidate(model, shapes[name], values[name], impacts[name], scores[name]) for model, name in _SHAPE_OF.items()
+    )
+    moved = [lack_of_fit.of_camera(c, [f for f in flights if f.clip == k]) for k, c in enumerate(clips)]
     said = tuple(f"{clip.name}: {words}" for clip, words in zip(clips, moved, strict=True) if words)
     return CameraFit(flights, shapes, values, impacts, candidates, falls, noise, worth, said)
-
-
-def _centred(flights: list[Flight]) -> list[Flight]:
-    """Heights counted from the middle of all heights; the scale is that of a ruler from their lowest to highest."""
-    tops, floors = [float(f.height.max()) for f in flights], [float(f.height.min()) for f in flights]
-    middle = 0.5 * (max(tops) + min(floors))
-    reach = 0.5 * (max(tops) - min(floors))
-    return [replace(flight, height=flight.height - middle, reach=reach) for flight in flights]
 
 
 def _clear_of_impacts(flights: list[Flight], shape: Shape) -> list[Flight]:
@@ -186,8 +227,7 @@ def _worth(shape: Shape, flights: Sequence[Flight]) -> float:
     """Independent samples per sample, from the lag-one correlation of the residuals within flights."""
     product = square = 0.0
     for i, flight in enumerate(flights):
-        fallen = shape.law.drop_m(flight.frame - shape.apex_frame[i])
-        residual = flight.height - shape.seen(shape.apex_height[i] - fallen)
+        residual = flight.height - shape.seen_at(i, flight.frame)
         product += float((residual[1:] * residual[:-1]).sum())
         square += float((residual**2).sum())
     rho = min(max(product / max(square, 1e-300), 0.0), 0.95)
@@ -211,7 +251,14 @@ def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: f
 def impacts_of(
     shape: Shape, flights: Sequence[Flight], values: Array, at: Array, top: Array
 ) -> tuple[Impacts, tuple[Array, Array]]:
-    """Impacts where neighbouring flights meet, and one more where the last flight comes down to that floor."""
+    """Impacts where neighbouring flights meet, and one more where the last flight comes down to that floor; and the
+    heights of the falls.
+
+    Parameters
+    ----------
+    values, at, top : (m, p), (m, flights), (m, flights) float64
+        Draws of the shape, of the apexes' times and of their heights.
+    """
     laws = law_of(shape.name, np.vstack([shape.values, values]))
     frames, heights = np.vstack([shape.apex_frame, at]), np.vstack([shape.apex_height, top])
     rows: list[tuple[int, Array, Array, Array, Array]] = []
@@ -222,20 +269,17 @@ def impacts_of(
         if follows and flights[i + 1].order == flight.order + 1:
             when = _meet(laws, frames, heights, i, flight, flights[i + 1])
             down = _speed(laws, when - frames[:, i])
+            fallen = laws.drop_m(when - frames[:, i])
             if flight.order == 0:
-                fall[:, flight.clip] = laws.drop_m(when - frames[:, i])
-            level = heights[:, i] - laws.drop_m(when - frames[:, i])
-            rows.append((flight.clip, when, down, _speed(laws, when - frames[:, i + 1]), level))
+                fall[:, flight.clip] = fallen
+            rows.append((flight.clip, when, down, _speed(laws, when - frames[:, i + 1]), heights[:, i] - fallen))
         elif flight.lands and rows and rows[-1][0] == flight.clip:
             floor = heights[:, i - 1] - laws.drop_m(rows[-1][1] - frames[:, i - 1])
-            below = np.maximum(heights[:, i] - floor, 0.0)
-            when = frames[:, i] + laws.fall_s(below)
+            when = frames[:, i] + laws.fall_s(np.maximum(heights[:, i] - floor, 0.0))
             rows.append((flight.clip, when, _speed(laws, when - frames[:, i]), unknown, unknown))
     clip = np.array([row[0] for row in rows], dtype=np.int64)
     table = np.array([row[1:] for row in rows]).reshape(-1, 4, len(frames))
-    first, rest = table[:, :, 0].T, table[:, :, 1:].transpose(1, 2, 0)
-    found = Impacts(clip, first[0], first[1], first[2], first[3], rest[0], rest[1], rest[2], rest[3])
-    return found, (fall[0], fall[1:])
+    return Impacts(clip, *table[:, :, 0].T, *table[:, :, 1:].transpose(1, 2, 0)), (fall[0], fall[1:])
 
 
 def _meet(laws: FlightLaw, frames: Array, heights: Array, i: int, before: Flight, after: Flight) -> Array:
@@ -253,31 +297,23 @@ def _speed(laws: FlightLaw, since: Array) -> Array:
     return np.asarray(np.abs(laws.velocity_mps(since)))
 
 
-def _candidate(
-    model: BounceModel,
-    shape_name: str,
-    with_speed: bool,
-    shapes: dict[str, Shape],
-    values: dict[str, Array],
-    impacts: dict[str, Impacts],
-    scores: dict[str, Array],
-) -> CameraCandidate:
+def _candidate(model: BounceModel, shape: Shape, values: Array, found: Impacts, scores: Array) -> CameraCandidate:
     """A law of restitution under a shape: how long it says the next flight lasts."""
-    found, law = impacts[shape_name], shapes[shape_name].law
     index = np.flatnonzero(found.bounced)
     incoming = found.speed_in[index]
-    ratio = found.speed_out[index] / incoming
-    sigma = (found.out_draws[:, index] / found.in_draws[:, index]).std(axis=0)
-    fit = fit_restitution(incoming, ratio, sigma, with_speed)
-    flight = found.flight_after()[index]
+    law = fit_restitution(incoming, *found.restitution(), with_speed="e1_s_per_m" in model.parameters)
+    last = np.append(np.diff(found.clip) != 0, True)  # of its clip: no flight after it
+    flight = np.where(last, np.nan, np.append(np.diff(found.frame), np.nan))[index]
 
-    def miss(e: Array) -> Array:
-        left = flight - law.duration_s(np.maximum(e, 0.01) * incoming)
-        return np.asarray(left[np.isfinite(left)])
+    def rms(e: Array) -> float:
+        left = flight - shape.law.duration_s(np.maximum(e, 0.01) * incoming)
+        left = left[np.isfinite(left)]
+        return float(np.sqrt((left**2).mean())) if len(left) else float("nan")
 
-    both = np.concatenate([scores[shape_name], fit.scores])
-    clear = not with_speed or abs(float(fit.theta[1])) > float(fit.half_width[1])
-    for j, key in enumerate(SHAPES[shape_name]):
-        if key in ("f", "k"):
-            clear &= float(shapes[shape_name].values[j]) > 1.96 * float(values[shape_name][:, j].std())
-    return CameraCandidate(model, shape_name, fit, miss(fit.predicted), miss(fit.held_out), both, clear)
+    forces = {}
+    for name, key in (("mu", "f"), ("k_per_m", "k")):
+        if key in SHAPES[shape.name]:
+            column = SHAPES[shape.name].index(key)
+            forces[name] = (float(shape.values[column]), LEVEL_SIGMAS * float(values[:, column].std()))
+    both = np.concatenate([scores, law.scores])
+    return CameraCandidate(model, shape.name, law, forces, rms(law.predicted), rms(law.held_out), both)

@@ -1,7 +1,7 @@
 """A tracked ball cut into flights: the fall, and the flight after each impact.
 
-A flight is what lies between two impacts and has enough samples to be a curve; everything else
-(hand, rest, bounces of a few frames) is left out and not guessed at.
+A flight is what lies between two impacts and has enough samples to be a curve; everything else (hand, rest, bounces of
+a few frames) is left out and not guessed at.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from analysis.drop.arrays import Array, Flags
 from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
 
-Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 LEAST_SAMPLES = 6
 _RELEASE_SIGMA = 6.0
-_RELEASE_SHARE = 0.04  # of the fall, left out at its top
+_RELEASE_SHARE = 0.04  # of the fall, left out at its top: a hand lets go gradually
 _LEAST_FLIGHT_FRAMES = 6.0
 _BENDS = (0.5, 2.0)  # of the usual acceleration: friction and a tilted picture stay inside
+_FASTER = 1.3  # a speed after an impact, over that before: more is a hand, also with errors
 _SAME_FRAMES = 2.0  # an impact left out by hand is the one within so many frames
 
 
@@ -95,43 +97,51 @@ def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
             f"{_LEAST_FLIGHT_FRAMES:.0f} frames to be measured: film faster or drop from higher"
         )
     parts = [Flight(number, 0, *_fall(t[: low[0]], h[: low[0]], clip.acceleration), True)]
-    for k, start in enumerate(low):
-        last = k + 1 == len(low)
-        stop, lands = _end_of_last(clip, int(start)) if last else (int(low[k + 1]), True)
-        parts.append(Flight(number, k + 1, *_inside(t[start + 1 : stop], h[start + 1 : stop]), lands))
-    return [part for part in parts if part.order == 0 or _flies(part, clip.acceleration)]
+    ends = [(int(stop), True) for stop in low[1:]] + [_end_of_last(clip, int(low[-1]))]
+    for k, (start, (stop, lands)) in enumerate(zip(low, ends, strict=True)):
+        frame, height = _inside(t[start + 1 : stop], h[start + 1 : stop])
+        if len(frame) >= LEAST_SAMPLES:  # and it bends as free flight does; a ball at rest or in a hand does not
+            s = frame - frame.mean()
+            bend = -2.0 * float(np.polynomial.polynomial.polyfit(s, height, 2)[2])
+            if _BENDS[0] * clip.acceleration < bend < _BENDS[1] * clip.acceleration:
+                parts.append(Flight(number, k + 1, frame, height, lands))
+    return parts
 
 
-def impact_samples(clip: Clip) -> NDArray[np.intp]:
-    """Samples at which the ball turns over as in an impact, before any correction by hand."""
+def impact_samples(clip: Clip) -> Indices:
+    """Samples at which the ball turns over as in an impact, before any correction by hand.
+
+    The velocity turns over within a few frames; a hand that lifts the ball turns slowly.
+    """
     t, h = clip.frame, clip.height
     least = max(clip.acceleration * (_LEAST_FLIGHT_FRAMES / 2.0) ** 2 / 2.0, 8.0 * jitter(h))
     low, _ = signal.find_peaks(-h, prominence=least)
-    return _real_impacts(t, h, low)
+    found: list[int] = []
+    for i in low:
+        before, after = slice(max(i - 5, 0), i), slice(i + 1, i + 6)
+        if len(t[before]) < 3 or len(t[after]) < 3:
+            continue
+        down, up = np.polyfit(t[before], h[before], 1)[0], np.polyfit(t[after], h[after], 1)[0]
+        if down < 0.0 < up and up < _FASTER * -down + 1e-9:
+            found.append(int(i))
+        elif found:
+            break  # whatever follows is not bouncing any more
+    return np.array(found, dtype=np.intp)
 
 
-def near_impacts(clip: Clip, frames: Array) -> NDArray[np.bool_]:
+def near_impacts(clip: Clip, frames: Array) -> Flags:
     """Which of ``frames`` mean an impact that was found."""
     found = clip.frame[impact_samples(clip)]
     off = np.abs(np.asarray(frames)[:, None] - found[None]).min(axis=1, initial=np.inf)
     return np.asarray(off <= _SAME_FRAMES)
 
 
-def _corrected(clip: Clip, low: NDArray[np.intp]) -> NDArray[np.intp]:
+def _corrected(clip: Clip, low: Indices) -> Indices:
     """Impacts without those that a person left out, and with those added."""
     gone = np.abs(clip.frame[low][:, None] - np.array(clip.no_impact)[None]).min(axis=1, initial=np.inf)
     added = [int(np.abs(clip.frame - when).argmin()) for when in clip.impact]
     inside = [i for i in added if 0 < i < len(clip.frame) - 1]
     return np.union1d(low[gone > _SAME_FRAMES], np.array(inside, dtype=np.intp))
-
-
-def _flies(part: Flight, acceleration: float) -> bool:
-    """Whether the samples bend as free flight does; a ball at rest or in a hand does not."""
-    if len(part.frame) < LEAST_SAMPLES:
-        return False
-    s = part.frame - part.frame.mean()
-    bend = -2.0 * float(np.polynomial.polynomial.polyfit(s, part.height, 2)[2])
-    return _BENDS[0] * acceleration < bend < _BENDS[1] * acceleration
 
 
 def jitter(height: Array) -> float:
@@ -140,24 +150,9 @@ def jitter(height: Array) -> float:
     return mad_sigma(third) / np.sqrt(20.0) if len(third) else 0.0
 
 
-def _real_impacts(t: Array, h: Array, low: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Minima at which the velocity turns over within a few frames (a hand that lifts the ball turns slowly)."""
-    kept = []
-    for i in low:
-        before, after = slice(max(i - 5, 0), i), slice(i + 1, i + 6)
-        if len(t[before]) < 3 or len(t[after]) < 3:
-            continue
-        down, up = np.polyfit(t[before], h[before], 1)[0], np.polyfit(t[after], h[after], 1)[0]
-        if down < 0.0 < up and up < 1.3 * -down + 1e-9:
-            kept.append(i)
-        elif kept:
-            break  # whatever follows is not bouncing any more
-    return np.array(kept, dtype=np.intp)
-
-
 def _end_of_last(clip: Clip, start: int) -> tuple[int, bool]:
-    """Where the last resolved flight ends: the first turn upward after its apex, the time a fall from there takes,
-    or the end of the track.
+    """Where the last resolved flight ends, and whether it lands: the first turn upward after its apex, the time a fall
+    from there takes, or the end of the track.
     """
     t, h = clip.frame, clip.height
     top = start + 1
@@ -175,8 +170,7 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
     start = len(t)
     while start > 0 and (start == len(t) or h[start - 1] > h[start]):
         start -= 1
-    n = len(t) - start
-    if n < LEAST_SAMPLES:
+    if len(t) - start < LEAST_SAMPLES:
         return t[start:], h[start:]
     first = len(t) - LEAST_SAMPLES
     noise = max(jitter(h[start:]), 5e-4 * float(np.ptp(h)), 0.01 * acceleration)
@@ -186,12 +180,11 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
         residual = h[begin:] - fit(s)
         released = float(fit.deriv()(s[0])) <= 0.5 * acceleration
         bent = np.sqrt((residual**2).mean()) > 3.0 * noise or abs(residual[:2]).max() > _RELEASE_SIGMA * noise
-        if bent or not released:
-            if len(t) - begin > 2 * LEAST_SAMPLES:
-                break
-            continue
-        first = begin
-    free = h[first:] < h[first] - _RELEASE_SHARE * (h[first] - h[-1])  # a hand lets go gradually
+        if not bent and released:
+            first = begin
+        elif len(t) - begin > 2 * LEAST_SAMPLES:
+            break
+    free = h[first:] < h[first] - _RELEASE_SHARE * (h[first] - h[-1])
     if free.sum() >= LEAST_SAMPLES:
         first += int(np.argmax(free))
     return _inside(t[first:], h[first:])

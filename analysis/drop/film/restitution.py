@@ -1,6 +1,6 @@
 """Restitution against impact speed, from measured speeds before and after each impact.
 
-Each bounce has its measuring error and, besides, a restitution a little its own, estimated from the scatter by moments
+Each bounce has its measuring error and a restitution a little its own, estimated from the scatter by moments
 (DerSimonian and Laird 1986).
 """
 
@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from analysis.drop.arrays import Array
+from analysis.drop.thresholds import LEVEL_SIGMAS
 
 _LEAST_FOR_HOLD_OUT = 3
 
@@ -66,26 +66,21 @@ def fit_restitution(speed: Array, ratio: Array, sigma: Array, with_speed: bool) 
         return RestitutionFit(theta, width, constant.scatter, constant.predicted, constant.held_out, constant.scores)
     basis = np.column_stack([np.ones(n), -speed]) if with_speed else np.ones((n, 1))
     theta, covariance, scatter = _weighted(basis, ratio, sigma)
+    freedom = n - basis.shape[1]
     held_out, scores = np.full(n, np.nan), np.zeros(n)
-    bare = _bare_chi_square(basis, ratio, sigma)
     if n >= _LEAST_FOR_HOLD_OUT + basis.shape[1] - 1:
         for i in range(n):
-            keep = np.arange(n) != i
-            part, spread, own = _weighted(basis[keep], ratio[keep], sigma[keep])
+            others = np.arange(n) != i
+            part, spread, own = _weighted(basis[others], ratio[others], sigma[others])
             held_out[i] = basis[i] @ part
             total = sigma[i] ** 2 + max(own, scatter) ** 2 + basis[i] @ spread @ basis[i]
-            scores[i] = stats.t.logpdf(ratio[i], max(n - 1 - basis.shape[1], 1), held_out[i], np.sqrt(total))
-    freedom = n - basis.shape[1]
-    wide = float(stats.t.ppf(0.975, freedom)) if freedom >= 1 and scatter > 0.0 else 1.96
-    half_width = wide * np.sqrt(np.diag(covariance))
-    return RestitutionFit(theta, half_width, scatter, basis @ theta, held_out, scores, bare, freedom)
-
-
-def _bare_chi_square(basis: Array, ratio: Array, sigma: Array) -> float:
-    """Chi-square of weighted least squares without extra scatter."""
+            scores[i] = stats.t.logpdf(ratio[i], max(freedom - 1, 1), held_out[i], np.sqrt(total))
     weight = 1.0 / np.maximum(sigma, 1e-9)
-    left = weight * ratio - (basis * weight[:, None]) @ np.linalg.lstsq(basis * weight[:, None], weight * ratio)[0]
-    return float(left @ left)
+    rows = basis * weight[:, None]
+    left = weight * ratio - rows @ np.linalg.lstsq(rows, weight * ratio)[0]  # without extra scatter
+    wide = float(stats.t.ppf(0.975, freedom)) if freedom >= 1 and scatter > 0.0 else LEVEL_SIGMAS
+    half = wide * np.sqrt(np.diag(covariance))
+    return RestitutionFit(theta, half, scatter, basis @ theta, held_out, scores, float(left @ left), freedom)
 
 
 def _weighted(basis: Array, ratio: Array, sigma: Array) -> tuple[Array, Array, float]:
@@ -94,8 +89,7 @@ def _weighted(basis: Array, ratio: Array, sigma: Array) -> tuple[Array, Array, f
     floor = max(1e-6, 1e-3 * float(np.median(sigma)))
     scatter = 0.0
     for _ in range(40):
-        variance = sigma**2 + scatter**2 + floor**2
-        weight = 1.0 / variance
+        weight = 1.0 / (sigma**2 + scatter**2 + floor**2)
         covariance = np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True)
         theta = covariance @ (basis.T @ (weight * ratio))
         squares = (ratio - basis @ theta) ** 2

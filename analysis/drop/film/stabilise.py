@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.film.video import Film, opencv
-from analysis.drop.options.progress import Progress
-from analysis.statistics import MAD_TO_SIGMA
+from analysis.drop.arrays import Array, Counts
+from analysis.drop.corrections import Progress
+from analysis.drop.film.video import Film, opencv, smaller
+from analysis.statistics import mad_sigma
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 
 _WIDTH = 640
@@ -31,27 +31,18 @@ _LEAST_NOISE = 0.5  # levels
 _STEP_PX = 1.0  # standard deviation of the hand's motion from frame to frame, where no edge shows it
 _ALIKE = 10.0  # neighbouring pixels that err alike: compression, noise that is no pixel's own
 _STRIPS = 6
-_STEPS, _LONGEST_STEP_PX, _ARRIVED_PX = 15, 2.0, 5e-3
+_MOST_STEPS = 15  # of the least squares of a frame
+_LONGEST_STEP_PX = 2.0
+_ARRIVED_PX = 5e-3
 _EVERY = 8  # frames, of which one is looked at more closely
 _WATCHED_PX = 0.25
 _LOST = 1.5  # times what usually is left: perhaps a step of many pixels
 
 
-@dataclass(frozen=True)
-class _Edges:
-    """The first frame where it is steep: rows and columns (in lines of 64), brightness, gradients across and down."""
-
-    row: Grey  # (pixels / 64, 64)
-    column: Grey
-    level: Array  # (pixels,)
-    gradient: Array  # (pixels, 2)
-    strip: NDArray[np.int64]  # (pixels,) upright strip of the picture: what falls stays in a few of them
-
-
 def stabilised(film: Film, progress: Progress | None = None) -> Film:
     """The film with its frames moved back onto the first, where the camera moved; else the film as it is.
 
-    The result tells whether the picture has edges that would show a motion along its columns.
+    The result says whether the picture has edges that would show a motion along its columns.
     """
     cv2 = opencv(film.path)
     shifts: list[Array] = []
@@ -65,17 +56,18 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
         factor = min(1.0, _WIDTH / frame.shape[1])
         small, large = _grey(frame, factor / _COARSE, cv2), _grey(frame, factor, cv2)
         if coarse is None or fine is None:
-            coarse, fine = _edges(small), _edges(large)
+            coarse, fine = _edges(small, cv2), _edges(large, cv2)
         before = shifts[-1] if shifts else np.zeros(2)
-        shift = _shift(fine, large, before, cv2)
-        if left and _apart(fine, large, shift, cv2) > _LOST * float(np.median(left)):
-            roughly = _shift(fine, large, _COARSE * _shift(coarse, small, before / _COARSE, cv2), cv2)
-            shift = min((shift, roughly), key=lambda s: _apart(fine, large, s, cv2))
+        shift = fine.shift_of(large, before)
+        if left and fine.difference(large, shift) > _LOST * float(np.median(left)):
+            roughly = fine.shift_of(large, _COARSE * coarse.shift_of(small, before / _COARSE))
+            if fine.difference(large, roughly) < fine.difference(large, shift):
+                shift = roughly
         shifts.append(shift)
         if number % _EVERY == 1:
-            better.append(_left_of(fine, large, shift, cv2))
-            left.append(_apart(fine, large, shift, cv2))
-            error.append(_error_down(fine, large, shift, cv2))
+            better.append(fine.share_left(large, shift))
+            left.append(fine.difference(large, shift))
+            error.append(fine.error_down(large, shift))
         if progress is not None:
             progress("steadying", number + 1, film.count)
     table = np.array(shifts).reshape(-1, 2)
@@ -88,14 +80,13 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
 
 def _grey(frame: Any, factor: float, cv2: Any) -> Grey:
     """A frame in grey, smaller by ``factor``, of the usual brightness (mains flicker)."""
-    size = (max(int(frame.shape[1] * factor), 16), max(int(frame.shape[0] * factor), 16))
-    grey = cv2.cvtColor(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
+    grey = cv2.cvtColor(smaller(frame, factor, 16, cv2), cv2.COLOR_BGR2GRAY)
     soft = np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0), dtype=np.float32)
     soft *= 128.0 / max(float(np.median(soft)), 1.0)
     return soft
 
 
-def _edges(grey: Grey) -> _Edges:
+def _edges(grey: Grey, cv2: Any) -> _Edges:
     """The pixels of the first frame that show a shift best, as many across as down."""
     down, across = np.gradient(grey)
     inside = np.zeros(grey.shape, dtype=bool)
@@ -106,60 +97,66 @@ def _edges(grey: Grey) -> _Edges:
     place = np.argwhere(chosen)
     row, column = np.resize(place, (-(-len(place) // _LINE) * _LINE, 2)).T  # whole lines; the first pixels again
     gradient = np.column_stack([np.asarray(slope)[row, column] for slope in (across, down)]).astype(np.float64)
-    lines = [part.astype(np.float32).reshape(-1, _LINE) for part in (row, column)]
+    at_row, at_column = (part.astype(np.float32).reshape(-1, _LINE) for part in (row, column))
     strip = (column * _STRIPS // grey.shape[1]).astype(np.int64)
-    return _Edges(lines[0], lines[1], grey[row, column].astype(np.float64), gradient, strip)
+    return _Edges(at_row, at_column, grey[row, column].astype(np.float64), gradient, strip, cv2)
 
 
-def _shift(edges: _Edges, grey: Grey, before: Array, cv2: Any) -> Array:
-    """Shift (across, down) of a frame, px; near that of the frame ``before`` in a direction that no edge shows."""
-    shift = before
-    for _ in range(_STEPS):
-        off = _residual(edges, grey, shift, cv2)
-        size = max(MAD_TO_SIGMA * float(np.median(np.abs(off))), _LEAST_NOISE)
-        weight = np.maximum(1.0 - (off / (_TUKEY * size)) ** 2, 0.0) ** 2
-        weighted = edges.gradient * weight[:, None]
-        prior = _ALIKE * (size / _STEP_PX) ** 2
-        normal = weighted.T @ edges.gradient + prior * np.eye(2)
-        change = np.linalg.solve(normal, weighted.T @ off + prior * (shift - before))
-        shift = shift - np.clip(change, -_LONGEST_STEP_PX, _LONGEST_STEP_PX)
-        if float(np.abs(change).max()) < _ARRIVED_PX:
-            break
-    return shift
+@dataclass(frozen=True)
+class _Edges:
+    """The first frame where it is steep: rows and columns (in lines of 64), brightness, gradients across and down."""
 
+    row: Grey  # (pixels / 64, 64)
+    column: Grey
+    level: Array  # (pixels,)
+    gradient: Array  # (pixels, 2)
+    strip: Counts  # (pixels,) upright strip of the picture: what falls stays in a few of them
+    cv2: Any
 
-def _residual(edges: _Edges, grey: Grey, shift: Array, cv2: Any) -> Array:
-    """What the frame shows at the edges' places moved by ``shift``, less what the first frame showed there."""
-    column, row = edges.column + np.float32(shift[0]), edges.row + np.float32(shift[1])
-    seen = cv2.remap(grey, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(seen.ravel() - edges.level, dtype=np.float64)
+    def residual(self, grey: Grey, shift: Array) -> Array:
+        """What a frame shows at the edges' places moved by ``shift``, less what the first frame showed there."""
+        column, row = self.column + np.float32(shift[0]), self.row + np.float32(shift[1])
+        seen = self.cv2.remap(grey, column, row, self.cv2.INTER_CUBIC, borderMode=self.cv2.BORDER_REPLICATE)
+        return np.asarray(seen.ravel() - self.level, dtype=np.float64)
 
+    def difference(self, grey: Grey, shift: Array) -> float:
+        """Median difference of a frame from the first, levels."""
+        return float(np.median(np.abs(self.residual(grey, shift))))
 
-def _error_down(edges: _Edges, grey: Grey, shift: Array, cv2: Any) -> float:
-    """Standard error of a frame's shift down, px, from the gradients that it has in common with the first frame.
+    def shift_of(self, grey: Grey, before: Array) -> Array:
+        """Shift (across, down) of a frame, px; near that of the frame ``before`` in a direction that no edge shows."""
+        shift = before
+        for _ in range(_MOST_STEPS):
+            off = self.residual(grey, shift)
+            size = max(mad_sigma(off), _LEAST_NOISE)
+            weight = np.maximum(1.0 - (off / (_TUKEY * size)) ** 2, 0.0) ** 2
+            weighted = self.gradient * weight[:, None]
+            prior = _ALIKE * (size / _STEP_PX) ** 2
+            normal = weighted.T @ self.gradient + prior * np.eye(2)
+            change = np.linalg.solve(normal, weighted.T @ off + prior * (shift - before))
+            shift = shift - np.clip(change, -_LONGEST_STEP_PX, _LONGEST_STEP_PX)
+            if float(np.abs(change).max()) < _ARRIVED_PX:
+                break
+        return shift
 
-    Noise has none in common, so a bare wall has a large error however steep its noise is.
-    """
-    off = _residual(edges, grey, shift, cv2)
-    slope = _residual(edges, grey, shift + np.array([0.0, 0.5]), cv2)
-    slope = slope - _residual(edges, grey, shift - np.array([0.0, 0.5]), cv2)
-    size = max(MAD_TO_SIGMA * float(np.median(np.abs(off))), _LEAST_NOISE)
-    ours = np.abs(off) < _TUKEY * size
-    each = np.bincount(edges.strip[ours], edges.gradient[ours, 1] * slope[ours], minlength=_STRIPS)
-    common = _STRIPS * float(np.median(each))
-    return size * float(np.sqrt(_ALIKE / max(common, 1e-9)))
+    def error_down(self, grey: Grey, shift: Array) -> float:
+        """Standard error of a frame's shift down, px, from the gradients that it has in common with the first frame.
 
+        Noise has none in common, so a bare wall has a large error however steep its noise is.
+        """
+        off, half = self.residual(grey, shift), np.array([0.0, 0.5])
+        slope = self.residual(grey, shift + half) - self.residual(grey, shift - half)
+        size = max(mad_sigma(off), _LEAST_NOISE)
+        ours = np.abs(off) < _TUKEY * size
+        each = np.bincount(self.strip[ours], self.gradient[ours, 1] * slope[ours], minlength=_STRIPS)
+        common = _STRIPS * float(np.median(each))
+        return size * float(np.sqrt(_ALIKE / max(common, 1e-9)))
 
-def _apart(edges: _Edges, grey: Grey, shift: Array, cv2: Any) -> float:
-    """Median difference of a frame from the first at the edges, levels."""
-    return float(np.median(np.abs(_residual(edges, grey, shift, cv2))))
-
-
-def _left_of(edges: _Edges, grey: Grey, shift: Array, cv2: Any) -> float:
-    """Share of the difference at edges that is left after moving a frame back, in the usual strip of the picture."""
-    steep = np.hypot(edges.gradient[:, 0], edges.gradient[:, 1])
-    before, after = (
-        np.bincount(edges.strip, steep * np.abs(_residual(edges, grey, at, cv2)), minlength=_STRIPS)
-        for at in (np.zeros(2), shift)
-    )
-    return float(np.median(after / np.maximum(before, 1e-12)))
+    def share_left(self, grey: Grey, shift: Array) -> float:
+        """Share of a frame's difference that is left after moving it back, in the usual strip of the picture."""
+        steep = np.hypot(self.gradient[:, 0], self.gradient[:, 1])
+        before, after = (
+            np.bincount(self.strip, steep * np.abs(self.residual(grey, at)), minlength=_STRIPS)
+            for at in (np.zeros(2), shift)
+        )
+        return float(np.median(after / np.maximum(before, 1e-12)))

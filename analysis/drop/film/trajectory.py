@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.drop.arrays import Array
 from analysis.drop.film.flights import Flight, jitter
-from analysis.drop.laws.flightlaw import FlightLaw
-from analysis.statistics import MAD_TO_SIGMA
-
-Array = NDArray[np.float64]
+from analysis.drop.laws.flight_law import FlightLaw
+from analysis.statistics import mad_sigma
 
 SHAPES: dict[str, tuple[str, ...]] = {
     "parabola": ("g", "c", "d"),
@@ -30,7 +28,7 @@ _LIMITS = {"g": (1e-9, 1e9), "f": (-0.5, 0.9), "k": (0.0, np.inf), "c": (-np.inf
 _TILT = 0.01  # standard deviation of c times the span of heights: the scale changes by 2 % from bottom to top
 _LENS = 0.02  # of d times the square of the span: what is seen half way is off by a quarter of a per cent of the span
 _BEYOND = 1.5  # of the reach, where the distortion stays what it is: nothing was seen there
-_MOST_DRAG = 3.0
+_MOST_DRAG = 3.0  # so strong that a fall through the reach is all at terminal speed
 _HIGHEST = 10.0  # an apex, in ranges of height: a step of the fit may go further astray than any ball
 _HUBER = 2.5
 _ROUNDING = 1e-12  # of a normal matrix
@@ -44,6 +42,14 @@ class Block:
     rhs: Array  # (p + 2,)
     squares: float
     count: int
+
+    def schur(self, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
+        """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
+        p = len(self.rhs) - 2
+        normal = self.normal + damping * np.diag(np.diag(self.normal))
+        local = np.asarray(np.linalg.pinv(normal[p:, p:], rcond=1e-13, hermitian=True), dtype=np.float64)
+        gain = normal[:p, p:] @ local
+        return normal[:p, :p] - gain @ normal[p:, :p], self.rhs[:p] - gain @ self.rhs[p:], local, gain
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,8 @@ class Shape:
     covariance : (p, p) float64
         Of ``values``, scaled by the residuals.
     blocks : list of Block
+    noise : float
+        By which the blocks' residuals were divided.
     sigma : float
         Rms residual, unit.
     prior : (p,) float64
@@ -74,12 +82,14 @@ class Shape:
     apex_height: Array
     covariance: Array
     blocks: list[Block]
+    noise: float
     sigma: float
     prior: Array
     reach: float
 
-    def seen(self, height: Array) -> Array:
-        """Where points at true ``height`` are seen."""
+    def seen_at(self, flight: int, frame: Array) -> Array:
+        """Height at which the ball of one of the flights is seen at ``frame`` (n,)."""
+        height = self.apex_height[flight] - self.law.drop_m(frame - self.apex_frame[flight])
         c, d = self.values[-2:]
         near = np.clip(height, -_BEYOND * self.reach, _BEYOND * self.reach)
         return np.asarray(height + (c + d * near) * (near**2 - self.reach**2))
@@ -113,57 +123,63 @@ def fit_shape(
 ) -> Shape:
     """Fit one shape to all flights: Levenberg-Marquardt, each flight's apex eliminated (Schur complement).
 
-    ``near``: parameters to start from, where a fit to nearly the same flights is known. ``unit``: the chi-square of
-    these samples that counts as 1 against the prior, for residuals larger than ``noise`` or not independent.
+    Flights are many and each has an apex of its own, and how far an error may go before it counts less (Huber) is a
+    matter of each flight: no general solver takes both.
+
+    Parameters
+    ----------
+    near
+        Parameters to start from, where a fit to nearly the same flights is known.
+    unit
+        Chi-square of these samples that counts as 1 against the prior, for residuals larger than ``noise`` or not
+        independent.
     """
     span = max(float(np.ptp(f.height)) for f in flights)
     whole = float(max(f.height.max() for f in flights) - min(f.height.min() for f in flights))
+    reach = flights[0].reach
     widths = {"c": _TILT / whole, "d": _LENS / whole**2}
     prior = np.array([unit / widths[key] ** 2 if key in widths else 0.0 for key in SHAPES[name]])
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span, "c": 0.0, "d": 0.0}
     values = np.array([start[p] for p in SHAPES[name]]) if near is None else near.copy()
     apex = np.array([_first_apex(f, acceleration) for f in flights])
     ends = np.array([[2 * f.frame[0] - f.frame[-1] - 2.0, 2 * f.frame[-1] - f.frame[0] + 2.0] for f in flights])
+
+    def blocks_at(values: Array, apex: Array) -> tuple[list[Block], float]:
+        pairs = zip(apex.tolist(), flights, strict=True)
+        blocks = [_block(name, values, at, top, f, noise) for (at, top), f in pairs]
+        return blocks, sum(b.squares for b in blocks) + float(prior @ values**2)
+
     damping, best = 1e-3, np.inf
-    blocks = [_block(name, values, float(a[0]), float(a[1]), f, noise) for a, f in zip(apex, flights, strict=True)]
+    blocks, here = blocks_at(values, apex)
     for _ in range(60):
-        moved, moved_apex = _step(values, apex, blocks, prior, damping, _limits(name, flights[0].reach))
+        moved, moved_apex = _step(values, apex, blocks, prior, damping, _limits(name, reach))
         moved_apex[:, 0] = np.clip(moved_apex[:, 0], ends[:, 0], ends[:, 1])
         moved_apex[:, 1] = np.clip(moved_apex[:, 1], -_HIGHEST * whole, _HIGHEST * whole)
-        pairs = zip(moved_apex, flights, strict=True)
-        trial = [_block(name, moved, float(a[0]), float(a[1]), f, noise) for a, f in pairs]
-        before = sum(b.squares for b in blocks) + float(prior @ values**2)
-        after = sum(b.squares for b in trial) + float(prior @ moved**2)
-        if after <= before * (1 + 1e-12):
-            values, apex, blocks, damping = moved, moved_apex, trial, max(damping * 0.2, 1e-12)
-            if best - after < 1e-6 * (1.0 + after) and damping < 1e-2:
+        trial, there = blocks_at(moved, moved_apex)
+        if there <= here * (1 + 1e-12):
+            values, apex, blocks, here, damping = moved, moved_apex, trial, there, max(damping * 0.2, 1e-12)
+            if best - there < 1e-6 * (1.0 + there) and damping < 1e-2:
                 break
-            best = after
+            best = there
         else:
             damping *= 8.0
             if damping > 1e10:
                 break
     dof = max(sum(b.count for b in blocks) - len(values) - 2 * len(blocks), 1)
     spread = sum(b.squares for b in blocks) / dof
-    schur = sum(_schur(b, len(values))[0] for b in blocks) + np.diag(prior)
-    size = np.diag(sum(b.normal for b in blocks))[: len(values)] + prior
-    covariance = _positive_inverse(schur, size) * max(spread, 1e-12)
-    sigma = noise * float(np.sqrt(spread))
-    return Shape(name, values, apex[:, 0], apex[:, 1], covariance, blocks, sigma, prior, flights[0].reach)
-
-
-def _positive_inverse(normal: Array, size: Array) -> Array:
-    """Inverse of a normal matrix whose small eigenvalues may be negative by rounding: those directions are left wide.
-
-    ``size``: its diagonal before anything was eliminated.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(size, 1e-300))
-    values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
+    # The apexes' elimination leaves differences of large numbers: eigenvalues that are nothing but rounding, negative
+    # ones among them, are left wide.
+    normal = sum(b.schur()[0] for b in blocks) + np.diag(prior)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(sum(b.normal for b in blocks))[: len(values)] + prior, 1e-300))
+    size, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
     vectors = vectors * scale[:, None]
-    return np.asarray((vectors / np.maximum(values, _ROUNDING)) @ vectors.T, dtype=np.float64)
+    covariance = (vectors / np.maximum(size, _ROUNDING)) @ vectors.T * max(spread, 1e-12)
+    sigma = noise * float(np.sqrt(spread))
+    return Shape(name, values, apex[:, 0], apex[:, 1], covariance, blocks, noise, sigma, prior, reach)
 
 
 def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
+    """Frame and height of a flight's apex, by a parabola of known acceleration."""
     t = flight.frame - flight.frame.mean()
     if len(t) < 3:
         return float(flight.frame[0]), float(flight.height[0])
@@ -173,8 +189,10 @@ def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
 
 
 def _block(name: str, values: Array, at: float, top: float, flight: Flight, noise: float) -> Block:
+    """Normal equations of one flight with its apex at ``(at, top)``; far samples count less (Huber)."""
     since = flight.frame - at
-    drop = law_of(name, values).drop_m(since)
+    law = law_of(name, values)
+    drop = law.drop_m(since)
     height = top - drop
     c, d = values[-2:]
     near = np.clip(height, -_BEYOND * flight.reach, _BEYOND * flight.reach)
@@ -188,29 +206,20 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
         step = 1e-6 * max(abs(values[j]), least[SHAPES[name][j]])
         moved[j] += step
         jacobian[:, j] = -(law_of(name, moved).drop_m(since) - drop) / step
-    jacobian[:, p] = -law_of(name, values).velocity_mps(since)
+    jacobian[:, p] = -law.velocity_mps(since)
     jacobian[:, p + 1] = 1.0
-    jacobian *= (1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2))[:, None]
+    jacobian *= (1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2))[:, None]  # of the seen by the true height
     jacobian[:, p - 2], jacobian[:, p - 1] = beyond, near * beyond
     jacobian /= noise
     size = np.abs(residual)
-    loose = _HUBER * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
-    weight = np.minimum(1.0, loose / np.maximum(size, 1e-12))
-    weighted = jacobian * weight[:, None]
+    loose = _HUBER * max(1.0, mad_sigma(size))
+    weighted = jacobian * np.minimum(1.0, loose / np.maximum(size, 1e-12))[:, None]
     squares = np.where(size <= loose, size**2, 2 * loose * size - loose**2).sum()
     return Block(weighted.T @ jacobian, weighted.T @ residual, float(squares), len(since))
 
 
-def _schur(block: Block, p: int, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
-    """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
-    normal = block.normal + damping * np.diag(np.diag(block.normal))
-    local = np.asarray(np.linalg.pinv(normal[p:, p:], rcond=1e-13, hermitian=True), dtype=np.float64)
-    gain = normal[:p, p:] @ local
-    return normal[:p, :p] - gain @ normal[p:, :p], block.rhs[:p] - gain @ block.rhs[p:], local, gain
-
-
 def _limits(name: str, reach: float) -> tuple[Array, Array]:
-    """Bounds of the parameters; drag at most so strong that a fall through ``reach`` is all at terminal speed."""
+    """Bounds of the parameters."""
     low, high = np.array([_LIMITS[key] for key in SHAPES[name]]).T
     if "k" in SHAPES[name] and reach > 0.0:
         high[SHAPES[name].index("k")] = _MOST_DRAG / reach
@@ -220,16 +229,20 @@ def _limits(name: str, reach: float) -> tuple[Array, Array]:
 def _step(
     values: Array, apex: Array, blocks: list[Block], prior: Array, damping: float, limits: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    p = len(values)
-    parts = [_schur(b, p, damping) for b in blocks]
+    """Values and apexes after one damped step."""
+    parts = [b.schur(damping) for b in blocks]
     normal = sum(x[0] for x in parts) + np.diag(prior)
-    right = sum(x[1] for x in parts) - prior * values
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    change = scale * np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=1e-12)[0]
+    change = _solved(normal, sum(x[1] for x in parts) - prior * values, 1e-12)
     moved = np.clip(values + change, *limits)
-    change = moved - values
-    locals_ = [x[2] @ b.rhs[p:] - x[3].T @ change for x, b in zip(parts, blocks, strict=True)]
-    return moved, apex + np.array(locals_)
+    p, change = len(values), moved - values
+    return moved, apex + np.array([x[2] @ b.rhs[p:] - x[3].T @ change for x, b in zip(parts, blocks, strict=True)])
+
+
+def _solved(normal: Array, right: Array, rcond: float) -> Array:
+    """Solution of normal equations whose unknowns have different units."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    solution = np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=rcond)[0]
+    return np.asarray(scale * solution, dtype=np.float64)
 
 
 def surprise(known: Shape, flight: Flight, noise: float, sigma: float, worth: float) -> float:
@@ -241,7 +254,7 @@ def surprise(known: Shape, flight: Flight, noise: float, sigma: float, worth: fl
     """
     block, p = _at_apex(known, flight, noise), len(known.values)
     unit = worth * noise**2 / sigma**2
-    normal, right = (part * unit for part in _schur(block, p)[:2])
+    normal, right = (part * unit for part in block.schur()[:2])
     prior = known.covariance * (sigma / max(known.sigma, 1e-12)) ** 2 / worth
     scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     prior, normal, right = prior / np.outer(scale, scale), normal * np.outer(scale, scale), right * scale
@@ -273,31 +286,23 @@ def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 
     independent samples a sample is worth.
     """
     p, n = len(shape.values), len(shape.blocks)
-    parts = [_schur(b, p) for b in shape.blocks]
-    spread = max(shape.sigma, 1e-12) ** 2 / max(_noise_unit(shape), 1e-300) / worth
+    parts = [b.schur() for b in shape.blocks]
     boot = np.empty((count, p))
     for b in range(count):
         weight = np.bincount(rng.integers(n, size=n), minlength=n)
         normal = sum(w * x[0] for w, x in zip(weight, parts, strict=True)) + np.diag(shape.prior)
         right = sum(w * x[1] for w, x in zip(weight, parts, strict=True)) - shape.prior * shape.values
-        unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        boot[b] = unit * np.linalg.lstsq(normal * np.outer(unit, unit), right * unit, rcond=1e-10)[0]
-    wide = MAD_TO_SIGMA * np.median(np.abs(boot), axis=0) if n >= 4 else np.zeros(p)
-    sigma = np.sqrt(np.diag(shape.covariance))
-    stretch = np.maximum(1.0, np.minimum(wide / np.maximum(sigma, 1e-300), 5.0))
-    unit = np.maximum(sigma, 1e-300)
-    correlation = shape.covariance / np.outer(unit, unit)
-    change = rng.multivariate_normal(np.zeros(p), correlation, size=count, method="svd") * unit * stretch
+        boot[b] = _solved(normal, right, 1e-10)
+    wide = [mad_sigma(column) for column in boot.T] if n >= 4 else np.zeros(p)
+    sigma = np.maximum(np.sqrt(np.diag(shape.covariance)), 1e-300)
+    stretch = np.maximum(1.0, np.minimum(wide / sigma, 5.0))
+    correlation = shape.covariance / np.outer(sigma, sigma)
+    change = rng.multivariate_normal(np.zeros(p), correlation, size=count, method="svd") * sigma * stretch
     values = np.clip(shape.values + change, *_limits(shape.name, shape.reach))
     apex = np.empty((2, count, n))
     for i, (_, _, local, gain) in enumerate(parts):
+        spread = (max(shape.sigma, 1e-12) / shape.noise) ** 2 / worth
         own = rng.multivariate_normal(np.zeros(2), local * spread, size=count, method="svd")
         own -= (values - shape.values) @ gain
-        apex[0, :, i], apex[1, :, i] = shape.apex_frame[i] + own[:, 0], shape.apex_height[i] + own[:, 1]
+        apex[:, :, i] = own.T + np.array([[shape.apex_frame[i]], [shape.apex_height[i]]])
     return values, apex[0], apex[1]
-
-
-def _noise_unit(shape: Shape) -> float:
-    """The noise^2 that the blocks were divided by, recovered from sigma and the squares."""
-    dof = max(sum(b.count for b in shape.blocks) - len(shape.values) - 2 * len(shape.blocks), 1)
-    return shape.sigma**2 / max(sum(b.squares for b in shape.blocks) / dof, 1e-300)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.options.corrections import Corrections
+from analysis.drop.arrays import Array
+from analysis.drop.corrections import Corrections
 from daq.setup.errors import InputError
 
 Image = NDArray[np.uint8]
@@ -19,7 +20,8 @@ Image = NDArray[np.uint8]
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 FILMS = {".avi", ".mp4", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".webm", ".3gp", ".mts", ".cine", ".gif"}
 LEAST_FRAMES = 12
-_LEAST_REGION = 16
+_LEAST_REGION = 16  # pixels
+_LEAST_DECODED = 0.8  # of the frames that a file states
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Film:
     first: int = 0
     last: int = 1 << 60
     region: tuple[int, int, int, int] | None = None
-    shifts: NDArray[np.float64] | None = None
+    shifts: Array | None = None
     watched: bool = True
 
     def frames(self) -> Iterator[Image]:
@@ -61,11 +63,11 @@ class Film:
         InputError
             A frame that cannot be decoded or has another size than the first.
         """
-        first: tuple[int, ...] | None = None
+        shape: tuple[int, ...] | None = None
         for number, frame in enumerate(self._decoded()):
-            if first is not None and frame.shape != first:
+            if shape is not None and frame.shape != shape:
                 raise InputError(f"{self.path}: frame {number} has another size than the first; use frames of one film")
-            first = frame.shape
+            shape = frame.shape
             if number > self.last:
                 break
             if number >= self.first:
@@ -76,7 +78,7 @@ class Film:
         if self.shifts is None or number >= len(self.shifts):
             return frame
         cv2 = opencv(self.path)
-        back = np.array([[1.0, 0.0, -self.shifts[number, 0]], [0.0, 1.0, -self.shifts[number, 1]]])
+        back = np.column_stack([np.eye(2), -self.shifts[number]])
         size = (frame.shape[1], frame.shape[0])
         moved: Image = cv2.warpAffine(frame, back, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return moved
@@ -90,18 +92,14 @@ class Film:
                     raise InputError(f"{name}: damaged picture")
                 yield picture
             return
-        reader = cv2.VideoCapture(str(self.path))
+        reader, read = cv2.VideoCapture(str(self.path)), 0
         try:
-            read = 0
-            while True:
-                ok, frame = reader.read()
-                if not ok:
-                    break
+            while (got := reader.read())[0]:
                 read += 1
-                yield frame
+                yield got[1]
         finally:
             reader.release()
-        if read < 0.8 * self.count:
+        if read < _LEAST_DECODED * self.count:
             raise InputError(
                 f"{self.path}: damaged: {read} of {self.count} frames could be read; copy it again or re-encode it"
             )
@@ -122,6 +120,12 @@ def opencv(path: Path) -> Any:
     return cv2
 
 
+def smaller(frame: Any, factor: float, least: int, cv2: Any) -> Any:
+    """A picture made smaller by ``factor``, at least so many pixels wide and high."""
+    size = (max(int(frame.shape[1] * factor), least), max(int(frame.shape[0] * factor), least))
+    return cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
+
+
 def open_film(path: Path) -> Film:
     """A film or a folder of pictures.
 
@@ -135,10 +139,10 @@ def open_film(path: Path) -> Film:
         count, fps = len(_pictures(path)), None
     else:
         reader = cv2.VideoCapture(str(path))
-        opened = reader.isOpened()
+        is_open = reader.isOpened()
         count, rate = int(reader.get(cv2.CAP_PROP_FRAME_COUNT)), float(reader.get(cv2.CAP_PROP_FPS))
         reader.release()
-        if not opened or count <= 0:
+        if not is_open or count <= 0:
             raise InputError(f"{path}: cannot be read as a film; it is damaged, or of a kind this OpenCV cannot decode")
         fps = rate if np.isfinite(rate) and rate > 0 else None
     if count < LEAST_FRAMES:
@@ -154,13 +158,13 @@ def part_of(film: Film, corrections: Corrections) -> Film:
     InputError
         Nothing is left of it.
     """
-    fps = film.fps or 1.0
+    fps, end = film.fps or 1.0, film.count - 1
     first = 0 if corrections.from_s is None else max(round(corrections.from_s * fps), 0)
-    last = film.count - 1 if corrections.until_s is None else min(round(corrections.until_s * fps), film.count - 1)
+    last = end if corrections.until_s is None else min(round(corrections.until_s * fps), end)
     if last - first + 1 < LEAST_FRAMES:
         raise InputError(f"{film.path}: --from and --until leave {max(last - first + 1, 0)} of {film.count} frames")
     if corrections.until_s is None:
-        last = film.last
+        last = film.last  # a file may hold more frames than it states
     part = replace(film, first=first, last=last, region=corrections.region)
     if corrections.region is not None:
         shape = next(part.frames()).shape
@@ -170,5 +174,6 @@ def part_of(film: Film, corrections: Corrections) -> Film:
 
 
 def _pictures(folder: Path) -> list[Path]:
+    """The pictures of a folder in the order of their numbers."""
     found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES]
     return sorted(found, key=lambda p: [int(x) if x.isdigit() else x for x in re.split(r"(\d+)", p.name)])

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.drop.laws.bouncelaw import BounceModel
+from analysis.drop.arrays import Array, Counts
+from analysis.drop.laws.bounce_law import BounceModel
+from analysis.drop.thresholds import CHANCE_LOSS_NATS, HINT_NATS, LEAST_GAIN_NATS, TIE_NATS
 
-Array = NDArray[np.float64]
-
-LEAST_GAIN_NATS = 3.0
-CHANCE_LOSS_NATS = 0.5
-HINT_NATS = 1.0  # held out, by which an effect seems to help without being beyond doubt
-TIE_NATS = 6.0  # a model of other parameters is out only this far behind
 UNEXPLAINED = "unexplained"
 
 
-class Scored(Protocol):
-    """A fitted candidate model."""
+class Candidate(Protocol):
+    """A model, fitted to impact times or to a path, and tried on bounces that it was not fitted to."""
 
     @property
     def model(self) -> BounceModel:
@@ -34,11 +30,72 @@ class Scored(Protocol):
 
     @property
     def significant(self) -> bool:
-        """Whether the interval of every parameter beside ``e0`` excludes zero."""
+        """Whether the interval of every parameter after ``e0`` excludes zero."""
+        ...
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the data can tell the parameters."""
+        ...
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error of the flight durations, s or frames."""
+        ...
+
+    @property
+    def held_out_rms(self) -> float:
+        """The same for bounces that were not fitted; NaN where there are too few to hold any out."""
+        ...
+
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Value and half of the 95 % interval of each parameter."""
+        ...
+
+    def intervals(self) -> dict[str, tuple[float, float, float]]:
+        """Value, lower and upper end of the 95 % interval of each parameter, inside what is possible."""
         ...
 
 
-def gain_of(rival: Scored, than: Scored) -> tuple[float, bool]:
+C = TypeVar("C", bound=Candidate)
+
+
+@dataclass(frozen=True)
+class Verdict(Generic[C]):
+    """The models judged.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+    tie_set : tuple of str
+        Models that the data cannot distinguish, the best first.
+    doubts : tuple of str
+        What no model accounts for, in words.
+    left_out : (drops,) int64
+        Irregular bounces of impact times that were left out.
+    """
+
+    candidates: tuple[C, ...]
+    tie_set: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+    left_out: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def best(self) -> str:
+        """Name of the model that describes the data best."""
+        return self.tie_set[0]
+
+    @property
+    def chosen(self) -> str:
+        """The best model's name, or "unexplained" where there are doubts."""
+        return UNEXPLAINED if self.doubts else self.best
+
+    def candidate(self, name: str) -> C:
+        """The model called ``name``."""
+        return next(one for one in self.candidates if one.model.name == name)
+
+
+def gain_of(rival: Candidate, than: Candidate) -> tuple[float, bool]:
     """Held-out gain of ``rival`` in nats, and whether it is beyond doubt.
 
     Beyond doubt: above `LEAST_GAIN_NATS`, and either above twice the standard error of the paired gains or shared by
@@ -53,8 +110,8 @@ def gain_of(rival: Scored, than: Scored) -> tuple[float, bool]:
     return gain, gain > LEAST_GAIN_NATS and (gain > doubt or agreed)
 
 
-def choose(models: Sequence[Scored]) -> tuple[str, tuple[str, ...]]:
-    """Name of the simplest model that no other beats beyond doubt, and the tie set, the chosen one first.
+def choose(models: Sequence[Candidate]) -> tuple[str, ...]:
+    """Tie set, its first the simplest model that no other beats beyond doubt.
 
     Only models whose every added parameter excludes zero can be chosen, or beat another. A simpler model stays in the
     tie set unless it is beaten; a richer one joins it where it seems to help.
@@ -63,39 +120,28 @@ def choose(models: Sequence[Scored]) -> tuple[str, tuple[str, ...]]:
     standing = [m for m in able if not any(gain_of(rival, m)[1] for rival in able if rival is not m)] or [models[0]]
     fewest = min(len(m.model.parameters) for m in standing)
     best = max((m for m in standing if len(m.model.parameters) == fewest), key=lambda m: float(m.scores.sum()))
-    return best.model.name, (best.model.name, *ties_of(models, best))
-
-
-def ties_of(models: Sequence[Scored], best: Scored) -> list[str]:
-    """Other models that the data cannot tell from ``best``."""
-    ties: list[str] = []
-    tied: list[Scored] = []
+    tied: list[Candidate] = []
     for rival in sorted((m for m in models if m is not best), key=lambda m: len(m.model.parameters)):
         behind, beaten = gain_of(best, rival)
-        helps = gain_of(rival, models[0])[0] > HINT_NATS or rival is models[0]
-        if rival.model.nests(best.model):
-            tie = behind < -HINT_NATS and not any(rival.model.nests(t.model) for t in tied)
+        if rival.model.nests(best.model):  # richer; a still richer one with the same effect says nothing new
+            tie = behind < -HINT_NATS and not any(rival.model.nests(other.model) for other in tied)
         elif best.model.nests(rival.model):
             tie = not beaten
         else:
+            helps = rival is models[0] or gain_of(rival, models[0])[0] > HINT_NATS
             tie = not (beaten and behind > TIE_NATS) and helps
         if tie:
             tied.append(rival)
-            ties.append(rival.model.name)
-    return ties
+    return (best.model.name, *(rival.model.name for rival in tied))
 
 
-def stable_choice(choices: Sequence[tuple[str, tuple[str, ...]]], order: Sequence[BounceModel]) -> tuple[str, ...]:
-    """One tie set, the chosen model first, from the choices on all data and on data short of an impact.
+def stable_choice(choices: Sequence[tuple[str, ...]], order: Sequence[BounceModel]) -> tuple[str, ...]:
+    """One tie set from those of all data (the first) and of data short of an impact.
 
     A model is chosen only if no part of the data that lacks one impact calls for a simpler one; what the others call
     for is tied with it.
     """
     size = {model.name: len(model.parameters) for model in order}
-    names = [name for name, _ in choices]
-    fewest = min(size[name] for name in names)
-    best = next(name for name in names if size[name] == fewest)
-    rest = [tie for name, ties in choices for tie in (name, *ties) if tie != best]
-    kept = dict.fromkeys(names[i] for i in range(len(names)) if names[i] != best)
-    kept.update(dict.fromkeys(choices[0][1]))
-    return (best, *(name for name in kept if name != best and name in rest))
+    best = min((ties[0] for ties in choices), key=lambda name: size[name])
+    named = dict.fromkeys([*(ties[0] for ties in choices), *choices[0]])
+    return (best, *(name for name in named if name != best))

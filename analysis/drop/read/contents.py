@@ -5,26 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.drop.arrays import Array
+from analysis.drop.read import readings
 from analysis.drop.read.blocks import blocks_of
-from analysis.drop.read.readings import (
-    Columns,
-    Points,
-    columns_of,
-    counted_events,
-    heights_beside,
-    lone_events,
-    named_times,
-    paired_events,
-    paths_of,
-    refuse_heights,
-    wide_tracks,
-)
+from analysis.drop.read.readings import Columns, Points
 from analysis.drop.read.tables import Grid
 from daq.setup.errors import InputError
 
-Array = NDArray[np.float64]
 Item = tuple[str, Array | Points]
 
 _CLOCK_TEXT = 3  # cells like 00:00:01.5 after which a table is taken to hold clock times
@@ -46,16 +34,28 @@ class Contents:
     not_read: list[str]
 
 
-@dataclass(frozen=True)
 class _Table:
-    """One block and what it may be."""
+    """One block and what it may be: times with their intervals, positions, or else columns of bare times."""
 
-    block: Grid
-    columns: Columns
+    def __init__(self, block: Grid) -> None:
+        self.name = block.name
+        self.columns: Columns = readings.columns_of(block)
+        self.times = readings.event_times(self.columns)
+        self.paths: list[Item] = []
+        if self.times is None:
+            wide = readings.wide_tracks(block)
+            self.paths = [(block.name, wide)] if wide is not None else readings.paths_of(block.name, self.columns)
+        is_bare = self.times is None and not self.paths
+        self.bare, self.words = readings.lone_events(block.name, self.columns) if is_bare else ([], [])
 
     @property
     def label(self) -> str:
-        return self.block.name or "the table"
+        return self.name or "the table"
+
+    @property
+    def neither(self) -> str:
+        heading = ", ".join(name for name in self.columns.names[:6] if name) or "no heading"
+        return f"{self.label} ({heading}): neither impact times nor positions with their times"
 
 
 def read_table(grids: list[Grid], where: str) -> Array | Points:
@@ -76,90 +76,55 @@ def read_tables(grids: list[Grid], where: str) -> Contents:
         contents = read_tables([grid for grid in grids if not grid.hidden], where)
         words = [f"{name}: hidden in the workbook; unhide the sheet to have it read" for name in hidden]
         return Contents(contents.found, contents.not_read + words)
-    tables = [_Table(block, columns_of(block)) for grid in grids for block in blocks_of(grid)]
-    strong = {k: times for k, table in enumerate(tables) if (times := _events(table)) is not None}
+    tables = [_Table(block) for grid in grids for block in blocks_of(grid)]
+    strong = any(table.times is not None for table in tables)
     if not strong:
         for table in tables:
-            refuse_heights(table.columns, where)
-    paths = {k: found for k, table in enumerate(tables) if k not in strong and (found := _positions(table))}
-    lone = {k: lone_events(t.block.name, t.columns) for k, t in enumerate(tables) if k not in strong and k not in paths}
-    if strong or (not paths and any(found for found, _ in lone.values())):
-        return _times(tables, strong, paths, lone)
-    if paths:
-        items = [item for found in paths.values() for item in found]
-        beside = [words for k in paths for words in heights_beside(tables[k].label, tables[k].columns, len(paths[k]))]
-        return Contents(items, [_neither(tables[k]) for k in lone] + beside)
+            readings.refuse_heights(table.columns, where)
+    items = [item for table in tables for item in table.paths]
+    if strong or (not items and any(table.bare for table in tables)):
+        return _of_times(tables, strong)
+    if items:
+        further = [w for t in tables if t.paths for w in readings.further_heights(t.label, t.columns, len(t.paths))]
+        return Contents(items, [table.neither for table in tables if not table.paths] + further)
+    cells = [str(cell) for grid in grids for row in grid.rows for cell in row if isinstance(cell, str)]
+    clocks = [cell for cell in cells if cell.count(":") == 2 and cell.replace(":", "")[-1:].isdigit()]
+    hint = f"; cells such as {clocks[0]!r} are times of day or dates: give seconds, as plain numbers" if clocks else ""
     raise InputError(
         f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
         f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0].columns.names[:6]) or 'none'}"
-        + _clocks_in_words(grids)
-        + "".join(f"; {words}" for _, not_taken in lone.values() for words in not_taken[:3])
+        + (hint if len(clocks) >= _CLOCK_TEXT else "")
+        + "".join(f"; {words}" for table in tables for words in table.words[:3])
     )
 
 
-def _times(
-    tables: list[_Table],
-    strong: dict[int, Array],
-    paths: dict[int, list[Item]],
-    lone: dict[int, tuple[list[tuple[str, Array]], list[str]]],
-) -> Contents:
-    """Tables of times; beside times with their intervals or numbers, bare columns count only by their heading."""
+def _of_times(tables: list[_Table], strong: bool) -> Contents:
+    """Tables of times; where some have their intervals or numbers, bare columns count only by their heading."""
     events: list[tuple[str, Array]] = []
     not_read: list[str] = []
-    for k, table in enumerate(tables):
-        if k in strong:
-            events.append((table.block.name, strong[k]))
-        elif k in paths:
+    for table in tables:
+        if table.times is not None:
+            events.append((table.name, table.times))
+        elif table.paths:
             not_read.append(f"{table.label}: positions, beside impact times; give them in a file of their own")
         else:
-            found, words = lone[k]
-            taken = [item for item in found if not strong or named_times(item[0])]
+            taken = [item for item in table.bare if not strong or readings.named_times(item[0])]
             events += taken
-            not_read += words
-            if not taken and not words:
-                not_read.append(_neither(table))
-    kept, copies = _unlike(events)
-    return Contents([(name, times) for name, times in kept], not_read + copies)
-
-
-def _events(table: _Table) -> Array | None:
-    times = paired_events(table.columns)
-    return times if times is not None else counted_events(table.columns)
-
-
-def _positions(table: _Table) -> list[Item]:
-    points = wide_tracks(table.block)
-    return [(table.block.name, points)] if points is not None else paths_of(table.block.name, table.columns)
-
-
-def _neither(table: _Table) -> str:
-    heading = ", ".join(name for name in table.columns.names[:6] if name) or "no heading"
-    return f"{table.label} ({heading}): neither impact times nor positions with their times"
-
-
-def _unlike(events: list[tuple[str, Array]]) -> tuple[list[tuple[str, Array]], list[str]]:
-    """Lists of events without copies or parts of another, as a workbook's summaries are; and those, in words."""
-    kept: list[tuple[str, Array]] = []
-    copies: list[str] = []
-    for name, times in sorted(events, key=lambda item: -len(item[1])):
-        same = next((label for label, other in kept if _part_of(times, other)), None)
+            not_read += table.words or ([] if taken else [table.neither])
+    # A workbook's summaries repeat other lists, or parts of them; the longest list is the one.
+    first_of: dict[int, str] = {}
+    for k in sorted(range(len(events)), key=lambda k: -len(events[k][1])):
+        name, times = events[k]
+        same = next((label for other, label in first_of.items() if _is_part_of(times, events[other][1])), None)
         if same is None:
-            kept.append((name, times))
+            first_of[k] = name
         else:
-            copies.append(f"{name or 'a table'}: the same times as {same or 'another table'}, which would count twice")
-    order = {id(times): k for k, (_, times) in enumerate(events)}
-    return sorted(kept, key=lambda item: order[id(item[1])]), copies
+            not_read.append(
+                f"{name or 'a table'}: the same times as {same or 'another table'}, which would count twice"
+            )
+    return Contents([events[k] for k in sorted(first_of)], not_read)
 
 
-def _part_of(times: Array, other: Array) -> bool:
+def _is_part_of(times: Array, other: Array) -> bool:
     slack = 1e-6 + 1e-6 * float(np.abs(other).max(initial=0.0))
     return bool(np.all(np.abs(times[:, None] - other[None]).min(axis=1) <= slack))
-
-
-def _clocks_in_words(grids: list[Grid]) -> str:
-    """A hint where cells hold the time of day."""
-    cells = [str(cell) for grid in grids for row in grid.rows for cell in row if isinstance(cell, str)]
-    clocks = [cell for cell in cells if cell.count(":") == 2 and cell.replace(":", "")[-1:].isdigit()]
-    if len(clocks) < _CLOCK_TEXT:
-        return ""
-    return f"; cells such as {clocks[0]!r} are times of day or dates: give seconds, as plain numbers"

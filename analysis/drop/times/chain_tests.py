@@ -1,25 +1,36 @@
-"""Tests whether a chain of events is a ball's: flights that shrink, more steadily than by chance, ever less loud."""
+"""Tests whether a chain of events is a ball's, and whether its ends are: flights that shrink, more steadily than by
+chance, ever less loud.
+
+The peak of a tap goes with the impact speed to a power of 1 to 1.6, and the speed with the length of the flight.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import stats
 
-from analysis.statistics import MAD_TO_SIGMA
-
-Array = NDArray[np.float64]
+from analysis.drop.arrays import Array, Flags
+from analysis.drop.thresholds import CHANCE_CHAINS, STRAY_CHANCE
+from analysis.statistics import mad_sigma
 
 _EVEN = 0.988  # of successive flights: no ball rebounds so well
 _LEAST_SCATTER = 0.01  # of the logarithm of a ratio
 _LEAST_TOLERANCE_S = 2e-3
 _UNSTEADY = 0.04  # scatter of the logarithm of a ratio, where other events are near: a ball's is half as large
 _SOME = 3
-_CHANCE = 0.02  # chains as steady expected among as many events at random
 _NEAR_S = 5.0
-_LOOK_AHEAD = 6
-_LEAST_LOUD = 5  # impacts whose loudness is known
+_LOOK_AHEAD = 6  # events at which a chain by chance may start its next flight
+_LEAST_LOUD = 5  # impacts whose loudness is known, for a trend of it
 _LEAST_RANGE = 0.6  # of the logarithm of the flights
-_LEAST_SLOPE = 0.15  # of log peak over log flight; a tap's peak goes with the impact speed, slope 1 to 1.6
+_LEAST_SLOPE = 0.15  # of log peak over log flight
+_LEAST_OFF = 3e-3  # of the ratio: a ball is no better than that
+_LEAST_ROWS = 5  # without which no end is judged by its ratio
+_POOR = 3.0  # a law of the ratio that leaves so many times more than the best one has no say about an end
+_LEAST_JUDGED = 7  # rows from which laws are compared with each other
+_LOUD_POWER = 1.3
+_LEAST_LOUDER = 1.5  # of the log peak, beyond what scatter makes
+_LOUDER_SIGMAS = 4.0
+_LEAST_HEARD = 4  # other impacts whose loudness is known, for an end to be judged by its own
 
 
 def why_no_drop(
@@ -38,64 +49,124 @@ def why_no_drop(
     others_s, weight : (m,) float64
         Events outside the chain, and how much of an impact each is, 0 to 1.
     """
-    uneven = _uneven(before_s, after_s, impacts_s, others_s) or _louder(loudness, impacts_s)
-    if uneven is not None:
-        return uneven, False
-    expected = by_chance(before_s, after_s, impacts_s, others_s, weight)
-    if expected > _CHANCE:
+    ratio = np.log(after_s / before_s)
+    near = (others_s > impacts_s[0] - _NEAR_S) & (others_s < impacts_s[-1] + _NEAR_S)
+    why = _uneven(ratio, int(near.sum()))
+    if why is None and _grows_louder(loudness, impacts_s):
+        why = "its events do not grow quieter as the flights grow shorter; loudness goes with the energy of an impact"
+    if why is not None:
+        return why, False
+    count = float(weight[near].sum())
+    if count < 1.0:
+        return None, False
+    # Chains as long and as steady that are expected among the other events at their rate: the product of the chances
+    # that an event falls where each flight should end, for every event that such a chain may start from.
+    freedom = 2 if len(ratio) >= 6 else 1
+    basis = np.vander(before_s / before_s.max(), freedom)
+    left = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
+    spread = np.sqrt(float((left**2).sum()) / max(len(ratio) - freedom, 1))
+    tolerance = np.maximum(2.5 * max(spread, _LEAST_SCATTER) * after_s, _LEAST_TOLERANCE_S)
+    span = float(impacts_s[-1] - impacts_s[0]) + 2.0 * _NEAR_S
+    chance = np.sort(1.0 - np.exp(-2.0 * tolerance * count / span))
+    starts = (float(weight.sum()) + len(impacts_s)) * _LOOK_AHEAD
+    expected = float(starts * np.prod(chance[: max(len(chance) - freedom, 0)]))
+    if expected > CHANCE_CHAINS:
         return f"among as many events {expected:.2g} chains as steady are expected by chance", True
     return None, False
 
 
-def _uneven(before_s: Array, after_s: Array, impacts_s: Array, others_s: Array) -> str | None:
-    """Why the intervals are none of a ball's: even, or not shrinking, or shrinking unsteadily."""
-    ratio = np.log(after_s / before_s)
+def _uneven(ratio: Array, near: int) -> str | None:
+    """Why intervals with these log ratios are none of a ball's: even, not shrinking, or shrinking unsteadily."""
     if float(np.median(ratio)) > np.log(_EVEN):
         return f"it comes at even intervals (ratio {np.exp(float(np.median(ratio))):.3f}), as a metronome; no ball does"
     if len(ratio) >= 3:
         spread = max(float(ratio.std(ddof=1)), _LEAST_SCATTER)
         if float(ratio.mean()) + 2.0 * spread / np.sqrt(len(ratio)) > 0.0:
             return "its intervals do not shrink beyond doubt"
-    near = int(((others_s > impacts_s[0] - _NEAR_S) & (others_s < impacts_s[-1] + _NEAR_S)).sum())
     if near >= _SOME and len(ratio) >= _SOME:
-        robust = MAD_TO_SIGMA * float(np.median(np.abs(ratio - np.median(ratio))))
+        robust = mad_sigma(ratio - np.median(ratio))
         if 0.5 * (robust + float(ratio.std())) > _UNSTEADY:
             return f"its ratios scatter by {float(ratio.std()):.2f}, as those of events at nearly even intervals do"
     return None
 
 
-def by_chance(before_s: Array, after_s: Array, impacts_s: Array, others_s: Array, weight: Array) -> float:
-    """Chains as long and as steady that are expected among the other events at their rate; 0 where there are few."""
-    span = float(impacts_s[-1] - impacts_s[0]) + 2.0 * _NEAR_S
-    near = (others_s > impacts_s[0] - _NEAR_S) & (others_s < impacts_s[-1] + _NEAR_S)
-    count = float(weight[near].sum())
-    if count < 1.0:
-        return 0.0
-    ratio = np.log(after_s / before_s)
-    freedom = 2 if len(ratio) >= 6 else 1
-    basis = np.vander(before_s / before_s.max(), freedom)
-    left = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
-    spread = np.sqrt(float((left**2).sum()) / max(len(ratio) - freedom, 1))
-    tolerance = np.maximum(2.5 * max(spread, _LEAST_SCATTER) * after_s, _LEAST_TOLERANCE_S)
-    chance = 1.0 - np.exp(-2.0 * tolerance * count / span)
-    tested = np.sort(chance)[: max(len(chance) - freedom, 0)] if len(chance) < 6 else np.sort(chance)[:-freedom]
-    starts = (float(weight.sum()) + len(impacts_s)) * _LOOK_AHEAD
-    return float(starts * np.prod(tested))
-
-
-def _louder(loudness: Array, impacts_s: Array) -> str | None:
-    """Whether impacts fail to grow quieter with the flights."""
+def _grows_louder(loudness: Array, impacts_s: Array) -> bool:
+    """Whether impacts fail to grow quieter with the flights, beyond two standard errors of the slope."""
     flights = np.diff(impacts_s)
     known = np.isfinite(loudness[:-1]) if len(loudness) == len(impacts_s) else np.zeros(0, dtype=bool)
     if int(known.sum()) < _LEAST_LOUD:
-        return None
+        return False
     x, y = np.log(flights[known]), loudness[:-1][known]
     if float(np.ptp(x)) < _LEAST_RANGE:
-        return None
+        return False
     x = x - x.mean()
     slope = float(x @ y / (x @ x))
     left = y - y.mean() - slope * x
     error = float(np.sqrt((left**2).sum() / max(len(x) - 2, 1) / (x @ x)))
-    if slope + 2.0 * error < _LEAST_SLOPE:
-        return "its events do not grow quieter as the flights grow shorter; loudness goes with the energy of an impact"
-    return None
+    return slope + 2.0 * error < _LEAST_SLOPE
+
+
+def ends_that_stray(impacts_s: Array, single: Flags) -> tuple[bool, bool]:
+    """Whether the first and the last of ``impacts_s`` (n,) belong to something else: a click, a knock.
+
+    An end is given up when every simple law of the ratio of successive flights (the same for all, changing with the
+    flight or with its square) that follows the other bounces says that it does not belong to them.
+
+    Parameters
+    ----------
+    single : (n - 1,) bool
+        Intervals that are one flight.
+    """
+    flights = np.diff(impacts_s)
+    rows = np.flatnonzero(single[1:] & single[:-1])
+    if len(rows) < _LEAST_ROWS:
+        return False, False
+    before, ratio = flights[rows], np.log(flights[rows + 1] / flights[rows])
+    first = rows[0] == 0 and _strays(before, ratio, 0)
+    last = rows[-1] == len(flights) - 2 and _strays(before, ratio, len(rows) - 1)
+    return bool(first), bool(last)
+
+
+def _strays(before: Array, ratio: Array, row: int) -> bool:
+    """Whether one row is not what all others predict, by weighted least squares and Student's distribution."""
+    others = np.arange(len(ratio)) != row
+    scale = before / before.max()
+    laws: list[tuple[float, bool]] = []  # what each law leaves of the others, and whether it excludes the row
+    for basis in (np.ones((len(scale), 1)), np.vander(scale, 2), np.vander(scale**2, 2)):
+        for weight in (np.ones(len(scale)), scale):  # bounces that scatter alike; times that jitter alike
+            a, b = basis[others] * weight[others, None], ratio[others] * weight[others]
+            theta = np.linalg.lstsq(a, b, rcond=None)[0]
+            freedom = len(b) - basis.shape[1]
+            spread = float(((b - a @ theta) ** 2).sum()) / freedom
+            leverage = float(basis[row] @ np.linalg.pinv(a.T @ a) @ basis[row])
+            off = abs(float(ratio[row] - basis[row] @ theta))
+            sigma = np.sqrt(spread * (1.0 / weight[row] ** 2 + leverage))
+            chance = 2.0 * stats.t.sf(off / max(float(sigma), 1e-12), freedom)
+            left = float(np.sqrt(((ratio[others] - basis[others] @ theta) ** 2).mean()))
+            laws.append((left, bool(off >= _LEAST_OFF and chance <= STRAY_CHANCE)))
+    most = _POOR * min(left for left, _ in laws) if int(others.sum()) >= _LEAST_JUDGED else np.inf
+    return all(excluded for left, excluded in laws if left <= max(most, _LEAST_OFF))
+
+
+def ends_unlike_in_loudness(loudness: Array, impacts_s: Array, single: Flags) -> tuple[bool, bool]:
+    """Whether the first of a chain is far too quiet, and the last far too loud, for the speeds that the flights say.
+
+    Parameters
+    ----------
+    loudness : (n,) float64
+        Logarithm of the peak of each impact, NaN where not known.
+    impacts_s : (n,) float64
+    single : (n - 1,) bool
+        Intervals that are one flight.
+    """
+    speed = np.where(single, np.log(np.diff(impacts_s)), np.nan)
+    after, before = loudness[:-1] - _LOUD_POWER * speed, loudness[1:] - _LOUD_POWER * speed
+    return _far_above(-after[0], -after[1:]), _far_above(before[-1], before[:-1])
+
+
+def _far_above(one: float, others: Array) -> bool:
+    known = others[np.isfinite(others)]
+    if not np.isfinite(one) or len(known) < _LEAST_HEARD:
+        return False
+    middle = float(np.median(known))
+    return bool(one - middle > max(_LEAST_LOUDER, _LOUDER_SIGMAS * mad_sigma(known - middle)))

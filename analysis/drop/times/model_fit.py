@@ -1,7 +1,7 @@
-"""Fit the candidate models to the impact times of one drop or many, together.
+"""Fit of the candidate models to the impact times of one drop or many, together.
 
-Generalised least squares with the covariance of `rows`, whose widths come from the
-data (with a prior that keeps each from vanishing); intervals are the wider of that fit's and a bootstrap's.
+Generalised least squares with the covariance of `one_ahead`, whose widths come from the data (with a prior that
+prevents each from vanishing); intervals are the wider of that fit's and a bootstrap's.
 """
 
 from __future__ import annotations
@@ -10,24 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from analysis.drop.laws.bouncelaw import BOUNDS, SPEED_DRAG, START, BounceModel
+from analysis.drop.arrays import Array, Counts
+from analysis.drop.laws.bounce_law import BOUNDS, SPEED_DRAG, START, BounceModel
 from analysis.drop.times.one_ahead import Drop, Rows, Widths, noise_of, predict_s, rows_of
 from analysis.statistics import mad_sigma
-
-Array = NDArray[np.float64]
 
 _OUTLIER_SIGMA = 4.5
 _GROSS = 0.06  # of a flight's duration, within which no bounce is left out before anything is fitted
 _SMALLEST = Widths(1e-7, 1e-6, 1e-7)
 _LARGEST = Widths(0.05, 0.5, 0.05)
 _START = Widths(2e-4, 0.01, 1e-4)
-_FEW_DROPS = 6
-_NUDGE = 1e-5  # of a parameter, for derivatives
 _USUAL_WIDTHS = Widths(2e-4, 5e-3, 1e-4)  # of a phone or a camera, and of balls on floors
 _USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
+_FEW_DROPS = 6
+_BOOTS = 200
+_NUDGE = 1e-5  # of a parameter, for derivatives
 
 
 @dataclass(frozen=True)
@@ -66,36 +65,36 @@ class Fit:
         return np.asarray(t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0)))
 
 
-def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, NDArray[np.int64]]:
+def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Counts]:
     """The rows to fit, and how many bounces of each drop were left out.
 
     A bounce is left out where not even the richest candidate comes near it, judged by the spread of all the others.
     """
     rows = rows_of(drops)
-    kept = rows.keep(~rows.from_height)
+    used = rows.keep(~rows.from_height)
     for least in (_GROSS, 0.0, 0.0):
-        theta = _start(SPEED_DRAG, kept)
-        if not least:  # first without a fit: one gross bounce would bend it
-            theta = converge(SPEED_DRAG, theta, kept, _START, g_mps2)
+        theta = _start(SPEED_DRAG, used)
+        if not least:  # the first time without a fit: one gross bounce would bend it
+            theta = converge(SPEED_DRAG, theta, used, _START, g_mps2)
         relative = (rows.after_s - predict_s(SPEED_DRAG, theta, rows, g_mps2)) / rows.after_s
-        pooled = relative[rows.valid & ~rows.from_height]
+        pooled = relative[rows.flights]
         centre = float(np.median(pooled))
         width = mad_sigma(pooled - centre) + 5e-4
         near = np.abs(relative - centre) < max(_OUTLIER_SIGMA * width, least)
-        kept = rows.keep(near & ~rows.from_height)
-    kept = rows.keep(kept.valid | rows.from_height)
-    return kept, rows.valid.sum(axis=1) - kept.valid.sum(axis=1)
+        used = rows.keep(near & ~rows.from_height)
+    used = rows.keep(used.valid | rows.from_height)
+    return used, rows.valid.sum(axis=1) - used.valid.sum(axis=1)
 
 
 def _start(model: BounceModel, rows: Rows) -> Array:
-    ratios = (rows.after_s / rows.before_s)[rows.valid & ~rows.from_height]
+    ratios = (rows.after_s / rows.before_s)[rows.flights]
     theta = np.array([START[name] for name in model.parameters])
     if len(ratios):
         theta[0] = float(np.median(ratios))
     return theta
 
 
-def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator, boots: int = 200) -> Fit:
+def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator) -> Fit:
     """Parameters and widths of one model, with bootstrap draws."""
     theta, widths = _start(model, rows), _START
     for _ in range(4):
@@ -104,16 +103,14 @@ def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator,
     theta = converge(model, theta, rows, widths, g_mps2)
     last = step(model, theta, rows, widths, g_mps2)
     residuals = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), np.nan)
-    draws = _bootstrap(theta, last, rng, boots)
-    covariance = wider(last.covariance, _as_scatter(model, theta, rows, residuals, g_mps2))
-    return Fit(model, theta, covariance, widths, residuals, last.white, draws, rows.count - len(theta))
-
-
-def _as_scatter(model: BounceModel, theta: Array, rows: Rows, residuals: Array, g_mps2: float) -> Array:
-    """Covariance if all that is left were scatter of the restitution: no help from errors that cancel."""
-    relative = (residuals / rows.after_s)[rows.valid & ~rows.from_height]
+    draws = _bootstrap(theta, last, rng)
+    # Errors of times that neighbours share cancel in part. Were all that is left scatter of the restitution, nothing
+    # would cancel; the data cannot say which, so the wider of both is stated.
+    relative = (residuals / rows.after_s)[rows.flights]
     spread = float(theta[0]) * float(np.sqrt((relative**2).sum() / max(len(relative) - len(theta), 1)))
-    return step(model, theta, rows, _SMALLEST._replace(scatter=max(spread, _SMALLEST.scatter)), g_mps2).covariance
+    as_scatter = step(model, theta, rows, _SMALLEST._replace(scatter=max(spread, _SMALLEST.scatter)), g_mps2)
+    covariance = wider(last.covariance, as_scatter.covariance)
+    return Fit(model, theta, covariance, widths, residuals, last.white, draws, rows.count - len(theta))
 
 
 def wider(covariance: Array, other: Array) -> Array:
@@ -125,14 +122,14 @@ def wider(covariance: Array, other: Array) -> Array:
 
 @dataclass(frozen=True)
 class Step:
-    """One Gauss-Newton step: where it leads, and what it saw where it started."""
+    """One Gauss-Newton step: where it leads, and what was measured where it started."""
 
     theta: Array
     covariance: Array
     chi_square: float
     jacobian: Array  # whitened, (rows, p)
     white: Array  # whitened residuals, (rows,)
-    owner: NDArray[np.int64]  # drop of each row
+    owner: Counts  # drop of each row
 
 
 def step(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: float, damping: float = 0.0) -> Step:
@@ -144,26 +141,31 @@ def step(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: f
     white = np.asarray(np.linalg.solve(lower, stack)[rows.valid], dtype=np.float64)
     jacobian, residual = white[:, :-1], white[:, -1]
     normal = jacobian.T @ jacobian
-    covariance = np.asarray(np.linalg.pinv(normal, rcond=1e-10, hermitian=True), dtype=np.float64)
-    damped = np.linalg.pinv(normal + damping * np.diag(np.diag(normal)), rcond=1e-10, hermitian=True)
+    damped = _inverse(normal + damping * np.diag(np.diag(normal)))
     low, high = np.array([BOUNDS[name] for name in model.parameters]).T
     reached = np.clip(theta + damped @ (jacobian.T @ residual), low, high)
-    return Step(reached, covariance, float(residual @ residual), jacobian, residual, np.nonzero(rows.valid)[0])
+    owner = np.nonzero(rows.valid)[0]
+    return Step(reached, _inverse(normal), float(residual @ residual), jacobian, residual, owner)
+
+
+def _inverse(normal: Array) -> Array:
+    """Inverse of normal equations; a direction that the data do not fix is left where it is."""
+    return np.asarray(np.linalg.pinv(normal, rcond=1e-10, hermitian=True), dtype=np.float64)
 
 
 def sensitivities(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Array:
     """Derivatives of the predicted durations by the parameters, shape (drops, longest, p)."""
     base = predict_s(model, theta, rows, g_mps2)
-    columns = []
-    for j in range(len(theta)):
-        moved = theta.copy()
-        moved[j] += _NUDGE
-        columns.append((predict_s(model, moved, rows, g_mps2) - base) / _NUDGE)
-    return np.stack(columns, axis=-1)
+    moved = theta + _NUDGE * np.eye(len(theta))
+    return np.stack([(predict_s(model, one, rows, g_mps2) - base) / _NUDGE for one in moved], axis=-1)
 
 
 def converge(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: float) -> Array:
-    """Levenberg-Marquardt to the minimum at fixed widths."""
+    """Levenberg-Marquardt to the minimum at fixed widths.
+
+    The covariance moves with the parameters, but its change is no part of the slopes: a general solver would trade fit
+    for a covariance that is larger. So this one is our own.
+    """
     damping = 1e-4
     here = step(model, theta, rows, widths, g_mps2, damping)
     for _ in range(12):
@@ -182,8 +184,8 @@ def converge(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps
 def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: Widths) -> Widths:
     """Most likely widths at ``theta``, with one degree of freedom given up per parameter.
 
-    A weak prior keeps each from vanishing: in a short drop the likelihood alone puts all on one of them,
-    and a restitution without any scatter would then seem known far too well.
+    A weak prior prevents each from vanishing: in a short drop the likelihood alone puts all on one of them, and a
+    restitution without any scatter would then seem known far too well.
     """
     noise = noise_of(model, theta, rows, g_mps2)
     residual = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), 0.0)[..., None]
@@ -206,15 +208,13 @@ def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: 
     return Widths(*(float(x) for x in np.exp(found.x)))
 
 
-def _bootstrap(theta: Array, last: Step, rng: np.random.Generator, boots: int) -> Array:
+def _bootstrap(theta: Array, last: Step, rng: np.random.Generator) -> Array:
     """Draws of the parameters: resample drops (or flights, where there are few drops)."""
-    drops = np.unique(last.owner)
-    groups = last.owner if len(drops) >= _FEW_DROPS else np.arange(len(last.white))
+    groups = last.owner if len(np.unique(last.owner)) >= _FEW_DROPS else np.arange(len(last.white))
     names, group = np.unique(groups, return_inverse=True)
-    draws = np.empty((boots, len(theta)))
-    for b in range(boots):
+    draws = np.empty((_BOOTS, len(theta)))
+    for b in range(_BOOTS):
         weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
         normal = (last.jacobian * weight[:, None]).T @ last.jacobian
-        right = last.jacobian.T @ (weight * last.white)
-        draws[b] = theta + np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
+        draws[b] = theta + _inverse(normal) @ (last.jacobian.T @ (weight * last.white))
     return draws

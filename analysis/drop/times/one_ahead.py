@@ -1,8 +1,8 @@
-"""The data of the models of impact times, and the covariance of its residuals.
+"""Data of the models of impact times, and the covariance of their residuals.
 
-An impact time has two errors. The detector's jitter moves a boundary that two flights share, so
-neighbouring residuals are correlated; and every bounce has a restitution a little its own. Drops are independent.
-Arrays are padded to the longest drop, so that all drops are whitened in one batch.
+An impact time has two errors. The detector's jitter moves a boundary that two flights share, so neighbouring
+residuals are correlated; and every bounce has a restitution a little its own. Drops are independent. Arrays are
+padded to the longest drop, so that all drops are whitened in one batch.
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.drop.laws.bouncelaw import BounceModel
+from analysis.drop.arrays import Array, Counts, Flags
+from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.times.impact_chain import Bounces
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-_PAD_S = 0.1  # a flight nobody made, in the rows that pad a drop
+_PAD_S = 0.1  # a flight that was never made, in the rows that pad a drop
+_PAD_M = 0.1  # its height
+_RELATIVE_STEP = 1e-4  # of a flight, for the slope of the next by it
 
 
 @dataclass(frozen=True)
@@ -78,9 +77,9 @@ class Rows:
 
     before_s: Array
     after_s: Array
-    edges: NDArray[np.int64]
-    valid: Mask
-    from_height: Mask
+    edges: Counts
+    valid: Flags
+    from_height: Flags
     height_m: Array
     height_sigma_m: Array
 
@@ -89,45 +88,39 @@ class Rows:
         """Number of rows that are data."""
         return int(self.valid.sum())
 
-    def keep(self, mask: Mask) -> Rows:
+    @property
+    def flights(self) -> Flags:
+        """Which rows are data and start from a flight."""
+        return self.valid & ~self.from_height
+
+    def keep(self, mask: Flags) -> Rows:
         """Only these of the rows."""
         return replace(self, valid=self.valid & mask)
 
 
 def rows_of(drops: Sequence[Drop]) -> Rows:
     """Every prediction that can be made in ``drops``."""
-    parts = [_rows_of_one(drop) for drop in drops]
-    longest = max(len(part[0]) for part in parts)
-    shape = (len(drops), longest)
+    with_height = [drop.height_m is not None and drop.bounces.missed[0] == 0 for drop in drops]
+    shape = (len(drops), max(len(d.bounces.usable) + own for d, own in zip(drops, with_height, strict=True)))
     before, after = np.full(shape, _PAD_S), np.full(shape, _PAD_S)
     edges = np.zeros((*shape, 3), dtype=np.int64)
     valid, from_height = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    for d, (b, a, e) in enumerate(parts):
-        n = len(b)
-        from_height[d, :n] = np.isnan(b)
-        before[d, :n], after[d, :n], edges[d, :n], valid[d, :n] = np.where(np.isnan(b), _PAD_S, b), a, e, True
+    for d, drop in enumerate(drops):
+        n, flights, first = drop.bounces.usable, drop.bounces.intervals_s, int(with_height[d])
+        rows = slice(first, first + len(n))
+        before[d, rows], after[d, rows], edges[d, rows] = flights[n - 1], flights[n], np.stack([n - 1, n, n + 1], 1)
+        valid[d, : first + len(n)] = True
+        if first:
+            after[d, 0], edges[d, 0], from_height[d, 0] = flights[0], (0, 0, 1), True
     heights = np.array([drop.height_m or (np.nan, np.nan) for drop in drops])
     return Rows(before, after, edges, valid, from_height, heights[:, 0], heights[:, 1])
-
-
-def _rows_of_one(drop: Drop) -> tuple[Array, Array, NDArray[np.int64]]:
-    bounces, flights = drop.bounces, drop.bounces.intervals_s
-    n = bounces.usable
-    before, after = flights[n - 1], flights[n]
-    edges = np.stack([n - 1, n, n + 1], axis=1)
-    if drop.height_m is not None and bounces.missed[0] == 0:
-        before = np.concatenate(([np.nan], before))
-        after = np.concatenate((flights[:1], after))
-        edges = np.concatenate(([[0, 0, 1]], edges))
-    return before, after, edges
 
 
 def predict_s(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Array:
     """Predicted duration of each flight after, shape (drops, longest)."""
     out = model.next_flight_s(theta, rows.before_s, g_mps2)
     if rows.from_height.any():
-        height = np.where(np.isnan(rows.height_m), 0.1, rows.height_m)
-        first = model.first_flight_s(theta, height, g_mps2)
+        first = model.first_flight_s(theta, np.nan_to_num(rows.height_m, nan=_PAD_M), g_mps2)
         out = np.where(rows.from_height, first[:, None], out)
     return out
 
@@ -155,43 +148,38 @@ class Widths(NamedTuple):
 class Noise:
     """Covariance of the residuals.
 
-    ``jitter_s^2 jitter + scatter^2 diag(scatter) + rebound_s^2 diag(flight) + diag(fixed)``: of impact times, of the
-    restitution, of the rebound speed (as a change of the flight's duration, whatever the speed), of a stated height.
+    ``jitter_s^2 jitter + scatter^2 diag(scatter) + rebound_s^2 + diag(fixed)``: of impact times, of the restitution,
+    of the rebound speed (as a change of the flight's duration, whatever the speed), of a stated height.
     """
 
     jitter: Array  # (drops, longest, longest)
     scatter: Array  # (drops, longest), variance
-    flight: Array
     fixed: Array
-    valid: Mask
+    valid: Flags
 
     def lower(self, widths: Widths) -> Array:
         """Batched Cholesky factor; rows that are not data have variance 1 and no correlation."""
-        total = widths.jitter_s**2 * self.jitter
         both = self.valid[:, :, None] & self.valid[:, None, :]
-        own = widths.scatter**2 * self.scatter + widths.rebound_s**2 * self.flight + self.fixed
-        diagonal = np.where(self.valid, own, 1.0)
-        total = np.where(both, total, 0.0) + np.eye(total.shape[1]) * diagonal[:, :, None]
+        own = widths.scatter**2 * self.scatter + widths.rebound_s**2 + self.fixed
+        total = np.where(both, widths.jitter_s**2 * self.jitter, 0.0)
+        total = total + np.eye(total.shape[1]) * np.where(self.valid, own, 1.0)[:, :, None]
         return np.asarray(np.linalg.cholesky(total), dtype=np.float64)
 
 
 def noise_of(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Noise:
     """Parts of the covariance at ``theta``."""
-    step = 1e-4
-    up = model.next_flight_s(theta, rows.before_s * (1 + step), g_mps2)
-    down = model.next_flight_s(theta, rows.before_s * (1 - step), g_mps2)
-    slope = np.where(rows.from_height, 0.0, (up - down) / (2 * step * rows.before_s))
+    up = model.next_flight_s(theta, rows.before_s * (1 + _RELATIVE_STEP), g_mps2)
+    down = model.next_flight_s(theta, rows.before_s * (1 - _RELATIVE_STEP), g_mps2)
+    slope = np.where(rows.from_height, 0.0, (up - down) / (2 * _RELATIVE_STEP * rows.before_s))
     n_drops, longest = rows.before_s.shape
     to_edges = np.zeros((n_drops, longest, int(rows.edges.max(initial=0)) + 1))
     d, r = np.indices((n_drops, longest))
-    np.add.at(to_edges, (d, r, rows.edges[:, :, 0]), slope)
-    np.add.at(to_edges, (d, r, rows.edges[:, :, 1]), -1.0 - slope)
-    np.add.at(to_edges, (d, r, rows.edges[:, :, 2]), 1.0)
+    for column, by_edge in enumerate((slope, -1.0 - slope, np.ones_like(slope))):
+        np.add.at(to_edges, (d, r, rows.edges[:, :, column]), by_edge)
     spread = (predict_s(model, theta, rows, g_mps2) / max(float(theta[0]), 0.05)) ** 2
     fixed = np.zeros_like(spread)
     if rows.from_height.any():
-        high = model.first_flight_s(theta, np.nan_to_num(rows.height_m + rows.height_sigma_m, nan=0.1), g_mps2)
-        mid = model.first_flight_s(theta, np.nan_to_num(rows.height_m, nan=0.1), g_mps2)
+        high = model.first_flight_s(theta, np.nan_to_num(rows.height_m + rows.height_sigma_m, nan=_PAD_M), g_mps2)
+        mid = model.first_flight_s(theta, np.nan_to_num(rows.height_m, nan=_PAD_M), g_mps2)
         fixed = np.where(rows.from_height, ((high - mid) ** 2)[:, None], 0.0)
-    flight = np.where(rows.valid, 1.0, 0.0)
-    return Noise(to_edges @ to_edges.transpose(0, 2, 1), spread, flight, fixed, rows.valid)
+    return Noise(to_edges @ to_edges.transpose(0, 2, 1), spread, fixed, rows.valid)

@@ -12,31 +12,39 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from analysis.drop.options.progress import Progress
-from analysis.drop.times.wav import open_wav
-from analysis.statistics import MAD_TO_SIGMA, mad_sigma
+from analysis.drop.arrays import Array
+from analysis.drop.corrections import Progress
+from analysis.statistics import mad_sigma
+from daq.files.wav import open_wav
 from daq.recording import Recording, open_recording
 from daq.setup.errors import InputError
 
-Array = NDArray[np.float64]
-
-_WINDOW_S, _HOP_S = 0.006, 0.001
-_BEFORE_S, _AFTER_S = 0.012, 0.004  # what is compared at a candidate
+_SHORTEST_S = 0.05  # of a sound that may hold a drop
+_LONGEST_PIECE_S = 30.0  # of a sound that is read at once
+_CORE_S = 20.0  # of a longer one: the part of each piece whose onsets are taken
+_MARGIN_S = 1.0  # on both sides of it
+_WINDOW_S = 0.006
+_HOP_S = 0.001
+_BEFORE_S = 0.012  # of what is compared at a candidate
+_AFTER_S = 0.004
 _LEAST_SPACING_S = 0.012
-_LONGEST_PIECE_S, _CORE_S, _MARGIN_S = 30.0, 20.0, 1.0
-_CLIPPED = 0.985  # of full scale
-_LOUDNESS_S, _NEIGHBOUR_S = 0.01, 0.5
 _LEAST_RISE = 5.0  # in robust widths of the rise where nothing happens
+_LOWEST_HZ = 150.0  # below it hum and handling
+_HIGHEST_HZ = 16_000.0
 _SPECTRUM_S = 0.04
 _PREDICTOR = 64  # samples that are looked back
-_LOUDEST_NOTHING = 1e-7  # of the background's power: white noise that keeps the prediction stable
-_LOWEST_HZ = 150.0  # below it hum and handling
-_BEFORE_PEAK_S, _GAP_S = 0.006, 0.0005  # before an onset, where the sound must be quieter than after it
+_WHITE_SHARE = 1e-7  # of the background's power: white noise that keeps the prediction stable
+_LOUDNESS_S = 0.01
+_CLIPPED = 0.985  # of full scale
+_NEIGHBOUR_S = 0.5
+_BEFORE_PEAK_S = 0.006  # before an onset, where the sound must be quieter than after it
+_GAP_S = 0.0005
 _CLEAR_RISE = 1.0  # in natural logarithms: less is a ring, or a clipped swing, of the impact before
-_REST_S, _AT_REST_MPS2 = 20.0, 1.0  # how long a plate is looked at, and what a plate at rest reads at most
+_REST_S = 20.0  # how long a plate is looked at
+_AT_REST_MPS2 = 1.0  # what a plate at rest reads at most
+_BLOCK = 1 << 20  # samples of a contact channel read at once
 
 
 class Onsets(NamedTuple):
@@ -56,16 +64,23 @@ class Onsets(NamedTuple):
     loudness: Array
 
 
+def unheard(times_s: Array) -> Onsets:
+    """Events of full strength, of whose loudness nothing is known."""
+    return Onsets(times_s, np.ones(len(times_s)), np.full(len(times_s), np.nan))
+
+
 def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets, float]:
     """Onsets in a WAV file of any length, and its rate in Hz; long files are read in overlapping pieces.
 
     Raises
     ------
     InputError
-        Not a WAV file, silence, or nothing that stands out.
+        Not a WAV file, too short, silence, or nothing that stands out.
     """
     wav = open_wav(path)
     rate = wav.rate_hz
+    if wav.n_samples < _SHORTEST_S * rate:
+        raise InputError(f"{path}: {wav.n_samples} samples at {rate:.0f} Hz hold no drop; the file may be cut off")
     if wav.n_samples <= _LONGEST_PIECE_S * rate:
         return sound_onsets(wav.read(), rate, str(path)), rate
     core, margin = int(_CORE_S * rate), int(_MARGIN_S * rate)
@@ -83,8 +98,8 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets
         found.append(Onsets(times[own], piece.strength[own], piece.loudness[own]))
         if progress is not None:
             progress("listening", min(start + core, wav.n_samples) // int(rate), wav.n_samples // int(rate))
-    if not found:
-        raise refused or InputError(f"{path}: no sound in it stands out as an impact would; record nearer to the plate")
+    if not found and refused is not None:
+        raise refused
     return Onsets(*(np.concatenate(parts) for parts in zip(*found, strict=True))), rate
 
 
@@ -112,12 +127,12 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
     x = x[:, np.ptp(x, axis=0) > 0.0]
     if x.shape[1] == 0:
         raise InputError(f"{where}: every sample is the same; the recording is silent")
-    top = min(0.45 * rate_hz, 16_000.0)
-    filtered = signal.sosfilt(signal.butter(2, (_LOWEST_HZ, top), "bandpass", fs=rate_hz, output="sos"), x, axis=0)
+    band = (_LOWEST_HZ, min(0.45 * rate_hz, _HIGHEST_HZ))
+    filtered = signal.sosfilt(signal.butter(2, band, "bandpass", fs=rate_hz, output="sos"), x, axis=0)
     rise, hop = _rise(filtered, rate_hz)
     centre, width = float(np.median(rise)), mad_sigma(rise - np.median(rise))
-    apart = max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
-    peaks, _ = signal.find_peaks(rise, height=centre + _LEAST_RISE * width, distance=apart)
+    spacing = max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
+    peaks, _ = signal.find_peaks(rise, height=centre + _LEAST_RISE * width, distance=spacing)
     if not len(peaks):
         raise InputError(f"{where}: no sound in it stands out as an impact would; record nearer to the plate")
     white = np.column_stack([_without_background(channel, rate_hz) for channel in filtered.T])
@@ -127,16 +142,15 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
     strength = np.maximum(*(_strength(x, onsets[first], rate_hz) for x in (filtered, white)))  # dull; under a hum
     own = np.append(True, (np.diff(times) > _LEAST_SPACING_S) | (strength[1:] > strength[:-1]))
     first = first[own]  # what follows a stronger onset at once is its ring
-    return Onsets(times[own], strength[own], _loudness(x, filtered, onsets[first], rate_hz))
+    peak, top = (_peaks(np.abs(y).max(axis=1), onsets[first], rate_hz) for y in (filtered, x))
+    loudness = np.where(top < _CLIPPED, np.log(np.maximum(peak, 1e-12) + 1e-12), np.nan)
+    return Onsets(times[own], strength[own], loudness)
 
 
-def _loudness(x: Array, filtered: Array, onsets: Array, rate_hz: float) -> Array:
-    """Logarithm of the peak after each onset; NaN where the recording clips."""
+def _peaks(loud: Array, onsets: Array, rate_hz: float) -> Array:
+    """Largest value of ``loud`` just after each onset."""
     reach = int(_LOUDNESS_S * rate_hz)
-    clipped, loud = np.abs(x).max(axis=1), np.abs(filtered).max(axis=1)
-    peaks = np.array([loud[int(n) : int(n) + reach].max(initial=1e-12) for n in onsets])
-    tops = np.array([clipped[int(n) : int(n) + reach].max(initial=0.0) for n in onsets])
-    return np.where(tops < _CLIPPED, np.log(peaks + 1e-12), np.nan)
+    return np.array([loud[int(n) : int(n) + reach].max(initial=0.0) for n in onsets])
 
 
 def _without_background(x: Array, rate_hz: float) -> Array:
@@ -148,7 +162,7 @@ def _without_background(x: Array, rate_hz: float) -> Array:
     window = min(int(_SPECTRUM_S * rate_hz), len(x))
     _, power = signal.welch(x, rate_hz, nperseg=window, average="median")
     correlation = np.fft.irfft(power)[: _PREDICTOR + 1]
-    correlation[0] *= 1.0 + _LOUDEST_NOTHING
+    correlation[0] *= 1.0 + _WHITE_SHARE
     ahead = linalg.solve_toeplitz(correlation[:-1], correlation[1:]) if correlation[0] > 0.0 else np.zeros(_PREDICTOR)
     return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), [1.0], x), dtype=np.float64)
 
@@ -159,8 +173,7 @@ def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
     An onset that is hardly louder than what is just before it counts for less.
     """
     loud = np.abs(x).max(axis=1)
-    reach = int(_LOUDNESS_S * rate_hz)
-    peaks = np.log(np.array([loud[int(n) : int(n) + reach].max(initial=0.0) for n in onsets]) + 1e-12)
+    peaks = np.log(_peaks(loud, onsets, rate_hz) + 1e-12)
     floor = np.log(np.median(loud) * 4.0 + 1e-12)
     near = np.abs(onsets[:, None] - onsets[None]) < _NEIGHBOUR_S * rate_hz
     top = np.where(near, peaks[None], -np.inf).max(axis=1)
@@ -174,15 +187,15 @@ def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
 def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
     """Mean over bands of the rise of log energy from just before to just after each hop; and the hop in samples."""
     hop, window = max(int(_HOP_S * rate_hz), 1), max(int(_WINDOW_S * rate_hz), 16)
-    mono = np.pad(x, ((window // 2, window), (0, 0)))
+    padded = np.pad(x, ((window // 2, window), (0, 0)))
     taper = np.hanning(window)
     power: Any = 0.0
-    for channel in mono.T:
+    for channel in padded.T:
         frames = sliding_window_view(channel, window)[::hop]
         power = power + np.abs(np.fft.rfft(frames * taper, axis=1)) ** 2
     bands = np.fft.rfftfreq(window, 1.0 / rate_hz)
-    keep = (bands > 0.5 * _LOWEST_HZ) & (bands < 12_000.0)
-    power, share = power[:, keep], bands[keep] ** -0.5  # octaves count nearly alike: late taps are dull
+    used = (bands > 0.5 * _LOWEST_HZ) & (bands < 12_000.0)
+    power, share = power[:, used], bands[used] ** -0.5  # octaves count nearly alike: late taps are dull
     level = np.log(power + np.median(power, axis=0) * 0.1 + 1e-20)
     before = max(int(_BEFORE_S / _HOP_S), 1)
     half = max(int(_WINDOW_S / _HOP_S / 2), 1)
@@ -206,29 +219,8 @@ def _refine(x: Array, near: int, rate_hz: float) -> tuple[float, float]:
     criterion = (n * np.log(head + tiny) + (len(part) - n) * np.log(tail + tiny)).sum(axis=1)
     edge = 4
     at = edge + int(criterion[edge:-1].argmin())
-    alone = len(part) * float(np.log(total[-1] / len(part) + tiny).sum())
-    return alone - float(criterion[at]), float(start + at + 1)
-
-
-def _refuse_driven(recording: Recording) -> None:
-    """A plate that is driven makes impacts of its own."""
-    path = recording.path
-    steps = recording.steps
-    top = float(steps["gamma"].max(initial=0.0)) if len(steps) else 0.0
-    if top > 0.0 or len(recording.drive_changes):
-        raise InputError(
-            f"{path}: the plate is driven in this recording (gamma up to {top:.3g}); a drop test needs the plate at "
-            "rest. To find what a ramp's flights lack, use: bench close-loop"
-        )
-    if "accelerometer" in recording.channels:
-        stop = min(recording.n_samples, int(_REST_S * recording.rate_hz))
-        volts = recording.read_v("accelerometer", 0, stop)
-        usual = MAD_TO_SIGMA * float(np.median(np.abs(volts - np.median(volts))))
-        shaken = usual / abs(recording.setup.channels.accelerometer.volts_per_mps2)
-        if shaken > _AT_REST_MPS2:
-            raise InputError(
-                f"{path}: the plate shakes by {shaken:.2g} m/s^2 (median); a drop test needs the plate at rest"
-            )
+    undivided = len(part) * float(np.log(total[-1] / len(part) + tiny).sum())
+    return undivided - float(criterion[at]), float(start + at + 1)
 
 
 def contact_onsets(path: Path) -> tuple[Array, float]:
@@ -244,13 +236,12 @@ def contact_onsets(path: Path) -> tuple[Array, float]:
         channel = recording.setup.channels.continuity
         if channel is None or "continuity" not in recording.channels:
             raise InputError(f"{path}: has no continuity channel; a drop test by contact needs one")
-        level = channel.middle_v
         sign = 1.0 if channel.swing_v < 0.0 else -1.0
-        times: list[Array] = []
-        before, block = True, 1 << 20
-        for start in range(0, recording.n_samples, block):
-            volts = recording.read_v("continuity", start, min(start + block, recording.n_samples))
-            closed = sign * (volts - level) > 0.0
+        times = [np.empty(0)]
+        before = True  # closed, so that a ball at rest at the beginning is no impact
+        for start in range(0, recording.n_samples, _BLOCK):
+            volts = recording.read_v("continuity", start, min(start + _BLOCK, recording.n_samples))
+            closed = sign * (volts - channel.middle_v) > 0.0
             edges = np.flatnonzero(closed & ~np.concatenate(([before], closed[:-1])))
             times.append((edges + start) / recording.rate_hz)
             before = bool(closed[-1])
@@ -258,5 +249,23 @@ def contact_onsets(path: Path) -> tuple[Array, float]:
     events = np.concatenate(times)
     if len(events) < 3:
         raise InputError(f"{path}: the contact circuit closes {len(events)} times; a drop test needs three impacts")
-    apart = np.concatenate(([True], np.diff(events) > _LEAST_SPACING_S))
-    return events[apart], 1.0 / rate
+    return events[np.diff(events, prepend=-np.inf) > _LEAST_SPACING_S], 1.0 / rate
+
+
+def _refuse_driven(recording: Recording) -> None:
+    """Refuse a plate that is driven: it makes impacts of its own."""
+    path, steps = recording.path, recording.steps
+    top = float(steps["gamma"].max(initial=0.0)) if len(steps) else 0.0
+    if top > 0.0 or len(recording.drive_changes):
+        raise InputError(
+            f"{path}: the plate is driven in this recording (gamma up to {top:.3g}); a drop test needs the plate at "
+            "rest. To find what a ramp's flights lack, use: bench close-loop"
+        )
+    if "accelerometer" in recording.channels:
+        stop = min(recording.n_samples, int(_REST_S * recording.rate_hz))
+        volts = recording.read_v("accelerometer", 0, stop)
+        shaken = mad_sigma(volts - np.median(volts)) / abs(recording.setup.channels.accelerometer.volts_per_mps2)
+        if shaken > _AT_REST_MPS2:
+            raise InputError(
+                f"{path}: the plate shakes by {shaken:.2g} m/s^2 (median); a drop test needs the plate at rest"
+            )

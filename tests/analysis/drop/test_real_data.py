@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from analysis.drop.film.camera_fit import fit_camera
+from analysis.drop.laws.choice import Verdict
 from analysis.drop.load import Path2D, load
-from analysis.drop.outcome import of_times
-from analysis.drop.times.model_selection import Verdict, judge
+from analysis.drop.timed import of_times
+from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 
 G = 9.80665
 pytestmark = pytest.mark.data
 
 
-def _judged(files: list[Path]) -> tuple[list[Drop], Verdict]:
+def _judged(files: list[Path]) -> tuple[list[Drop], Verdict[Judged]]:
     drops = [load(file) for file in files]
     assert all(isinstance(drop, Drop) for drop in drops)
     return drops, judge(drops, G, np.random.default_rng(1))
@@ -28,7 +29,7 @@ def test_the_table_tennis_ball_meets_the_air(data: Path) -> None:
     assert len(drops) == 30 and verdict.chosen == "quadratic_drag"
     coefficient = drag.fit.theta[1] * 2 * 2.7e-3 / (1.2 * np.pi * 0.02**2)  # 2.7 g, 40 mm, air at 20 degrees
     assert 0.4 < coefficient < 0.6
-    assert drag.held_out_rms_s < 0.5 * constant.held_out_rms_s
+    assert drag.held_out_rms < 0.5 * constant.held_out_rms
 
 
 @pytest.mark.parametrize("height_cm", [8, 10, 15, 18, 30])

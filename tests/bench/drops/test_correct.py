@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.drop.options.corrections import NOTHING
+from analysis.drop.corrections import NOTHING
 from bench.drops.correct import kept_request, moved, side_file
 from bench.jobs.drop_test import Request
 from daq.setup.errors import InputError

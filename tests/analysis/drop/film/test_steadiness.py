@@ -8,8 +8,8 @@ import pytest
 
 from analysis.drop.film.flights import Clip, Flight
 from analysis.drop.film.stabilise import stabilised
-from analysis.drop.film.steadiness import floor_in_words, in_words, wander_of
 from analysis.drop.film.video import open_film
+from analysis.drop.lack_of_fit import of_camera, of_floor
 
 
 def _filmed(target: Path, floor: bool, shake_px: float) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_a_fall_that_wanders_sideways(hand_px: float, watched: bool, moved: bool
     across = hand_px * np.sin(frame / 4.0) + np.random.default_rng(1).normal(0.0, 0.05, 40)
     height = -0.1 * (frame - 20.0) ** 2
     clip = Clip("x", frame, height, 0.2, across, watched)
-    words = in_words(wander_of(clip, [Flight(0, 1, frame, height, True)]))
+    words = of_camera(clip, [Flight(0, 1, frame, height, True)])
     assert (words is not None) == moved
 
 
@@ -60,5 +60,5 @@ def test_a_floor_that_moves_is_said() -> None:
     """Impacts 2 % of the fall apart contradict a camera at rest; within their errors they do not."""
     clip, draws = np.zeros(3, dtype=np.int64), np.random.default_rng(1).normal(0.0, 0.1, (300, 3))
     apart, even = np.array([0.0, 4.0, 8.0]), np.array([0.0, 0.15, -0.1])
-    assert "floor moved" in str(floor_in_words(clip, apart, apart + draws, 400.0))
-    assert floor_in_words(clip, even, even + draws, 400.0) is None
+    assert "floor moved" in str(of_floor(clip, apart, apart + draws, 400.0))
+    assert of_floor(clip, even, even + draws, 400.0) is None

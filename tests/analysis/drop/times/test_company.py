@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.times.end_outliers import ends_that_stray, ends_unlike_in_loudness
+from analysis.drop.times.chain_tests import ends_that_stray, ends_unlike_in_loudness
 from analysis.drop.times.impact_chain import bounces_of, drops_of
 from analysis.drop.times.onsets import sound_onsets
 from daq.setup.errors import InputError

@@ -5,7 +5,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from analysis.drop.outcome import of_times
+from analysis.drop.timed import of_times
 from analysis.drop.times.impact_chain import bounces_of
 from analysis.drop.times.model_selection import judge
 from analysis.drop.times.one_ahead import Drop

@@ -12,8 +12,8 @@ from analysis.drop.load import load
 from analysis.drop.times.impact_chain import bounces_of
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
-from analysis.drop.times.wav import open_wav
 from daq.files.tables import Block
+from daq.files.wav import open_wav
 from daq.recording import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

@@ -1,4 +1,4 @@
-"""Candidate models of impact times: what the next flight should last, given the one before.
+"""Candidate models of a drop: how long the next flight should last, given the one before.
 
 One bounce ahead. Each prediction starts from the measured flight before it, so an irregular bounce
 spoils one residual and not the rest. Names are those of the effect library: `restitution` (constant or falling with
@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.drop.laws.flightlaw import FlightLaw
-
-Array = NDArray[np.float64]
+from analysis.drop.arrays import Array
+from analysis.drop.laws.flight_law import FlightLaw
 
 BOUNDS: dict[str, tuple[float, float]] = {
     "e0": (0.01, 1.5),
@@ -37,7 +35,7 @@ class BounceModel:
         return set(other.parameters) < set(self.parameters)
 
     def law(self, theta: Array, g_mps2: float) -> FlightLaw:
-        """The flight law at parameters ``theta`` (p,), or at each of (draws, p)."""
+        """Flight law at parameters ``theta`` (p,), or at each of (draws, p)."""
         value = self._named(theta)
         drag = np.maximum(value["k_per_m"], 1e-8) if "k_per_m" in value else 0.0  # a parabola to its last digit
         return FlightLaw(g_mps2, value.get("mu", 0.0), drag)
@@ -83,4 +81,6 @@ SPEED = BounceModel("speed_dependent_restitution", ("e0", "e1_s_per_m"))
 DRAG = BounceModel("quadratic_drag", ("e0", "k_per_m"))
 FRICTION = BounceModel("coulomb_friction", ("e0", "mu"))
 SPEED_DRAG = BounceModel("speed_dependent_restitution+quadratic_drag", ("e0", "e1_s_per_m", "k_per_m"))
-MODELS = (CONSTANT, SPEED, DRAG, FRICTION, SPEED_DRAG)
+SPEED_FRICTION = BounceModel("speed_dependent_restitution+coulomb_friction", ("e0", "e1_s_per_m", "mu"))
+FRICTION_DRAG = BounceModel("coulomb_friction+quadratic_drag", ("e0", "mu", "k_per_m"))
+MODELS = (CONSTANT, SPEED, DRAG, FRICTION, SPEED_DRAG)  # of impact times

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from analysis.drop.arrays import Array, Flags
+
+Progress = Callable[[str, int, int], None]  # what is being done, how much of it is done, and of how much
 
 
 @dataclass(frozen=True)
@@ -37,16 +39,15 @@ class Corrections:
     region: tuple[int, int, int, int] | None = None
     axis_deg: float | None = None
 
-    def keeps(self, times: Array, reach_s: float) -> NDArray[np.bool_]:
-        """Which of ``times`` are used; each ignored time takes the nearest within ``reach_s``."""
-        low = -np.inf if self.from_s is None else self.from_s
-        high = np.inf if self.until_s is None else self.until_s
-        kept = (times >= low) & (times <= high)
+    def keeps(self, times: Array, reach_s: float) -> Flags:
+        """Which of ``times`` (n,) are used; each ignored time takes out the nearest within ``reach_s``."""
+        used = times >= (-np.inf if self.from_s is None else self.from_s)
+        used &= times <= (np.inf if self.until_s is None else self.until_s)
         for when in self.ignore_s:
             off = np.abs(times - when)
             if len(off) and off.min() <= reach_s:
-                kept &= off > off.min()
-        return np.asarray(kept)
+                used &= off > off.min()
+        return np.asarray(used)
 
 
 NOTHING = Corrections()
