@@ -102,16 +102,23 @@ def command(
 
 def _serve(request: Request, json_target: str | None, into: Path | None, port: int | None) -> None:
     """The desk's page of this drop test, until Ctrl-C."""
-    from bench.drops.serving import serve_page
+    from bench.web.packages import require_packages
 
     if into is not None or json_target == "-":
         fail("--page: the page writes JSON into the file of --json; --into and --json - go without it", EXIT_USAGE)
+    require_packages()
+    from bench.web.section import Place
+    from bench.web.serve import bind, serve
 
-    def say(url: str) -> None:
-        print_lines(f"open {url} in a browser; Ctrl-C ends the page")
+    listening, access = bind(port=port)
+
+    def say() -> None:
+        print_lines(f"open {access.url} in a browser; Ctrl-C ends the page")
         sys.stdout.flush()
 
-    serve_page(request, None if json_target is None else Path(json_target), port, say)
+    target = None if json_target is None else Path(json_target)
+    place = Place(request.files[0].resolve().parent, {"drop": {"request": request, "target": target}})
+    serve(listening, access, ["bench.drops.section"], place, on_ready=say)
 
 
 def _measure(request: Request, json_target: str | None, out: Path | None, into: Path | None, stale: str) -> None:
@@ -125,7 +132,7 @@ def _measure(request: Request, json_target: str | None, out: Path | None, into: 
     outcome = done.outcome
     if out is not None:
         draw(done, out)
-    refused = declare_into(into, outcome, stale, _asked) if into is not None else None
+    refused = declare_into(into, outcome, stale, _answer_to) if into is not None else None
     write_json(outcome.payload, json_target)
     if json_target != "-":
         for sentence in outcome.sentences:
@@ -134,8 +141,8 @@ def _measure(request: Request, json_target: str | None, out: Path | None, into: 
         fail(refused, EXIT_USAGE)
 
 
-def _asked(question: str) -> bool | None:
-    """A person's answer; None where no one can be asked."""
+def _answer_to(question: str) -> bool | None:
+    """A person's answer; None without a terminal."""
     return typer.confirm(question) if sys.stdin.isatty() else None
 
 

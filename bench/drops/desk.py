@@ -29,7 +29,7 @@ TICK_S = 0.05
 MOST_FILES, MOST_OFFERED, MOST_MARKS = 24, 500, 2000
 SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
 NUMBERS = ("fps", "scale_m", "ball_size_m", "mass_kg", "diameter_m", "gravity_mps2")
-Told = dict[str, Any]
+Message = dict[str, Any]
 
 
 class DropDesk:
@@ -51,8 +51,8 @@ class DropDesk:
         self.pictures: dict[int, bytes] = {}
         self._folder, self._fixed, self._target = folder, request is not None, target
         self._undo: list[Request] = []
-        self._shown: Told | None = None
-        self._payload: Told | None = None
+        self._shown: Message | None = None
+        self._payload: Message | None = None
         self._pipe: Any = None
         self._process: Any = None
         self._asked: Request | None = None  # what the worker is at
@@ -83,12 +83,12 @@ class DropDesk:
     async def _greet(self, browser: Browser) -> None:
         offered = [] if self._fixed else await asyncio.to_thread(self._offered)
         browser.send(json.dumps({"kind": "offer", "files": offered, "choose": not self._fixed}))
-        browser.send(json.dumps(self._asked_for()))
+        browser.send(json.dumps(self._form()))
         if self._shown is not None:
             browser.send(json.dumps(self._shown))
 
     def _offered(self) -> list[str]:
-        """Files below the folder that may hold a drop, hidden ones apart."""
+        """Files below the folder that may hold a drop, without hidden ones."""
         found = []
         for path in sorted(self._folder.rglob("*")):
             inside = path.relative_to(self._folder)
@@ -97,7 +97,7 @@ class DropDesk:
                 found.append(inside.as_posix())
         return found[:MOST_OFFERED]
 
-    def _asked_for(self) -> Told:
+    def _form(self) -> Message:
         """The request as the form shows it."""
         request = self.request
         if request is None:
@@ -110,16 +110,14 @@ class DropDesk:
             **{name: getattr(request, name) for name in NUMBERS},
         }
 
-    def _obey(self, browser: Browser, said: Told) -> None:
-        """Do what a browser asks; what is no lease is the holder's alone, and what it may not is told to it."""
+    def _obey(self, browser: Browser, said: Message) -> None:
+        """Do what a browser asks; all but questions of the lease only for the holder of the controls."""
         wanted, lease, name = said.get("do"), self.hub.lease, browser.name
+        if wanted == "ask":
+            lease.ask(name, time.monotonic())
+        elif wanted in ("hand_over", "keep"):
+            (lease.keep if wanted == "keep" else lease.hand_over)(name)
         if wanted in ("ask", "hand_over", "keep"):
-            if wanted == "ask":
-                lease.ask(name, time.monotonic())
-            elif wanted == "hand_over":
-                lease.hand_over(name)
-            else:
-                lease.keep(name)
             self.hub.tell_lease()
             return
         try:
@@ -130,7 +128,7 @@ class DropDesk:
             why = error.detail if isinstance(error, HTTPException) else str(error)
             browser.send(json.dumps({"kind": "no", "why": why}))
 
-    def _do(self, wanted: str, said: Told) -> None:
+    def _do(self, wanted: str, said: Message) -> None:
         if wanted == "open" and not self._fixed:
             self._open(said.get("files"))
         elif self.request is None:
@@ -158,7 +156,7 @@ class DropDesk:
         self.request, self._undo, self._shown, self._payload, self.pictures = request, [], None, None, {}
         self._measure()
 
-    def _correct(self, request: Request, said: Told) -> None:
+    def _correct(self, request: Request, said: Message) -> None:
         """An impact moved, added or taken away."""
         number = said.get("file")
         gone, new, same = (_number(said.get(key)) for key in ("gone_s", "new_s", "same_s"))
@@ -192,7 +190,7 @@ class DropDesk:
 
     def _measure(self) -> None:
         """Ask the worker for the present request, now or when it has done what it is at."""
-        self.hub.tell(self._asked_for())
+        self.hub.tell(self._form())
         if self._asked is not None:
             return
         if self._process is None or not self._process.is_alive():
@@ -206,13 +204,13 @@ class DropDesk:
         self.hub.tell({"kind": "working", "what": "measuring", "done": 0, "total": 0})
 
     def _look_at_worker(self) -> None:
-        """Tell what the worker says; a result of a request that was changed meanwhile is passed over."""
+        """Pass on what the worker says; a result of a request that was changed meanwhile is passed over."""
         while self._asked is not None and self._pipe.poll():
             try:
                 answer = self._pipe.recv()
             except (EOFError, OSError):
-                answer = ("told", {"kind": "refused", "why": "the process that measures has died of this file",
-                                   "files": [], "command": None}, None, {})  # fmt: skip
+                why = "the process that measures has died of this file"
+                answer = ("done", {"kind": "refused", "why": why, "files": [], "command": None}, None, {})
                 self._end_worker()
             if answer[0] == "progress":
                 _, what, done, total = answer
@@ -233,7 +231,7 @@ class DropDesk:
         self._process = self._pipe = None
 
 
-def _with_options(request: Request, said: Told) -> Request:
+def _with_options(request: Request, said: Message) -> Request:
     """The request with the form's numbers; an empty field is the default."""
     found: dict[str, Any] = {name: _number(said.get(name)) for name in NUMBERS}
     if found["gravity_mps2"] is None:

@@ -1,4 +1,4 @@
-"""The section of the desk for drop tests: one page, one websocket, stretches of a sound, and a film's track."""
+"""The page of drop tests, as a section of the desk and by itself: one websocket, stretches of a sound, film tracks."""
 
 from __future__ import annotations
 

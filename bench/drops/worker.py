@@ -1,4 +1,4 @@
-"""The process that measures for the page, so that the page answers meanwhile; it keeps what is slow to find."""
+"""The process that measures for the page, so that the page answers meanwhile; it remembers what is slow to find."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from bench.terminal.signals import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 
 NICENESS = 10
-_TOLD_EVERY_S = 0.2
+_EVERY_S = 0.2  # between two messages of progress
 
 
 def work(pipe: Connection, gives_way: bool) -> None:
     """Measure every request that comes, until the pipe ends; ``gives_way``: a run on this machine goes first.
 
-    Answers are ``("progress", what, done, total)``, and at the end ``("told", told, payload, pictures)``.
+    Answers are ``("progress", what, done, total)``, and at the end ``("done", message, payload, pictures)``.
     """
     from analysis.drop.load import Known
 
@@ -36,32 +36,27 @@ def work(pipe: Connection, gives_way: bool) -> None:
 
 
 def _measured(request: Any, known: Any, pipe: Connection) -> tuple[Any, ...]:
-    from bench.drops.told import refusal_of, told_of
+    from analysis.drop.figures import draw_track
+    from bench.drops.page_data import refusal_of, result_of
     from bench.jobs.drop_test import check_request, measure
 
-    told_at = 0.0
+    sent_at = 0.0
 
     def progress(what: str, done: int, total: int) -> None:
-        nonlocal told_at
-        if time.monotonic() - told_at > _TOLD_EVERY_S:
-            told_at = time.monotonic()
+        nonlocal sent_at
+        if time.monotonic() - sent_at > _EVERY_S:
+            sent_at = time.monotonic()
             pipe.send(("progress", what, done, total))
 
     try:
         check_request(request)
         done = measure(request, progress, known)
     except (InputError, ValueError, OSError, MemoryError) as error:
-        return "told", refusal_of(request, str(error) or type(error).__name__, known), None, {}
-    return "told", told_of(done), done.outcome.payload, _pictures(done)
-
-
-def _pictures(done: Any) -> dict[int, bytes]:
-    """The track over the film, PNG by number of the file."""
-    from analysis.drop.figures import draw_track
-
-    made = {}
+        return "done", refusal_of(request, str(error) or type(error).__name__, known), None, {}
+    pictures = {}  # the track over the film, PNG by number of the file
     with tempfile.TemporaryDirectory() as folder:
         for number, item in done.items:
-            if getattr(item, "tracked", None) is not None:
-                made[number] = draw_track(item.tracked, item.clip.name, Path(folder) / "track.png").read_bytes()
-    return made
+            tracked = getattr(item, "tracked", None)
+            if tracked is not None:
+                pictures[number] = draw_track(tracked, item.name, Path(folder) / "track.png").read_bytes()
+    return "done", result_of(done), done.outcome.payload, pictures

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from analysis.drop.corrections import NOTHING
+from analysis.drop.load import Known
 from bench.drops.correct import kept_request, moved, side_file
+from bench.drops.page_data import refusal_of
 from bench.jobs.drop_test import Request
 from daq.setup.errors import InputError
 
@@ -52,3 +54,11 @@ def test_a_file_of_something_else_is_not_replaced(tmp_path: Path, text: str) -> 
     target.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="result of a drop test"):
         kept_request(target, [tmp_path / "tap.wav"])
+
+
+def test_a_damaged_sound_is_refused_on_the_page_too(tmp_path: Path) -> None:
+    """The page of a WAV file without samples says why and shows no sound, and its process lives on."""
+    damaged = tmp_path / "bad.wav"
+    damaged.write_bytes(b"RIFF\x10\x00\x00\x00WAVEjunkjunkjunk")
+    shown = refusal_of(Request((damaged,)), "damaged", Known())
+    assert shown["why"] == "damaged" and shown["files"][0]["kind"] == "times" and shown["files"][0]["events"] == []
