@@ -17,27 +17,15 @@ class Corrections:
     """What a person leaves out, adds, or says about the picture.
 
     An impact that is moved is one left out and one added.
-
-    Attributes
-    ----------
-    from_s, until_s : float or None
-        Part of the file that is used, in its own time.
-    ignore_s : tuple of float
-        Times of impacts (or frames) to be left out.
-    add_s : tuple of float
-        Times of impacts that were not found.
-    region : (left, top, right, bottom) or None
-        Part of the picture, pixels.
-    axis_deg : float or None
-        Direction of the fall in the picture, degrees right of down; None finds it.
     """
 
+    # from_s, until_s: part of the file that is used, in its own time
     from_s: float | None = None
     until_s: float | None = None
-    ignore_s: tuple[float, ...] = ()
-    add_s: tuple[float, ...] = ()
-    region: tuple[int, int, int, int] | None = None
-    axis_deg: float | None = None
+    ignore_s: tuple[float, ...] = ()  # times of impacts (or frames) to be left out
+    add_s: tuple[float, ...] = ()  # times of impacts that were not found
+    region: tuple[int, int, int, int] | None = None  # (left, top, right, bottom) of the picture, pixels
+    axis_deg: float | None = None  # direction of the fall in the picture, degrees right of down; None finds it
 
     def keeps(self, times: Array, reach_s: float) -> Flags:
         """Which of ``times`` (n,) are used; each ignored time takes out the nearest within ``reach_s``."""

@@ -34,26 +34,15 @@ class ModelCurve:
 
 @dataclass(frozen=True)
 class FitPlot:
-    """Data and models.
+    """Data and models."""
 
-    Attributes
-    ----------
-    x_label, y_label, left_label : str
-        Axes, with units.
-    data : list of (x, y)
-        One for each drop, or flight.
-    models : list of ModelCurve
-        The plainest model first, then the best where it is another.
-    clips : list of int
-        Which file each of ``data`` is from.
-    """
-
+    # x_label, y_label, left_label: axes, with units
     x_label: str
     y_label: str
     left_label: str
-    data: list[Curve]
-    models: list[ModelCurve]
-    clips: list[int]
+    data: list[Curve]  # (x, y), one for each drop or flight
+    models: list[ModelCurve]  # the plainest model first, then the best where it is another
+    clips: list[int]  # which file each of ``data`` is from
 
     def as_json(self) -> dict[str, Any]:
         """The same in plain lists; None for what is not finite."""

@@ -49,30 +49,16 @@ _SIGNS = (("up", 1.0), ("down", -1.0))  # of friction, against gravity
 
 @dataclass(frozen=True)
 class Units:
-    """What turns frames and pixels into seconds and metres.
+    """What turns frames and pixels into seconds and metres."""
 
-    Attributes
-    ----------
-    frame_s : float or None
-        Seconds a frame; None where it is not known.
-    scale_m : float or None
-        Metres a unit of height; None: taken from gravity.
-    g_mps2 : float
-    scale_uncertainty, frame_rate_uncertainty : float
-        Relative, one standard deviation.
-    assumed_rate : bool
-        The frame rate is the film's playback rate, which a person has not confirmed.
-    ball : float or None
-        Height of the ball, in the file's unit.
-    """
-
-    frame_s: float | None
-    scale_m: float | None
+    frame_s: float | None  # seconds a frame; None where it is not known
+    scale_m: float | None  # metres a unit of height; None: taken from gravity
     g_mps2: float
+    # scale_uncertainty, frame_rate_uncertainty: relative, one standard deviation
     scale_uncertainty: float = 0.0
     frame_rate_uncertainty: float = 0.0
-    assumed_rate: bool = False
-    ball: float | None = None
+    assumed_rate: bool = False  # the frame rate is the film's playback rate, which a person has not confirmed
+    ball: float | None = None  # height of the ball, in the file's unit
 
 
 def of_camera(

@@ -39,25 +39,14 @@ _ROUNDED_FRAMES = 0.1
 
 @dataclass(frozen=True)
 class Path2D:
-    """The ball's path in one file.
-
-    Attributes
-    ----------
-    clip : Clip
-    frame_s : float or None
-        Seconds a frame, as the file states.
-    metres : bool
-        Heights are metres.
-    tracked : Tracked or None
-        For a film.
-    remarks, not_read : tuple of str
-        What was noticed, and what of the file was not read, with the reason (with the file's first path).
-    """
+    """The ball's path in one file."""
 
     clip: Clip
-    frame_s: float | None
-    metres: bool
-    tracked: Tracked | None = None
+    frame_s: float | None  # seconds a frame, as the file states
+    metres: bool  # heights are metres
+    tracked: Tracked | None = None  # for a film
+    # remarks, not_read: what was noticed, and what of the file was not read, with the reason (with the file's first
+    # path)
     remarks: tuple[str, ...] = ()
     not_read: tuple[str, ...] = ()
 

@@ -39,21 +39,11 @@ class Measured:
 
 @dataclass
 class Outcome:
-    """A result on its way out.
+    """A result on its way out."""
 
-    Attributes
-    ----------
-    payload : dict
-        The JSON.
-    sentences : list of str
-        The same for a person, what cannot be told included.
-    measured : list of Measured
-        What may be declared in a profile.
-    """
-
-    payload: dict[str, Any]
-    sentences: list[str] = field(default_factory=list)
-    measured: list[Measured] = field(default_factory=list)
+    payload: dict[str, Any]  # the JSON
+    sentences: list[str] = field(default_factory=list)  # the same for a person, what the data cannot say included
+    measured: list[Measured] = field(default_factory=list)  # what may be declared in a profile
 
 
 def interval(value: float, low: float, high: float) -> Interval:
@@ -192,7 +182,7 @@ _TERMS = {
 
 
 def describe_choice(payload: dict[str, Any]) -> list[str]:
-    """The verdict in sentences: parameters, error before and after, what cannot be told, what is not explained."""
+    """The verdict in sentences: parameters, error before and after, ties, what is not explained."""
     best, by_name = payload["best"], {model["name"]: model for model in payload["models"]}
     words = [f"Unexplained: {reason}." for reason in payload["unexplained_because"]]
     label = best if payload["explained"] else f"{best} (not believed)"

@@ -16,7 +16,7 @@ TIE_NATS = 6.0  # a model of other parameters is out of the tie set only this fa
 # have errors that are themselves only estimated.
 STRUCTURE_CHANCE = 1e-4  # of a trend of what is left with the length of the flight
 STRAY_CHANCE = 1e-4  # of a first or last event that is still an impact
-UNEVEN_CHANCE = 1e-6  # of restitutions that differ by their errors alone, or of floors at two heights: five sigma
+UNEVEN_CHANCE = 1e-6  # of restitutions that differ only by their errors, or of floors at two heights: five sigma
 FOLLOWED_CHANCE = 1e-3  # of restitutions above which a law follows them
 CHANCE_CHAINS = 0.02  # chains as steady that are expected among as many events at random
 LARGEST_SCATTER = 0.04  # of the restitution, relative: flat plates and round balls scatter by 0.02 at most

@@ -1,4 +1,4 @@
-"""A correction by hand on the page, and requests kept in the JSON of a result."""
+"""A correction by hand on the page, and requests read back from the JSON of a result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from daq.setup.errors import InputError
 
 ENDING = ".drop.json"
 _SAME_S = 1e-7
-_PLACES = 7  # decimals of a second that a person's mark is kept with
+_PLACES = 7  # decimals of a second of a person's mark
 
 
 def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
@@ -43,7 +43,7 @@ def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: 
 
 
 def side_file(file: Path) -> Path:
-    """The file beside a recording of a drop that keeps its result with all corrections."""
+    """The file next to a recording of a drop that has its result with all corrections."""
     return file.with_name(file.name + ENDING)
 
 
@@ -77,10 +77,10 @@ _PLAIN = (
 )  # fmt: skip
 
 
-def _part(told: dict[str, Any]) -> Corrections:
-    lists = {key: tuple(float(t) for t in told[key]) for key in ("ignore_s", "add_s")}
-    region = told["region"]
+def _part(options: dict[str, Any]) -> Corrections:
+    lists = {key: tuple(float(t) for t in options[key]) for key in ("ignore_s", "add_s")}
+    region = options["region"]
     return Corrections(
-        told["from_s"], told["until_s"], **lists, axis_deg=told["axis_deg"],
+        options["from_s"], options["until_s"], **lists, axis_deg=options["axis_deg"],
         region=None if region is None else (int(region[0]), int(region[1]), int(region[2]), int(region[3])),
     )  # fmt: skip

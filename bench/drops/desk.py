@@ -42,7 +42,7 @@ class DropDesk:
     request
         A drop test to show from the start, of files anywhere; None leaves the choice to the browser.
     target
-        File for the JSON; None: beside the first file.
+        File for the JSON; None: next to the first file.
     """
 
     def __init__(self, folder: Path, request: Request | None = None, target: Path | None = None) -> None:
@@ -147,7 +147,7 @@ class DropDesk:
             self._save(self.request)
 
     def _open(self, names: object) -> None:
-        """Show files of the folder; what was kept beside the first comes back with its corrections."""
+        """Show files of the folder; a result next to the first comes back with its corrections."""
         if not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
             raise InputError(f"open 1 to {MOST_FILES} files at a time")
         files = [file_inside(self._folder, str(name)) for name in names]

@@ -1,4 +1,4 @@
-"""The result of a drop test written into a rig profile, with its source, in place of what was there."""
+"""The result of a drop test written into a rig profile, with its source, and nothing stale with it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
     stale
         "keep" or "remove" effects that are declared and that this result was measured without; "ask" about them.
     ask
-        Puts a question; None where no one can answer.
+        Puts a question; None where there is no answer.
 
     Raises
     ------

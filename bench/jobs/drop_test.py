@@ -71,8 +71,7 @@ class Request:
 
     def as_json(self) -> dict[str, Any]:
         """All options, for the record."""
-        options = dataclasses.asdict(self)
-        return options | {
+        return dataclasses.asdict(self) | {
             "files": list(map(str, self.files)),
             "corrections": [dataclasses.asdict(one) for one in self.corrected],
         }
@@ -141,25 +140,14 @@ def _refuse_twice(files: Sequence[Path]) -> None:
 
 @dataclass
 class DropTest:
-    """A drop test: what was asked for and read, what came out, and what a figure of it shows.
-
-    Attributes
-    ----------
-    request : Request
-    items : list of (file number, Drop or Path2D)
-        What was read.
-    outcome : Outcome
-        The result; `draw` adds to its sentences.
-    plot : FitPlot
-        Data and models.
-    fitted_impacts_s : list of (item, time, bounced)
-        Impacts of films and paths in each file's own time, and whether a flight was measured on both sides.
-    """
+    """A drop test: what was asked for and read, what came out, and what a figure of it shows."""
 
     request: Request
-    items: list[tuple[int, Drop | Path2D]]
-    outcome: Outcome
-    plot: FitPlot
+    items: list[tuple[int, Drop | Path2D]]  # (file number, Drop or Path2D) what was read
+    outcome: Outcome  # the result; `draw` adds to its sentences
+    plot: FitPlot  # data and models
+    # (item, time, bounced) impacts of films and paths in each file's own time, and whether a flight was measured on
+    # both sides
     fitted_impacts_s: list[tuple[int, float, bool]] = field(default_factory=list)
 
 

@@ -32,24 +32,12 @@ _ROWS = 64  # of a picture that are held at once for all frames
 
 @dataclass(frozen=True)
 class Still:
-    """What stands still.
+    """What stands still."""
 
-    Attributes
-    ----------
-    background : (rows, columns, 3) float32
-        Median of frames in which something small moves.
-    small : (rows, columns, 3) float32
-        The same at `SEARCH_WIDTH`.
-    n_frames : int
-        Frames read.
-    repeated : (k,) int64
-        Frames that show again what the frame before showed, while the ball moves.
-    """
-
-    background: Picture
-    small: Picture
-    n_frames: int
-    repeated: Counts
+    background: Picture  # (rows, columns, 3) median of frames in which something small moves
+    small: Picture  # (rows, columns, 3) the same at `SEARCH_WIDTH`
+    n_frames: int  # frames read
+    repeated: Counts  # (k,) frames that show again what the frame before showed, while the ball moves
 
 
 def still_of(film: Film, progress: Progress | None = None) -> Still:

@@ -48,26 +48,15 @@ _MOST_WORTH = 0.5  # a tracker errs alike over several frames (the same pixels, 
 
 @dataclass(frozen=True)
 class Impacts:
-    """Impacts of all clips under one shape, in the file's units (frames, pixels).
+    """Impacts of all clips under one shape, in the file's units (frames, pixels)."""
 
-    Attributes
-    ----------
-    clip : (n,) int64
-    frame : (n,) float64
-        Impact times.
-    speed_in, speed_out : (n,) float64
-        NaN where the flight on that side was not resolved.
-    floor : (n,) float64
-        Height of the ball at the impact; NaN for an impact after which nothing is known.
-    frame_draws, in_draws, out_draws, floor_draws : (m, n) float64
-        The same for each draw of the fit.
-    """
-
-    clip: Counts
-    frame: Array
+    clip: Counts  # (n,)
+    frame: Array  # (n,) impact times
+    # speed_in, speed_out: (n,) NaN where the flight on that side was not resolved
     speed_in: Array
     speed_out: Array
-    floor: Array
+    floor: Array  # (n,) height of the ball at the impact; NaN for an impact after which nothing is known
+    # frame_draws, in_draws, out_draws, floor_draws: (m, n) the same for each draw of the fit
     frame_draws: Array
     in_draws: Array
     out_draws: Array
@@ -87,28 +76,17 @@ class Impacts:
 
 @dataclass(frozen=True)
 class CameraCandidate:
-    """One model: shape and law of restitution, with held-out scores (`laws.choice.Candidate`).
-
-    Attributes
-    ----------
-    model : BounceModel
-    shape : str
-    law : RestitutionFit
-    forces : dict
-        Value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units.
-    rms, held_out_rms : float
-        Of flight durations, frames; NaN where there are none.
-    scores : (flights + bounces,) float64
-        Held-out log likelihoods.
-    """
+    """One model: shape and law of restitution, with held-out scores (`laws.choice.Candidate`)."""
 
     model: BounceModel
     shape: str
     law: RestitutionFit
+    # value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units
     forces: dict[str, tuple[float, float]]
+    # rms, held_out_rms: of flight durations, frames; NaN where there are none
     rms: float
     held_out_rms: float
-    scores: Array
+    scores: Array  # (flights + bounces,) held-out log likelihoods
 
     @property
     def identifiable(self) -> bool:
@@ -138,36 +116,17 @@ class CameraCandidate:
 
 @dataclass(frozen=True)
 class CameraFit:
-    """What was measured of a camera's drops.
-
-    Attributes
-    ----------
-    flights : list of Flight
-    shapes : dict of Shape
-        Each shape fitted to all flights.
-    values : dict of (m, p) float64
-        Draws of each shape's parameters.
-    impacts : dict of Impacts
-    candidates : tuple of CameraCandidate
-    fall_height : dict of (clips,) float64 with draws (m, clips)
-        Height of the fall to each clip's first impact, unit.
-    noise : float
-        Of single positions, from third differences.
-    worth : float
-        Independent samples per sample.
-    moved : tuple of str
-        What shows that a camera moved whose motion nothing measures, in words.
-    """
+    """What was measured of a camera's drops."""
 
     flights: list[Flight]
-    shapes: dict[str, Shape]
-    values: dict[str, Array]
+    shapes: dict[str, Shape]  # each shape fitted to all flights
+    values: dict[str, Array]  # (m, p) draws of each shape's parameters
     impacts: dict[str, Impacts]
     candidates: tuple[CameraCandidate, ...]
-    fall_height: dict[str, tuple[Array, Array]]
-    noise: float
-    worth: float
-    moved: tuple[str, ...] = ()
+    fall_height: dict[str, tuple[Array, Array]]  # (clips,) and draws (m, clips), to the first impact, unit
+    noise: float  # of single positions, from third differences
+    worth: float  # independent samples per sample
+    moved: tuple[str, ...] = ()  # what shows that a camera moved whose motion nothing measures, in words
 
 
 def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:

@@ -29,55 +29,32 @@ _SAME_FRAMES = 2.0  # an impact left out by hand is the one within so many frame
 
 @dataclass(frozen=True)
 class Clip:
-    """The ball's path in one file, upright.
-
-    Attributes
-    ----------
-    name : str
-    frame, height : (n,) float64
-        Time in frames (not always whole), and height in the file's unit, counted upward.
-    acceleration : float
-        Rough free-fall acceleration, unit per frame^2.
-    across : (n,) float64 or None
-        Place across the fall, where the unit is pixels.
-    watched : bool
-        The film has edges by which a motion of its camera along the fall would be seen, and was moved back.
-    no_impact, impact : tuple of float
-        Frames at which a person says that there is no impact, or is one.
-    """
+    """The ball's path in one file, upright."""
 
     name: str
+    # frame, height: (n,) time in frames (not always whole), and height in the file's unit, counted upward
     frame: Array
     height: Array
-    acceleration: float
-    across: Array | None = None
+    acceleration: float  # rough free-fall acceleration, unit per frame^2
+    across: Array | None = None  # (n,) place across the fall, where the unit is pixels
+    # the film has edges by which a motion of its camera along the fall would be seen, and was moved back
     watched: bool = True
+    # no_impact, impact: frames at which a person says that there is no impact, or is one
     no_impact: tuple[float, ...] = ()
     impact: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Samples of one flight.
+    """Samples of one flight."""
 
-    Attributes
-    ----------
-    clip : int
-        Number of the file it belongs to.
-    order : int
-        0 for the fall, then 1, 2, ...
-    frame, height : (n,) float64
-    lands : bool
-        Whether an impact at the end was filmed.
-    reach : float
-        Height from the middle of the picture's used part to its ends, where its distortion is taken as none.
-    """
-
-    clip: int
-    order: int
+    clip: int  # number of the file it belongs to
+    order: int  # 0 for the fall, then 1, 2, ...
+    # frame, height: (n,)
     frame: Array
     height: Array
-    lands: bool
+    lands: bool  # whether an impact at the end was filmed
+    # height from the middle of the picture's used part to its ends, where its distortion is taken as none
     reach: float = 0.0
 
 

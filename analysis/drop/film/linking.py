@@ -58,28 +58,15 @@ class _Open:
 
 @dataclass(frozen=True)
 class Track:
-    """The ball.
+    """The ball."""
 
-    Attributes
-    ----------
-    index : (n,) int64
-        Which of the points it is, in time order.
-    clock : (n,) float64
-        Frame numbers or seconds.
-    x, height : (n,) float64
-        Position across, and height counted upward, in the points' unit.
-    acceleration : float
-        Typical downward acceleration in free flight (unit per clock^2), positive.
-    remarks : tuple of str
-        What was noticed.
-    """
-
-    index: Counts
-    clock: Array
+    index: Counts  # (n,) which of the points it is, in time order
+    clock: Array  # (n,) frame numbers or seconds
+    # x, height: (n,) position across, and height counted upward, in the points' unit
     x: Array
     height: Array
-    acceleration: float
-    remarks: tuple[str, ...] = ()
+    acceleration: float  # typical downward acceleration in free flight (unit per clock^2), positive
+    remarks: tuple[str, ...] = ()  # what was noticed
 
 
 def ball_of(clock: Array, x: Array, y: Array, where: str, axis_deg: float | None = None) -> Track:

@@ -19,32 +19,19 @@ _LEAST_FOR_HOLD_OUT = 3
 
 @dataclass(frozen=True)
 class RestitutionFit:
-    """``e = e0 - e1 u``, or constant.
+    """``e = e0 - e1 u``, or constant."""
 
-    Attributes
-    ----------
-    theta, half_width : (p,) float64
-        ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval.
-    scatter : float
-        Standard deviation of the restitution from bounce to bounce, beyond the measuring error.
-    predicted, held_out : (n,) float64
-        Restitution of each bounce from all, and from the other bounces (NaN where there are too few).
-    scores : (n,) float64
-        Held-out log likelihood of each bounce; 0 where there are too few to hold any out.
-    chi_square : float
-        Of the bounces against their measuring errors alone.
-    freedom : int
-        Bounces less parameters.
-    """
-
+    # theta, half_width: (p,) ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval
     theta: Array
     half_width: Array
-    scatter: float
+    scatter: float  # standard deviation of the restitution from bounce to bounce, beyond the measuring error
+    # predicted, held_out: (n,) restitution of each bounce from all, and from the other bounces (NaN where there are
+    # too few)
     predicted: Array
     held_out: Array
-    scores: Array
-    chi_square: float = 0.0
-    freedom: int = 0
+    scores: Array  # (n,) held-out log likelihood of each bounce; 0 where there are too few to hold any out
+    chi_square: float = 0.0  # of the bounces against nothing but their measuring errors
+    freedom: int = 0  # bounces less parameters
 
     @property
     def relative_scatter(self) -> float:

@@ -37,43 +37,23 @@ _SHADOW_SHARE = 0.4  # of a spot's contrast: what is fainter is its shadow or it
 
 @dataclass(frozen=True)
 class Tracked:
-    """The ball in a film.
+    """The ball in a film."""
 
-    Attributes
-    ----------
-    track : Track
-        In pixels and frames.
-    x_px, y_px : (n,) float64
-        Centre of each of the track's points in the picture.
-    width_px, tall_px : (n,) float64
-        Size of the moving area of each.
-    background : (rows, columns, 3) uint8
-    composite : (rows, columns, 3) uint8
-        The ball stamped from every few frames onto the background.
-    fps : float or None
-        As the file states.
-    n_frames, first : int
-        Frames that were used, and the number of the first in the file.
-    lost : (m,) int64
-        Frames between the track's first and last in which the ball was not found.
-    remarks : tuple of str
-        What was noticed.
-    watched : bool
-        The picture has edges that show whether the camera moved along its columns.
-    """
-
-    track: Track
+    track: Track  # in pixels and frames
+    # x_px, y_px: (n,) centre of each of the track's points in the picture
     x_px: Array
     y_px: Array
+    # width_px, tall_px: (n,) size of the moving area of each
     width_px: Array
     tall_px: Array
-    background: Image
-    composite: Image
-    fps: float | None
+    background: Image  # (rows, columns, 3)
+    composite: Image  # (rows, columns, 3) the ball stamped from every few frames onto the background
+    fps: float | None  # as the file states
+    # n_frames, first: frames that were used, and the number of the first in the file
     n_frames: int
-    lost: Counts
-    remarks: tuple[str, ...] = ()
-    watched: bool = True
+    lost: Counts  # (m,) frames between the track's first and last in which the ball was not found
+    remarks: tuple[str, ...] = ()  # what was noticed
+    watched: bool = True  # the picture has edges that show whether the camera moved along its columns
     first: int = 0
 
 

@@ -54,38 +54,19 @@ class Block:
 
 @dataclass(frozen=True)
 class Shape:
-    """A joint fit.
+    """A joint fit."""
 
-    Attributes
-    ----------
-    name : str
-        Of `SHAPES`.
-    values : (p,) float64
-        ``g`` (unit/frame^2), ``f``, ``k`` (1/unit), as the shape has them.
-    apex_frame, apex_height : (flights,) float64
-    covariance : (p, p) float64
-        Of ``values``, scaled by the residuals.
-    blocks : list of Block
-    noise : float
-        By which the blocks' residuals were divided.
-    sigma : float
-        Rms residual, unit.
-    prior : (p,) float64
-        Precision of the prior on each value, in the blocks' unit of chi-square.
-    reach : float
-        Height at which the picture's distortion is none, from the middle.
-    """
-
-    name: str
-    values: Array
+    name: str  # of `SHAPES`
+    values: Array  # (p,) ``g`` (unit/frame^2), ``f``, ``k`` (1/unit), as the shape has them
+    # apex_frame, apex_height: (flights,)
     apex_frame: Array
     apex_height: Array
-    covariance: Array
+    covariance: Array  # (p, p) of ``values``, scaled by the residuals
     blocks: list[Block]
-    noise: float
-    sigma: float
-    prior: Array
-    reach: float
+    noise: float  # by which the blocks' residuals were divided
+    sigma: float  # rms residual, unit
+    prior: Array  # (p,) precision of the prior on each value, in the blocks' unit of chi-square
+    reach: float  # height at which the picture's distortion is none, from the middle
 
     def seen_at(self, flight: int, frame: Array) -> Array:
         """Height at which the ball of one of the flights is seen at ``frame`` (n,)."""
@@ -131,22 +112,19 @@ def fit_shape(
     near
         Parameters to start from, where a fit to nearly the same flights is known.
     unit
-        Chi-square of these samples that counts as 1 against the prior, for residuals larger than ``noise`` or not
-        independent.
+        Chi-square that counts as 1 against the prior: residuals may be larger than ``noise``, or not independent.
     """
-    span = max(float(np.ptp(f.height)) for f in flights)
+    span, reach = max(float(np.ptp(f.height)) for f in flights), flights[0].reach
     whole = float(max(f.height.max() for f in flights) - min(f.height.min() for f in flights))
-    reach = flights[0].reach
     widths = {"c": _TILT / whole, "d": _LENS / whole**2}
     prior = np.array([unit / widths[key] ** 2 if key in widths else 0.0 for key in SHAPES[name]])
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span, "c": 0.0, "d": 0.0}
-    values = np.array([start[p] for p in SHAPES[name]]) if near is None else near.copy()
+    values = np.array([start[p] for p in SHAPES[name]]) if near is None else near
     apex = np.array([_first_apex(f, acceleration) for f in flights])
     ends = np.array([[2 * f.frame[0] - f.frame[-1] - 2.0, 2 * f.frame[-1] - f.frame[0] + 2.0] for f in flights])
 
     def blocks_at(values: Array, apex: Array) -> tuple[list[Block], float]:
-        pairs = zip(apex.tolist(), flights, strict=True)
-        blocks = [_block(name, values, at, top, f, noise) for (at, top), f in pairs]
+        blocks = [_block(name, values, a[0], a[1], f, noise) for a, f in zip(apex.tolist(), flights, strict=True)]
         return blocks, sum(b.squares for b in blocks) + float(prior @ values**2)
 
     damping, best = 1e-3, np.inf
@@ -163,10 +141,10 @@ def fit_shape(
             best = there
         else:
             damping *= 8.0
-            if damping > 1e10:
-                break
-    dof = max(sum(b.count for b in blocks) - len(values) - 2 * len(blocks), 1)
-    spread = sum(b.squares for b in blocks) / dof
+        if damping > 1e10:
+            break
+    freedom = sum(b.count for b in blocks) - len(values) - 2 * len(blocks)
+    spread = sum(b.squares for b in blocks) / max(freedom, 1)
     # The apexes' elimination leaves differences of large numbers: eigenvalues that are nothing but rounding, negative
     # ones among them, are left wide.
     normal = sum(b.schur()[0] for b in blocks) + np.diag(prior)
@@ -200,7 +178,7 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
     residual = (flight.height - height - (c + d * near) * beyond) / noise
     p = len(values)
     jacobian = np.zeros((len(since), p + 2))
-    least = {"g": 1e-9, "f": 1e-4, "k": 100.0 / max(float(drop.max()), 1e-12)}  # a drag too small to be told is 1e-8
+    least = {"g": 1e-9, "f": 1e-4, "k": 100.0 / max(float(drop.max()), 1e-12)}  # a drag too small to be seen is 1e-8
     for j in range(p - 2):
         moved = values.copy()
         step = 1e-6 * max(abs(values[j]), least[SHAPES[name][j]])

@@ -26,34 +26,19 @@ _LEAST_DECODED = 0.8  # of the frames that a file states
 
 @dataclass(frozen=True)
 class Film:
-    """A film that can be read again and again.
+    """A film that can be read again and again."""
 
-    Attributes
-    ----------
-    path : Path
-        A file, or a folder of pictures.
-    fps : float or None
-        Frame rate that the file states (playback rate: not what a slow-motion camera filmed at).
-    count : int
-        Frames stated by the file, or pictures found.
-    first, last : int
-        Frames that are used.
-    region : (left, top, right, bottom) or None
-        Part of the picture that is used, pixels.
-    shifts : (n, 2) float64 or None
-        By which each used frame is off the first, across and down, px; frames are moved back by it.
-    watched : bool
-        Edges in the picture show whether the camera moved along its columns.
-    """
-
-    path: Path
-    fps: float | None
-    count: int
+    path: Path  # a file, or a folder of pictures
+    fps: float | None  # frame rate that the file states (playback rate: not what a slow-motion camera filmed at)
+    count: int  # frames stated by the file, or pictures found
+    # first, last: frames that are used
     first: int = 0
     last: int = 1 << 60
+    # (left, top, right, bottom) of the part of the picture that is used, pixels
     region: tuple[int, int, int, int] | None = None
+    # (n, 2) by which each used frame is off the first, across and down, px; frames are moved back by it
     shifts: Array | None = None
-    watched: bool = True
+    watched: bool = True  # edges in the picture show whether the camera moved along its columns
 
     def frames(self) -> Iterator[Image]:
         """The frames that are used, in order, (rows, columns, 3) uint8.

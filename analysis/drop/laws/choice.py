@@ -62,22 +62,12 @@ C = TypeVar("C", bound=Candidate)
 
 @dataclass(frozen=True)
 class Verdict(Generic[C]):
-    """The models judged.
-
-    Attributes
-    ----------
-    candidates : tuple of Candidate
-    tie_set : tuple of str
-        Models that the data cannot distinguish, the best first.
-    doubts : tuple of str
-        What no model accounts for, in words.
-    left_out : (drops,) int64
-        Irregular bounces of impact times that were left out.
-    """
+    """The models judged."""
 
     candidates: tuple[C, ...]
-    tie_set: tuple[str, ...]
-    doubts: tuple[str, ...] = ()
+    tie_set: tuple[str, ...]  # models that the data cannot distinguish, the best first
+    doubts: tuple[str, ...] = ()  # what no model accounts for, in words
+    # (drops,) irregular bounces of impact times that were left out
     left_out: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property

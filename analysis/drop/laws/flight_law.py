@@ -18,21 +18,11 @@ _NO_DRAG = 1e-9  # k v^2 / g below this is a parabola to the last digit that mat
 
 @dataclass(frozen=True)
 class FlightLaw:
-    """Gravity with friction and drag; each may be an array (one law for each draw of a fit), then all broadcast.
+    """Gravity with friction and drag; each may be an array (one law for each draw of a fit), then all broadcast."""
 
-    Attributes
-    ----------
-    g_mps2 : float
-        Local gravity, m/s^2 (or any length per time squared).
-    friction : float
-        Coulomb friction over the weight, ``0 <= f < 1``: at 1 the ball would hang on its rod.
-    drag_per_m : float
-        ``k`` of ``-k |v| v``, 1/m.
-    """
-
-    g_mps2: Numbers
-    friction: Numbers = 0.0
-    drag_per_m: Numbers = 0.0
+    g_mps2: Numbers  # local gravity, m/s^2 (or any length per time squared)
+    friction: Numbers = 0.0  # Coulomb friction over the weight, ``0 <= f < 1``: at 1 the ball would hang on its rod
+    drag_per_m: Numbers = 0.0  # ``k`` of ``-k |v| v``, 1/m
 
     @property
     def _free(self) -> bool:

@@ -21,8 +21,8 @@ _LEAST_ROWS = 3
 def blocks_of(grid: Grid) -> list[Grid]:
     """Every table of a sheet; the sheet itself where it holds one."""
     stacked = [_upright(part) for part in _stacked(grid)]
-    beside = [part for one in stacked for part in _side_by_side(one)]
-    repeated = [part for one in beside for part in _repeated(one)]
+    blocks = [part for one in stacked for part in _side_by_side(one)]
+    repeated = [part for one in blocks for part in _repeated(one)]
     return [part for one in repeated for part in _by_number(one)]
 
 

@@ -20,18 +20,10 @@ _CLOCK_TEXT = 3  # cells like 00:00:01.5 after which a table is taken to hold cl
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes
-    ----------
-    found : list of (label, item)
-        Drops: impact times (n,) in seconds, or `Points`.
-    not_read : list of str
-        Sheets, blocks and columns that were not taken for drops, each with the reason.
-    """
-
-    found: list[Item]
-    not_read: list[str]
+    found: list[Item]  # (label, drop): impact times (n,) in seconds, or `Points`
+    not_read: list[str]  # sheets, blocks and columns that were not taken for drops, each with the reason
 
 
 class _Table:

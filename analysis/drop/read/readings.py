@@ -45,40 +45,22 @@ _LEAST_POSITIONS = 6
 
 @dataclass(frozen=True)
 class Points:
-    """Tracked positions, one or more at each instant.
+    """Tracked positions, one or more at each instant."""
 
-    Attributes
-    ----------
-    clock : (n,) float64
-        Frame number, or seconds.
-    x, y : (n,) float64
-        Positions in pixels, or in metres where ``metres`` is set.
-    in_seconds : bool
-        Whether ``clock`` is in seconds.
-    metres : bool
-        Whether positions are metres.
-    """
-
-    clock: Array
+    clock: Array  # (n,) frame number, or seconds
+    # x, y: (n,) positions in pixels, or in metres where ``metres`` is set
     x: Array
     y: Array
-    in_seconds: bool
-    metres: bool
+    in_seconds: bool  # whether ``clock`` is in seconds
+    metres: bool  # whether positions are metres
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A table split into headings and numbers.
-
-    Attributes
-    ----------
-    names : list of str
-    values : (rows, columns) float64
-        NaN where there is no number.
-    """
+    """A table split into headings and numbers."""
 
     names: list[str]
-    values: Array
+    values: Array  # (rows, columns) NaN where there is no number
 
     @property
     def words(self) -> list[set[str]]:

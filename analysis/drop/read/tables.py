@@ -1,6 +1,6 @@
 """Any table of text or spreadsheet as rows of cells, whatever separator, decimal mark and sheet names it came with.
 
-A table is read by its content, never by the language of its headings alone. Numbers may carry a decimal comma;
+A table is read by its content, not only by the language of its headings. Numbers may carry a decimal comma;
 separators may be tab, semicolon, comma or spaces; legacy and new spreadsheets open alike.
 """
 
@@ -20,21 +20,11 @@ _LARGEST_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class Grid:
-    """One sheet.
+    """One sheet."""
 
-    Attributes
-    ----------
-    name : str
-        The sheet's name; empty for a text file.
-    rows : list of lists of float or str
-        Cells; numbers are converted, blanks are empty strings.
-    hidden : bool
-        The sheet is hidden in its workbook.
-    """
-
-    name: str
-    rows: list[list[Cell]]
-    hidden: bool = False
+    name: str  # the sheet's name; empty for a text file
+    rows: list[list[Cell]]  # cells; numbers are converted, blanks are empty strings
+    hidden: bool = False  # the sheet is hidden in its workbook
 
 
 def read_grids(path: Path) -> list[Grid]:

@@ -35,27 +35,13 @@ _ECHO_S = 2e-3  # by which the delay of an echo varies
 
 @dataclass(frozen=True)
 class Bounces:
-    """The impacts of one drop.
+    """The impacts of one drop."""
 
-    Attributes
-    ----------
-    impacts_s : (n,) float64
-        Impact times, increasing.
-    missed : (n - 1,) int64
-        Impacts missing inside each interval (0: the interval is one flight).
-    broken : (n,) bool
-        The bounce at this impact does not follow the pattern and is not used for a model.
-    false_s : (m,) float64
-        Events between the impacts that are none.
-    uncertainty_s : float
-        Standard deviation of an impact time as the detector states it; the fit finds its own.
-    """
-
-    impacts_s: Array
-    missed: Counts
-    broken: Flags
-    false_s: Array
-    uncertainty_s: float = 0.0
+    impacts_s: Array  # (n,) impact times, increasing
+    missed: Counts  # (n - 1,) impacts missing inside each interval (0: the interval is one flight)
+    broken: Flags  # (n,) the bounce at this impact does not follow the pattern and is not used for a model
+    false_s: Array  # (m,) events between the impacts that are none
+    uncertainty_s: float = 0.0  # standard deviation of an impact time as the detector states it; the fit finds its own
 
     @property
     def intervals_s(self) -> Array:

@@ -31,33 +31,17 @@ _NUDGE = 1e-5  # of a parameter, for derivatives
 
 @dataclass(frozen=True)
 class Fit:
-    """A candidate fitted.
-
-    Attributes
-    ----------
-    model : BounceModel
-    theta, covariance : (p,), (p, p) float64
-        Parameters in the model's order.
-    widths : Widths
-        Estimated standard deviations.
-    residuals_s : (drops, longest) float64
-        Measured less predicted duration; NaN where there is no data.
-    white : (rows,) float64
-        The same, whitened.
-    draws : (m, p) float64
-        Bootstrap over drops, or over flights where there are few drops.
-    freedom : int
-        Rows less parameters.
-    """
+    """A candidate fitted."""
 
     model: BounceModel
+    # theta, covariance: (p,), (p, p) parameters in the model's order
     theta: Array
     covariance: Array
-    widths: Widths
-    residuals_s: Array
-    white: Array
-    draws: Array
-    freedom: int
+    widths: Widths  # estimated standard deviations
+    residuals_s: Array  # (drops, longest) measured less predicted duration; NaN where there is no data
+    white: Array  # (rows,) the same, whitened
+    draws: Array  # (m, p) bootstrap over drops, or over flights where there are few drops
+    freedom: int  # rows less parameters
 
     def half_width(self, level: float = 0.95) -> Array:
         """Half the interval of each parameter: the wider of the fit's and the bootstrap's."""
@@ -184,7 +168,7 @@ def converge(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps
 def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: Widths) -> Widths:
     """Most likely widths at ``theta``, with one degree of freedom given up per parameter.
 
-    A weak prior prevents each from vanishing: in a short drop the likelihood alone puts all on one of them, and a
+    A weak prior prevents each from vanishing: in a short drop the likelihood by itself puts all on one of them, and a
     restitution without any scatter would then seem known far too well.
     """
     noise = noise_of(model, theta, rows, g_mps2)

@@ -24,26 +24,16 @@ _LEAST_TRIMMED = 7  # rows, of which one may be left out at an end
 
 @dataclass(frozen=True)
 class Judged:
-    """A model, fitted and tried on bounces that it was not fitted to (`laws.choice.Candidate`).
-
-    Attributes
-    ----------
-    fit : Fit
-    rms, held_out_rms : float
-        Of the flight durations predicted from flights, s, in sample and held out (NaN where nothing was held out).
-    scores : (units,) float64
-        Held-out log likelihood of each drop (or bounce, where there are few drops).
-    identifiable : bool
-        False where another model with fewer parameters predicts exactly the same times.
-    drag_limits : (low, high), 1/m
-        Between which the drag of this ball must lie by its mass and size.
-    """
+    """A model, fitted and tried on bounces that it was not fitted to (`laws.choice.Candidate`)."""
 
     fit: Fit
+    # rms, held_out_rms: of the flight durations predicted from flights, s, in sample and held out (NaN where nothing
+    # was held out)
     rms: float
     held_out_rms: float
-    scores: Array
-    identifiable: bool = True
+    scores: Array  # (units,) held-out log likelihood of each drop (or bounce, where there are few drops)
+    identifiable: bool = True  # false where another model with fewer parameters predicts exactly the same times
+    # (low, high), 1/m, between which the drag of this ball must lie by its mass and size
     drag_limits: tuple[float, float] = ANY_DRAG
 
     @property
@@ -57,7 +47,7 @@ class Judged:
         return dict(zip(self.model.parameters, pairs, strict=True))
 
     def intervals(self) -> dict[str, tuple[float, float, float]]:
-        """Value and 95 % interval of each parameter, inside its bounds; as wide as may be where it cannot be told."""
+        """Value and 95 % interval of each parameter, inside its bounds; as wide as may be if not identifiable."""
         found = {}
         for name, (value, half) in self.estimates().items():
             low, high = BOUNDS[name]

@@ -25,61 +25,31 @@ _RELATIVE_STEP = 1e-4  # of a flight, for the slope of the next by it
 
 @dataclass(frozen=True)
 class Drop:
-    """One drop to be fitted.
+    """One drop to be fitted."""
 
-    Attributes
-    ----------
-    name : str
-        The file it came from.
-    bounces : Bounces
-        Its impacts.
-    height_m : tuple of (value, standard uncertainty), optional
-        The stated drop height, where it is to be used as data.
-    file : Path, optional
-        Where it is from.
-    sound : bool
-        Whether the file is a sound.
-    not_read : tuple of str
-        What of the file was not read, with the reason (with the file's first drop).
-    remarks : tuple of str
-        What was noticed (with the file's first drop).
-    events_s : (n,) float64
-        All events of the file or table, impacts or not (with its first drop).
-    """
-
-    name: str
-    bounces: Bounces
+    name: str  # the file it came from
+    bounces: Bounces  # its impacts
+    # (value, standard uncertainty) of the stated drop height, where it is to be used as data
     height_m: tuple[float, float] | None = None
-    file: Path | None = None
-    sound: bool = False
-    not_read: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    file: Path | None = None  # where it is from
+    sound: bool = False  # whether the file is a sound
+    not_read: tuple[str, ...] = ()  # what of the file was not read, with the reason (with the file's first drop)
+    remarks: tuple[str, ...] = ()  # what was noticed (with the file's first drop)
+    # (n,) all events of the file or table, impacts or not (with its first drop)
     events_s: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
 class Rows:
-    """One-bounce-ahead predictions, by drop: shape (drops, longest).
+    """One-bounce-ahead predictions, by drop: shape (drops, longest)."""
 
-    Attributes
-    ----------
-    before_s, after_s : float64
-        Flight before the bounce, and after it.
-    edges : int64, shape (drops, longest, 3)
-        Impacts that start the flight before, part the two, and end the flight after.
-    valid : bool
-        Which are data (the others pad, or are held out).
-    from_height : bool
-        The row starts from the stated height, not from a flight.
-    height_m, height_sigma_m : float64, shape (drops,)
-        The stated heights (NaN where not used).
-    """
-
+    # before_s, after_s: flight before the bounce, and after it
     before_s: Array
     after_s: Array
-    edges: Counts
-    valid: Flags
-    from_height: Flags
+    edges: Counts  # (drops, longest, 3) impacts that start the flight before, part the two, and end the flight after
+    valid: Flags  # which are data (the others pad, or are held out)
+    from_height: Flags  # the row starts from the stated height, not from a flight
+    # height_m, height_sigma_m: (drops,) the stated heights (NaN where not used)
     height_m: Array
     height_sigma_m: Array
 
@@ -126,21 +96,12 @@ def predict_s(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Ar
 
 
 class Widths(NamedTuple):
-    """Standard deviations of what makes impact times irregular.
+    """Standard deviations of what makes impact times irregular."""
 
-    Attributes
-    ----------
-    jitter_s
-        Of the time of an impact.
-    scatter
-        Of the restitution from bounce to bounce.
-    rebound_s
-        Of a flight's duration by a rebound speed that varies by as much at any speed (``2 dv / g``): a slow bounce has
-        a restitution less sure than a fast one.
-    """
-
-    jitter_s: float
-    scatter: float
+    jitter_s: float  # of the time of an impact
+    scatter: float  # of the restitution from bounce to bounce
+    # of a flight's duration by a rebound speed that varies by as much at any speed (``2 dv / g``): a slow bounce has a
+    # restitution less sure than a fast one
     rebound_s: float
 
 

@@ -48,20 +48,11 @@ _BLOCK = 1 << 20  # samples of a contact channel read at once
 
 
 class Onsets(NamedTuple):
-    """Onsets in a sound.
+    """Onsets in a sound."""
 
-    Attributes
-    ----------
-    times_s : (n,) float64
-    strength : (n,) float64
-        Loudness among the neighbours, 0 to 1.
-    loudness : (n,) float64
-        Natural logarithm of the peak; NaN where it is clipped.
-    """
-
-    times_s: Array
-    strength: Array
-    loudness: Array
+    times_s: Array  # (n,)
+    strength: Array  # (n,) loudness among the neighbours, 0 to 1
+    loudness: Array  # (n,) natural logarithm of the peak; NaN where it is clipped
 
 
 def unheard(times_s: Array) -> Onsets:
