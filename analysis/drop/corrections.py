@@ -14,7 +14,7 @@ Progress = Callable[[str, int, int], None]  # what is being done, how much of it
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a person leaves out, adds, or says about the picture.
+    """Parts that a person leaves out or adds, and what the picture is said to show.
 
     An impact that is moved is one left out and one added.
     """
@@ -28,7 +28,7 @@ class Corrections:
     axis_deg: float | None = None  # direction of the fall in the picture, degrees right of down; None finds it
 
     def keeps(self, times: Array, reach_s: float) -> Flags:
-        """Which of ``times`` (n,) are used; each ignored time takes out the nearest within ``reach_s``."""
+        """Flags of those ``times`` (n,) that are used; each ignored time takes out the nearest within ``reach_s``."""
         used = times >= (-np.inf if self.from_s is None else self.from_s)
         used &= times <= (np.inf if self.until_s is None else self.until_s)
         for when in self.ignore_s:

@@ -49,7 +49,7 @@ _SIGNS = (("up", 1.0), ("down", -1.0))  # of friction, against gravity
 
 @dataclass(frozen=True)
 class Units:
-    """What turns frames and pixels into seconds and metres."""
+    """Units of a film or a path, to turn frames and pixels into seconds and metres."""
 
     frame_s: float | None  # seconds a frame; None where it is not known
     scale_m: float | None  # metres a unit of height; None: taken from gravity
@@ -179,7 +179,7 @@ class _Film:
         ]
 
     def doubts(self, quality: dict[str, Any], g: Interval | None) -> list[str]:
-        """What contradicts the model, in words."""
+        """Contradictions to the model, in words."""
         words = list(self.fit.moved)
         if self.fall > 0.0:
             uneven = lack_of_fit.of_floor(self.seen.clip, self.seen.floor, self.seen.floor_draws, self.fall)
@@ -302,7 +302,7 @@ class _Film:
         ]
 
     def quality(self) -> dict[str, Any]:
-        """How well each shape fits: rms against the noise of single positions."""
+        """Quality of each shape's fit: rms against the noise of single positions."""
         noise, rms = self.fit.noise, {name: shape.sigma for name, shape in self.fit.shapes.items()}
         span = max(float(np.ptp(flight.height)) for flight in self.fit.flights)
         limit = max(3.0 * noise, 1.5e-3 * span)

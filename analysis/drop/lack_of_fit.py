@@ -28,7 +28,7 @@ _WANDER_OF_JITTER = 3.0
 
 
 def of_times(fit: Fit, rows: Rows, g_mps2: float) -> list[str]:
-    """What a model of impact times leaves unexplained; empty where the residuals are noise of a usual size.
+    """Things that a model of impact times leaves unexplained; empty where the residuals are noise of a usual size.
 
     Parameters
     ----------

@@ -57,13 +57,13 @@ class Path2D:
 
 
 class Known:
-    """What was worked out already: onsets and tracks, which are slow and which no correction of an impact moves."""
+    """Onsets and tracks found already, which are slow and which no correction of an impact moves."""
 
     def __init__(self) -> None:
         self._made: dict[object, Any] = {}
 
     def made(self, path: Path, what: object, make: Callable[[], T]) -> T:
-        """What ``make`` gives for a file as it is now; made once. ``what`` it depends on besides the file."""
+        """The result of ``make`` for a file as it is now; made once. ``what``: all else that it depends on."""
         state = path.stat()
         key = (path, state.st_size, state.st_mtime_ns, what)
         if key not in self._made:

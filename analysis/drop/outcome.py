@@ -97,7 +97,7 @@ def against_stated(height: Interval, stated: tuple[float, float]) -> dict[str, A
 def payload_of(
     kind: str, files: Sequence[str], impacts_s: Sequence[float], verdict: Verdict[Any], height: Interval
 ) -> dict[str, Any]:
-    """What the JSON of every kind of drop test has; ``models`` are added by `model_json`."""
+    """The part of the JSON that every kind of drop test has; ``models`` are added by `model_json`."""
     return {
         "kind": kind,
         "files": list(files),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from daq.setup.errors import InputError
 
 ENDING = ".drop.json"
 _SAME_S = 1e-7
+_PLAIN = {field.name for field in fields(Request)} - {"files", "corrections", "heights_m"}
 _PLACES = 7  # decimals of a second of a person's mark
 
 
@@ -48,7 +49,7 @@ def side_file(file: Path) -> Path:
 
 
 def kept_request(target: Path, files: Sequence[Path]) -> Request | None:
-    """What the result in ``target`` was asked for, on ``files``; None where there is none, or one of other files.
+    """The request of the result in ``target``, on ``files``; None where there is none, or one of other files.
 
     Raises
     ------
@@ -69,12 +70,6 @@ def kept_request(target: Path, files: Sequence[Path]) -> Request | None:
     if names != [file.name for file in files] or len(parts) != len(files):
         return None
     return Request(tuple(files), **own, corrections=tuple(parts))
-
-
-_PLAIN = (
-    "fps", "scale_m", "ball_size_m", "scale_uncertainty", "fps_uncertainty", "height_uncertainty_m", "use_height",
-    "gravity_mps2", "mass_kg", "diameter_m", "seed",
-)  # fmt: skip
 
 
 def _part(options: dict[str, Any]) -> Corrections:

@@ -33,7 +33,7 @@ Message = dict[str, Any]
 
 
 class DropDesk:
-    """What browsers see and do.
+    """State of the page, and what browsers may do to it.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from analysis.drop.filmed import Units, of_camera
 from analysis.drop.laws.choice import Verdict, choose
 from analysis.drop.load import Path2D, load
 from analysis.drop.timed import of_times
-from analysis.drop.times.impact_chain import bounces_of
+from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
@@ -122,7 +122,8 @@ def single_drops(count: int, seed: int, heard: bool, echo: float = 0.03, speech:
             events, strength, loudness, impacts, due = _tabled(cam, truth, rng)
         tally["due"] += int(due.sum())
         try:
-            drop = Drop("x", bounces_of(events, f"drop {k}", strength=strength, loudness=loudness))
+            found = drops_of(events, f"drop {k}", strength=strength, loudness=loudness)
+            drop = Drop("x", max(found, key=lambda bounces: len(bounces.impacts_s)))
         except InputError:
             matrix[CAUSES[k % 4], "refused"] += 1
             continue

@@ -32,7 +32,7 @@ _ROWS = 64  # of a picture that are held at once for all frames
 
 @dataclass(frozen=True)
 class Still:
-    """What stands still."""
+    """The part of a film that stands still."""
 
     background: Picture  # (rows, columns, 3) median of frames in which something small moves
     small: Picture  # (rows, columns, 3) the same at `SEARCH_WIDTH`

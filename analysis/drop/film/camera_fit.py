@@ -27,6 +27,7 @@ from analysis.drop.laws.bounce_law import (
     SPEED_FRICTION,
     BounceModel,
 )
+from analysis.drop.laws.choice import Candidate
 from analysis.drop.laws.flight_law import FlightLaw
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.errors import InputError
@@ -75,48 +76,24 @@ class Impacts:
 
 
 @dataclass(frozen=True)
-class CameraCandidate:
-    """One model: shape and law of restitution, with held-out scores (`laws.choice.Candidate`)."""
+class CameraCandidate(Candidate):
+    """A shape of flight and a law of restitution; not identifiable where bounces are too few for the law."""
 
-    model: BounceModel
+    LIMITS = {"e0": (0.0, np.inf), "k_per_m": (0.0, np.inf)}
     shape: str
     law: RestitutionFit
-    # value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units
+    # Value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units.
     forces: dict[str, tuple[float, float]]
-    # rms, held_out_rms: of flight durations, frames; NaN where there are none
-    rms: float
-    held_out_rms: float
-    scores: Array  # (flights + bounces,) held-out log likelihoods
-
-    @property
-    def identifiable(self) -> bool:
-        """Whether there are bounces enough for the law of restitution."""
-        return bool(np.isfinite(self.law.half_width).all())
-
-    @property
-    def significant(self) -> bool:
-        """Whether every interval after that of ``e0`` excludes zero; a drag or friction below zero is none."""
-        law = self.law
-        clear = len(law.theta) < 2 or abs(float(law.theta[1])) > float(law.half_width[1])
-        return clear and all(value > half for value, half in self.forces.values())
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and half of the 95 % interval of each parameter, in the file's units."""
         pairs = zip(self.law.theta.tolist(), self.law.half_width.tolist(), strict=True)
         return dict(zip(("e0", "e1_s_per_m"), pairs, strict=False)) | self.forces
 
-    def intervals(self) -> dict[str, tuple[float, float, float]]:
-        """Value and 95 % interval of each parameter, in the file's units."""
-        floor = {"e0": 0.0, "k_per_m": 0.0}
-        return {
-            name: (value, max(value - half, floor.get(name, -np.inf)), value + half)
-            for name, (value, half) in self.estimates().items()
-        }
-
 
 @dataclass(frozen=True)
 class CameraFit:
-    """What was measured of a camera's drops."""
+    """Everything fitted to a camera's drops."""
 
     flights: list[Flight]
     shapes: dict[str, Shape]  # each shape fitted to all flights
@@ -126,7 +103,7 @@ class CameraFit:
     fall_height: dict[str, tuple[Array, Array]]  # (clips,) and draws (m, clips), to the first impact, unit
     noise: float  # of single positions, from third differences
     worth: float  # independent samples per sample
-    moved: tuple[str, ...] = ()  # what shows that a camera moved whose motion nothing measures, in words
+    moved: tuple[str, ...] = ()  # signs that a camera moved whose motion nothing measures, in words
 
 
 def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
@@ -242,7 +219,7 @@ def impacts_of(
 
 
 def _meet(laws: FlightLaw, frames: Array, heights: Array, i: int, before: Flight, after: Flight) -> Array:
-    """Where flight ``i`` coming down meets flight ``i + 1`` going up: Newton from the middle of the gap."""
+    """Frame in which flight ``i`` coming down meets flight ``i + 1`` going up: Newton from the middle of the gap."""
     when = np.full(len(frames), 0.5 * (before.frame[-1] + after.frame[0]))
     for _ in range(20):
         gap = heights[:, i] - heights[:, i + 1]
@@ -274,5 +251,5 @@ def _candidate(model: BounceModel, shape: Shape, values: Array, found: Impacts, 
         if key in SHAPES[shape.name]:
             column = SHAPES[shape.name].index(key)
             forces[name] = (float(shape.values[column]), LEVEL_SIGMAS * float(values[:, column].std()))
-    both = np.concatenate([scores, law.scores])
-    return CameraCandidate(model, shape.name, law, forces, rms(law.predicted), rms(law.held_out), both)
+    both, known = np.concatenate([scores, law.scores]), bool(np.isfinite(law.half_width).all())
+    return CameraCandidate(model, both, rms(law.predicted), rms(law.held_out), known, shape.name, law, forces)

@@ -107,7 +107,7 @@ def impact_samples(clip: Clip) -> Indices:
 
 
 def near_impacts(clip: Clip, frames: Array) -> Flags:
-    """Which of ``frames`` mean an impact that was found."""
+    """Flags of those ``frames`` (n,) that mean an impact that was found."""
     found = clip.frame[impact_samples(clip)]
     off = np.abs(np.asarray(frames)[:, None] - found[None]).min(axis=1, initial=np.inf)
     return np.asarray(off <= _SAME_FRAMES)
@@ -128,7 +128,7 @@ def jitter(height: Array) -> float:
 
 
 def _end_of_last(clip: Clip, start: int) -> tuple[int, bool]:
-    """Where the last resolved flight ends, and whether it lands: the first turn upward after its apex, the time a fall
+    """End of the last resolved flight (a sample), and whether it lands there: the first turn upward after its apex, the time a fall
     from there takes, or the end of the track.
     """
     t, h = clip.frame, clip.height

@@ -214,7 +214,7 @@ def _candidates(
 
 
 def free_fall(clock: Array, y: Array, spread: float) -> tuple[int, float]:
-    """How many windows of a track are free flight, and their common signed acceleration."""
+    """Number of windows of a track that are free flight, and their common signed acceleration."""
     if len(y) < _WINDOW:
         return 0, 0.0
     fit = _parabolas(clock, y)

@@ -114,7 +114,7 @@ class _Edges:
     cv2: Any
 
     def residual(self, grey: Grey, shift: Array) -> Array:
-        """What a frame shows at the edges' places moved by ``shift``, less what the first frame showed there."""
+        """Brightness of a frame at the edges' places moved by ``shift``, less that of the first frame there."""
         column, row = self.column + np.float32(shift[0]), self.row + np.float32(shift[1])
         seen = self.cv2.remap(grey, column, row, self.cv2.INTER_CUBIC, borderMode=self.cv2.BORDER_REPLICATE)
         return np.asarray(seen.ravel() - self.level, dtype=np.float64)

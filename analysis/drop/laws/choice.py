@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -15,46 +15,36 @@ from analysis.drop.thresholds import CHANCE_LOSS_NATS, HINT_NATS, LEAST_GAIN_NAT
 UNEXPLAINED = "unexplained"
 
 
-class Candidate(Protocol):
+@dataclass(frozen=True)
+class Candidate:
     """A model, fitted to impact times or to a path, and tried on bounces that it was not fitted to."""
 
-    @property
-    def model(self) -> BounceModel:
-        """Name and parameters."""
-        ...
+    model: BounceModel
+    scores: Array  # (units,) held-out log likelihood of each drop, flight or bounce
+    # Root mean square error of flight durations (s or frames), in sample and held out; NaN where there are none.
+    rms: float
+    held_out_rms: float
+    identifiable: bool  # the data can tell the parameters
 
-    @property
-    def scores(self) -> Array:
-        """Held-out log likelihood of each unit, (units,)."""
-        ...
-
-    @property
-    def significant(self) -> bool:
-        """Whether the interval of every parameter after ``e0`` excludes zero."""
-        ...
-
-    @property
-    def identifiable(self) -> bool:
-        """Whether the data can tell the parameters."""
-        ...
-
-    @property
-    def rms(self) -> float:
-        """Root mean square error of the flight durations, s or frames."""
-        ...
-
-    @property
-    def held_out_rms(self) -> float:
-        """The same for bounces that were not fitted; NaN where there are too few to hold any out."""
-        ...
+    LIMITS: ClassVar[Mapping[str, tuple[float, float]]] = {}  # of the parameters, where there are any
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and half of the 95 % interval of each parameter."""
-        ...
+        raise NotImplementedError
 
     def intervals(self) -> dict[str, tuple[float, float, float]]:
-        """Value, lower and upper end of the 95 % interval of each parameter, inside what is possible."""
-        ...
+        """Value, lower and upper end of the 95 % interval of each parameter, inside its limits."""
+        found = {}
+        for name, (value, half) in self.estimates().items():
+            low, high = self.LIMITS.get(name, (-np.inf, np.inf))
+            found[name] = (value, max(value - half, low), min(value + half, high))
+        return found
+
+    @property
+    def significant(self) -> bool:
+        """Whether every interval after that of ``e0`` excludes zero; a drag or friction below zero is none."""
+        added = {name: numbers for name, numbers in self.estimates().items() if name != "e0"}
+        return all(v > half or (name == "e1_s_per_m" and -v > half) for name, (v, half) in added.items())
 
 
 C = TypeVar("C", bound=Candidate)

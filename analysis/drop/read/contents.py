@@ -20,7 +20,7 @@ _CLOCK_TEXT = 3  # cells like 00:00:01.5 after which a table is taken to hold cl
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds."""
+    """Drops of a file, and the rest of it."""
 
     found: list[Item]  # (label, drop): impact times (n,) in seconds, or `Points`
     not_read: list[str]  # sheets, blocks and columns that were not taken for drops, each with the reason
@@ -48,11 +48,6 @@ class _Table:
     def neither(self) -> str:
         heading = ", ".join(name for name in self.columns.names[:6] if name) or "no heading"
         return f"{self.label} ({heading}): neither impact times nor positions with their times"
-
-
-def read_table(grids: list[Grid], where: str) -> Array | Points:
-    """The first drop of `read_tables`; raises what it raises."""
-    return read_tables(grids, where).found[0][1]
 
 
 def read_tables(grids: list[Grid], where: str) -> Contents:

@@ -36,7 +36,7 @@ _LEAST_HEARD = 4  # other impacts whose loudness is known, for an end to be judg
 def why_no_drop(
     before_s: Array, after_s: Array, loudness: Array, impacts_s: Array, others_s: Array, weight: Array
 ) -> tuple[str | None, bool]:
-    """Why a chain is none of a ball's, in words (None where it may be one), and whether chance makes as good ones.
+    """Reason why a chain is none of a ball's, in words (None where it may be one), and whether chance makes as good ones.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def why_no_drop(
 
 
 def _uneven(ratio: Array, near: int) -> str | None:
-    """Why intervals with these log ratios are none of a ball's: even, not shrinking, or shrinking unsteadily."""
+    """Reason why intervals with these log ratios are none of a ball's: even, not shrinking, or shrinking unsteadily."""
     if float(np.median(ratio)) > np.log(_EVEN):
         return f"it comes at even intervals (ratio {np.exp(float(np.median(ratio))):.3f}), as a metronome; no ball does"
     if len(ratio) >= 3:

@@ -85,17 +85,6 @@ class _Refused:
     by_chance: bool
 
 
-def bounces_of(
-    events_s: Array,
-    where: str,
-    uncertainty_s: float = 0.0,
-    strength: Array | None = None,
-    loudness: Array | None = None,
-) -> Bounces:
-    """The drop with the most impacts among ``events_s``; takes what `drops_of` takes, and raises what it raises."""
-    return max(drops_of(events_s, where, uncertainty_s, strength, loudness), key=lambda b: len(b.impacts_s))
-
-
 def drops_of(
     events_s: Array,
     where: str,

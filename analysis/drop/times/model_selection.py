@@ -9,8 +9,8 @@ import numpy as np
 
 from analysis.drop import lack_of_fit
 from analysis.drop.arrays import Array, Flags
-from analysis.drop.laws.bounce_law import BOUNDS, CONSTANT, FRICTION, MODELS, BounceModel
-from analysis.drop.laws.choice import Verdict, choose, stable_choice
+from analysis.drop.laws.bounce_law import BOUNDS, CONSTANT, FRICTION, MODELS
+from analysis.drop.laws.choice import Candidate, Verdict, choose, stable_choice
 from analysis.drop.times.model_fit import Fit, converge, fit, sensitivities, step, usable_rows, wider
 from analysis.drop.times.one_ahead import Drop, Rows, noise_of, predict_s
 
@@ -23,23 +23,12 @@ _LEAST_TRIMMED = 7  # rows, of which one may be left out at an end
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A model, fitted and tried on bounces that it was not fitted to (`laws.choice.Candidate`)."""
+class Judged(Candidate):
+    """A model of impact times; not identifiable where another with fewer parameters predicts exactly the same times."""
 
+    LIMITS = BOUNDS
     fit: Fit
-    # rms, held_out_rms: of the flight durations predicted from flights, s, in sample and held out (NaN where nothing
-    # was held out)
-    rms: float
-    held_out_rms: float
-    scores: Array  # (units,) held-out log likelihood of each drop (or bounce, where there are few drops)
-    identifiable: bool = True  # false where another model with fewer parameters predicts exactly the same times
-    # (low, high), 1/m, between which the drag of this ball must lie by its mass and size
-    drag_limits: tuple[float, float] = ANY_DRAG
-
-    @property
-    def model(self) -> BounceModel:
-        """Name and parameters."""
-        return self.fit.model
+    drag_limits: tuple[float, float] = ANY_DRAG  # 1/m, of this ball by its mass and size
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and half of the 95 % interval of each parameter."""
@@ -48,19 +37,15 @@ class Judged:
 
     def intervals(self) -> dict[str, tuple[float, float, float]]:
         """Value and 95 % interval of each parameter, inside its bounds; as wide as may be if not identifiable."""
-        found = {}
-        for name, (value, half) in self.estimates().items():
-            low, high = BOUNDS[name]
-            found[name] = (value, max(value - half, low), min(value + half, high))
-        if not self.identifiable:  # friction of any size, and a restitution that makes up for it
-            e0, half = self.estimates()["e0"]
-            found = {"e0": (e0, e0 - half, max(1.0, e0)), "mu": (0.0, 0.0, _most_friction(min(e0, 1.0)))}
-        return found
+        if self.identifiable:
+            return super().intervals()
+        e0, half = self.estimates()["e0"]  # friction of any size, and a restitution that makes up for it
+        return {"e0": (e0, e0 - half, max(1.0, e0)), "mu": (0.0, 0.0, _most_friction(min(e0, 1.0)))}
 
     @property
     def significant(self) -> bool:
-        """Whether the interval of every parameter after ``e0`` excludes zero, and a drag is one this ball can have."""
-        return self.physical and all(abs(v) > half for k, (v, half) in self.estimates().items() if k != "e0")
+        """Whether every interval after that of ``e0`` excludes zero, and a drag is one this ball can have."""
+        return self.physical and super().significant
 
     @property
     def physical(self) -> bool:
@@ -101,7 +86,7 @@ def judge(
             whole = fit(model, rows, g_mps2, rng)
             rms = float(np.sqrt(np.nanmean(whole.residuals_s[~rows.from_height] ** 2)))
             scores, held_out = _held_out(whole, rows, g_mps2)
-            candidates.append(Judged(whole, rms, held_out, scores, drag_limits=drag_limits))
+            candidates.append(Judged(model, scores, rms, held_out, True, whole, drag_limits))
     able = [r for r in candidates if r.identifiable]
     if can_hold_out:
         parts = [[_again(r, part, g_mps2) for r in able] for part in _trimmed(rows)]
@@ -155,11 +140,11 @@ def _same_times(constant: Judged) -> Judged:
     most = _most_friction(float(np.clip(own.theta[0], 0.0, 1.0)))
     covariance = np.diag([own.covariance[0, 0], most**2 / 12.0])  # evenly between none and the most
     same = replace(own, model=FRICTION, theta=theta, covariance=covariance, draws=draws)
-    return replace(constant, fit=same, identifiable=False, drag_limits=ANY_DRAG)
+    return replace(constant, model=FRICTION, fit=same, identifiable=False, drag_limits=ANY_DRAG)
 
 
 def _folds(rows: Rows) -> list[Flags]:
-    """Which rows each fold holds out: whole drops where there are enough, else every so many-th bounce."""
+    """Rows that each fold holds out: whole drops where there are enough, else every so many-th bounce."""
     with_data = np.flatnonzero(rows.valid.any(axis=1))
     fold_of = np.full(rows.valid.shape, -1)
     if len(with_data) >= _ENOUGH_DROPS:

@@ -60,7 +60,7 @@ class Rows:
 
     @property
     def flights(self) -> Flags:
-        """Which rows are data and start from a flight."""
+        """Rows that are data and start from a flight."""
         return self.valid & ~self.from_height
 
     def keep(self, mask: Flags) -> Rows:

@@ -145,7 +145,7 @@ def _peaks(loud: Array, onsets: Array, rate_hz: float) -> Array:
 
 
 def _without_background(x: Array, rate_hz: float) -> Array:
-    """What a linear prediction from the background does not foresee: hum, fans and voices mostly go, onsets stay.
+    """The sound less its linear prediction from the background: hum, fans and voices mostly go, onsets stay.
 
     The prediction comes from the median spectrum, which taps do not reach; it looks back only, so nothing is heard
     before it happens.
@@ -197,7 +197,7 @@ def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
 
 
 def _refine(x: Array, near: int, rate_hz: float) -> tuple[float, float]:
-    """How sharply the signal's variance changes, and where: the depth and place of the minimum of Maeda's criterion."""
+    """Sharpness and place (a sample) of a change of variance: depth and place of the minimum of Maeda's criterion."""
     start = max(near - int(_BEFORE_S * rate_hz), 0)
     part = x[start : near + int(2 * _AFTER_S * rate_hz)]
     peak = int(np.abs(part).max(axis=1).argmax())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from analysis.drop.times.impact_chain import bounces_of, drops_of
+from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.onsets import onsets_of_file, sound_onsets
 from daq.setup.errors import InputError
 
@@ -21,7 +21,7 @@ def test_a_metronome_is_no_drop(scatter_s: float) -> None:
     """Even intervals have a restitution of 1, which no ball has."""
     events = np.arange(30) * 0.5 + scatter_s * np.random.default_rng(1).standard_normal(30)
     with pytest.raises(InputError, match="even intervals"):
-        bounces_of(events, "metronome.wav")
+        drops_of(events, "metronome.wav")[0]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -50,9 +50,9 @@ def test_loudness_goes_with_energy() -> None:
     """A chain that shrinks but grows louder is none of a ball's."""
     times = _impacts(0.8, 0.5, 10, 1.0)
     quieter, louder = -0.25 * np.arange(11.0), 0.25 * np.arange(11.0)
-    assert len(bounces_of(times, "x", loudness=quieter).impacts_s) == 11
+    assert len(drops_of(times, "x", loudness=quieter)[0].impacts_s) == 11
     with pytest.raises(InputError, match="grow quieter"):
-        bounces_of(times, "x", loudness=louder)
+        drops_of(times, "x", loudness=louder)[0]
 
 
 @pytest.mark.parametrize("rate_hz", [8000.0, 44100.0])
@@ -67,7 +67,7 @@ def test_a_clipped_first_impact_is_timed(rate_hz: float) -> None:
         tap = np.sin(2 * np.pi * 120.0 * since) + 0.3 * rng.standard_normal(len(since))
         sound[first:] += 20.0 * 0.8**k * tap * np.exp(-since / 0.02)
     onsets = sound_onsets(np.clip(sound, -1.0, 1.0), rate_hz, "x")
-    found = bounces_of(onsets.times_s, "x", strength=onsets.strength, loudness=onsets.loudness)
+    found = drops_of(onsets.times_s, "x", strength=onsets.strength, loudness=onsets.loudness)[0]
     assert found.impacts_s[0] == pytest.approx(impacts[0], abs=1e-3)
     assert np.isnan(onsets.loudness[0])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.timed import of_times
-from analysis.drop.times.impact_chain import bounces_of
+from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.model_selection import judge
 from analysis.drop.times.one_ahead import Drop
 
@@ -18,7 +18,7 @@ def _drops(synthetic: ModuleType, truth: object, heights: list[float], seed: int
     out = []
     for h in heights:
         _, impacts = synthetic.path(synthetic.replace(truth, height_m=h), np.array([8.0]), 2e-4, settle_mps=0.5)
-        out.append(Drop(f"{h} m", bounces_of(impacts + jitter_s * rng.standard_normal(len(impacts)), "x")))
+        out.append(Drop(f"{h} m", drops_of(impacts + jitter_s * rng.standard_normal(len(impacts)), "x")[0]))
     return out
 
 
@@ -72,7 +72,7 @@ def test_the_drop_height_comes_back(synthetic: ModuleType) -> None:
 
 def test_three_impacts_give_a_ratio_and_no_verdict(synthetic: ModuleType) -> None:
     """One bounce gives a restitution; nothing can be held out, and the words say so."""
-    drops = [Drop("short", bounces_of(np.array([0.0, 0.4, 0.76]), "x"))]
+    drops = [Drop("short", drops_of(np.array([0.0, 0.4, 0.76]), "x")[0])]
     verdict = judge(drops, G, np.random.default_rng(0))
     result = of_times(drops, verdict, G, [None], np.random.default_rng(0))
     assert result.payload["models"][0]["parameters"]["e0"]["value"] == pytest.approx(0.9)
@@ -86,13 +86,13 @@ def test_rivals_that_do_as_well_are_named(synthetic: ModuleType) -> None:
         rng = np.random.default_rng(seed)
         truth = synthetic.Truth(height_m=0.5, e0=0.88, drag_per_m=0.12, hold_s=0.0, scatter=0.004)
         _, impacts = synthetic.path(truth, np.array([9.0]), 2e-4, settle_mps=0.5, rng=rng)
-        verdict = judge([Drop("x", bounces_of(impacts, "x"))], G, rng)
+        verdict = judge([Drop("x", drops_of(impacts, "x")[0])], G, rng)
         assert verdict.chosen == "constant_restitution" or "quadratic_drag" in verdict.tie_set
 
 
 def test_where_nothing_can_be_held_out_nothing_is_told(synthetic: ModuleType) -> None:
     """With four impacts every simple candidate stays in the tie set."""
-    drops = [Drop("short", bounces_of(np.array([0.0, 0.4, 0.76, 1.08]), "x"))]
+    drops = [Drop("short", drops_of(np.array([0.0, 0.4, 0.76, 1.08]), "x")[0])]
     verdict = judge(drops, G, np.random.default_rng(0))
     wanted = {"constant_restitution", "speed_dependent_restitution", "quadratic_drag", "coulomb_friction"}
     assert set(verdict.tie_set) == wanted
@@ -102,7 +102,7 @@ def test_an_irregular_bounce_is_left_out(synthetic: ModuleType) -> None:
     """A bounce that hits an edge spoils one ratio, which does not bend the fit."""
     flights = 0.6 * 0.88 ** np.arange(10)
     flights[4:] *= 0.8
-    drops = [Drop("edge", bounces_of(np.concatenate(([0.0], np.cumsum(flights))), "x"))]
+    drops = [Drop("edge", drops_of(np.concatenate(([0.0], np.cumsum(flights))), "x")[0])]
     verdict = judge(drops, G, np.random.default_rng(0))
     assert verdict.left_out.sum() + drops[0].bounces.broken.sum() == 1
     assert verdict.candidate("constant_restitution").fit.theta[0] == pytest.approx(0.88, abs=1e-3)
@@ -111,6 +111,6 @@ def test_an_irregular_bounce_is_left_out(synthetic: ModuleType) -> None:
 def test_a_restitution_that_rises_with_speed_is_not_explained() -> None:
     """Taps of a hand, each interval 20 ms shorter than the last, follow a law that no ball has; it is said."""
     events = np.cumsum(0.4 - 0.02 * np.arange(15))
-    verdict = judge([Drop("taps", bounces_of(events, "taps"))], G, np.random.default_rng(1))
+    verdict = judge([Drop("taps", drops_of(events, "taps")[0])], G, np.random.default_rng(1))
     assert verdict.chosen == "unexplained"
     assert any("gain energy" in words or "would rise" in words for words in verdict.doubts)
