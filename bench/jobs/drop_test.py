@@ -30,7 +30,7 @@ Height = tuple[float, float]
 
 @dataclass(frozen=True)
 class Request:
-    """A drop test that is asked for: the options of `bench drop` by their names; ``corrections`` of all files, or of each."""
+    """A drop test asked for: the options of `bench drop` by their names; ``corrections`` of all files, or of each."""
 
     files: tuple[Path, ...]
     fps: float | None = None

@@ -36,7 +36,7 @@ _LEAST_HEARD = 4  # other impacts whose loudness is known, for an end to be judg
 def why_no_drop(
     before_s: Array, after_s: Array, loudness: Array, impacts_s: Array, others_s: Array, weight: Array
 ) -> tuple[str | None, bool]:
-    """Reason why a chain is none of a ball's, in words (None where it may be one), and whether chance makes as good ones.
+    """Reason why a chain is none of a ball's (None where it may be one), and whether chance makes as good ones.
 
     Parameters
     ----------
