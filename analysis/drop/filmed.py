@@ -12,35 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from analysis.drop import lack_of_fit
+from analysis.drop import lack_of_fit, outcome, thresholds
 from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion
 from analysis.drop.film.trajectory import SHAPES
-from analysis.drop.outcome import (
-    MOST_SAID,
-    UNKNOWN,
-    Interval,
-    Outcome,
-    against_stated,
-    declared,
-    describe_choice,
-    in_digits,
-    interval,
-    model_json,
-    of_draws,
-    payload_of,
-    pooled_height,
-    sigma_of,
-    with_interval,
-)
-from analysis.drop.thresholds import (
-    CONTRADICTION_SIGMAS,
-    FAR_FROM_GRAVITY,
-    LARGEST_BALL_M,
-    LEVEL_SIGMAS,
-    SAME_GRAVITY,
-    TALLEST_FALL_M,
-)
 from daq.setup.errors import InputError
 
 _SCALE_FLOOR = 1e-3  # relative uncertainty of any scale: lenses are not even along the fall
@@ -67,7 +42,7 @@ def of_camera(
     units: Units,
     rng: np.random.Generator,
     stated: tuple[float, float] | None = None,
-) -> Outcome:
+) -> outcome.Outcome:
     """Result of films or tracked positions.
 
     Parameters
@@ -89,7 +64,7 @@ def of_camera(
     verdict = replace(verdict, doubts=(*verdict.doubts, *film.doubts(quality, gravity)))
     frame = film.seen.frame
     impacts_s = (frame * film.frame_s).tolist() if film.timed else []
-    payload = payload_of("camera", names, impacts_s, verdict, film.height()) | {
+    payload = outcome.payload_of("camera", names, impacts_s, verdict, film.height()) | {
         "impacts_frames": frame.tolist(),
         "models": [film.model(one) for one in fit.candidates],
         "restitution": film.bounces(),
@@ -103,11 +78,11 @@ def of_camera(
     }
     words = _in_words(payload, units, len(names)) + film.playback_in_words()
     if stated is not None and payload["drop_height_m"]["value"] is not None:
-        check = payload["stated_height_m"] = against_stated(payload["drop_height_m"], stated)
+        check = payload["stated_height_m"] = outcome.against_stated(payload["drop_height_m"], stated)
         words.append(f"stated height {stated[0]:.3f} m: the filmed fall is {check['sigmas_off']:+.1f} sigma from it")
     bounces = len(film.best.law.predicted)
     source = f"drop test by camera, {len(names)} file(s), {bounces} bounces ({names[0]}), {verdict.best}"
-    return Outcome(payload, words, [] if verdict.doubts else declared(film.best, film.to_si, source))
+    return outcome.Outcome(payload, words, [] if verdict.doubts else outcome.declared(film.best, film.to_si, source))
 
 
 class _Film:
@@ -137,14 +112,14 @@ class _Film:
         self.unit_uncertainty = float(np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty))
         self.fall = float(np.nanmax(fit.fall_height[best.shape][0], initial=0.0))  # unit
 
-    def gravity(self, where: str) -> Interval | None:
+    def gravity(self, where: str) -> outcome.Interval | None:
         """Measured gravity where scale and frame rate are known; refused where it is not gravity."""
         units = self.units
         if units.frame_s is None or units.scale_m is None:
             return None
         value = self.g * (units.scale_m / units.frame_s**2)
         ratio = value / units.g_mps2
-        if not FAR_FROM_GRAVITY[0] < ratio < FAR_FROM_GRAVITY[1]:
+        if not thresholds.FAR_FROM_GRAVITY[0] < ratio < thresholds.FAR_FROM_GRAVITY[1]:
             fps = 1.0 / units.frame_s / np.sqrt(ratio)
             raise InputError(
                 f"{where}: the ball falls at {value:.3g} m/s^2, {ratio:.3g} times gravity: the frame rate "
@@ -153,14 +128,14 @@ class _Film:
             )
         common = np.hypot(self.unit_uncertainty, _SCALE_FLOOR)
         sigma = value * float(np.hypot(self.draws[:, 0].std() / self.g, common))
-        return interval(value, value - LEVEL_SIGMAS * sigma, value + LEVEL_SIGMAS * sigma)
+        return outcome.interval(value, value - thresholds.LEVEL_SIGMAS * sigma, value + thresholds.LEVEL_SIGMAS * sigma)
 
     def refuse_slow_motion(self, where: str) -> None:
         """Refuse a film whose playback rate would make the fall, or the ball, larger than any."""
         if not self.units.assumed_rate or not self.timed:
             return
         fall, ball = self.fall * self.scale, (self.units.ball or 0.0) * self.scale
-        if fall > TALLEST_FALL_M or ball > LARGEST_BALL_M:
+        if fall > thresholds.TALLEST_FALL_M or ball > thresholds.LARGEST_BALL_M:
             size = f" and a ball of {ball:.2g} m" if self.units.ball else ""
             raise InputError(
                 f"{where}: at its playback rate of {1.0 / self.frame_s:.4g} frames per second it would show a fall of "
@@ -178,7 +153,7 @@ class _Film:
             "the speeds look too large, it was filmed faster: say --fps; restitution and friction stay as they are."
         ]
 
-    def doubts(self, quality: dict[str, Any], g: Interval | None) -> list[str]:
+    def doubts(self, quality: dict[str, Any], g: outcome.Interval | None) -> list[str]:
         """Contradictions to the model, in words."""
         words = list(self.fit.moved)
         if self.fall > 0.0:
@@ -190,15 +165,15 @@ class _Film:
                 f"no shape of flight fits: the best leaves {best:.2f} units rms where positions are good to "
                 f"{quality['noise']:.2f} (a lens, a camera that moves, frames at uneven times)"
             )
-        sigma = None if g is None else sigma_of(g)
+        sigma = None if g is None else outcome.sigma_of(g)
         if g is None or sigma is None or g["value"] is None:
             return words
         wanted, sigma = self.units.g_mps2, max(sigma, 1e-9)
         off = g["value"] - wanted
-        if abs(off) > max(CONTRADICTION_SIGMAS * sigma, SAME_GRAVITY * wanted):
+        if abs(off) > max(thresholds.CONTRADICTION_SIGMAS * sigma, thresholds.SAME_GRAVITY * wanted):
             both, more = self.friction_each_way(), ""
             if "mu" in self.best.model.parameters and both is not None:
-                up, down = (with_interval(both[way]) for way, _ in _SIGNS)
+                up, down = (outcome.with_interval(both[way]) for way, _ in _SIGNS)
                 more = f"; if both are right, friction differs: {up} g going up, {down} g coming down"
             words.append(
                 f"gravity comes out as {g['value']:.3f} m/s^2, {off / sigma:+.1f} sigma from {wanted:.3f}: the scale "
@@ -206,13 +181,13 @@ class _Film:
             )
         return words
 
-    def friction(self) -> Interval:
+    def friction(self) -> outcome.Interval:
         """Coulomb friction over the weight, whatever model was chosen."""
         value = float(self.fit.shapes["friction"].values[1])
-        half = LEVEL_SIGMAS * float(self.fit.values["friction"][:, 1].std())
-        return interval(value, value - half, value + half)
+        half = thresholds.LEVEL_SIGMAS * float(self.fit.values["friction"][:, 1].std())
+        return outcome.interval(value, value - half, value + half)
 
-    def friction_each_way(self) -> dict[str, Interval] | None:
+    def friction_each_way(self) -> dict[str, outcome.Interval] | None:
         """Friction going up and coming down, each by itself, by the gravity that is known; None without a scale."""
         if not self.timed or self.units.scale_m is None:
             return None
@@ -222,11 +197,11 @@ class _Film:
         for way, sign in _SIGNS:
             value = sign * (float(g) * factor * (1.0 + sign * float(f)) - 1.0)
             spread = (draws[:, 0] * factor * (1.0 + sign * draws[:, 1])).std()
-            half = LEVEL_SIGMAS * float(np.hypot(spread, self.unit_uncertainty))
-            out[way] = interval(value, value - half, value + half)
+            half = thresholds.LEVEL_SIGMAS * float(np.hypot(spread, self.unit_uncertainty))
+            out[way] = outcome.interval(value, value - half, value + half)
         return out
 
-    def accelerations(self, rng: np.random.Generator) -> dict[str, Interval]:
+    def accelerations(self, rng: np.random.Generator) -> dict[str, outcome.Interval]:
         """Downward acceleration while going up and while coming down."""
         (g, f), draws = self.fit.shapes["friction"].values[:2], self.fit.values["friction"]
         if self.units.scale_m is None:  # in units of the gravity assumed
@@ -236,7 +211,7 @@ class _Film:
             factor = self.scale / self.frame_s**2
             common = 1.0 + self.unit_uncertainty * rng.standard_normal(len(draws))
         return {
-            way: of_draws(
+            way: outcome.of_draws(
                 float(g * (1.0 + sign * f)) * factor, draws[:, 0] * (1.0 + sign * draws[:, 1]) * factor * common
             )
             for way, sign in _SIGNS
@@ -254,23 +229,23 @@ class _Film:
                 "unit": "the file's unit and frames",
             },
         }
-        entry: dict[str, Any] = model_json(one, self.to_si, self.frame_s if self.timed else np.nan, more)
+        entry: dict[str, Any] = outcome.model_json(one, self.to_si, self.frame_s if self.timed else np.nan, more)
         return entry
 
-    def height(self) -> Interval:
+    def height(self) -> outcome.Interval:
         """Height from which the ball fell freely to its first impact."""
         units = self.units
         if not self.timed and units.scale_m is None:
-            return UNKNOWN
+            return outcome.UNKNOWN
         g_draws = self.draws[:, 0] / self.g
         shared = units.scale_uncertainty if units.scale_m is not None else 2.0 * units.frame_rate_uncertainty
         out = []
         falls, draws = self.fit.fall_height[self.best.shape]
         for value, own in zip(falls, draws.T, strict=True):
             sigma = float(np.std(own / (g_draws if units.scale_m is None else 1.0))) / max(float(value), 1e-12)
-            reach, tall = LEVEL_SIGMAS * float(np.hypot(sigma, shared)), value * self.scale
-            out.append(interval(tall, tall * (1 - reach), tall * (1 + reach)))
-        return pooled_height(out)
+            reach, tall = thresholds.LEVEL_SIGMAS * float(np.hypot(sigma, shared)), value * self.scale
+            out.append(outcome.interval(tall, tall * (1 - reach), tall * (1 + reach)))
+        return outcome.pooled_height(out)
 
     def bounces(self) -> list[dict[str, Any]]:
         """Restitution of each impact, with its speeds where they are known."""
@@ -283,7 +258,7 @@ class _Film:
                 entry["speed_in_mps"] = float(seen.speed_in[i]) * speed
                 entry["speed_out_mps"] = float(seen.speed_out[i]) * speed
             ratio = float(seen.speed_out[i] / seen.speed_in[i])
-            entry["restitution"] = of_draws(ratio, seen.out_draws[:, i] / seen.in_draws[:, i])
+            entry["restitution"] = outcome.of_draws(ratio, seen.out_draws[:, i] / seen.in_draws[:, i])
             out.append(entry)
         return out
 
@@ -320,13 +295,13 @@ class _Film:
 def _in_words(payload: dict[str, Any], units: Units, files: int) -> list[str]:
     quality = payload["fit"]
     words = [f"{files} file(s), {len(payload['impacts_frames'])} impacts, {quality['flights']} flights"]
-    words += describe_choice(payload)
-    for bounce in payload["restitution"][:MOST_SAID]:
+    words += outcome.describe_choice(payload)
+    for bounce in payload["restitution"][: outcome.MOST_SAID]:
         at = f" at {bounce['speed_in_mps']:.3f} m/s" if "speed_in_mps" in bounce else ""
-        words.append(f"restitution {in_digits(bounce['restitution'], 4)}{at}")
+        words.append(f"restitution {outcome.in_digits(bounce['restitution'], 4)}{at}")
     if payload["drop_height_m"]["value"] is not None:
-        words.append(f"fell {in_digits(payload['drop_height_m'], 4, ' m')} to the first impact")
-    words.append(f"friction {in_digits(payload['friction'], 4, ' g')}")
+        words.append(f"fell {outcome.in_digits(payload['drop_height_m'], 4, ' m')} to the first impact")
+    words.append(f"friction {outcome.in_digits(payload['friction'], 4, ' g')}")
     if not quality["parabola_fits"]:
         rms, noise = quality["rms"], quality["noise"]
         best = min(rms, key=lambda name: rms[name])
@@ -340,5 +315,5 @@ def _in_words(payload: dict[str, Any], units: Units, files: int) -> list[str]:
     elif units.scale_m is None:
         words.append(f"No scale is known: gravity is taken as {units.g_mps2:.5f} m/s^2, not measured. Say --scale.")
     elif payload["g_mps2"] is not None:
-        words.append(f"gravity {in_digits(payload['g_mps2'], 3, ' m/s^2')}")
+        words.append(f"gravity {outcome.in_digits(payload['g_mps2'], 3, ' m/s^2')}")
     return words

@@ -9,16 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+from analysis.drop import thresholds
 from analysis.drop.arrays import Array, Counts
 from analysis.drop.film.flights import LEAST_SAMPLES, Clip, Flight, jitter
-from analysis.drop.thresholds import (
-    LARGEST_JITTER_S,
-    LARGEST_RISE,
-    LARGEST_SCATTER,
-    LARGEST_STEP,
-    STRUCTURE_CHANCE,
-    UNEVEN_CHANCE,
-)
 from analysis.drop.times.model_fit import Fit
 from analysis.drop.times.one_ahead import Rows
 
@@ -51,21 +44,21 @@ def of_times(fit: Fit, rows: Rows, g_mps2: float) -> list[str]:
         words.append(f"a restitution of {e0:.3f} +- {half:.3f} would gain energy at each impact")
     elif max(slow, fast) > 1.0:
         words.append(f"a restitution of {max(slow, fast):.3f} at some of the speeds seen would gain energy")
-    elif fast - slow > LARGEST_RISE * e0:
+    elif fast - slow > thresholds.LARGEST_RISE * e0:
         words.append(
             f"the restitution would rise from {slow:.3f} at the slowest impact to {fast:.3f} at the fastest; a ball's "
             "falls with the speed: taps of a hand, a plate that gives way, or wrong impacts"
         )
     relative = fit.widths.scatter / max(e0, 0.05)
-    if relative > LARGEST_SCATTER:
+    if relative > thresholds.LARGEST_SCATTER:
         words.append(
             f"the restitution scatters by {100 * relative:.1f} % from bounce to bounce, more than a ball on a flat "
             "plate does: a rough ball, a tilted or soft plate, or wrong impacts"
         )
-    if fit.widths.jitter_s > LARGEST_JITTER_S:
+    if fit.widths.jitter_s > thresholds.LARGEST_JITTER_S:
         words.append(f"impact times scatter by {1e3 * fit.widths.jitter_s:.1f} ms, more than any detector's do")
     chance = _chance_of_trend(fit, rows)
-    if chance < STRUCTURE_CHANCE:
+    if chance < thresholds.STRUCTURE_CHANCE:
         words.append(f"what is left over changes steadily with the length of the flight (chance {chance:.1g})")
     return words
 
@@ -142,7 +135,7 @@ def of_floor(clip: Counts, floor: Array, draws: Array, fall: float) -> str | Non
         mean = float(np.average(heights, weights=sigma**-2.0))
         chance = float(stats.chi2.sf((((heights - mean) / sigma) ** 2).sum(), len(heights) - 1))
         step = float(np.ptp(heights))
-        if chance < UNEVEN_CHANCE and step > LARGEST_STEP * fall:
+        if chance < thresholds.UNEVEN_CHANCE and step > thresholds.LARGEST_STEP * fall:
             return (
                 f"the impacts are at heights that differ by {100.0 * step / fall:.1f} % of the fall, far more than "
                 "their errors: the camera or the floor moved"

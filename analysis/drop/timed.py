@@ -8,22 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from analysis.drop import outcome
 from analysis.drop.laws.bounce_law import BOUNDS
 from analysis.drop.laws.choice import Verdict, gain_of
-from analysis.drop.outcome import (
-    MOST_SAID,
-    UNKNOWN,
-    Interval,
-    Outcome,
-    against_stated,
-    declared,
-    describe_choice,
-    in_digits,
-    interval,
-    model_json,
-    payload_of,
-    pooled_height,
-)
 from analysis.drop.thresholds import CONTRADICTION_SIGMAS, LEVEL_SIGMAS
 from analysis.drop.times.model_selection import Judged
 from analysis.drop.times.one_ahead import Drop
@@ -39,7 +26,7 @@ def of_times(
     stated: Sequence[tuple[float, float] | None],
     rng: np.random.Generator,
     without_heights: Verdict[Judged] | None = None,
-) -> Outcome:
+) -> outcome.Outcome:
     """Result of impact times.
 
     Parameters
@@ -61,17 +48,18 @@ def of_times(
             )
             verdict = replace(verdict, doubts=(*verdict.doubts, doubt))
     impacts_s = np.concatenate([drop.bounces.impacts_s for drop in drops]).tolist()
-    payload = payload_of("times", [drop.name for drop in drops], impacts_s, verdict, pooled_height(heights))
+    names, height = [drop.name for drop in drops], outcome.pooled_height(heights)
+    payload = outcome.payload_of("times", names, impacts_s, verdict, height)
     si = dict.fromkeys(BOUNDS, 1.0)
-    payload["models"] = [model_json(one, si, 1.0, _quality(one)) for one in verdict.candidates]
+    payload["models"] = [outcome.model_json(one, si, 1.0, _quality(one)) for one in verdict.candidates]
     payload["drops"] = each
     best = verdict.candidate(verdict.best)
     rows = int(np.isfinite(best.fit.residuals_s).sum())
     source = f"drop test by impact times, {len(drops)} drop(s), {rows} bounces ({drops[0].name}), {verdict.best}"
-    return Outcome(
+    return outcome.Outcome(
         payload,
         _in_words(drops, int(verdict.left_out.sum()), payload),
-        [] if verdict.doubts else declared(best, si, source),
+        [] if verdict.doubts else outcome.declared(best, si, source),
     )
 
 
@@ -93,10 +81,10 @@ def _quality(one: Judged) -> dict[str, Any]:
     }
 
 
-def _height(drop: Drop, verdict: Verdict[Judged], g_mps2: float, rng: np.random.Generator) -> Interval:
+def _height(drop: Drop, verdict: Verdict[Judged], g_mps2: float, rng: np.random.Generator) -> outcome.Interval:
     """Drop height from the first flight, over every candidate that the data leave standing."""
     if drop.bounces.missed[0] != 0:
-        return UNKNOWN
+        return outcome.UNKNOWN
     first = float(drop.bounces.intervals_s[0])
     chosen = verdict.candidate(verdict.best)
     value = float(chosen.model.drop_height_m(chosen.fit.theta, np.array(first), g_mps2, np.array(0.0)))
@@ -116,10 +104,10 @@ def _height(drop: Drop, verdict: Verdict[Judged], g_mps2: float, rng: np.random.
         if np.isfinite(draws).sum() > 0.5 * _DRAWS:
             ends.append(np.nanquantile(draws, [0.025, 0.975]))
     lows, highs = np.array(ends).reshape(-1, 2).T
-    return interval(value, lows.min(initial=np.inf), highs.max(initial=-np.inf))
+    return outcome.interval(value, lows.min(initial=np.inf), highs.max(initial=-np.inf))
 
 
-def _of_one(drop: Drop, height: Interval, stated: tuple[float, float] | None, left_out: int) -> dict[str, Any]:
+def _of_one(drop: Drop, height: outcome.Interval, stated: tuple[float, float] | None, left_out: int) -> dict[str, Any]:
     """One drop for the JSON."""
     bounces = drop.bounces
     out: dict[str, Any] = {
@@ -135,7 +123,7 @@ def _of_one(drop: Drop, height: Interval, stated: tuple[float, float] | None, le
         ],
     }
     if stated is not None:
-        out["stated_height_m"] = against_stated(height, stated) | {"used_as_data": drop.height_m is not None}
+        out["stated_height_m"] = outcome.against_stated(height, stated) | {"used_as_data": drop.height_m is not None}
     return out
 
 
@@ -144,7 +132,7 @@ def _in_words(drops: Sequence[Drop], irregular: int, payload: dict[str, Any]) ->
     false = sum(len(drop.bounces.false_s) for drop in drops)
     total = len(payload["impacts_s"])
     words = [f"{len(drops)} drop(s), {total} impacts; {missed} missed, {false} false; {irregular} irregular"]
-    words += describe_choice(payload)
+    words += outcome.describe_choice(payload)
     if drops[0].height_m is None:
         words.append(
             "Impact times alone cannot tell friction from restitution (both shorten every flight by one factor): the "
@@ -153,9 +141,9 @@ def _in_words(drops: Sequence[Drop], irregular: int, payload: dict[str, Any]) ->
     height = payload["drop_height_m"]
     known = [h["value"] for h in (one["drop_height_m"] for one in payload["drops"]) if h["value"] is not None]
     if height["value"] is not None and height["low"] is not None:
-        words.append(f"drop height {in_digits(height, 3, ' m')}")
+        words.append(f"drop height {outcome.in_digits(height, 3, ' m')}")
     elif len(known) > 1:
-        shown = ", ".join(f"{value:.3f}" for value in known[:MOST_SAID])
+        shown = ", ".join(f"{value:.3f}" for value in known[: outcome.MOST_SAID])
         words.append(f"The drops fell from different heights: {shown} m.")
     else:
         words.append("The drop height cannot be had from these impacts.")

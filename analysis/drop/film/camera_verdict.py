@@ -4,17 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop import lack_of_fit
+from analysis.drop import lack_of_fit, thresholds
 from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.laws.choice import Verdict, choose, gain_of
-from analysis.drop.thresholds import (
-    FOLLOWED_CHANCE,
-    LARGEST_MISFIT,
-    LARGEST_SCATTER,
-    LEAST_REBOUND,
-    MOST_REBOUND,
-    UNEVEN_CHANCE,
-)
 from daq.setup.errors import InputError
 
 
@@ -37,13 +29,17 @@ def judge_camera(fit: CameraFit) -> Verdict[CameraCandidate]:
 
 def _is_contradicted(candidate: CameraCandidate) -> bool:
     """Whether the bounces differ by far more than their errors, and by more than a ball on a flat plate does."""
-    return candidate.law.chance < UNEVEN_CHANCE and candidate.law.relative_scatter > LARGEST_SCATTER
+    return (
+        candidate.law.chance < thresholds.UNEVEN_CHANCE and candidate.law.relative_scatter > thresholds.LARGEST_SCATTER
+    )
 
 
 def _holds(candidate: CameraCandidate) -> bool:
     """Whether the law has been tested, and leaves errors or an ordinary scatter."""
     law = candidate.law
-    return law.freedom > 0 and (law.chance > FOLLOWED_CHANCE or law.relative_scatter <= LARGEST_SCATTER)
+    return law.freedom > 0 and (
+        law.chance > thresholds.FOLLOWED_CHANCE or law.relative_scatter <= thresholds.LARGEST_SCATTER
+    )
 
 
 def refuse_other_motion(fit: CameraFit, where: str) -> None:
@@ -59,16 +55,16 @@ def refuse_other_motion(fit: CameraFit, where: str) -> None:
         raise InputError(f"{where}: no impact with a measured speed on both sides; the film must show fall and bounce")
     tall = float(np.median([np.ptp(flight.height) for flight in fit.flights]))
     misfit = min(shape.sigma for shape in fit.shapes.values()) / max(tall, 1e-12)
-    if misfit > LARGEST_MISFIT:
+    if misfit > thresholds.LARGEST_MISFIT:
         raise InputError(
             f"{where}: what moves is no fall with bounces: the best curve of free flight misses it by "
             f"{100 * misfit:.0f} % of the height of its arcs; film one drop, nothing else moving, or choose its part "
             "with --region, --from and --until"
         )
     ratio, sigma = float(np.median(ratios)), float(np.median(sigmas))
-    if ratio < max(LEAST_REBOUND, 3.0 * sigma):
+    if ratio < max(thresholds.LEAST_REBOUND, 3.0 * sigma):
         raise InputError(f"{where}: no rebound: speed after over before the impact is {ratio:.3f} +- {sigma:.3f}")
-    if ratio > MOST_REBOUND:
+    if ratio > thresholds.MOST_REBOUND:
         raise InputError(
             f"{where}: the speed after an impact is {ratio:.3f} times that before: no ball bounces on a plate at rest "
             "like this; is the film upside down, does the plate move, or is it a hand?"
