@@ -29,17 +29,15 @@ def judge_camera(fit: CameraFit) -> Verdict[CameraCandidate]:
 
 def _is_contradicted(candidate: CameraCandidate) -> bool:
     """Whether the bounces differ by far more than their errors, and by more than a ball on a flat plate does."""
-    return (
-        candidate.law.chance < thresholds.UNEVEN_CHANCE and candidate.law.relative_scatter > thresholds.LARGEST_SCATTER
-    )
+    law = candidate.law
+    return law.chance < thresholds.UNEVEN_CHANCE and law.relative_scatter > thresholds.LARGEST_SCATTER
 
 
 def _holds(candidate: CameraCandidate) -> bool:
     """Whether the law has been tested, and leaves errors or an ordinary scatter."""
     law = candidate.law
-    return law.freedom > 0 and (
-        law.chance > thresholds.FOLLOWED_CHANCE or law.relative_scatter <= thresholds.LARGEST_SCATTER
-    )
+    followed = law.chance > thresholds.FOLLOWED_CHANCE or law.relative_scatter <= thresholds.LARGEST_SCATTER
+    return law.freedom > 0 and followed
 
 
 def refuse_other_motion(fit: CameraFit, where: str) -> None:
