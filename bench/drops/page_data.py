@@ -45,20 +45,22 @@ def refusal_of(request: Request, why: str, known: Known) -> Message:
     for path, part in zip(request.files, request.corrected, strict=True):
         try:
             events = events_in(path, part, known).tolist()
-            files.append(_marks(path, part, [events[0], events[-1]] if events else None) | {"events": events})
         except InputError:
-            files.append(_marks(path, part, None, is_sound=False))
+            events = []
+        files.append(_marks(path, part, [events[0], events[-1]] if events else None) | {"events": events})
     return {"kind": "refused", "why": why, "files": files, "command": command_line(request)}
 
 
-def _marks(path: Path, part: Corrections, ends: Sequence[float] | None, is_sound: bool | None = None) -> Message:
+def _marks(path: Path, part: Corrections, ends: Sequence[float] | None) -> Message:
     """A file without its impacts; ``ends``: times of the first and the last, where known."""
-    is_sound = is_wav(path) if is_sound is None else is_sound
+    try:
+        wav = open_wav(path) if is_wav(path) else None
+    except InputError:  # damaged: there is no sound to show
+        wav = None
     span = [0.0, 1.0] if ends is None else [max(ends[0] - _AROUND_S, 0.0), ends[1] + _AROUND_S]
-    wav = open_wav(path) if is_sound else None
     return {
         "name": path.name,
-        "kind": "sound" if is_sound else "times",
+        "kind": "times" if wav is None else "sound",
         "impacts": [], "missed": [], "false": [], "events": [],
         "ignored": list(part.ignore_s), "added": list(part.add_s),
         "span": span, "same_s": _SAME_IMPACT_S, "seconds": True, "picture": False,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.io import wavfile
 
 from analysis.drop.corrections import NOTHING
 from analysis.drop.load import Known
@@ -57,8 +59,10 @@ def test_a_file_of_something_else_is_not_replaced(tmp_path: Path, text: str) -> 
 
 
 def test_a_damaged_sound_is_refused_on_the_page_too(tmp_path: Path) -> None:
-    """The page of a WAV file without samples says why and shows no sound, and its process lives on."""
+    """A WAV file without samples is shown with the reason and no sound; a silent one can be seen to be so."""
     damaged = tmp_path / "bad.wav"
     damaged.write_bytes(b"RIFF\x10\x00\x00\x00WAVEjunkjunkjunk")
-    shown = refusal_of(Request((damaged,)), "damaged", Known())
-    assert shown["why"] == "damaged" and shown["files"][0]["kind"] == "times" and shown["files"][0]["events"] == []
+    wavfile.write(tmp_path / "quiet.wav", 8000, np.zeros(16000, dtype=np.int16))
+    shown = refusal_of(Request((damaged, tmp_path / "quiet.wav")), "damaged", Known())
+    assert shown["why"] == "damaged" and [file["kind"] for file in shown["files"]] == ["times", "sound"]
+    assert [file["events"] for file in shown["files"]] == [[], []] and shown["files"][1]["duration_s"] == 2.0
