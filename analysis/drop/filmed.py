@@ -77,8 +77,9 @@ def of_camera(
         "flights": film.flights(),
     }
     words = _in_words(payload, units, len(names)) + film.playback_in_words()
-    if stated is not None and payload["drop_height_m"]["value"] is not None:
-        check = payload["stated_height_m"] = outcome.against_stated(payload["drop_height_m"], stated)
+    check = outcome.against_stated(payload["drop_height_m"], stated) if stated is not None else {}
+    if stated is not None and "sigmas_off" in check:
+        payload["stated_height_m"] = check
         words.append(f"stated height {stated[0]:.3f} m: the filmed fall is {check['sigmas_off']:+.1f} sigma from it")
     bounces = len(film.best.law.predicted)
     source = f"drop test by camera, {len(names)} file(s), {bounces} bounces ({names[0]}), {verdict.best}"
@@ -86,29 +87,20 @@ def of_camera(
 
 
 class _Film:
-    """The fit of a camera's drops under its best model, with its units.
-
-    Attributes
-    ----------
-    timed : bool
-        Whether the frame rate is known; without it, nothing in seconds or metres is given.
-    frame_s, scale : float
-        Seconds a frame and metres a unit; what is not known is what makes gravity gravity.
-    to_si : dict
-        Factors of the parameters that can be given.
-    """
+    """The fit of a camera's drops under its best model, with its units."""
 
     def __init__(self, fit: CameraFit, best: CameraCandidate, units: Units) -> None:
         self.fit, self.best, self.units = fit, best, units
         self.shape, self.draws, self.seen = fit.shapes[best.shape], fit.values[best.shape], fit.impacts[best.shape]
         self.g = float(self.shape.values[0])  # unit / frame^2
-        self.timed = units.frame_s is not None
+        self.timed = units.frame_s is not None  # without a frame rate, nothing in seconds or metres is given
+        # Seconds a frame and metres a unit; what is not known is what makes gravity gravity.
         self.frame_s = units.frame_s if units.frame_s is not None else float(np.sqrt(self.g / units.g_mps2))
         self.scale = units.scale_m if units.scale_m is not None else units.g_mps2 * self.frame_s**2 / self.g
-        self.to_si = {"e0": 1.0, "mu": 1.0}
+        self.to_si = {"e0": 1.0, "mu": 1.0}  # factors of the parameters that can be given
         if self.timed:
             self.to_si |= {"e1_s_per_m": self.frame_s / self.scale, "k_per_m": 1.0 / self.scale}
-        # of anything measured in m/s^2
+        # Relative, of anything in m/s^2: time counts twice.
         self.unit_uncertainty = float(np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty))
         self.fall = float(np.nanmax(fit.fall_height[best.shape][0], initial=0.0))  # unit
 
