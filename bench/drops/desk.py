@@ -26,7 +26,9 @@ from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 
 TICK_S = 0.05
-MOST_FILES, MOST_OFFERED, MOST_MARKS = 24, 500, 2000
+MOST_FILES = 24  # of one drop test
+MOST_OFFERED = 500  # in the list of a folder
+MOST_MARKS = 2000  # corrections of a file: more is no correction by hand
 SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
 NUMBERS = ("fps", "scale_m", "ball_size_m", "mass_kg", "diameter_m", "gravity_mps2")
 Message = dict[str, Any]

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
 
-_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # kinds of samples
+# Kinds of samples, by their number in the header:
+_PCM = 1
+_FLOAT = 3
+_EXTENSIBLE = 0xFFFE  # the kind stands in a longer header
 _TYPES = {(_PCM, 1): "u1", (_PCM, 2): "i2", (_PCM, 3): "i4", (_PCM, 4): "i4", (_PCM, 8): "i8",
           (_FLOAT, 4): "f4", (_FLOAT, 8): "f8"}  # fmt: skip
 _PIECE = 1 << 20  # samples held at once for an envelope
