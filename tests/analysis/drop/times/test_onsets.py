@@ -1,19 +1,16 @@
 """Onsets in a sound, and contact closings, against known impacts."""
 
-import struct
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from scipy.io import wavfile
 
 from analysis.drop.load import load
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from daq.files.tables import Block
-from daq.files.wav import open_wav
 from daq.recording import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
@@ -28,23 +25,6 @@ def test_onsets_to_the_sample(synthetic: ModuleType) -> None:
     off = 44100.0 * np.abs(found[:, None] - impacts[None]).min(axis=0)
     assert len(found) == len(impacts)
     assert off.max() < 3.0 and np.median(off) <= 1.0
-
-
-@pytest.mark.parametrize("kind", ["int16", "int32", "uint8", "float32"])
-def test_sample_formats_read_alike(tmp_path: Path, kind: str) -> None:
-    """8, 16, 32 bit and float WAV give the same sound."""
-    wave = 0.5 * np.sin(np.arange(8000) / 9.0)
-    stored = {
-        "int16": (wave * 32767).astype(np.int16),
-        "int32": (wave * 2147483647).astype(np.int32),
-        "uint8": (wave * 127 + 128).astype(np.uint8),
-        "float32": wave.astype(np.float32),
-    }[kind]
-    wavfile.write(tmp_path / "x.wav", 8000, stored)
-    wav = open_wav(tmp_path / "x.wav")
-    samples = wav.read()
-    assert wav.rate_hz == 8000.0
-    assert np.corrcoef(samples[:, 0], wave)[0, 1] > 0.999
 
 
 @pytest.mark.parametrize(
@@ -70,36 +50,10 @@ def test_onsets_in_an_ordinary_room(synthetic: ModuleType, room: dict[str, float
     assert len(found) - len(due) <= 8  # the last, faint ones
 
 
-@pytest.mark.parametrize("size", ["whole", "streamed"])
-def test_24_bit_wav_of_a_recorder(tmp_path: Path, size: str) -> None:
-    """24 bit, an extensible header, a chunk in front, and sizes never filled in: what recorders write."""
-    codes = (0.5 * np.sin(np.arange(8000) / 9.0) * 8388607).astype("<i4")
-    data = codes.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
-    kind = struct.pack("<HHIIHHHHI", 0xFFFE, 1, 48000, 144000, 3, 24, 22, 24, 4)
-    kind += bytes.fromhex("0100000000001000800000aa00389b71")
-    length = len(data) if size == "whole" else 0xFFFFFFFF
-    body = b"WAVELIST" + struct.pack("<I", 4) + b"INFOfmt " + struct.pack("<I", len(kind)) + kind
-    body += b"data" + struct.pack("<I", length) + data
-    total = len(body) if size == "whole" else 0xFFFFFFFF
-    (tmp_path / "r.wav").write_bytes(b"RIFF" + struct.pack("<I", total) + body)
-    wav = open_wav(tmp_path / "r.wav")
-    samples = wav.read()
-    assert wav.rate_hz == 48000.0 and samples.shape == (8000, 1)
-    assert samples[:, 0] == pytest.approx(codes / 8388608.0)
-
-
 def test_silence_is_an_error() -> None:
     """A recording of nothing says so."""
     with pytest.raises(InputError, match="silent"):
         sound_onsets(np.zeros(44100), 44100.0, "quiet.wav")
-
-
-def test_a_damaged_wav_is_an_error(tmp_path: Path) -> None:
-    """A WAV header without a WAV behind it is refused by name."""
-    target = tmp_path / "bad.wav"
-    target.write_bytes(b"RIFF\x10\x00\x00\x00WAVEjunkjunkjunk")
-    with pytest.raises(InputError, match=r"bad\.wav"):
-        open_wav(target)
 
 
 def _contact_recording(folder: Path, times: np.ndarray, rate: float, shaken_v: float = 0.0) -> Path:
