@@ -210,7 +210,7 @@ def further_heights(label: str, columns: Columns, n_read: int) -> list[str]:
         return []
     heights = [j for j, own in enumerate(words) if own & _HEIGHT]
     varied = [j for j in heights if len(v := columns.numbers(j)) >= _LEAST_POSITIONS and np.std(v) > 0.0]
-    said = "heights beside others; another ball, or the same once more: give each a file of its own"
+    said = "more heights; another ball, or the same once more: give each a file of its own"
     return [f"{label}, {columns.names[j]}: {said}" for j in varied[n_read:]]
 
 
