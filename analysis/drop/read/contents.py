@@ -93,7 +93,7 @@ def _of_times(tables: list[_Table], strong: bool) -> Contents:
         if table.times is not None:
             events.append((table.name, table.times))
         elif table.paths:
-            not_read.append(f"{table.label}: positions, where others are impact times; give them in a file of their own")
+            not_read.append(f"{table.label}: positions, with impact times; give them in a file of their own")
         else:
             taken = [item for item in table.bare if not strong or readings.named_times(item[0])]
             events += taken
