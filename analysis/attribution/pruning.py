@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from analysis.attribution.candidates import Candidate, Point
+from analysis.attribution.candidates import Candidate
 from analysis.attribution.choice import Judge
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.priors import null_value_of, parameter_of
@@ -96,14 +96,27 @@ class Pruning:
         return self.refits.scored(x.candidates, fitted) if after < before - self.limits.negligible_nats else x
 
     def _in_place(self, best: Hypothesis, i: int, simpler: Candidate) -> Hypothesis:
-        """The hypothesis with its ``i``-th candidate replaced by a special case of it, fitted."""
-        candidate = best.candidates[i]
-        chosen = (*best.candidates[:i], simpler, *best.candidates[i + 1 :])
-        known = {k: v for k, v in best.fitted.values.items() if k not in candidate.free or k in simpler.free}
-        reduced = _reduced(best.fitted.values, candidate.names, simpler.free)
-        points = [{**point, **known} for point in (*simpler.starts, reduced)]
+        """The hypothesis with its ``i``-th candidate, and its trends, replaced by a special case's, fitted."""
+        candidate, values = best.candidates[i], best.fitted.values
+        origins = {own: _origin(own, candidate) for own in simpler.free}
+        chosen, replaced = [], set(candidate.free)
+        for c in best.candidates:
+            if c is candidate:
+                chosen.append(simpler)
+            elif not _is_trend_of(c, candidate):
+                chosen.append(c)
+            else:
+                replaced |= set(c.free)
+                trends = tuple((n, q + TREND) for (n, q), (m, p) in origins.items() if (m, p + TREND) in c.free)
+                if trends:
+                    chosen.append(Candidate((trends[0][0], *c.names[1:]), trends, ({},)))
+        free = tuple(k for c in chosen for k in c.free)
+        origins |= {(n, q + TREND): (m, p + TREND) for (n, q), (m, p) in origins.items()}
+        known = {k: v for k, v in values.items() if k not in replaced or k in free}
+        reduced = {k: values.get(origins.get(k, k), null_value_of(k)) for k in free}
+        points = [{**reduced, **point, **known} for point in ({}, *simpler.starts)]
         start = min(points, key=lambda point: self.refits.profile_loss(best.whitener, point))
-        return self.refits.converged(chosen, best.whitener, tuple(k for c in chosen for k in c.free), start)
+        return self.refits.converged(tuple(chosen), best.whitener, free, start)
 
     def _extra_is_null(self, best: Hypothesis, x: Hypothesis, candidate: Candidate, simpler: Candidate) -> bool:
         """Whether the intervals of what the fuller form has beyond its special case ``x`` hold the null values.
@@ -138,12 +151,7 @@ def contained_in(names: Sequence[str]) -> set[str]:
     return {*names, *(case for name in names for case in effect(name).effect.special_cases)}
 
 
-def _reduced(values: Mapping[ParameterId, float], fuller: Sequence[str], free: Sequence[ParameterId]) -> Point:
-    """Where the fit of a special case begins: at the fuller form's parameters, or at its own."""
-    begins_from = {
-        (case, own): (name, q)
-        for name in fuller
-        for case, table in effect(name).effect.special_cases.items()
-        for own, q in table.items()
-    }
-    return {k: values.get(begins_from.get(k, k), null_value_of(k)) for k in free}
+def _origin(own: ParameterId, fuller: Candidate) -> ParameterId:
+    """Parameter of a fuller form that a special case's ``own`` one is; the same where it has no other name there."""
+    tables = ((name, effect(name).effect.special_cases.get(own[0], {})) for name in fuller.names)
+    return next(((name, table[own[1]]) for name, table in tables if own[1] in table), own)

@@ -56,6 +56,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "friction_with_speed": {"per_mps": (0.02, 0.1, 0.6)},
     "friction_with_dwell": {"mu": (0.01, 0.04, 0.3), "seconds": (0.01, 0.01, 0.01)},
     "friction_with_level": {"per_gamma": (0.002, 0.01, 0.08)},
+    "friction_drift": {"per_s": (0.002, 0.01, 0.05)},  # of `coulomb_friction.mu`, relative
     "pull_after_long_flight": {"g": (0.005, 0.02, 0.15), "seconds": (0.03, 0.03, 0.03)},
     "restitution_at_one_speed": {"e": (0.05, 0.15, 0.4), "mps": (0.25, 0.25, 0.25)},
     "upper_stop": {"pull_g": (0.03, 0.1, 0.8), "above_m": (0.001, 0.001, 0.001)},
@@ -72,6 +73,7 @@ _MU, _MU_UP, _MU_DOWN = PLACE["coulomb_friction.mu"], PLACE["friction_asymmetry.
 _MU_H, _MU_V, _MU_L = (
     PLACE["friction_with_height.per_m"], PLACE["friction_with_speed.per_mps"], PLACE["friction_with_level.per_gamma"],
 )  # fmt: skip
+_DRIFT = PLACE["friction_drift.per_s"]
 _DWELL, _DWELL_S = PLACE["friction_with_dwell.mu"], PLACE["friction_with_dwell.seconds"]
 _VISCOUS, _DRAG, _SPRING = PLACE["viscous_damping.rate_per_s"], PLACE["quadratic_drag.per_m"], PLACE["spring.per_s2"]
 _MAGNET, _MAGNET_M = PLACE["magnet.pull_g"], PLACE["magnet.range_m"]
@@ -192,8 +194,10 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
     touching, hanging = True, False
     n_edges = n_impacts = 0
     _, v, a = _plate(q, gammas, step_s, fade_s, w, c, 0.0)
+    q, mu = q.copy(), q[_MU]
     for k in range(plate.size * every):
         t = k * dt
+        q[_MU] = mu * (1.0 + q[_DRIFT] * t)
         here = gammas[min(int(t / step_s), gammas.size - 1)]
         ya = -slow_w * slow_w * y - 2.0 * q[_TABLE_D] * slow_w * yv - q[_RATIO] * load
         table_a = a + ya

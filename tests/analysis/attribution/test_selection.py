@@ -181,6 +181,20 @@ def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Calla
     assert rounds == ["step back: a simpler coulomb_friction does as well"]
 
 
+def test_a_special_case_drifts_as_the_fuller_form_did(selection_of: Callable[..., StepwiseSelection]) -> None:
+    """Plain friction that doubles during the run, fitted as a Stribeck friction with a drift: both keep their drift."""
+    drift = {(name, q + TREND): 0.06 for name, q in (UP, DOWN)}
+    selection = selection_of({UP: 0.1, DOWN: 0.1, **drift}, 5, (*GAMMAS, 1.2, 0.75))
+    stribeck, kinetic = named(selection, "stribeck_friction"), ("stribeck_friction", "mu_kinetic")
+    trend = Candidate((kinetic[0], "parameter_drift"), ((kinetic[0], kinetic[1] + TREND),), ({},))
+    start = {("stribeck_friction", k): v for k, v in STRIBECK.items()} | {kinetic: 0.1, trend.free[0]: 0.06}
+    both = selection.refits.converged((stribeck, trend), Whitener.of(selection.world, start), tuple(start), start)
+    plain = selection.pruning.simplified(both, selection.library, [])
+    assert plain.names == ("coulomb_friction", "parameter_drift")
+    assert set(plain.free) == {UP, DOWN, *drift}
+    assert all(plain.fitted.values[key] == pytest.approx(0.06, abs=0.005) for key in drift)
+
+
 def test_a_richer_form_gives_way_to_its_special_case(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Stribeck friction is chosen although plain friction is all there is: the name is that of plain friction."""
     selection = selection_of({UP: 0.15, DOWN: 0.15}, 6)
