@@ -265,9 +265,11 @@ class StepAccumulator:
         trials: LineTrials | None = None
         for i, line in enumerate(state.mains):
             place = next((k for k in range(tones, len(every_hz)) if every_hz[k] == line.hz), None)
-            if place is None or (
-                trials is None and is_absent(fit, place, line, chunk.beats[:, place - tones], length_s)
-            ):
+            if place is None:
+                continue
+            line = line.with_noise(chunk.near[place - tones])
+            state.mains = (*state.mains[:i], line, *state.mains[i + 1 :])
+            if trials is None and is_absent(fit, place, line, chunk.beats[:, place - tones], length_s):
                 continue
             trials = trials or LineTrials(state, self.block_rate_hz)
             begin_hz = line.hz

@@ -1,8 +1,8 @@
 """Mains line of a step at its measured frequency: mains wander, and an exact 50 or 60 Hz would miss part of the motion.
 
-A line's frequency is refined only where its amplitude is significant, starting from the steps before. The remaining
-frequency uncertainty is part of the covariance of all tones. Transformers and rectifiers add multiples of the mains:
-where a line has been measured, its multiples are fitted with it.
+A line's frequency is refined only where its amplitude is significant in the noise near it, starting from the steps
+before. That noise and the remaining frequency uncertainty are part of the covariance of the tones. Transformers and
+rectifiers add multiples of the mains: where a line has been measured, its multiples are fitted with it.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ SIGNIFICANT = 6.0  # amplitude over its uncertainty from which a line's frequenc
 MIN_CYCLES_APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
 MIN_CYCLES = 5.0  # cycles of a line within a step, to be fitted
 FAR_FROM = 0.5  # part of a significant amplitude below which a line is not fitted at other frequencies
+NEAR_HZ = 10.0  # distance from a line within which noise is its own
+APART = 1.5  # cycles over a chunk from a tone within which a periodogram shows the tone
 LOBE = 0.25  # cycles over a step by which a line may be off and still be found from its start
 TRIAL_CYCLES = 0.1  # cycles over a step between the trial frequencies: the misfit is a parabola there
 BIN_S = 0.2  # bin of a long step's search, short against a beat of `MAX_OFFSET_HZ`
@@ -41,6 +43,8 @@ class MainsLine:
     """Mains line: nominal frequency, measured frequency with its uncertainty, and the time of the measurement.
 
     ``slopes`` (k,) are the changes of all the step's fitted tones with the line's frequency; None: not measured.
+    ``near_power`` is the power of the noise near it in all steps so far, over that of white noise of the same rms,
+    summed over ``near_bins`` bins of periodograms.
     """
 
     nominal_hz: float
@@ -48,6 +52,8 @@ class MainsLine:
     sigma_hz: float
     at_s: float
     slopes: Complexes | None = None
+    near_power: float = 0.0
+    near_bins: int = 0
 
     def later(self, at_s: float) -> MainsLine:
         """Prior of the line in another step: the uncertainty grows as a random walk."""
@@ -60,14 +66,59 @@ class MainsLine:
         return [k * self.hz for k in MULTIPLES] if self.sigma_hz < PRIOR_SIGMA_HZ else []
 
     @property
+    def noise(self) -> float:
+        """Noise near the line, as a multiple of white noise of the residual's size; no less than that."""
+        return math.sqrt(max(self.near_power, self.near_bins) / self.near_bins) if self.near_bins else 1.0
+
+    def with_noise(self, near: Floats) -> MainsLine:
+        """The line with the noise near it in another chunk, a row of `noise_near`."""
+        return replace(self, near_power=self.near_power + float(near[0]), near_bins=self.near_bins + int(near[1]))
+
+    @property
     def reach_hz(self) -> float:
         """Half width of the search around `hz`."""
         return min(3.0 * self.sigma_hz, MAX_OFFSET_HZ)
 
 
-def with_frequency_uncertainty(fit: ToneFit, lines: Sequence[MainsLine], factor: float) -> ToneFit:
-    """The fit with the lines' frequency uncertainties in its covariance; ``factor`` from volts to its unit."""
+def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> Floats:
+    """Power of a residual near its tones from number ``first`` on, over that of white noise of its size, times bins.
+
+    Parameters
+    ----------
+    residual
+        Blocks of a chunk (n,) less all tones, 0 where they are masked.
+    cycles
+        Frequencies of the tones (k,), a block.
+    first, rate_hz
+        The first mains line among the tones, and blocks a second.
+
+    Returns
+    -------
+    array, shape (k - first, 2)
+        That power, and the number of bins of the periodogram that it was measured in: their median, so that other lines
+        do not count.
+    """
+    out = np.zeros((cycles.size - first, 2))
+    size, power = residual.size, np.abs(np.fft.rfft(residual)) ** 2
+    white = float(residual @ residual)
+    for line, own in enumerate(cycles[first:] * size if white > 0.0 else []):
+        reach = NEAR_HZ / rate_hz * size
+        bins = np.arange(max(math.ceil(own - reach), 1), min(int(own + reach) + 1, power.size))
+        bins = bins[np.abs(bins[:, None] - cycles * size).min(axis=1) > APART] if bins.size else bins
+        if bins.size:
+            out[line] = float(np.median(power[bins])) / math.log(2.0) / white * bins.size, bins.size
+    return out
+
+
+def with_line_uncertainty(fit: ToneFit, lines: Sequence[MainsLine], factor: float) -> ToneFit:
+    """The fit with the noise near the lines and their frequencies' uncertainties in its covariance.
+
+    ``factor`` is that from volts to the fit's unit.
+    """
     for line in lines:
+        own = np.repeat(np.isin(fit.frequencies_hz, [line.hz, *line.multiples_hz]), 2)
+        wider = np.where(own, line.noise, 1.0)
+        fit = replace(fit, covariance=fit.covariance * np.outer(wider, wider))
         if line.slopes is not None:
             both = np.zeros(len(fit.covariance))  # multiples may have come to the fit since
             slopes = np.column_stack([line.slopes.real, line.slopes.imag]).ravel()[: len(both)]
@@ -114,7 +165,7 @@ def is_absent(fit: ToneFit, place: int, line: MainsLine, demodulated: Complexes,
     the accelerometer in volts less all tones but the line, which is in row ``place`` of the ``fit``.
     """
     quadratures = fit.covariance.diagonal()[2 * place : 2 * place + 2]
-    limit = FAR_FROM * SIGNIFICANT * math.sqrt(0.5 * (quadratures[0] + quadratures[1]))
+    limit = FAR_FROM * SIGNIFICANT * line.noise * math.sqrt(0.5 * (quadratures[0] + quadratures[1]))
     if not abs(fit.amplitudes[place]) < limit:
         return False
     if length_s * line.reach_hz <= LOBE:
@@ -154,7 +205,7 @@ def refined_line(
     hz, h = begin_hz, TRIAL_CYCLES / length_s
     for _ in range(MAX_ITERATIONS):
         middle = fit_at(hz)
-        if not abs(middle.amplitudes[place]) > SIGNIFICANT * middle.amplitude_sigma()[place]:
+        if not abs(middle.amplitudes[place]) > SIGNIFICANT * line.noise * middle.amplitude_sigma()[place]:
             return line
         left, right = fit_at(hz - h), fit_at(hz + h)
         misfit = [_misfit(f) / max(middle.rms**2, 1e-300) for f in (left, middle, right)]

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
 from analysis.plate.fit_mask import FitIntervals
-from analysis.plate.mains_lines import with_frequency_uncertainty
+from analysis.plate.mains_lines import with_line_uncertainty
 from analysis.plate.motion import SlowMotion, StepPlate, Windows
 from analysis.plate.rounding import converter_step, with_rounding
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, StepState
@@ -77,7 +77,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     windows = _windows(state, factor, len(rows))
     noise_mps2 = min((float(c.noise[0]) for c in state.chunks), default=volts.rms) * abs(factor)
     acceleration = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
-    acceleration = with_frequency_uncertainty(acceleration, state.mains, factor)
+    acceleration = with_line_uncertainty(acceleration, state.mains, factor)
     some = state.first_codes
     if some is None:
         some = recording.codes("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)

@@ -71,6 +71,8 @@ class ChunkFit:
         Times outside the mask.
     beats : complex array, shape (b, lines)
         Accelerometer less all tones but a mains line, demodulated at it and summed over bins of `BIN_S`.
+    near : array, shape (lines, 2)
+        Noise near each mains line, see `noise_near`.
     """
 
     slow_s: Floats
@@ -82,6 +84,7 @@ class ChunkFit:
     fits: tuple[ToneFit, ToneFit]
     intervals: FitIntervals
     beats: Complexes
+    near: Floats
 
 
 @dataclass

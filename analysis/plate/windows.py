@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
-from analysis.plate.mains_lines import BIN_S
+from analysis.plate.mains_lines import BIN_S, noise_near
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
 from analysis.statistics import median
 from daq.lock_in import ToneFit
@@ -57,11 +57,12 @@ class StepTones(NamedTuple):
 class SpanSums(NamedTuple):
     """Sums over one span, for w windows with q unknowns: a constant and the forcing's tones, fitted to the residual.
 
-    ``slow_s``, ``slow`` (s,) are times and means of the slow residual, NaN where all is masked; ``time_s`` (w,) the
-    middles of the windows. Normal matrices are ``gram`` (w, q, q), right sides ``side`` (w, q, 2), sums of squares
-    ``power`` (w, 2), and blocks ``used`` (w,).
+    ``left`` (n,) is the accelerometer's residual, 0 where masked; ``slow_s``, ``slow`` (s,) are times and means of the
+    slow one, NaN where all is masked; ``time_s`` (w,) the middles of the windows. Normal matrices are ``gram``
+    (w, q, q), right sides ``side`` (w, q, 2), sums of squares ``power`` (w, 2), and blocks ``used`` (w,).
     """
 
+    left: Floats
     slow_s: Floats
     slow: Floats
     time_s: Floats
@@ -136,7 +137,8 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     amplitudes, spread, noise = _solve_windows(tones, fits, sums)
     none = np.zeros(len(intervals), dtype=np.int64)
     whole = intervals[0] if len(intervals) == 1 else FitIntervals.join(intervals, none, none)
-    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, whole, beats)
+    near = noise_near(sums.left, tones.cycles, len(state.multiples), rate_hz)
+    return ChunkFit(sums.slow_s, sums.slow, sums.time_s, amplitudes, spread, noise, fits, whole, beats, near)
 
 
 def _solve_windows(tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSums) -> tuple[Complexes, Floats, Floats]:
@@ -229,6 +231,7 @@ def _sum_span(
     n, q = len(span.values), tones.unknowns
     bins, places = n // group, n // windows.length
     sums = SpanSums(
+        np.empty(n),
         np.empty(bins),
         np.zeros(bins),
         np.empty(places),
@@ -290,6 +293,7 @@ def _fill_sums(x, block_class, first, level, group, tones, windows, rate_hz, bea
                 left[c, at] = left[c, at] if clear else 0.0
             for a in range(row.shape[0]):
                 row[a, at] = row[a, at] if clear else 0.0
+        sums.left[begin : begin + size] = left[0, :size]
         for g in range(begin // group, min((begin + size - 1) // group + 1, n_slow.shape[0])):
             start, stop = max(g * group - begin, 0), min((g + 1) * group - begin, size)
             sums.slow[g] += _dot(left[0, start:stop], row[0, start:stop])

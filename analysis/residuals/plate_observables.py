@@ -113,7 +113,7 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
     """Plate data of the fitted steps, and notes for the person who reads the report."""
     rows: list[tuple[float, ...]] = []
     notes: list[str] = []
-    scale = _drive_scale(fitted, setup, notes)
+    scale, mains_hz = _drive_scale(fitted, setup, notes), _strongest_mains_hz(fitted)
     power = _drive_form(fitted, notes)
     for i, s in enumerate(fitted):
         first = abs(s.tone(1)[0])
@@ -123,7 +123,7 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
             asked = abs(volts[1] * scale) / setup.g_mps2.value
             scales = [scale * _relative(setup, m) * m**power for m in s.forcing_multiples]
             rows += _gain_rows(i, s, scales, asked, first)
-        rows += _tone_rows(i, s, asked, first)
+        rows += _tone_rows(i, s, asked, first, mains_hz)
         rows += _instrument_rows(i, s, setup, asked, first)
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
@@ -217,7 +217,23 @@ def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first:
     return rows
 
 
-def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[float, ...]]:
+def _strongest_mains_hz(fitted: Sequence[StepPlate]) -> float:
+    """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one."""
+
+    def mean_square(hz: float) -> float:
+        rows = [(s.acceleration, k) for s in fitted for k in _mains_rows(s, hz)]
+        return float(np.mean([abs(f.amplitudes[k] / f.amplitude_sigma()[k]) ** 2 for f, k in rows])) if rows else 0.0
+
+    return max(MAINS_HZ, key=mean_square)
+
+
+def _mains_rows(s: StepPlate, mains_hz: float) -> list[int]:
+    """Rows of a step's fit that hold the line of the mains: one, or none where the forcing hides it."""
+    hz = s.acceleration.frequencies_hz
+    return [k for k in range(len(s.multiples), len(hz)) if abs(hz[k] - mains_hz) < MAX_OFFSET_HZ]
+
+
+def _tone_rows(i: int, s: StepPlate, asked: float, first: float, mains_hz: float) -> list[tuple[float, ...]]:
     """Harmonics and mains, as squares less the noise's share; the amplitude in each window."""
     rows: list[tuple[float, ...]] = []
     fit, sigmas = s.acceleration, s.acceleration.amplitude_sigma()
@@ -227,10 +243,7 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float) -> list[tuple[f
             noise = float(np.hypot(sigmas[k] / first, SYSTEMATIC))
             square = (abs(fit.amplitudes[k]) / first) ** 2
             rows.append((kind, i, square - 2 * noise**2, _square_sigma(square, noise), m * s.omega_radps, asked, first))
-    others = range(len(s.multiples), len(fit.frequencies_hz))
-    mains = [k for k in others if np.abs(np.subtract(MAINS_HZ, fit.frequencies_hz[k])).min() < MAX_OFFSET_HZ]
-    if mains:
-        k = max(mains, key=lambda j: abs(fit.amplitudes[j]) / sigmas[j])
+    for k in _mains_rows(s, mains_hz):
         square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
         rows.append(
             (

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from analysis.flights.scan import plate_of
-from analysis.plate.mains_lines import BIN_S, PRIOR_SIGMA_HZ, is_absent, refined_line, strongest_hz, unmeasured_line
+from analysis.plate.mains_lines import (
+    BIN_S,
+    PRIOR_SIGMA_HZ,
+    is_absent,
+    noise_near,
+    refined_line,
+    strongest_hz,
+    unmeasured_line,
+)
 from daq.lock_in import ToneFit, fit_tones
 from daq.recording import open_recording
 
@@ -86,6 +94,33 @@ def test_noise_moves_no_line() -> None:
     begin_hz, _ = strongest_hz(sums, unmeasured_line(50.0), 40.0)
     line = refined_line(unmeasured_line(50.0), 1, _fit_at(x), begin_hz, np.array([25.37]), 40.0)
     assert line == unmeasured_line(50.0)
+
+
+@pytest.mark.parametrize("line", [0.0, 0.5])
+def test_noise_near_a_line_is_not_that_of_the_whole_band(line: float) -> None:
+    """Noise of 9 units up to 100 Hz and of 1 above: near 50 Hz that is 3.2 times white noise, with a line or without."""
+    rng, n = np.random.default_rng(6), 60_000
+    spectrum = np.fft.rfft(rng.standard_normal(n))
+    spectrum[: n // 10] *= 3.0
+    x = np.fft.irfft(spectrum, n)
+    near = noise_near(x, np.array([0.02537, 0.05]), 1, RATE_HZ)
+    assert near[0, 0] / near[0, 1] == pytest.approx(9.0 / (0.2 * 9.0 + 0.8), rel=0.1)
+    found = unmeasured_line(50.0).with_noise(near[0])
+    assert found.later(9.0).noise == pytest.approx(1.86, rel=0.05)
+    x += line * np.cos(2 * np.pi * 50.0 / RATE_HZ * np.arange(n))
+    moved = refined_line(found, 1, _fit_at(x), 50.0, np.array([25.37]), 60.0)
+    assert (moved.slopes is not None) == (line > 0.0)
+
+
+def test_noise_that_rises_towards_low_frequencies_shows_no_mains(make) -> None:
+    """1/f noise of 2 mV an octave: at 50 and 60 Hz the steps scatter as their uncertainties say, and no line is fitted."""
+    with open_recording(make(np.linspace(0.3, 1.3, 20), hold=20, rig={"flicker_v": 2e-3}).path) as recording:
+        steps = [step for step in plate_of(recording).steps if step is not None]
+    pulls = [
+        np.abs(s.acceleration.amplitudes / s.acceleration.amplitude_sigma())[len(s.multiples) :] ** 2 for s in steps
+    ]
+    assert {len(pull) for pull in pulls} == {2}
+    assert 0.6 < 0.5 * np.mean(pulls) < 1.3
 
 
 def _with_tones(x: np.ndarray, hz: float) -> ToneFit:
