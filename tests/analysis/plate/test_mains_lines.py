@@ -98,7 +98,7 @@ def test_noise_moves_no_line() -> None:
 
 @pytest.mark.parametrize("line", [0.0, 0.5])
 def test_noise_near_a_line_is_not_that_of_the_whole_band(line: float) -> None:
-    """Noise of 9 units up to 100 Hz and of 1 above: near 50 Hz that is 3.2 times white noise, with a line or without."""
+    """Noise of 9 units up to 100 Hz, of 1 above: near 50 Hz 3.5 times white noise, with a line or without."""
     rng, n = np.random.default_rng(6), 60_000
     spectrum = np.fft.rfft(rng.standard_normal(n))
     spectrum[: n // 10] *= 3.0
@@ -113,7 +113,7 @@ def test_noise_near_a_line_is_not_that_of_the_whole_band(line: float) -> None:
 
 
 def test_noise_that_rises_towards_low_frequencies_shows_no_mains(make) -> None:
-    """1/f noise of 2 mV an octave: at 50 and 60 Hz the steps scatter as their uncertainties say, and no line is fitted."""
+    """1/f noise of 2 mV an octave: at 50 and 60 Hz steps scatter as their uncertainties say, no line is followed."""
     with open_recording(make(np.linspace(0.3, 1.3, 20), hold=20, rig={"flicker_v": 2e-3}).path) as recording:
         steps = [step for step in plate_of(recording).steps if step is not None]
     pulls = [
