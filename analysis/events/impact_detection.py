@@ -247,6 +247,8 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
                 own[k] = x[found[ahead] - LEAD + k]
             _products(columns, own, top)
             far = int(np.argmax(top))
+            if top[far] < middle:  # this one's own ringing, or a weaker impact: it makes no such maximum here
+                continue
             later[:] = 0.0
             _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
             total = 0.0
