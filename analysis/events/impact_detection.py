@@ -27,9 +27,12 @@ SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
 ECHO_END = 0.1  # most of an impact's ringing that is left at the template's end, as a part of its score
-ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong
+ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong, at least
+MISFIT_MARGIN = 3.0  # the same over what the template left of that impact: a sensor at its end shows a part of it
+BEGINNING = 2 * LEAD  # samples of a snippet in which no later impact can be
 ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
 PRECURSOR, PRECURSOR_PART = 20, 0.5  # samples within which no ball gains so much speed: the next impact's own ringing
+STRONG_PART = 0.5  # of the usual strength, from which an impact is no corner of motion that is cut off
 SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
@@ -60,9 +63,17 @@ class Impacts:
         """Those that are not within `SEAM_S` of a loss of samples, where the motion jumps; losses in order, (k,)."""
         if not seams_s.size or not self.time_s.size:
             return self
-        far = np.abs(seams_s[nearest(seams_s, self.time_s)] - self.time_s) > SEAM_S
-        kept = {name: getattr(self, name)[far] for name in ("time_s", "uncertainty_s", "strength")}
-        return replace(self, **kept)
+        return self._among(np.abs(seams_s[nearest(seams_s, self.time_s)] - self.time_s) > SEAM_S)
+
+    def strong_in(self, spans_s: Floats) -> Impacts:
+        """Those outside intervals (k, 2) in which motion is cut off, and the strong ones within: corners are weak."""
+        if not len(spans_s) or not self.time_s.size:
+            return self
+        within = np.any((spans_s[:, :1] <= self.time_s) & (self.time_s < spans_s[:, 1:]), axis=0)
+        return self._among(~within | (self.strength > STRONG_PART * np.median(self.strength)))
+
+    def _among(self, chosen: npt.NDArray[np.bool_]) -> Impacts:
+        return replace(self, **{k: getattr(self, k)[chosen] for k in ("time_s", "uncertainty_s", "strength")})
 
 
 NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -87,8 +98,8 @@ class ImpactScan:
         self._white = np.ascontiguousarray(template.whitener.T)
         slope = np.gradient(bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
-        # columns: place (samples), size (units of fine), score and echo (standard deviations of the noise)
-        self._found = np.zeros((0, 4))
+        # columns: place (samples), size (units of fine), score and echo (standard deviations of the noise), margin
+        self._found = np.zeros((0, 5))
 
     def add(self, volts: Volts, first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``.
@@ -106,7 +117,7 @@ class ImpactScan:
         limit = self.template.threshold
         n = _match(volts, pad, score.size, self.template.taps, np.float32(limit), score, found)
         own = int(np.searchsorted(found[:n], pad + count))
-        out = np.zeros((RECENT + own, 4))
+        out = np.zeros((RECENT + own, 5))
         recent = self._found[-RECENT:]
         out[: len(recent)] = recent
         total = _time(
@@ -139,7 +150,7 @@ class ImpactScan:
 
     def impacts(self) -> Impacts:
         """All impacts so far."""
-        place, _, score, echo = self._found.T
+        place, _, score, echo, _ = self._found.T
         error = np.sqrt(1.0 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
         sample_s = self.template.width / self.rate_hz
         sigma = error / np.maximum(score, 1.0) / self._steep[SHIFTS] * sample_s
@@ -210,17 +221,19 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
 
     Candidates after them belong to the next piece; these may be echoes of them.
     """
-    own, echo, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
+    own, echo, doubt, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
     shifts, longest = columns.shape[1], fine.shape[0] // FINE
     score, top = np.empty(shifts), np.empty(shifts)
     for c in range(count):
         index = found[c]
         echo[:] = 0.0
+        doubt[:] = 0.0
         for back in range(n - 1, -1, -1):
             lag = index + offset - out[back, 0]
             if lag > longest:
                 break
             _echo(lag, out[back, 1], fine, echo)
+            _echo(lag, out[back, 1] * out[back, 4], fine, doubt)
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
         _products(columns, own, score)
@@ -229,14 +242,21 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
         place = index + offset + (best - SHIFTS) / FINE
         if middle < limit or (n > 0 and place - out[n - 1, 0] < 0.5 * LEAD):
             continue
-        loud = 0.0
+        loud = doubtful = 0.0
         if n > 0 and index + offset - out[n - 1, 0] <= longest:
             _products(white, echo, later)
             loud = np.sqrt(np.sum(later**2))
+            _products(white, doubt, later)
+            doubtful = np.sqrt(np.sum(later**2))
         if n > 0 and index + offset - out[n - 1, 0] <= 2 * longest:  # the end of its ringing is not in the template
             loud = max(loud, ECHO_END * out[n - 1, 2])
-        if middle < ECHO_MARGIN * loud:
+        if middle < max(doubtful, ECHO_MARGIN * loud):
             continue
+        doubt[:] = 0.0
+        _echo((SHIFTS - best) / FINE, -middle / norms[best], fine, doubt)
+        doubt += own
+        _products(white, doubt, later)
+        misfit = np.sqrt(max(np.sum(later[:BEGINNING] ** 2) - BEGINNING, 0.0))
         # a louder impact soon after also makes a maximum one period of its ringing earlier
         leak = loudest = 0.0
         for ahead in range(c + 1, found.shape[0]):
@@ -263,6 +283,7 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
         vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
         out[n, 0], out[n, 1] = place + vertex / FINE, middle / norms[best]
         out[n, 2], out[n, 3] = middle, loud
+        out[n, 4] = max(ECHO_MARGIN, MISFIT_MARGIN * misfit / middle)
         n += 1
     return n
 

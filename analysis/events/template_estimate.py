@@ -203,7 +203,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
         if stop - start < MIN_CYCLES * rate_hz / row["frequency_hz"]:
             continue
         own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
-        if share_at_an_end(volts[own]) > STANDS:
+        if share_at_an_end(volts[own], rate_hz) > STANDS:
             continue  # the edges of what is cut off would look like impacts
         first, ratio = float(row["frequency_hz"]), int(row["ratio"])
         tones_hz = first * np.array(multiples_of(ratio))

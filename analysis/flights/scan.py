@@ -207,15 +207,19 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         accumulator.add(trimmed, np.concatenate(landings))
         if progress is not None:
             progress(piece.last / recording.n_samples)
+    plate = with_coloured_noise(accumulator.finish())
+    impacts = NO_IMPACTS if detector is None else detector.impacts().away_from(recording.gaps[:, 0] / rate_hz)
+    # where motion is cut off, its corners look like impacts: from such a step's first sample to the next one's hold
+    cut_off = np.array([s is not None and s.saturated for s in plate])
+    holds = np.append(steps["first_sample"] + steps["settle_samples"], recording.n_samples)
+    spans = np.column_stack([steps["first_sample"], holds[1:]])[cut_off]
     return Scan(
         survey=known,
         steps=steps,
         crossings=contact.crossings(),
         starts_open=contact.started_open,
-        impacts=NO_IMPACTS if detector is None else detector.impacts().away_from(recording.gaps[:, 0] / rate_hz),
-        plate=PlateMotion(
-            with_coloured_noise(accumulator.finish()), _noise_mps2(recording, known), rate_hz, recording.gaps
-        ),
+        impacts=impacts.strong_in(spans / rate_hz),
+        plate=PlateMotion(plate, _noise_mps2(recording, known), rate_hz, recording.gaps),
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
         filled_spans_s=_filled_spans_s(recording),
     )

@@ -107,7 +107,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         gamma_drive=_drive_gamma(drive, multiples, setup, state.ratio),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),
-        cut_off=share_at_an_end(some),
+        cut_off=share_at_an_end(some, recording.rate_hz),
         windows=windows,
         slow=_slow(state, factor),
         intervals=_intervals(state),

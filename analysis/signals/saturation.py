@@ -1,42 +1,69 @@
-"""A reading that stands still at its largest or smallest value: sensor or converter are at their end.
+"""A reading that stands at its largest or smallest value: sensor or converter are at their end.
 
-The tones of what is cut off are too small, and no fit can tell. Impacts that are cut off for some samples do no harm.
+The tones of motion that is cut off are too small, and no fit can tell. Impacts that are cut off do no harm to a tone,
+but they are not the waveform that other impacts have.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from kernels import njit
 
 STANDS = 0.02  # share of the samples at an end from which it saturates: a sine cut off there has lost 0.2 % of its peak
-CROWDED = 4.0  # times as many as at the next value; at the end of a sine there are 2.4 times as many
+STANDS_S = 1e-3  # time at an end from which it is the motion that stands there: a table's ringing turns sooner
+BANDS = (200.0, 100.0, 50.0, 25.0)  # parts of the range that noise may spread an end over, inverse
+CROWDED = 3.0  # times as many in the outermost band as in the next one; where a sine turns there are 2.4 times as many
+CROWDED_SIGMAS = 4.0  # significance of that
+SPREAD_SIGMAS = 4.0  # standard deviations of the noise about an end within which a reading is at the end
+LOOKED_AT = 4096  # samples from which the step of the readings is taken
+
+Ends = tuple[float, float]
 
 
-def share_at_an_end(values: npt.NDArray[Any]) -> float:
-    """Share of ``values`` (n,) at the largest or the smallest one, where a signal that turns there would have fewer."""
-    ends = _counts_at_ends(values)
-    return float(sum(at for at, beside in ends if at > CROWDED * beside)) / len(values)
+def ends_of(values: npt.NDArray[Any]) -> Ends:
+    """Reading at or below which, and the one at or above which, the sensor is at its end; infinite where it is not.
+
+    Noise behind the sensor spreads its end over a band: the outermost part of the readings' (n,) range is compared with
+    the next one, for parts of several sizes.
+    """
+    x = np.asarray(values, dtype=np.float64)
+    steps = np.diff(np.unique(x[:LOOKED_AT]))
+    least = 2.0 * float(steps.min()) if steps.size else 0.0
+    widths = [max(float(np.ptp(x)) / part, least) for part in BANDS]
+    return -_end(-x, widths), _end(x, widths)
+
+
+def _end(x: npt.NDArray[np.float64], widths: list[float]) -> float:
+    """Reading from which on the upper end is reached."""
+    top = float(x.max())
+    near = x[x > top - 2.0 * widths[-1]]
+    for width in widths:
+        at = near[near > top - width]
+        beside = np.count_nonzero(near > top - 2.0 * width) - at.size
+        if at.size - CROWDED * beside > CROWDED_SIGMAS * math.sqrt(at.size + CROWDED**2 * beside):
+            level = float(np.median(at))
+            return level - SPREAD_SIGMAS * 1.4826 * float(np.median(at[at >= level] - level))
+    return math.inf
+
+
+def share_at_an_end(values: npt.NDArray[Any], rate_hz: float) -> float:
+    """Share of ``values`` (n,) in stretches of `STANDS_S` or more at an end: of the motion, not of impacts alone."""
+    return float(_standing(values, *ends_of(values), max(int(STANDS_S * rate_hz), 1))) / len(values)
 
 
 @njit()
-def _counts_at_ends(values):  # type: ignore[no-untyped-def]
-    """Counts of the smallest value and of the next one, and those of the largest; zeros where all are the same."""
-    low = high = values[0]
-    for v in values:
-        low, high = min(low, v), max(high, v)
-    if low == high:
-        return (0, 0), (0, 0)  # a channel that shows nothing is another matter
-    after, before = high, low
-    for v in values:
-        after = min(after, v if v > low else high)
-        before = max(before, v if v < high else low)
-    at_low, at_after, at_before, at_high = 0, 0, 0, 0
-    for v in values:
-        at_low += v == low
-        at_after += v == after
-        at_before += v == before
-        at_high += v == high
-    return (at_low, at_after), (at_high, at_before)
+def _standing(values, low, high, least):  # type: ignore[no-untyped-def]
+    """Values in unbroken stretches of ``least`` or more at or below ``low``, or at or above ``high``."""
+    total = length = side = 0
+    for i in range(values.shape[0] + 1):
+        now = 0 if i == values.shape[0] else int(values[i] >= high) - int(values[i] <= low)
+        if now != side:
+            total += length if side != 0 and length >= least else 0
+            side, length = now, 0
+        length += 1
+    return total
