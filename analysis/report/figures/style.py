@@ -125,6 +125,9 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], N
             if not figure.axes:
                 return
             _add_badge(figure, badge)
+            for ax in figure.axes:  # a spine would ask for all ticks of its axis again, and they point inwards
+                for spine in ax.spines.values():
+                    spine.set_in_layout(False)
             # an engine that the figure owned would place the axes again for each file
             ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - BADGE_INCHES / figure.get_figheight())).execute(figure)
             files = {}
