@@ -35,7 +35,7 @@ def _is_there(name: str) -> bool:
 
 def test_paths_and_modules_in_documents_exist() -> None:
     """Every path and dotted module that a document shows as code is in the repository."""
-    pages = [ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")]
+    pages = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "DECISIONS.md", *(ROOT / "docs").rglob("*.md")]
     words = {(page.relative_to(ROOT).as_posix(), word) for page in pages for word in _named(page)}
     made = {name for page in pages for name in MADE.findall(page.read_text(encoding="utf-8"))}
     named = [(page, w) for page, w in words if w not in OTHERS | made and (PATH.fullmatch(w) or MODULE.fullmatch(w))]
