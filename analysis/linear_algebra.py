@@ -1,6 +1,7 @@
 """NumPy's linear algebra for what may not be finite: such numbers end in one error before LAPACK gets them.
 
 LAPACK prints its own words on the terminal, and some routines return what is not finite where others raise.
+Decision 280.
 """
 
 from __future__ import annotations

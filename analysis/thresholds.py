@@ -1,6 +1,6 @@
 """Thresholds of the verdict, in one place, frozen before any scoring.
 
-A change of a number here is a decision to be recorded, with the whole confusion matrix made anew.
+A change of a number here is a decision to be recorded, with the whole confusion matrix made anew. Decisions 5 and 7.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The check of every output path of a command, before any work.
 
 No command writes over one of its inputs. Nor, without ``--overwrite``, over a file that is there;
-a recording is never written over.
+a recording is never written over. Decision 102.
 """
 
 from __future__ import annotations

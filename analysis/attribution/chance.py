@@ -9,6 +9,7 @@ References
 ----------
 T. Hothorn, F. Bretz and P. Westfall, Biom. J. 50, 346 (2008): the maximum of correlated tests.
 A. C. Cameron, J. B. Gelbach and D. L. Miller, Rev. Econ. Stat. 90, 414 (2008): wild bootstrap by clusters.
+Decision 131.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Choice among candidates by held-out steps: acceptance, refusal with its reason, and ties."""
+"""Choice among candidates by held-out steps: acceptance, refusal with its reason, and ties. Decision 92."""
 
 from __future__ import annotations
 

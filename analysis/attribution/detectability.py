@@ -3,7 +3,7 @@
 A size is named when it gains enough in the fit, and when steps that the fit did not see gain by it. Both expectations
 follow from the change that the whole size makes, not from a derivative at nothing: what begins at a threshold is no
 straight line there. An effect that shows in few steps needs to be larger than the gain of the fit promises, since the
-others do not tell its size when those are left out.
+others do not tell its size when those are left out. Decision 216.
 """
 
 from __future__ import annotations

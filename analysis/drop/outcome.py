@@ -1,5 +1,5 @@
 """Results of a drop test, of impact times and of paths alike: numbers with intervals as JSON, sentences for a person,
-values for a profile.
+values for a profile. Decision 315.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Where the samples show the circuit's RC charging, its time constant is estimated for each polarity and an edge is
 fitted through its samples. Where nothing shows between two samples, the time is the middle of the interval, with a
 uniform distribution over it. The same holds for a comparator that is read once a sample and low-passed afterwards: its
-edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples.
+edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples. Decision 297.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ References
 ----------
 G. E. P. Box, W. J. Hill, Technometrics 9, 57 (1967): discrimination among models.
 K. Chaloner, I. Verdinelli, Stat. Sci. 10, 273 (1995): Bayesian experimental design; D-optimality.
-A. Kolchinsky, B. D. Tracey, Entropy 19, 361 (2017): bounds on the entropy of a mixture, equation 10.
+A. Kolchinsky, B. D. Tracey, Entropy 19, 361 (2017): bounds on the entropy of a mixture, equation 10. Decision 146.
 """
 
 from __future__ import annotations

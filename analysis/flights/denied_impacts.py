@@ -2,7 +2,7 @@
 
 A knock on the bench or a glitch of the converter looks like an impact. The take-off decides: no ball leaves more slowly
 than the plate, and a flight that ended at such an impact would have to. What friction does to a flight stays far below
-what is taken for a contradiction.
+what is taken for a contradiction. Decision 296.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ common to all runs, is fitted beside every candidate: only what such an error ca
 
 What delays both edges alike is a calibration of each run, `contact_latency`. Openings may be off beside closings. And a
 contact from which the ball leaves at once is seen only where noise or sampling has made it longer, so its closing is
-dated too early: by up to half of its length, and by no more than an edge's own uncertainty.
+dated too early: by up to half of its length, and by no more than an edge's own uncertainty. Decision 158.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The closed loop: recordings in; residual, missing effect, errors before and after, and the verdict out.
 
 Steps held out at the start are used once, at the end. "Explained" needs a named cause, a remainder that is noise, and
-errors on the held-out steps that noise alone explains. What is not known is called unexplained.
+errors on the held-out steps that noise alone explains. What is not known is called unexplained. Decision 277.
 """
 
 from __future__ import annotations

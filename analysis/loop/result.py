@@ -1,6 +1,7 @@
 """Result of a closed loop: numbers, arrays and names, with no fit and no model behind them.
 
 The report, its figures, the sentences, the JSON and the improved profile are functions of this value alone.
+Decision 123.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ Bonferroni, which needs no independence between them).
 References
 ----------
 K. K. G. Lan and D. L. DeMets, Biometrika 70, 659 (1983): spending an error rate over looks at growing data.
+Decision 285.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The verdict of a closed loop, and the tests that it rests on.
 
-"Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise alone.
+"Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise alone. Decision 65.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 A line's frequency is refined only where its amplitude is significant in the noise near it, starting from the steps
 before. That noise and the remaining frequency uncertainty are part of the covariance of the tones. Transformers and
 rectifiers add multiples of the mains: where a line has been measured, its multiples are fitted with it.
+Decisions 282 and 309.
 """
 
 from __future__ import annotations

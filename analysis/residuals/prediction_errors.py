@@ -1,7 +1,7 @@
 """Prediction errors in microseconds on steps that no fit and no selection has seen.
 
 Every scored flight counts. Only near-grazing ones are excluded, whose landing could not have been predicted from the
-measured numbers; their fraction is reported.
+measured numbers; their fraction is reported. Decision 3.
 """
 
 from __future__ import annotations

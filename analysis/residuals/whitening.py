@@ -1,7 +1,7 @@
 """Whitening of residuals step by step, and their robust loss.
 
 Errors of the plate's tones are common to all events of a step, and so is a small error of the contact circuit. So the
-residuals of a step are whitened together; weights stay fixed while a fit runs.
+residuals of a step are whitened together; weights stay fixed while a fit runs. Decision 4.
 """
 
 from __future__ import annotations

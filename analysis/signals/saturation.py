@@ -1,7 +1,7 @@
 """A reading that stands at its largest or smallest value: sensor or converter are at their end.
 
 The tones of motion that is cut off are too small, and no fit can tell. Impacts that are cut off do no harm to a tone,
-but they are not the waveform that other impacts have.
+but they are not the waveform that other impacts have. Decision 310.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Calibrations of a rig by its own means: accelerometer, drive and contact circuit, under a profile's keys.
 
 A calibration that moves the plate is a ramp like any other, behind the same interlock, recorded,
-and read by the analysis' own estimators. What could not be measured is refused, never guessed.
+and read by the analysis' own estimators. What could not be measured is refused, never guessed. Decision 55.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The file of a recording's closed loop, `RUN.loop` in its folder, which report and catalogue read."""
+"""The file of a recording's closed loop, `RUN.loop` in its folder, which report and catalogue read. Decision 292."""
 
 from __future__ import annotations
 

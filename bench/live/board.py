@@ -2,6 +2,7 @@
 
 The run puts events on one lane, the page puts commands on the other. A lane keeps the newest messages; a reader that
 was away too long is told how many it missed. If nobody reads, a message costs the microseconds of its writing.
+Decision 142.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Values as JSON holds them: what every command, report and page writes for a machine."""
+"""Values as JSON holds them: what every command, report and page writes for a machine. Decision 318."""
 
 from __future__ import annotations
 

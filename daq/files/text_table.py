@@ -1,4 +1,4 @@
-"""Small tables of text as rows of cells, whatever encoding, separator and decimal mark they came with."""
+"""Small tables of text as rows of cells, whatever encoding, separator and decimal mark they came with. Decision 314."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""WAV files read piece by piece: whole numbers of 8 to 32 bit and floats, also with sizes that were never filled in."""
+"""WAV files read piece by piece: whole numbers of 8 to 32 bit and floats, also with sizes that were never filled in.
+
+Decision 314.
+"""
 
 from __future__ import annotations
 

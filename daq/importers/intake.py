@@ -1,7 +1,7 @@
 """Intake of a foreign file's rows into a recording, each checked once.
 
 A number that no rig can have measured (not finite, far outside its channel's range, a time that falls) ends the import
-with the place where it stands.
+with the place where it stands. Decision 113.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Plausibility of an import: remarks on what is odd, and refusals of sample rates that no recording can have.
 
 A remark states a finding and its meaning; it changes nothing. A file is refused where going on would give wrong numbers
-without a word. What contradicts the profile is a doubt (`daq.instrument`).
+without a word. What contradicts the profile is a doubt (`daq.instrument`). Decision 113.
 """
 
 from __future__ import annotations

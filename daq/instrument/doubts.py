@@ -1,4 +1,7 @@
-"""Contradictions between what was measured of the instruments and what the profile says of them."""
+"""Contradictions between what was measured of the instruments and what the profile says of them.
+
+Decisions 275 and 276.
+"""
 
 from __future__ import annotations
 

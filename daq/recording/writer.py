@@ -1,7 +1,7 @@
 """Write a recording while a run lasts, and turn its frames into columns when it ends.
 
 Acknowledged frames are never lost. They stay until the column file, which grows with them under another name, has been
-written, read back and found right; one rename then puts it in their place.
+written, read back and found right; one rename then puts it in their place. Decision 17.
 """
 
 from __future__ import annotations

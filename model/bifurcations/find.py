@@ -1,4 +1,7 @@
-"""The bifurcations of any ball in order: by the map's own equations where there are some, else by stepping gamma."""
+"""The bifurcations of any ball in order: by the map's own equations where there are some, else by stepping gamma.
+
+Decision 10.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The folders are named by the environment variable ``SHAKERBENCH_EFFECTS`` (several as in ``PATH``; empty: none), else it
 is one folder among the user's own data. They are never looked for beside recordings or in the working directory: such a
-file is a program, and whoever sends a recording must not bring one.
+file is a program, and whoever sends a recording must not bring one. Decision 139.
 """
 
 from __future__ import annotations

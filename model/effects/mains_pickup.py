@@ -1,6 +1,6 @@
 """The accelerometer's cable picks up the mains: its reading shows them, the plate does not move by them.
 
-Transformers and rectifiers add multiples of the mains frequency; all of them are one cause.
+Transformers and rectifiers add multiples of the mains frequency; all of them are one cause. Decision 282.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The library of effects: the files of this folder, of installed packages and of the user, and their parameters' row.
 
 Effects are read once and checked as they are read: a file that would be an effect without effect is refused.
+Decision 2.
 """
 
 from __future__ import annotations

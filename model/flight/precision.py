@@ -3,7 +3,7 @@
 A flight from rest lasts at most ``T = 2 gamma N`` (in 1/w), ``N = sum n_j b_j``, because the plate throws no faster
 than ``gamma N``. Its height is computed with an error of at most `ROUNDING` times the sizes of its terms,
 ``gamma N T + T^2 = 6 (gamma N)^2``. Divided by an impact speed of ``gamma N`` that leaves the landing phase uncertain
-by ``6 ROUNDING gamma N``; `docs/results/kernels.md` has the errors measured against 60 digits.
+by ``6 ROUNDING gamma N``; `docs/results/kernels.md` has the errors measured against 60 digits. Decision 106.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The hooks of all effects, each kind summed into one compiled function: an effect costs a file and no edit here.
 
 The functions are written as one source from the effects found in `model.effects`, and compiled at their first call; an
-effect whose parameters are absent costs next to nothing.
+effect whose parameters are absent costs next to nothing. Decision 2.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 They go along the chain of flights as the predictions do: from the landing before, by way of the impact speed, to
 take-off, flight and landing. Where a prediction passes flights over, it has none; nor where the plate has a mode, whose
-state is carried through fades that nothing tells all of.
+state is carried through fades that nothing tells all of. Decision 162.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Ideal orbits side by side: as `model.orbits.ideal_cycles`, an orbit a lane.
 
 All lanes together find their landings (`model.flight.ideal_lanes`); whether a ball waits for a threshold, and whether
-that closes its orbit, is decided lane by lane.
+that closes its orbit, is decided lane by lane. Decision 154.
 """
 
 from __future__ import annotations

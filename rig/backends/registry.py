@@ -1,4 +1,4 @@
-"""Opening the back end that a profile asks for."""
+"""Opening the back end that a profile asks for. Decision 128."""
 
 from __future__ import annotations
 

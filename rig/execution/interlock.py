@@ -1,7 +1,7 @@
 """Limits, in the sample path: a clamp after everything, and a watch over every frame that comes back.
 
 Nothing on the way to the plate passes the clamp, and every fault that the watch finds stops
-the run. It needs no screen, no thread and no operator.
+the run. It needs no screen, no thread and no operator. Decisions 31 and 117.
 """
 
 from __future__ import annotations

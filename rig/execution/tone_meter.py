@@ -1,4 +1,4 @@
-"""Complex amplitudes of the forcing's tones at the plate, from the accelerometer, window by window."""
+"""Complex amplitudes of the forcing's tones at the plate, from the accelerometer, window by window. Decision 52."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A Runge-Kutta step never straddles a kink. Take-off, apex under friction, landing and the end
 of a hang are located inside the step on its quintic Hermite interpolant (or on the force itself), the state is
-moved there exactly, and the rest of the interval is stepped anew.
+moved there exactly, and the rest of the interval is stepped anew. Decision 33.
 """
 
 from __future__ import annotations

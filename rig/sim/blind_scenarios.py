@@ -1,7 +1,7 @@
 """Sealed scenarios for scoring: effects drawn by chance, at a stated strength, unknown to whoever analyses the run.
 
 All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
-truth can be stored elsewhere and opened after the verdict is written.
+truth can be stored elsewhere and opened after the verdict is written. Decision 272.
 """
 
 from __future__ import annotations

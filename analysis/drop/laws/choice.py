@@ -1,4 +1,7 @@
-"""Choice among nested models by held-out log likelihood: the simplest that is not beaten, and those tied with it."""
+"""Choice among nested models by held-out log likelihood: the simplest that is not beaten, and those tied with it.
+
+Decisions 121 and 313.
+"""
 
 from __future__ import annotations
 

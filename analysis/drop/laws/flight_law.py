@@ -2,7 +2,7 @@
 
 Every relation is exact (no time stepping). Going up the ball is slowed by ``g (1 + f)`` plus
 ``k v^2``; coming down it is driven by ``g (1 - f)`` less ``k v^2`` (Rayleigh drag; Coulomb 1785). All functions are
-vectorised, work in any consistent units, and go over into the parabola as ``f`` and ``k`` go to zero.
+vectorised, work in any consistent units, and go over into the parabola as ``f`` and ``k`` go to zero. Decision 12.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Figures of the closed loop: landing errors step by step, candidates, a discovered term; and the table of all.
 
 Before is the pale colour and after the dark one, in the same units on the same axis; the noise floor is drawn wherever
-an error is.
+an error is. Decision 316.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The table of the figures of a recording, which `bench report` and `bench reprocess --figures` draw."""
+"""The table of the figures of a recording, which `bench report` and `bench reprocess --figures` draw. Decision 316."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Plot style, colours and badge of every picture, the row of a table of figures, and the saving of a picture.
 
 Measured values are dark dots, predicted ones the light line or cloud beneath them. A badge on each saved picture
-separates a simulated rig from a real one.
+separates a simulated rig from a real one. Decision 317.
 """
 
 from __future__ import annotations
