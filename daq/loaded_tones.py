@@ -44,7 +44,7 @@ class Load:
         if self.load_square <= 0.0:
             return 0.0, 0.0
         share = self.cross / self.load_square
-        left = max(self.square - share * self.cross, 0.0)
+        left = max(self.square - share * self.cross, 0.0)  # of the acceleration, once the load's share is taken out
         sigma = math.sqrt(left / (self.n * self.load_square))
         return (share, sigma) if abs(share) > SIGNIFICANT * sigma else (0.0, 0.0)
 
@@ -110,6 +110,7 @@ class LoadedTones:
         if share == 0.0:
             return x.amplitudes, x.amplitude_sigma()
         columns = self._load_columns(x)
+        # tones of the load over all values, less those over the unmasked ones: what the mask took away
         missing = self.whole.inverse() @ self.whole_contact.gram @ columns
         missing = missing - self.unmasked.inverse() @ self.unmasked_contact.gram @ columns
         tones = missing[1::2] + 1j * missing[2::2]

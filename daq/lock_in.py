@@ -191,7 +191,7 @@ class LockIn:
             raise ValueError(f"expected {self._sums.sides.shape[2]} channels, got {values.shape[1]}")
         sort = np.zeros(values.shape[0], dtype=np.int8)
         if mask is not None:
-            given = np.asarray(mask)
+            given = np.asarray(mask)  # a mask is the sorts -1 and 0
             sort = given.astype(np.int8) - 1 if given.dtype == np.bool_ else given.astype(np.int8, copy=False)
         if sort.shape[0] != values.shape[0]:
             raise ValueError(f"mask has {sort.shape[0]} entries for {values.shape[0]} values")

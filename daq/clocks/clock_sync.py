@@ -113,7 +113,7 @@ class ClockTracker:
         centre = first + 0.5 * (len(volts) - 1)
         lag, rate, ss, sr, rr = _ahead(self._state, centre - self._at, self._wander)
         seen = lag_at(self._played, volts, first, round(lag))
-        if seen.sigma > SURE_SAMPLES or seen.gain <= 0.0:
+        if seen.sigma > SURE_SAMPLES or seen.gain <= 0.0:  # the drive stands still, or is not what came back
             return
         self._misfits.append(seen.rms_v)
         if seen.rms_v > BROKEN * max(float(np.median(self._misfits)), SMALLEST_MISFIT * float(np.std(volts))):
@@ -162,6 +162,7 @@ def fit_clock(readings: NDArray[np.void], at: NDArray[np.int64]) -> NDArray[np.v
     lags = readings["played_sample"] - where
     jump = readings["jump"] != 0
     variance = _honest(where, lags, readings["uncertainty"], jump) ** 2
+    # the state of each reading: lag, rate, and their variances and covariance
     states, before = np.empty((len(where), 5)), np.empty((len(where), 5))
     likelihoods = [_filter(where, lags, variance, jump, w, before, states) for w in WANDERS]
     wander = float(WANDERS[int(np.argmax(likelihoods))])
@@ -183,7 +184,7 @@ def _honest(where: Floats, lags: Floats, sigma: Floats, jump: NDArray[np.bool_])
     share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
     bend = b - a - share * (c - a)
     claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)
-    calm = ~(jump[1:-1] | jump[2:])
+    calm = ~(jump[1:-1] | jump[2:])  # a jump is no scatter
     if not calm.any():
         return sigma
     return np.asarray(sigma * max(1.0, float(np.median(np.abs(bend / claimed)[calm])) * 1.4826))

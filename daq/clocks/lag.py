@@ -134,7 +134,7 @@ class LagFit:
         """The lag by all samples added."""
         sums = self._sums
         n = sums[2, 2]
-        means = sums[2] / max(n, 1.0)
+        means = sums[2] / max(n, 1.0)  # rows are drive, its slope, one, loop-back
         moments = sums - n * np.outer(means, means)
         (dd, ds, _, dh), (_, ss, _, sh) = moments[0], moments[1]
         hh = max(float(moments[3, 3]), 0.0)
@@ -189,7 +189,7 @@ def candidates(
     gain
         Known gain of the loop-back; 0 lets it be anything positive.
     """
-    high = min(high, played.stop - first - len(heard))
+    high = min(high, played.stop - first - len(heard))  # later samples were not played yet
     if high < low:
         return []
     window = played.piece(first + low, first + high + len(heard))
@@ -197,6 +197,7 @@ def candidates(
     n = len(heard)
     cross = sliding_products(window, centred)
     sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (window, window**2))
+    # misfit of every whole lag at once: with a known gain, or with the best positive one
     energy = squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n
     if gain:
         misfit = centred @ centred - 2.0 * gain * cross + gain**2 * energy
@@ -209,7 +210,7 @@ def candidates(
     if not fits:
         return []
     tolerance = 1.5 * min(f.rms_v for f in fits)
-    unique: dict[int, Lag] = {}
+    unique: dict[int, Lag] = {}  # several places of little misfit may lead to one lag
     for f in fits:
         if f.rms_v <= tolerance and (not gain or abs(f.gain / gain - 1.0) < 0.1):
             unique.setdefault(round(f.samples), f)

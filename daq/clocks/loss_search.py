@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -44,13 +43,6 @@ class Found:
 
 
 NOTHING = Found(None)
-
-
-class Question(Protocol):
-    """A search for a latency or a loss."""
-
-    def answer(self) -> Found:
-        """Search."""
 
 
 @dataclass(frozen=True)
@@ -167,21 +159,11 @@ class WhichLoss:
         return int(np.argmin(before + after))
 
 
-class Searcher(Protocol):
-    """Runs searches, one at a time."""
-
-    def ask(self, question: Question) -> bool:
-        """Take a question; False while an earlier one is still being worked on."""
-
-    def answer(self, *, wait: bool) -> Found | None:
-        """The answer to the last question; None while there is none."""
-
-    def close(self) -> None:
-        """Take no more questions."""
+Question = WhichLatency | WhichLoss
 
 
 class AtOnce:
-    """Answers in the caller's own time."""
+    """Search in the caller's own time; one question at a time."""
 
     def __init__(self) -> None:
         self._found: Found = NOTHING
@@ -191,16 +173,16 @@ class AtOnce:
         self._found = question.answer()
         return True
 
-    def answer(self, *, wait: bool) -> Found:
-        """The answer to the last question."""
+    def answer(self, *, wait: bool) -> Found | None:
+        """The answer to the last question; None while there is none."""
         return self._found
 
     def close(self) -> None:
         """Do nothing: there is no thread."""
 
 
-class InThread:
-    """Answers in a thread of its own; one question at a time, so that nothing piles up."""
+class InThread(AtOnce):
+    """Search in a thread; one question at a time, so that nothing piles up."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, "loss-search")

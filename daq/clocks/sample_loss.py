@@ -25,7 +25,6 @@ from daq.clocks.loss_search import (
     AtOnce,
     Found,
     Question,
-    Searcher,
     WhichLatency,
     WhichLoss,
 )
@@ -79,7 +78,7 @@ class LossDetector:
     chunk
         Frames looked at together; blocks wait until there are so many.
     searcher
-        Where searches run: at once, or `daq.clocks.loss_search.InThread`, for a device.
+        Runs the searches: at once, or `daq.clocks.loss_search.InThread`, for a device.
 
     Attributes
     ----------
@@ -87,7 +86,7 @@ class LossDetector:
         Frames that are settled, and samples found lost before them or declared by the device.
     """
 
-    def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: Searcher | None = None) -> None:
+    def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: AtOnce | None = None) -> None:
         self._played = PlayedBuffer(LARGEST + 2 * LATENCY + 8 * chunk + round(2.0 * HELD_S * rate_hz))
         self._clock, self._adc = BlockClock(rate_hz), BlockClock(rate_hz)
         self._rate_hz, self._chunk = rate_hz, chunk
@@ -208,6 +207,7 @@ class LossDetector:
         ended_ns, began_ns = self._waiting[-1][0].clock_ns, self._waiting[-1][0].adc_ns
         counted, before_last = self._counted()
         adc_s = self._adc.excess(began_ns, before_last)
+        # the device's own time is the better clock, where it has one
         excess_s = adc_s if adc_s is not None else self._clock.excess(ended_ns, counted)
         self._patient, self._excess_s = patient, (excess_s, adc_s)
         if self._lag is None:
@@ -220,11 +220,11 @@ class LossDetector:
         moves = fit is not None and self._gain * fit.drive_v > MISFIT * usual_v
         if fits and moves and now.gain < SILENT_PART * self._gain:  # silent: a search would find nothing
             return self._settled(flag=int(BlockFlag.FILLED))
-        if now.sigma > SURE_SAMPLES and fits:
+        if now.sigma > SURE_SAMPLES and fits:  # the drive is too quiet to say more
             return self._settled(*self._by_adc())
         if fits and abs(now.samples - self._lag) < 0.5:
             self._rms.append(now.rms_v)
-            self._lag += 0.05 * (now.samples - self._lag)
+            self._lag += 0.05 * (now.samples - self._lag)  # two clocks may drift apart slowly
             return self._settled()
         if self._goes_on(volts, usual_v):
             return self._settled(flag=int(BlockFlag.FILLED))
@@ -253,7 +253,7 @@ class LossDetector:
     def _begin(self) -> list[Block]:
         """The latency, once the drive moves: as expected, or searched for."""
         volts = self._volts()
-        joined = self._declared == 0
+        joined = self._declared == 0  # a piece with a hole in it has no single latency
         heard = np.concatenate([self._opening, volts])[-OPENING * self._chunk :] if joined else volts
         self._opening = heard
         if not self._drives or heard.min() == heard.max():

@@ -148,6 +148,7 @@ class FrameDecoder:
         """``frame`` with its losses, or None where its counters contradict those of the frame before."""
         if self._last is not None:
             last = self._last
+            # frames that are missing held at least a row each, and no more than fits a frame
             missing = (frame.sequence - last.sequence - 1) % 2**32
             dropped = (frame.overruns - last.overruns) % 2**32
             lost = frame.first_sample - last.next_sample

@@ -105,6 +105,7 @@ def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *,
         file.write(",".join(titles) + "\n")
         for a, b in pieces(recording.n_samples, _ROWS):
             columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(name, a, b) for name in names)]
+            # one format for all rows: several times as fast as row by row
             file.write(line * (b - a) % tuple(np.column_stack(columns).ravel().tolist()))
             tell(b)
 

@@ -74,6 +74,7 @@ class Resampled:
         reach = math.ceil(REACH / self._down)  # in whole turns of the ratio, so that the grid stays where it is
         first = max(0, start // self._up - reach)
         last = -(-stop // self._up) + reach
+        # soxr sees samples on both sides, so that pieces join without a seam
         raw = self._recording.read_v(channel, first * self._down, min(last * self._down, self._recording.n_samples))
         out = self._resample(raw, self._recording.rate_hz, self.rate_hz, quality="VHQ")
         return np.asarray(out[start - first * self._up : stop - first * self._up], np.float64)

@@ -1,4 +1,4 @@
-"""What an HDF5 file claims to hold, bounded before any of it is read.
+"""Claims of an HDF5 file on its own size and content, bounded before any of it is read.
 
 Nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
 """

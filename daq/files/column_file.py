@@ -218,6 +218,7 @@ class ColumnWriter:
         self._finish_attributes()
         self._close()
         self._disk.check()
+        # the seal reads every byte that is now in the file: these are compared with what was read back before
         faults = self._faults(write_seal(self.part, tuple(self._sets)))
         if faults:
             raise OSError(f"{self.part}: what was written does not read back: {faults[0]}")

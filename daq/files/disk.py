@@ -7,7 +7,7 @@ take stays in memory, and the writer asks for the refusal.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -37,18 +37,66 @@ def refusal(error: OSError, path: Path) -> OSError:
     return OSError(error.errno, f"the disk refuses to take more ({why}); {hint}", str(path))
 
 
-class DiskFile(io.RawIOBase):
+class PatchedFile(io.RawIOBase):
+    """A file read as if some of its bytes were others.
+
+    Parameters
+    ----------
+    path
+    patches
+        Offset and bytes of what stands in place of the file's own.
+    mode
+        Of ``open``.
+    """
+
+    def __init__(self, path: Path, patches: Iterable[tuple[int, bytes]] = (), mode: str = "rb") -> None:
+        super().__init__()
+        self._file: Any = path.open(mode, buffering=0)
+        self._patches = list(patches)
+        self._at, self._end = 0, int(self._file.seek(0, io.SEEK_END))
+
+    def readable(self) -> bool:
+        """True."""
+        return True
+
+    def seekable(self) -> bool:
+        """True."""
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """As of any file."""
+        self._at = offset + (0, self._at, self._end)[whence]
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """As of any file; zeros beyond its end."""
+        view, start = memoryview(buffer).cast("B"), self._at
+        self._file.seek(start)
+        n = self._file.readinto(view) or 0
+        view[n:] = bytes(len(view) - n)
+        stop = min(start + len(view), max(self._end, start))
+        for offset, data in self._patches:
+            a, b = max(offset, start), min(offset + len(data), stop)
+            if a < b:
+                view[a - start : b - start] = data[a - offset : b - offset]
+        self._at = stop
+        return stop - start
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+class DiskFile(PatchedFile):
     """A new file for `h5py.File(DiskFile(path), "w")`; ``error`` is the disk's first refusal.
 
-    Nothing more reaches the disk afterwards; whoever writes asks with `check`.
+    Nothing more reaches the disk afterwards; the writer asks with `check`.
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__()
+        super().__init__(path, mode="w+b")
         self._path = path
-        self._file = path.open("w+b", buffering=0)
-        self._refused: list[tuple[int, bytes]] = []
-        self._at = self._end = 0
         self.error: OSError | None = None
 
     def check(self) -> None:
@@ -62,26 +110,9 @@ class DiskFile(io.RawIOBase):
         if self.error is not None:
             raise refusal(self.error, self._path) from self.error
 
-    def readable(self) -> bool:
-        """It is."""
-        return True
-
     def writable(self) -> bool:
-        """It is."""
+        """True."""
         return True
-
-    def seekable(self) -> bool:
-        """It is."""
-        return True
-
-    def tell(self) -> int:
-        """As of any file."""
-        return self._at
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """As of any file."""
-        self._at = offset + (0, self._at, self._end)[whence]
-        return self._at
 
     def write(self, data: Any) -> int:
         """Write all of ``data``, to memory once the disk has refused."""
@@ -95,23 +126,9 @@ class DiskFile(io.RawIOBase):
             except OSError as error:
                 self.error = error
         if self.error is not None:
-            self._refused.append((self._at, bytes(view)))
+            self._patches.append((self._at, bytes(view)))
         self._at += len(view)
         self._end = max(self._end, self._at)
-        return len(view)
-
-    def readinto(self, buffer: Any) -> int:
-        """As of any file, with what the disk did not take."""
-        view = memoryview(buffer).cast("B")
-        start = self._at
-        self._file.seek(start)
-        n = self._file.readinto(view) or 0
-        view[n:] = bytes(len(view) - n)
-        for offset, data in self._refused:
-            a, b = max(offset, start), min(offset + len(data), start + len(view))
-            if a < b:
-                view[a - start : b - start] = data[a - offset : b - offset]
-        self._at += len(view)
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.claims import dataset_of, refuse_claims
-from daq.files.seal import Patched, text_crc
+from daq.files.disk import PatchedFile
+from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
 
@@ -62,7 +63,7 @@ def is_cut_short(path: Path) -> bool:
 
 
 def stated_bytes(path: Path) -> int:
-    """Where the file says that HDF5's part of it ends; 0 where it does not say."""
+    """End of HDF5's part of the file, as the file states it; 0 where it does not."""
     head = _superblock(path)
     end = int.from_bytes(head[28:36], "little")
     return end if len(head) == _SUPERBLOCK_BYTES and head[8] >= 2 and end < _UNDEFINED_ADDRESS else 0
@@ -73,7 +74,7 @@ def _superblock(path: Path) -> bytes:
         return raw.read(_SUPERBLOCK_BYTES)
 
 
-def as_if_ended(path: Path) -> Patched:
+def as_if_ended(path: Path) -> PatchedFile:
     """A frames file as if its writer had closed it, so that HDF5 does not wait for tables that are damaged.
 
     A reader of a file in single-writer-multiple-readers mode repeats what does not read, ever more slowly. The
@@ -81,11 +82,11 @@ def as_if_ended(path: Path) -> Patched:
     """
     head = bytearray(_superblock(path))
     if len(head) < _SUPERBLOCK_BYTES:
-        return Patched(path, ())
+        return PatchedFile(path)
     head[11] &= ~5
     head[28:36] = path.stat().st_size.to_bytes(8, "little")
     head[44:] = lookup3(bytes(head[:44])).to_bytes(4, "little")
-    return Patched(path, ((0, bytes(head)),))
+    return PatchedFile(path, [(0, bytes(head))])
 
 
 def lookup3(data: bytes) -> int:

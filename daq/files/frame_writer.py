@@ -86,7 +86,7 @@ class FrameWriter:
         self._file.swmr_mode = True
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         self._hdf5_descriptor = self._file.id.get_vfd_handle()
-        self._identity = os.fstat(self._descriptor).st_ino
+        self._identity = os.fstat(self._descriptor).st_ino  # by which a file that was replaced is noticed
         self.is_broken = False
 
     def _table(self, name: str, dtype: np.dtype[Any], chunk: int) -> Any:
@@ -136,6 +136,7 @@ class FrameWriter:
             ],
             BLOCK_DTYPE,
         )
+        # a kill between the two leaves frames without a row, which are no part of the recording
         _extend(self._frames, self.n_samples, frames, self._frame_type)
         _extend(self._blocks, self._n_blocks, sealed_rows(rows), self._row_type)
         self.n_samples += len(frames)

@@ -207,7 +207,7 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
 
 
 def mended(data: bytes, n_bytes: int, crc: int) -> bytes:
-    """What ``data`` was if one byte of it changed since its CRC-32 was ``crc``; nothing if more did.
+    """The original of ``data`` if one byte of it changed since its CRC-32 was ``crc``; nothing if more did.
 
     The CRC is linear: the difference of the two is that of a message that is zero but for the changed byte. It is run
     backwards, byte by byte, until it is that of a single byte. Other damage passes for this with a chance of
@@ -241,38 +241,3 @@ def text_crc(attributes: Mapping[str, Any]) -> int:
     """CRC-32 of attributes as sorted JSON: HDF5 itself does not checksum variable-length text."""
     plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items() if k != "attributes_crc32"}
     return zlib.crc32(json.dumps(plain, sort_keys=True).encode())
-
-
-class Patched(io.RawIOBase):
-    """A file as it was written: its bytes, with the right ones in place of those that changed. Read only."""
-
-    def __init__(self, path: Path, patches: tuple[tuple[int, bytes], ...]) -> None:
-        super().__init__()
-        self._raw, self._patches = path.open("rb", buffering=0), patches
-
-    def readable(self) -> bool:
-        """It is."""
-        return True
-
-    def seekable(self) -> bool:
-        """It is."""
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """As of any file."""
-        return self._raw.seek(offset, whence)
-
-    def readinto(self, buffer: Any) -> int:
-        """As of any file."""
-        start, view = self._raw.tell(), memoryview(buffer).cast("B")
-        n = self._raw.readinto(view) or 0
-        for offset, right in self._patches:
-            a, b = max(offset, start), min(offset + len(right), start + n)
-            if a < b:
-                view[a - start : b - start] = right[a - offset : b - offset]
-        return n
-
-    def close(self) -> None:
-        """As of any file."""
-        self._raw.close()
-        super().close()

@@ -19,75 +19,39 @@ from numpy.typing import NDArray
 CHANNELS = ("continuity", "accelerometer", "drive")
 """Channel names, in the order of a frame."""
 
-STEP_DTYPE = np.dtype(
-    [
-        ("first_sample", "<i8"),
-        ("n_samples", "<i8"),
-        ("settle_samples", "<i8"),
-        ("gamma", "<f8"),
-        ("achieved_gamma", "<f8"),
-        ("achieved_gamma_uncertainty", "<f8"),
-        ("frequency_hz", "<f8"),
-        ("ratio", "<i8"),
-        ("cycles", "<f8"),
-        ("settle_cycles", "<f8"),
-        ("direction", "i1"),
-        ("fade_samples", "<i8"),
-    ]
-)
+STEP_DTYPE = np.dtype([
+    ("first_sample", "<i8"), ("n_samples", "<i8"), ("settle_samples", "<i8"), ("gamma", "<f8"),
+    ("achieved_gamma", "<f8"), ("achieved_gamma_uncertainty", "<f8"), ("frequency_hz", "<f8"), ("ratio", "<i8"),
+    ("cycles", "<f8"), ("settle_cycles", "<f8"), ("direction", "i1"), ("fade_samples", "<i8"),
+])  # fmt: skip
 """One step of a ramp. ``n_samples`` counts fade, settle and hold; ``settle_samples`` counts fade and settle."""
 
-BLOCK_DTYPE = np.dtype(
-    [
-        ("first_sample", "<i8"),
-        ("n_samples", "<i8"),
-        ("flags", "<u4"),
-        ("clock_ns", "<i8"),
-        ("lost_before", "<i8"),
-        ("lost_uncertainty", "<i8"),
-        ("adc_ns", "<i8"),
-        ("crc32", "<u4"),
-    ]
-)
+BLOCK_DTYPE = np.dtype([
+    ("first_sample", "<i8"), ("n_samples", "<i8"), ("flags", "<u4"), ("clock_ns", "<i8"),
+    ("lost_before", "<i8"), ("lost_uncertainty", "<i8"), ("adc_ns", "<i8"), ("crc32", "<u4"),
+])  # fmt: skip
 """One block. ``lost_before`` counts samples that the device lost between the block before and this one."""
 
-DRIVE_DTYPE = np.dtype(
-    [
-        ("first_sample", "<i8"),
-        ("n_samples", "<i8"),
-        ("multiple", "<i8"),
-        ("start_re_v", "<f8"),
-        ("start_im_v", "<f8"),
-        ("end_re_v", "<f8"),
-        ("end_im_v", "<f8"),
-    ]
-)
+DRIVE_DTYPE = np.dtype([
+    ("first_sample", "<i8"), ("n_samples", "<i8"), ("multiple", "<i8"), ("start_re_v", "<f8"),
+    ("start_im_v", "<f8"), ("end_re_v", "<f8"), ("end_im_v", "<f8"),
+])  # fmt: skip
 """One change of one tone's drive amplitude: complex volts fade from start to end over ``n_samples`` and stay there.
 
 ``multiple`` is the tone's, of the forcing frequency; ``first_sample`` counts lost samples too (the device's own index).
 """
 
-CLOCK_DTYPE = np.dtype(
-    [
-        ("device_sample", "<i8"),
-        ("recorded_sample", "<i8"),
-        ("played_sample", "<f8"),
-        ("uncertainty", "<f8"),
-        ("jump", "i1"),
-    ]
-)
+CLOCK_DTYPE = np.dtype([
+    ("device_sample", "<i8"), ("recorded_sample", "<i8"), ("played_sample", "<f8"), ("uncertainty", "<f8"),
+    ("jump", "i1"),
+])  # fmt: skip
 """One raw reading: the device's own counter, the same frame counted from the recording's first (lost ones too), its
 place among the played samples, and the standard uncertainty. ``jump``: the drive was interrupted before it."""
 
-MAP_DTYPE = np.dtype(
-    [
-        ("recorded_sample", "<i8"),
-        ("played_sample", "<f8"),
-        ("uncertainty", "<f8"),
-        ("rate", "<f8"),
-        ("rate_uncertainty", "<f8"),
-    ]
-)
+MAP_DTYPE = np.dtype([
+    ("recorded_sample", "<i8"), ("played_sample", "<f8"), ("uncertainty", "<f8"), ("rate", "<f8"),
+    ("rate_uncertainty", "<f8"),
+])  # fmt: skip
 """The fitted map at one frame (counted from the recording's first, lost ones too): its place among the played samples,
 played samples a frame less one (``1e-6``: one part in a million), and their standard uncertainties."""
 
@@ -134,7 +98,7 @@ class Block:
     adc_ns
         The device's own time of the first frame, nanoseconds; 0 where it has none.
     place
-        Where the first frame belongs among the played samples, where the device knows (it counts its losses itself, its
+        Place of the first frame among the played samples, where the device knows it (it counts its losses itself, its
         frames come later, or by another clock); None where it goes on from the block before.
     """
 

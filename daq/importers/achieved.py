@@ -85,7 +85,7 @@ def _sums(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, fitted_hz:
 
 def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: Bools) -> Bools:
     """Samples that no impact has touched; all of them where too few would remain."""
-    closings = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
+    closings = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1  # impacts, where the contact sees them
     tones = np.exp(2j * np.pi * np.outer(motion_hz / rate_hz, np.arange(first, first + len(x))))
     for ringing_s in RINGING_S:
         quiet = _clear(len(x), closings, rate_hz, ringing_s)

@@ -43,6 +43,7 @@ def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> NDArray[np.
     if len(borders) < FEWEST_BORDERS:
         return np.zeros((0, 3), np.int64)
     jumps = [_Jump.at(*border, rate_hz) for border in borders]
+    # where the phase jumps at most borders, the forcing starts anew in every step and says nothing
     usual_rad = float(np.median([np.abs(jump.angles(np.zeros(1))).max() for jump in jumps]))
     if usual_rad > RUNS_ON_RAD:
         return np.zeros((0, 3), np.int64)

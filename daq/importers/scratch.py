@@ -57,7 +57,7 @@ class Scratch(Closing):
         file.seek(start * dtype.itemsize)
         while len(left):
             left = left[file.readinto(left) :]
-        file.seek(0, 2)
+        file.seek(0, 2)  # where `append` goes on
         return values
 
     def close(self) -> None:

@@ -7,9 +7,9 @@ without an array for each operation between.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +45,8 @@ class Timebase:
     gaps: NDArray[np.int64]
 
 
-class Times(Protocol):
-    """Seconds of samples ``start .. stop``, read again and again, never all at once."""
-
-    def __call__(self, start: int, stop: int) -> Floats:
-        """Seconds ``(stop - start,)``."""
+Times = Callable[[int, int], Floats]
+"""Gives seconds of samples ``start .. stop``, read again and again, never all at once."""
 
 
 def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) -> Timebase:

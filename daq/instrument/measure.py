@@ -170,6 +170,7 @@ def _hold(
     found = _tones_hz(volts["drive" if driven else "accelerometer"], rate_hz, hz, limits)
     own = [m * hz for m, _ in setup.forcing.displacement_tones()]
     nearest = [own[int(np.argmin(np.abs(np.array(own) - f)))] for f in found]
+    # a tone of the profile is taken where the one found cannot be distinguished from it
     found = [x if abs(x - f) < SAME_TONE * rate_hz / n else f for x, f in zip(nearest, found, strict=True)]
     others = [f for f in found if f not in own]
     plate = fit_tones(volts["accelerometer"], first, rate_hz, own + others)
@@ -187,7 +188,7 @@ def _hold(
 
 def _tones_hz(volts: Floats, rate_hz: float, hz: float, limits: tuple[float, float]) -> list[float]:
     """Frequencies of the lines that reach a part of the strongest one: ``limits`` below it and above it."""
-    width = max(int(rate_hz / (POINTS_A_CYCLE * hz)), 1)
+    width = max(int(rate_hz / (POINTS_A_CYCLE * hz)), 1)  # samples averaged to a point: tones are slow
     x = volts[: len(volts) // width * width].reshape(-1, width).mean(axis=1)
     n = PADDING * len(x)
     size = np.abs(np.fft.rfft((x - x.mean()) * np.blackman(len(x)), n))

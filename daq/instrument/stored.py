@@ -59,6 +59,7 @@ def instrument_of(recording: Recording) -> Instrument | None:
     """The instrument of an open recording by its present setup; None without an accelerometer or samples."""
     if "accelerometer" not in recording.channels or not recording.n_samples:
         return None
+    # what was stored holds for the setup of the time: with another profile it is measured anew
     own = recording.setup.model_dump_json() == recording.stored.get("setup_json")
     if own and STORED in recording.stored:
         return Instrument.from_json(json.loads(recording.stored[STORED]))

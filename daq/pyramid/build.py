@@ -125,7 +125,7 @@ def _piece(
     low, high = empty_extremes(last - first + 1, codes.dtype)
     if channel in carried:
         before, (was_low, was_high) = _bucket_of(layout, start - 1), carried[channel]
-        if before == first:
+        if before == first:  # the piece before ended within this bucket
             low[:1], high[:1] = was_low, was_high
     stretches = layout.starts
     of = range(int(np.searchsorted(stretches, start, "right")) - 1, int(np.searchsorted(stretches, stop, "left")))

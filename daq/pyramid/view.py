@@ -118,7 +118,7 @@ class Pyramid:
                 into = empty_extremes(width, least.dtype)
                 widen(least, most, column, *into)
                 least, most = into
-            ordered = [least, most] if factor >= 0 else [most, least]
+            ordered = [least, most] if factor >= 0 else [most, least]  # a negative scale exchanges them
             empty = least > most
             low[name], high[name] = (np.where(empty, np.nan, factor * x.astype(float) + offset) for x in ordered)
         return View(*ends, place / layout.rate_hz, low, high, 1.0 if each else per_column, lost)

@@ -213,13 +213,13 @@ def _record(
         pipe.send(("input", str(error)))
         return
     ring = Ring(*shape)
-    gc.collect()
+    gc.collect()  # a collection later would pause the recorder
     gc.freeze()
     sys.setswitchinterval(SWITCH_S)
     pipe.send(("ready", ""))
     closing: tuple[Ending, str, int | None] | None = None
     try:
-        while closing is None or ring.backlog:
+        while closing is None or ring.backlog:  # what the ring holds is written before the end
             blocks = ring.take()
             if blocks:
                 writer.append(*renumbered(blocks, writer.n_samples))

@@ -108,7 +108,7 @@ class Ring:
         self._rows[slot] = (block.first_sample, n, block.flags, *clocks, crc32(block.codes))
         self._missing = 0
         self._counters[4] = max(self._counters[4], waiting + 1)
-        self._counters[0] += 1
+        self._counters[0] += 1  # last: the other side sees a whole slot
         return True
 
     def take(self, most: int = 64) -> list[Block]:

@@ -67,7 +67,7 @@ def refuse_repeated(paths: Sequence[Path]) -> None:
             own = recording.n_samples
             alike = [i for i, (_, n, _) in enumerate(seen) if n == own]
             known = content_id(recording) if alike else None
-        for i in alike:
+        for i in alike:  # samples are read only where two recordings have as many
             other, n, content = seen[i]
             if content is None:
                 with open_recording(other) as recording:

@@ -106,7 +106,7 @@ class LiveColumns:
             Root attributes.
         """
         frames = recording.frames
-        came = self._n_samples + self._n_waiting
+        came = self._n_samples + self._n_waiting  # samples that the columns were given
         whole = frames is not None and not frames.faults and not frames.lost and frames.n_samples == came
         if self._columns is None or not whole or not np.array_equal(gaps_of(recording.blocks), self._gap_rows()):
             self.drop()

@@ -216,8 +216,8 @@ def with_tags(remarks: Remarks, tags: tuple[str, ...], *, remove: bool = False) 
         if not tag or len(tag) > LONGEST_TAG or any(c.isspace() or c == "," or not c.isprintable() for c in tag):
             raise InputError(f"tag {tag!r}: wanted one word of at most {LONGEST_TAG} characters, without commas")
     if remove:
-        return Remarks(remarks.identity, tuple(t for t in remarks.tags if t not in checked), remarks.notes)
-    return Remarks(remarks.identity, tuple(dict.fromkeys((*remarks.tags, *checked))), remarks.notes)
+        return replace(remarks, tags=tuple(t for t in remarks.tags if t not in checked))
+    return replace(remarks, tags=tuple(dict.fromkeys((*remarks.tags, *checked))))
 
 
 def with_note(remarks: Remarks, text: str) -> Remarks:
@@ -225,11 +225,11 @@ def with_note(remarks: Remarks, text: str) -> Remarks:
     text = text.strip()
     if not text or len(text) > LONGEST_NOTE:
         raise InputError(f"note: wanted 1 to {LONGEST_NOTE} characters, came {len(text)}")
-    return Remarks(remarks.identity, remarks.tags, (*remarks.notes, Note(now_utc(), text)))
+    return replace(remarks, notes=(*remarks.notes, Note(now_utc(), text)))
 
 
 def without_last_note(remarks: Remarks) -> Remarks:
     """Remarks without the latest note (raises InputError where there is none)."""
     if not remarks.notes:
         raise InputError("there is no note to take back; the note that `bench ramp` was given stays in the recording")
-    return Remarks(remarks.identity, remarks.tags, remarks.notes[:-1])
+    return replace(remarks, notes=remarks.notes[:-1])

@@ -16,8 +16,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from daq.files.column_file import FORMAT, FORMAT_VERSION
+from daq.files.disk import PatchedFile
 from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short, stated_bytes
-from daq.files.seal import Checked, Patched, check, check_tables
+from daq.files.seal import Checked, check, check_tables
 from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording
 from daq.setup.errors import InputError, require_file
@@ -128,7 +129,7 @@ def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
     """The HDF5 file, its damaged bytes put right (raises InputError)."""
     try:
         if found.patches:
-            return h5py.File(Patched(path, found.patches), "r")
+            return h5py.File(PatchedFile(path, found.patches), "r")
         if is_being_written(path):
             return h5py.File(as_if_ended(path), "r") if ended else h5py.File(path, "r", swmr=True)
         if ended and is_cut_short(path) and (frames := _frames_cut_short(path)) is not None:

@@ -138,6 +138,7 @@ class Recording(Closing):
 
     def _leave_out(self) -> None:
         """Make gaps of the samples that are lost; a channel of which none is left is not there."""
+        # even times follow from rate and gaps: that they are damaged costs no sample
         none_left = {ALL, (0, self.n_samples)}
         self.channels = tuple(n for n in self.channels if not none_left & set(self._lost.get(n, ())))
         holding = {*self.channels, FRAMES} | (set() if self._even else {"timestamp"})

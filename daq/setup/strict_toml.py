@@ -114,7 +114,7 @@ def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> list
 
 
 def _wanted(fault: Any, place: list[int | str], data: dict[str, Any], model: type[BaseModel]) -> str:
-    """What the place should have held."""
+    """The expected content of the place."""
     kind, context = fault["type"], fault.get("ctx", {})
     if kind == "extra_forbidden":
         siblings = _allowed(fault["loc"], model)

@@ -80,7 +80,7 @@ def segments(values: Floats, sigma: Floats, same: Floats, penalty: float) -> lis
 
 @njit(error_model="numpy")
 def _partition(w, wy, wyy, penalty, previous):  # type: ignore[no-untyped-def]
-    """Where the last part of the cheapest partition up to each place begins, from cumulative sums (n + 1, d)."""
+    """Begin of the last part of the cheapest partition up to each place, from cumulative sums (n + 1, d)."""
     n, d = w.shape[0] - 1, w.shape[1]
     best = np.zeros(n + 1)
     for stop in range(1, n + 1):

@@ -69,6 +69,7 @@ def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forci
         for part in same_frequency(ahead.read, region, rate_hz, forcing):
             steady = steady_segments(ahead.read, part, rate_hz, forcing)
             found += [_refined(ahead.read, one, rate_hz, forcing) for one in steady]
+    # a disturbance in a hold looks like a border: the pieces on both sides are one motion
     found = _joined(ahead.read, found, rate_hz, forcing)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
     return [s for s in found if np.abs(s.tones.amplitudes).max() > QUIET * loudest]
@@ -164,7 +165,7 @@ def _refined(read: Read, still: SteadySegment, rate_hz: float, forcing: Forcing)
     """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
     frequency, sigma = still.frequency_hz, np.nan
     settled = still.settled(rate_hz)
-    for _ in range(2):
+    for _ in range(2):  # the first time from a rough value
         correction, sigma = frequency_correction(read, settled, still.stop, rate_hz, frequency, forcing)
         frequency += correction
     tones = fit(read, settled, still.stop, rate_hz, frequency, forcing)

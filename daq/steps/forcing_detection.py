@@ -69,7 +69,7 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
     reduce = max(1, int(rate_hz / (_POINTS_A_CYCLE * SPAN * hint_hz * top)))
     if window // reduce < 8:  # far less than a cycle
         return []
-    starts = np.arange(start, stop - window + 1, hop)
+    starts = np.arange(start, stop - window + 1, hop)  # windows overlap by half
     many = max(_TOGETHER_SAMPLES // window, 1)
     found = [_look(_windows(read, starts[i : i + many], window, reduce), rate_hz / reduce, tones, hint_hz)
              for i in range(0, len(starts), many)]  # fmt: skip
@@ -104,7 +104,7 @@ def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_
     n_fft = 1 << int(np.ceil(np.log2(x.shape[1] * _PAD)))
     step = rate_hz / n_fft
     top = max(m for m, _ in tones)
-    low = max(int(hint_hz / SPAN / step), 2 * _PAD)
+    low = max(int(hint_hz / SPAN / step), 2 * _PAD)  # below, the window's own lobe
     high = min(int(hint_hz * SPAN / step), (n_fft // 2 - 1) // top)
     looked_at = top * (high + 1) + 3  # bins: the highest tone's, and those around its peak
     spectrum = np.abs(np.fft.rfft(x * hann, n_fft, axis=1)[:, :looked_at]) * (2.0 / hann.sum())

@@ -63,7 +63,7 @@ class _Track:
     loud: NDArray[np.bool_]
 
     def frequency_change(self, a: int, b: int, multiple: float, rate_hz: float) -> float:
-        """How far windows ``a .. b`` are from the reference frequency (first tone, hertz), by the median advance."""
+        """Distance of windows ``a .. b`` from the reference frequency (first tone, hertz), by the median advance."""
         inner = self.advance[min(a + 1, b - 1) : b]
         window_s = float(self.edges[b] - self.edges[a]) / ((b - a) * rate_hz)
         return float(np.median(inner)) / (2.0 * np.pi * window_s * multiple)
@@ -125,6 +125,7 @@ def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing,
     smooth = _running(track.advance[:, None], 5)[:, 0]
     loud = smooth[track.loud]
     spread = float(np.percentile(loud, 98) - np.percentile(loud, 2))
+    # all of the region at one frequency, unless the advance of the phase says that it changes
     own = track.frequency_change(0, len(track.advance), weights(forcing)[track.main][0], rate_hz)
     settled = replace(region, frequency_hz=region.frequency_hz + own)
     if depth >= _DEEPEST or spread < 5.0 * SAME_ADVANCE:
@@ -164,6 +165,7 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
     if track is None or not track.loud.any():
         return []
     values, sigma, same = _features(track)
+    # what stands still long enough is a step, unless it moves with the path between its neighbours
     parts = segments(values, sigma, same, PENALTY)
     steady = np.array([_steady(track, a, b, sigma) for a, b in parts]) & ~_on_the_way(track.amplitude, parts)
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)

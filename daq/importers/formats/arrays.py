@@ -30,7 +30,7 @@ READ_ERRORS = (
     zipfile.BadZipFile,
 )  # fmt: skip
 LIBRARY_ERRORS = (*READ_ERRORS, struct.error, IndexError, OverflowError, AttributeError, MemoryError)
-"""What a package for one format may raise at a damaged file, besides its own."""
+"""Exceptions that a package for one format may raise at a damaged file, besides its own."""
 
 
 class ArraySource:

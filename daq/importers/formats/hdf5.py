@@ -58,6 +58,7 @@ class Hdf5Source(ArraySource):
                 self._offer(key, item.shape, item.dtype[field])
                 self._fields[key] = (name, field)
             return
+        # a number with the name of a rate is one
         if item.shape in ((), (1,)) and split_name(name)[0] in RATE_NAMES:
             self._offer_rate(name, item[()])
         self._offer(name, item.shape, item.dtype)

@@ -61,7 +61,7 @@ class TextFile(Closing):
         return line
 
     def blocks(self) -> Iterator[memoryview]:
-        """What is left, in blocks of whole lines that end in a newline; each lasts until the next is asked for.
+        """The rest of the file, in blocks of whole lines that end in a newline; each lasts until the next is asked for.
 
         Raises
         ------
