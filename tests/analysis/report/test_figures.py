@@ -8,9 +8,11 @@ from xml.etree import ElementTree
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 from PIL import Image
 
 import model.tones
@@ -104,16 +106,30 @@ def laid_out(loop: ClosedLoop) -> Iterator[tuple[str, Figure]]:
                 yield one.name, figure
 
 
-def test_no_text_is_cut_off(closed_loop: ClosedLoop) -> None:
-    """Titles, ticks and labels of every figure lie within the picture."""
+def test_no_text_is_cut_off_or_covered(closed_loop: ClosedLoop) -> None:
+    """Titles, ticks and labels of every figure lie within the picture, outside the axes, and none on another."""
     names = []
     for name, figure in laid_out(closed_loop):
         names.append(name)
-        for ax in figure.axes:
-            box = ax.get_tightbbox()
-            assert min(box.x0, box.y0) >= -1.0, name
-            assert box.x1 <= figure.bbox.width + 1.0 and box.y1 <= figure.bbox.height + 1.0, name
+        boxes = [box for ax in figure.axes for box in boxes_outside(ax)]
+        assert len(boxes) > 6, name
+        for box in boxes:
+            assert min(box.x0, box.y0) >= 0.0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height, name
+        for one, other in itertools.combinations(boxes, 2):
+            assert not (one.x0 < other.x1 and other.x0 < one.x1 and one.y0 < other.y1 and other.y0 < one.y1), name
     assert len(names) == 5
+
+
+def boxes_outside(ax: Axes) -> list[Bbox]:
+    """Extents of the texts of an axes, its ticks' included, whose middle is outside it."""
+    low, high = zip(ax.get_xlim(), ax.get_ylim(), strict=True)
+    texts = [text for text in ax.get_children() if isinstance(text, Text)]
+    for axis, first, last in zip((ax.xaxis, ax.yaxis), low, high, strict=True):
+        texts.append(axis.label)
+        ticks = [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+        texts += [x.label1 for x in ticks if min(first, last) <= x.get_loc() <= max(first, last)]
+    boxes = [text.get_window_extent() for text in texts if text.get_visible() and text.get_text()]
+    return [box for box in boxes if not ax.bbox.contains(0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1))]
 
 
 def test_the_tables_of_figures_are_complete() -> None:
