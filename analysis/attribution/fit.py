@@ -128,10 +128,9 @@ class Fitter:
         if not math.isfinite(loss):
             raise NotFiniteError("what it predicts is not finite")
         bare = np.zeros((len(raw), len(keys)))
-        known = dict(slopes or {})
         for j, key in enumerate(keys):
-            if key in known:
-                bare[:, j] = known[key]
+            if slopes and key in slopes:
+                bare[:, j] = slopes[key]
             else:
                 state.fill(bare, x, raw, (j,))
         damping = 1e-3

@@ -36,6 +36,10 @@ STRONG_PART = 0.5  # of the usual strength, from which an impact is no corner of
 SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
+PLACE, SIZE, SCORE, ECHO, MARGIN = range(5)
+"""Columns of the table of impacts found: place in samples, size in units of the template, score and earlier impacts'
+ringing in standard deviations of the noise, and the part of this one's ringing that the template may get wrong."""
+
 
 @dataclass(frozen=True)
 class Impacts:
@@ -98,8 +102,7 @@ class ImpactScan:
         self._white = np.ascontiguousarray(template.whitener.T)
         slope = np.gradient(bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
-        # columns: place (samples), size (units of fine), score and echo (standard deviations of the noise), margin
-        self._found = np.zeros((0, 5))
+        self._found = np.zeros((0, MARGIN + 1))
 
     def add(self, volts: Volts, first: int, pad: int, count: int) -> Ints:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``.
@@ -117,7 +120,7 @@ class ImpactScan:
         limit = self.template.threshold
         n = _match(volts, pad, score.size, self.template.taps, np.float32(limit), score, found)
         own = int(np.searchsorted(found[:n], pad + count))
-        out = np.zeros((RECENT + own, 5))
+        out = np.zeros((RECENT + own, MARGIN + 1))
         recent = self._found[-RECENT:]
         out[: len(recent)] = recent
         total = _time(
@@ -150,7 +153,7 @@ class ImpactScan:
 
     def impacts(self) -> Impacts:
         """All impacts so far."""
-        place, _, score, echo, _ = self._found.T
+        place, score, echo = self._found[:, [PLACE, SCORE, ECHO]].T
         error = np.sqrt(1.0 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
         sample_s = self.template.width / self.rate_hz
         sigma = error / np.maximum(score, 1.0) / self._steep[SHIFTS] * sample_s
@@ -216,74 +219,90 @@ def _products(columns, x, out):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
+def _size(white, x, room):  # type: ignore[no-untyped-def]
+    """Norm of ``x`` (`LENGTH`,) in standard deviations of the noise; ``room`` (`LENGTH`,) holds it whitened."""
+    _products(white, x, room)
+    return np.sqrt(np.sum(room**2))
+
+
+@njit(error_model="numpy")
+def _earlier(x, index, found, best, middle, fine, columns, norms, room):  # type: ignore[no-untyped-def]
+    """What later candidates ``found`` may add to the score ``middle`` of one at ``index``, column ``best``.
+
+    A louder impact soon after also makes a maximum one period of its ringing earlier: the score of that, and the
+    loudest of them within `PRECURSOR`. ``room`` (2, `LENGTH`) is overwritten.
+    """
+    own, later = room[0], room[1]
+    top = np.empty(columns.shape[1])
+    leak = loudest = 0.0
+    for ahead in found:
+        lag = ahead - index
+        if lag > LENGTH - LEAD:
+            break
+        for k in range(LENGTH):
+            own[k] = x[ahead - LEAD + k]
+        _products(columns, own, top)
+        far = int(np.argmax(top))
+        if top[far] < middle:  # this one's own ringing, or a weaker impact: it makes no such maximum here
+            continue
+        later[:] = 0.0
+        _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
+        total = 0.0
+        for k in range(LENGTH):
+            total += columns[k, best] * later[k]
+        leak = max(leak, total)
+        if lag <= PRECURSOR:
+            loudest = max(loudest, top[far])
+    return leak, loudest
+
+
+@njit(error_model="numpy")
 def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n):  # type: ignore[no-untyped-def]
     """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
 
     Candidates after them belong to the next piece; these may be echoes of them.
     """
-    own, echo, doubt, later = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH)
+    own, echo, doubt, room = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty((2, LENGTH))
     shifts, longest = columns.shape[1], fine.shape[0] // FINE
-    score, top = np.empty(shifts), np.empty(shifts)
+    score = np.empty(shifts)
     for c in range(count):
         index = found[c]
         echo[:] = 0.0
         doubt[:] = 0.0
         for back in range(n - 1, -1, -1):
-            lag = index + offset - out[back, 0]
+            lag = index + offset - out[back, PLACE]
             if lag > longest:
                 break
-            _echo(lag, out[back, 1], fine, echo)
-            _echo(lag, out[back, 1] * out[back, 4], fine, doubt)
+            _echo(lag, out[back, SIZE], fine, echo)
+            _echo(lag, out[back, SIZE] * out[back, MARGIN], fine, doubt)
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
         _products(columns, own, score)
         best = min(max(int(np.argmax(score)), 1), shifts - 2)
         left, middle, right = score[best - 1], score[best], score[best + 1]
         place = index + offset + (best - SHIFTS) / FINE
-        if middle < limit or (n > 0 and place - out[n - 1, 0] < 0.5 * LEAD):
+        if middle < limit or (n > 0 and place - out[n - 1, PLACE] < 0.5 * LEAD):
             continue
         loud = doubtful = 0.0
-        if n > 0 and index + offset - out[n - 1, 0] <= longest:
-            _products(white, echo, later)
-            loud = np.sqrt(np.sum(later**2))
-            _products(white, doubt, later)
-            doubtful = np.sqrt(np.sum(later**2))
-        if n > 0 and index + offset - out[n - 1, 0] <= 2 * longest:  # the end of its ringing is not in the template
-            loud = max(loud, ECHO_END * out[n - 1, 2])
+        if n > 0 and index + offset - out[n - 1, PLACE] <= longest:
+            loud, doubtful = _size(white, echo, room[0]), _size(white, doubt, room[0])
+        if n > 0 and index + offset - out[n - 1, PLACE] <= 2 * longest:  # the end of its ringing is not in the template
+            loud = max(loud, ECHO_END * out[n - 1, SCORE])
         if middle < max(doubtful, ECHO_MARGIN * loud):
             continue
         doubt[:] = 0.0
         _echo((SHIFTS - best) / FINE, -middle / norms[best], fine, doubt)
         doubt += own
-        _products(white, doubt, later)
-        misfit = np.sqrt(max(np.sum(later[:BEGINNING] ** 2) - BEGINNING, 0.0))
-        # a louder impact soon after also makes a maximum one period of its ringing earlier
-        leak = loudest = 0.0
-        for ahead in range(c + 1, found.shape[0]):
-            lag = found[ahead] - index
-            if lag > LENGTH - LEAD:
-                break
-            for k in range(LENGTH):
-                own[k] = x[found[ahead] - LEAD + k]
-            _products(columns, own, top)
-            far = int(np.argmax(top))
-            if top[far] < middle:  # this one's own ringing, or a weaker impact: it makes no such maximum here
-                continue
-            later[:] = 0.0
-            _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
-            total = 0.0
-            for k in range(LENGTH):
-                total += columns[k, best] * later[k]
-            leak = max(leak, total)
-            if lag <= PRECURSOR:
-                loudest = max(loudest, top[far])
+        _products(white, doubt, room[0])
+        misfit = np.sqrt(max(np.sum(room[0, :BEGINNING] ** 2) - BEGINNING, 0.0))
+        leak, loudest = _earlier(x, index, found[c + 1 :], best, middle, fine, columns, norms, room)
         if middle - leak < max(limit, ECHO_MARGIN * leak, PRECURSOR_PART * loudest):
             continue
         curvature = min(left - 2.0 * middle + right, -1e-300)
         vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
-        out[n, 0], out[n, 1] = place + vertex / FINE, middle / norms[best]
-        out[n, 2], out[n, 3] = middle, loud
-        out[n, 4] = max(ECHO_MARGIN, MISFIT_MARGIN * misfit / middle)
+        out[n, PLACE], out[n, SIZE] = place + vertex / FINE, middle / norms[best]
+        out[n, SCORE], out[n, ECHO] = middle, loud
+        out[n, MARGIN] = max(ECHO_MARGIN, MISFIT_MARGIN * misfit / middle)
         n += 1
     return n
 

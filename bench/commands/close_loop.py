@@ -63,14 +63,13 @@ def command(
     wanted = _Wanted(json, report, improved, next_run, keep_term, overwrite, anyway)
     failure, complete = "", True
     try:
-        again = (scenario, seed) if until_clear else None
         kept_as = _check(
             recordings, profile, summaries, scenario, wanted, until_clear=until_clear, runs_differ=runs_differ
         )
         if runs_differ:
             complete = judge_runs(recordings, profile, summaries, json, report, anyway=anyway)
         else:
-            writers, failure = _closed(recordings, profile, wanted, again)
+            writers, failure = _closed(recordings, profile, wanted, (scenario, seed) if until_clear else None)
     except (InputError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     except OSError as error:

@@ -22,9 +22,7 @@ def command(
     profile: str = typer.Option(
         "simulated", "--profile", help="A profile of a simulated rig: its path, or the name of a shipped one."
     ),
-    scenario: Path | None = typer.Option(
-        None, "--scenario", metavar="FILE", help="What the rig hides; default: sealed."
-    ),
+    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What it hides; default: sealed."),
     seed: int = typer.Option(4, "--seed", help="Of the sealed draw and of the rig's noise."),
 ) -> None:
     """Drive a ramp on a sealed simulated rig, record it, reprocess it, hold it against the model, close the loop.

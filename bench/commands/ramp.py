@@ -62,8 +62,7 @@ def command(
         )  # fmt: skip
         checked, text = load(profile)
         checked, extra = _resumed(checked, resume, step, free_keys([str(readable(one)) for one in set_]))
-        _, _, faults = planned(checked)
-        if faults:
+        if faults := planned(checked)[2]:
             raise InputError(refusal(profile, faults))
         for doubt in calibration_warnings(checked, datetime.date.today()):
             warn(f"{profile}: {doubt}")

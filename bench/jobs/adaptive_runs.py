@@ -37,18 +37,15 @@ def until_clear(
     seed
         Of the new runs' noise.
     say
-        Told what is being done, a line at a time.
+        Called with a line on each run.
     quiet
         Without a progress bar.
-    limits
-        Thresholds of the verdict.
-    anyway
+    limits, anyway
         As in `analysis.loop.close_loop.close_loop`.
 
     Returns
     -------
-    The last loop and its fitted model, all recordings, and why a run that was to follow could not be made (empty where
-    nothing failed).
+    The last loop and its fitted model, all recordings, and why a next run could not be made (empty: none failed).
 
     Raises
     ------
@@ -76,8 +73,7 @@ def until_clear(
             return loop, fitted, made, ""
         say(f"tied: {tied}; next run: {ranked[0].design.description} (worth {ranked[0].nats:.0f} nats)")
         out = made[0].with_name(f"{made[0].stem}-next{len(made) - len(recordings) + 1}.h5")
-        why = _made_run(profile_of(text, ranked[0].design), out, scenario, seed + len(made), quiet)
-        if why:
+        if why := _made_run(profile_of(text, ranked[0].design), out, scenario, seed + len(made), quiet):
             return loop, fitted, made, why
         made.append(out)
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from daq.files.whole_file import Journal
 from daq.recording import open_recording
+
+if TYPE_CHECKING:
+    from analysis.joint.result import JointVerdict
 
 BEGINS = b'{"key"'  # of a file of summaries
 
@@ -24,12 +28,10 @@ def judge_runs(
 
     Parameters
     ----------
-    recordings
-        Of one rig.
-    profile
-        Replaces the recordings' own.
+    recordings, profile
+        Of one rig; a profile replaces the recordings' own.
     summaries
-        Keeps the summary of each run, to go on after an interruption.
+        File of the runs' summaries, to go on after an interruption.
     json, report
         Where the verdict and its pictures go.
     anyway
@@ -49,9 +51,8 @@ def judge_runs(
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.verdict_json import joint_json
-    from analysis.report.figures.several import write_pictures
     from bench.profiles.find import load_measuring
-    from bench.terminal.console import print_lines, write_json
+    from bench.terminal.console import write_json
     from bench.terminal.joint_display import show
     from bench.terminal.loop_display import write_outputs
     from bench.terminal.progress import progress_bar
@@ -66,20 +67,24 @@ def judge_runs(
         found = join_runs(recordings, setup=setup, journal=journal, progress=bar)
     if not quiet:
         show(found)
-
-    def pictures(folder: Path) -> None:
-        simulated = False
-        for path in recordings:
-            with open_recording(path) as opened:
-                simulated |= bool(opened.attrs.get("simulated"))
-        path = write_pictures(found, folder, simulated=simulated)
-        if not quiet and path.exists():
-            print_lines(f"picture: {path}")
-
     outputs = [("verdict as JSON", lambda: write_json(joint_json(found), json))]
     if report is not None:
-        outputs.append(("pictures", lambda: pictures(report)))
+        outputs.append(("pictures", lambda: _draw(found, recordings, report, quiet=quiet)))
     return write_outputs(outputs)
+
+
+def _draw(found: JointVerdict, recordings: Sequence[Path], folder: Path, *, quiet: bool) -> None:
+    """Write the pictures of a joint verdict, marked where any recording was simulated."""
+    from analysis.report.figures.several import write_pictures
+    from bench.terminal.console import print_lines
+
+    simulated = False
+    for path in recordings:
+        with open_recording(path) as opened:
+            simulated |= bool(opened.attrs.get("simulated"))
+    picture = write_pictures(found, folder, simulated=simulated)
+    if not quiet and picture.exists():
+        print_lines(f"picture: {picture}")
 
 
 def holds_summaries(path: Path) -> bool:

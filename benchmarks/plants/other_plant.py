@@ -2,8 +2,7 @@
 
 It shares nothing with `rig.sim`: a fixed 5 microsecond velocity-Verlet march in absolute coordinates along an analytic
 plate, edges jittered rather than filtered, an accelerometer that reads gravity and shows no impacts unless there is an
-`Instrument`. It writes what a foreign rig would hand over: a CSV of volts without a step table, a profile, and, apart
-from both, the sealed truth.
+`Instrument`. It writes a CSV of volts without a step table, a profile, and, in a file of its own, the sealed truth.
 
     python -m benchmarks.plants.other_plant OUT_FOLDER --c 2 --effect coulomb_friction --strength strong --seed 7
 """

@@ -108,10 +108,8 @@ def import_recording(
 
     Parameters
     ----------
-    source
-        The open foreign file.
-    out
-        Recording to create.
+    source, out
+        The open foreign file, and the recording to create.
     setup, profile_text
         Setup of the measurement, and the profile's text.
     options
@@ -141,10 +139,7 @@ def import_recording(
                 volts = {role: partial(_volts, scratch, role, scales[role]) for role in channels}
                 base = _timebase(intake, scratch, rate_hz)
                 _write_times(writer, scratch, base)
-                found, channel = _find(volts, base, intake, progress)
-                if "time" not in columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
-                    base = replace(base, gaps=lost)
-                    found, channel = _find(volts, base, intake, progress)
+                base, found, channel = _find_with_losses(volts, base, intake, progress)
                 steps = _table(found, volts, channel, setup, base.rate_hz)
                 warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
                 sampling = setup.sampling.model_copy(update={"rate_hz": base.rate_hz})
@@ -157,10 +152,9 @@ def import_recording(
         writer.abandon()
         raise
     writer.rename()
-    named = {role: column.name for role, column in columns.items()}
     findings = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
     lines = [*left_out_remarks(source), *findings, *warnings]
-    return ImportSummary(out, writer.n_samples, base, steps, named, lines, instrument)
+    return ImportSummary(out, writer.n_samples, base, steps, {r: c.name for r, c in columns.items()}, lines, instrument)
 
 
 def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column], float | None]:
@@ -244,6 +238,17 @@ def _write_times(writer: ColumnWriter, scratch: Scratch, base: Timebase) -> None
         return scratch.read("timestamp", start, stop)
 
     writer.write_timestamps(stamps)
+
+
+def _find_with_losses(
+    volts: Mapping[str, Read], base: Timebase, intake: Intake, progress: Progress | None
+) -> tuple[Timebase, list[FoundStep], str]:
+    """Timebase, steps, and the channel that shows them; without a time column rows that are missing become gaps."""
+    found, channel = _find(volts, base, intake, progress)
+    if "time" not in intake.columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
+        base = replace(base, gaps=lost)
+        found, channel = _find(volts, base, intake, progress)
+    return base, found, channel
 
 
 def _find(

@@ -12,12 +12,13 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
+from daq.files.disk import Closing
 from daq.files.frame_file import FrameFile
 from daq.files.frame_writer import FrameWriter
 from daq.files.seal import Checked
@@ -65,7 +66,7 @@ def root_attributes(
     }
 
 
-class ClosedRun:
+class ClosedRun(Closing):
     """A context manager that closes a run which its owner did not close: an exception says why."""
 
     @property
@@ -76,9 +77,6 @@ class ClosedRun:
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording."""
         raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
