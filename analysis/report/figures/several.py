@@ -74,7 +74,7 @@ def draw_choices(blocks: Sequence[ChosenSteps], standard_s: float, figure: Figur
 
     ``standard_s`` is the rig time of the profile's own ramp.
     """
-    lines = [f"{i}. {line}" for i, b in enumerate(blocks, start=1) for line in [b.reason]]
+    lines = [f"{i}. {block.reason}" for i, block in enumerate(blocks, start=1)]
     wrapped = [part for line in lines for part in textwrap.wrap(line, 104, subsequent_indent="    ")]
     figure.set_size_inches(7.2, 3.4 + 0.17 * len(wrapped))
     ax, words = figure.subplots(2, 1, height_ratios=[3.4, max(0.17 * len(wrapped), 0.2)])
