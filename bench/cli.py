@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "predict": ("bench.commands.predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
     "batch": ("bench.commands.batch", "Folders of recordings, one row each; resumable, on many cores."),
-    "report": ("bench.commands.report", "One page of recordings: verdict, figures, steps, pedigree; also PDF."),
+    "report": ("bench.commands.report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
     "info": ("bench.commands.info", "Contents of a recording: note, keys, profile, steps, state."),
     "runs": ("bench.commands.runs", "Table of the recordings in a folder, filtered and sorted."),

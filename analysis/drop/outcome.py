@@ -23,7 +23,7 @@ MOST_SAID = 12  # heights or bounces in a sentence
 
 @dataclass(frozen=True)
 class Measured:
-    """A parameter with its pedigree: effect and parameter by their shared names, one standard deviation, source."""
+    """A parameter with its provenance: effect and parameter by their shared names, one standard deviation, source."""
 
     effect: str
     parameter: str

@@ -6,7 +6,7 @@ Limits of single detectors (an onset, a spot in a picture) stand with them.
 LEVEL_SIGMAS = 1.96  # half a 95 % interval of a normal distribution
 CONTRADICTION_SIGMAS = 3.0  # of a height or a gravity that is known from elsewhere
 
-# The choice, in nats of held-out log likelihood (see DECISIONS.md, 15, 57 and 121).
+# The choice, in nats of held-out log likelihood (decision 121).
 LEAST_GAIN_NATS = 3.0  # by which a model beats another
 CHANCE_LOSS_NATS = 0.5  # that a unit may lose where all units are said to agree on a gain
 HINT_NATS = 1.0  # by which an effect seems to help without being beyond doubt

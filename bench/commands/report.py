@@ -21,7 +21,7 @@ def command(
     json: str | None = typer.Option(None, "--json", metavar="FILE", help="The summary for a machine; - prints it."),
     overwrite: Overwrite = False,
 ) -> None:
-    """Report of recordings as one HTML page: verdict, figures, steps, residuals, rig, calibrations, pedigree.
+    """Report of recordings as one HTML page: verdict, figures, steps, residuals, rig, calibrations, provenance.
 
     A closed loop saved next to a recording (REC.loop) is used where it belongs to it; else the loop is closed, which
     takes a while, and saved there. Point at a dot to see its flight. --pdf needs Chromium, Chrome, Edge or WeasyPrint.

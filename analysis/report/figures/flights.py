@@ -256,7 +256,7 @@ def draw_history(measured: Measured, figure: Figure) -> None:
     ax.set(xlabel="time in the run (s)", ylabel="flight time (ms)")
     ax.set_ylim(0.0, 1.08 * float(1e3 * flights.duration_s[shown].max()))
     _name_steps(ax, recording, flights, scale.factor, scale.symbol)
-    ax.legend(loc="lower right", fontsize=8, framealpha=0.9, ncols=2)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=8, frameon=False, ncols=4)  # over no flight
 
 
 def _draw_levels(ax: Any, recording: Recording, compared: Comparison) -> None:
