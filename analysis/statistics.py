@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-Floats = npt.NDArray[np.float64]
+from kernels.arrays import Floats, Integers
 
 MAD_TO_SIGMA = 1.4826  # standard deviation of normal deviations over their median absolute value
 
@@ -27,7 +27,7 @@ def median(values: Floats) -> float:
     return float(in_order[middle]) if in_order.size % 2 else float((in_order[middle - 1] + in_order[middle]) / 2.0)
 
 
-def nearest(sorted_values: Floats, wanted: Floats) -> npt.NDArray[np.int64]:
+def nearest(sorted_values: Floats, wanted: Floats) -> Integers:
     """Index of the entry of ``sorted_values`` (n >= 1,) nearest to each of ``wanted`` (m,); the later one of a tie."""
     after = np.minimum(np.searchsorted(sorted_values, wanted), sorted_values.size - 1)
     before = np.maximum(after - 1, 0)

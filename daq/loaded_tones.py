@@ -15,12 +15,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.lock_in import LockIn, ToneFit
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+from kernels.arrays import Complexes, Floats
 
 SIGNIFICANT = 5.0  # ratio of the load's share to its uncertainty from which it is corrected for
 

@@ -15,10 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.lock_in_kernel import accumulate, add_sorts, add_stretches, invert
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Mask = npt.NDArray[np.bool_]
+from kernels.arrays import Bools, Complexes, Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,7 @@ class ToneFits:
     amplitudes: Complexes
     offsets: Floats
     rms: Floats
-    n: npt.NDArray[np.int64]
+    n: Integers
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
@@ -96,7 +93,7 @@ class _Sums(NamedTuple):
     grams: Floats
     sides: Floats
     squares: Floats
-    counts: npt.NDArray[np.int64]
+    counts: Integers
 
 
 class LockIn:
@@ -166,7 +163,7 @@ class LockIn:
         return int(self._sums.counts.sum())
 
     @property
-    def counts(self) -> npt.NDArray[np.int64]:
+    def counts(self) -> Integers:
         """Values used, of each sort."""
         return self._sums.counts
 
@@ -199,7 +196,7 @@ class LockIn:
         self.forget()
         accumulate(np.ascontiguousarray(values), sort, int(first), cycles, self._response, self._sums)
 
-    def add_stretches(self, x: npt.ArrayLike, edges: npt.NDArray[np.int64]) -> None:
+    def add_stretches(self, x: npt.ArrayLike, edges: Integers) -> None:
         """Accumulate values ``edges[0] .. edges[-1] - 1`` of the only channel, those between two edges as a sort."""
         values = np.ascontiguousarray(x, dtype=np.float64)
         if values.shape != (int(edges[-1] - edges[0]),):
@@ -218,7 +215,7 @@ class LockIn:
             self._parts[key] = self._of_sums(total)
         return self._parts[key]
 
-    def only(self, tones: Mask) -> LockIn:
+    def only(self, tones: Bools) -> LockIn:
         """The fit of only the chosen ``tones`` (k,), of all sorts, from the sums there are; not to be added to."""
         rows = np.append(0, (2 * np.flatnonzero(tones)[:, None] + [1, 2]).ravel())
         gram, side = self.gram[None, rows[:, None], rows], self.rhs[None, rows]
@@ -297,7 +294,7 @@ def solved(frequencies_hz: Floats, inverse: Floats, side: Floats, square: float,
     )
 
 
-def _inverses(grams: Floats, counts: npt.NDArray[np.int64], frequencies_hz: Floats) -> Floats:
+def _inverses(grams: Floats, counts: Integers, frequencies_hz: Floats) -> Floats:
     """Inverses of normal matrices (m, p, p) of ``counts`` (m,) values; raises ``ValueError`` where one has none."""
     p = grams.shape[1]
     if counts.min(initial=p + 1) <= p:
@@ -314,7 +311,7 @@ def fit_tones(
     first_sample: int,
     rate_hz: float,
     frequencies_hz: npt.ArrayLike,
-    mask: Mask | None = None,
+    mask: Bools | None = None,
 ) -> ToneFit:
     """Joint least squares for the complex amplitudes of known tones and a constant.
 
@@ -347,9 +344,7 @@ def fit_tones(
     return lock_in.solve()
 
 
-def fit_tones_each(
-    x: npt.ArrayLike, edges: npt.NDArray[np.int64], rate_hz: float, frequencies_hz: npt.ArrayLike
-) -> ToneFits:
+def fit_tones_each(x: npt.ArrayLike, edges: Integers, rate_hz: float, frequencies_hz: npt.ArrayLike) -> ToneFits:
     """`fit_tones` of each of successive stretches of the recording.
 
     Parameters

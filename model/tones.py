@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from kernels.arrays import Complexes, Floats
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 TONES_AT_REST = 1e-14  # tones that cancel to less than this part of their sum are no motion
@@ -86,7 +88,7 @@ class Forcing:
         return bool(self.harmonic)
 
     @cached_property
-    def tones(self) -> NDArray[np.float64]:
+    def tones(self) -> Floats:
         """``(k, 3)`` array of ``n_j, b_j, p_j``: what the compiled kernels take."""
         return np.array([self.harmonic, self.amplitude, self.phase_rad], dtype=np.float64).T.reshape(-1, 3).copy()
 
@@ -108,8 +110,8 @@ class Plate:
         If the shapes differ, a value is not finite or a frequency is not positive.
     """
 
-    omega_radps: NDArray[np.float64]
-    acceleration: NDArray[np.complex128]
+    omega_radps: Floats
+    acceleration: Complexes
 
     def __post_init__(self) -> None:
         """Take arrays of any number type, check them, and make them read-only."""
@@ -123,19 +125,19 @@ class Plate:
         object.__setattr__(self, "omega_radps", omega)
         object.__setattr__(self, "acceleration", acceleration)
 
-    def acceleration_at(self, t_s: ArrayLike) -> NDArray[np.float64]:
+    def acceleration_at(self, t_s: ArrayLike) -> Floats:
         """Plate acceleration at the times ``t_s`` (any shape), m/s^2."""
         return self._sum(t_s, 0)
 
-    def velocity_at(self, t_s: ArrayLike) -> NDArray[np.float64]:
+    def velocity_at(self, t_s: ArrayLike) -> Floats:
         """Plate velocity at the times ``t_s`` (any shape), m/s, mean-free."""
         return self._sum(t_s, 1)
 
-    def position_at(self, t_s: ArrayLike) -> NDArray[np.float64]:
+    def position_at(self, t_s: ArrayLike) -> Floats:
         """Plate position at the times ``t_s`` (any shape), m, mean-free."""
         return self._sum(t_s, 2)
 
-    def _sum(self, t_s: ArrayLike, integrals: int) -> NDArray[np.float64]:
+    def _sum(self, t_s: ArrayLike, integrals: int) -> Floats:
         """The tones, integrated ``integrals`` times, summed at ``t_s``."""
         t = np.asarray(t_s, dtype=np.float64)[..., None]
         z = self.acceleration / (1j * self.omega_radps) ** integrals

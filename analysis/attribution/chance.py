@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis
@@ -29,8 +28,8 @@ from analysis.linear_algebra import eigh, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
+from kernels.arrays import Floats, Integers
 
-Array = NDArray[np.float64]
 Columns = tuple[int, ...]
 Place = tuple[ParameterId, tuple[tuple[ParameterId, float], ...]]  # a size, with the shapes it is tried at
 
@@ -54,20 +53,20 @@ class ScoreSpace:
         Of each column: 1 or -1 where its parameter can move one way only, 0 where it can move both ways.
     """
 
-    columns: Array
-    information: Array
+    columns: Floats
+    information: Floats
     groups: tuple[Columns, ...]
-    signs: NDArray[np.int64]
+    signs: Integers
 
     @classmethod
     def of(
         cls,
-        nuisances: Array,
-        stiffness: Array,
-        candidates: Array,
+        nuisances: Floats,
+        stiffness: Floats,
+        candidates: Floats,
         groups: Sequence[Columns],
         signs: Sequence[int],
-        weight: Array | None = None,
+        weight: Floats | None = None,
     ) -> ScoreSpace:
         """Score space of candidates beside nuisances.
 
@@ -98,7 +97,7 @@ class ScoreSpace:
             np.asarray(signs, dtype=np.int64),
         )
 
-    def best_gains(self, scores: Array) -> Array:
+    def best_gains(self, scores: Floats) -> Floats:
         """Gain of the best candidate for each row of scores, (draws, k), nats."""
         best = np.zeros(len(scores))
         for group in self.groups:
@@ -113,13 +112,13 @@ class ScoreSpace:
             best = np.maximum(best, gain)
         return best
 
-    def by_noise(self, rng: np.random.Generator, draws: int = DRAWS) -> Array:
+    def by_noise(self, rng: np.random.Generator, draws: int = DRAWS) -> Floats:
         """Best gains of normal noise of the stated covariance, (draws,)."""
         values, vectors = eigh(self.information)
         root = vectors * np.sqrt(np.clip(values, 0.0, None))
         return self.best_gains(rng.standard_normal((draws, len(values))) @ root.T)
 
-    def by_steps(self, scored: Array, step: NDArray[np.int64], rng: np.random.Generator, draws: int = DRAWS) -> Array:
+    def by_steps(self, scored: Floats, step: Integers, rng: np.random.Generator, draws: int = DRAWS) -> Floats:
         """Best gains of residuals whose steps get random signs, (draws,).
 
         Parameters
@@ -162,7 +161,7 @@ class ChanceGains:
         self, best: Hypothesis, options: Sequence[Candidate], rng: np.random.Generator, draws: int = DRAWS
     ) -> None:
         self.best, self.options, self.rng, self.draws = best, options, rng, draws
-        self._drawn: dict[int, tuple[Hypothesis, Array, Array]] = {}
+        self._drawn: dict[int, tuple[Hypothesis, Floats, Floats]] = {}
 
     def p(self, x: Hypothesis) -> float:
         """Probability of the gain of ``x``, at least ``1 / (draws + 1)``.
@@ -185,7 +184,7 @@ class ChanceGains:
         critical = max(float(np.quantile(gains, 1.0 - p)) for gains in self._gains(x))
         return ChanceTest(x.candidates[-1].names, fitted_gain(self.best, x), self.p(x), critical, accepted is not None)
 
-    def _gains(self, x: Hypothesis) -> tuple[Array, Array]:
+    def _gains(self, x: Hypothesis) -> tuple[Floats, Floats]:
         """Best gains of normal noise, and of the steps' residuals under ``x`` with random signs."""
         if id(x) not in self._drawn:
             fitted, state, whitener = self.best.fitted, self.best.fitted.state, x.whitener
@@ -199,7 +198,7 @@ class ChanceGains:
         return self._drawn[id(x)][1:]
 
     @functools.cached_property
-    def _slopes(self) -> tuple[list[Columns], list[int], Array]:
+    def _slopes(self) -> tuple[list[Columns], list[int], Floats]:
         """Columns of each candidate, their signs, and derivatives of the bare residuals."""
         at: dict[Place, int] = {}
         groups = [tuple(at.setdefault(place, len(at)) for place in group) for group in places(self.options, self.best)]

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.attribution.chance import ChanceGains
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.hypothesis import Hypothesis, Rejected
 from analysis.residuals.lack_of_fit import plate_rms_standardised
 from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS, Thresholds
+from kernels.arrays import Bools
 
 
 class Judge:
@@ -25,7 +23,7 @@ class Judge:
         Thresholds of the verdict.
     """
 
-    def __init__(self, train: NDArray[np.bool_], limits: Thresholds = FROZEN) -> None:
+    def __init__(self, train: Bools, limits: Thresholds = FROZEN) -> None:
         self.train, self.limits = train, limits
 
     def gain(self, worse: Hypothesis, better: Hypothesis) -> LogScoreDifference:

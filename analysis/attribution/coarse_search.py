@@ -17,7 +17,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from analysis.attribution.candidates import Point
@@ -25,6 +24,7 @@ from analysis.attribution.priors import parameter_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
+from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import effect, registry
 
 MOST_EVENTS = 120  # of a subsample
@@ -51,13 +51,13 @@ def _tied_with(key: ParameterId) -> tuple[ParameterId, ...]:
     return next((tuple((name, x) for x in group) for group in groups if q in group), (key,))
 
 
-def subsample(world: ForwardModel, train: NDArray[np.bool_], most: int = MOST_EVENTS) -> ForwardModel:
+def subsample(world: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> ForwardModel:
     """The same world with at most about ``most`` scored events, spread over the steps in ``train``."""
     ev = world.evidence
     scored = ev.scored & train[ev.measured.step]
     counts = np.bincount(ev.measured.step[scored], minlength=len(ev.steps))
     share = max(most // max(int(np.sum(counts > 0)), 1), LEAST_A_STEP)
-    before: NDArray[np.int64] = np.cumsum(scored) - scored
+    before: Integers = np.cumsum(scored) - scored
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
     scored &= before - first[ev.measured.step] < share
     few = replace(ev, scored=scored, measured=replace(ev.measured, wanted=scored))
@@ -77,7 +77,7 @@ class CoarseSearch:
         Steps that may be used, shape (m,).
     """
 
-    def __init__(self, world: ForwardModel, values: Mapping[ParameterId, float], train: NDArray[np.bool_]) -> None:
+    def __init__(self, world: ForwardModel, values: Mapping[ParameterId, float], train: Bools) -> None:
         self.world, self.values, self.train = world, dict(values), train
         self.whitener = Whitener.of(world, values)
         self.plate_noise = world.evidence.plate.noise(train)
@@ -105,7 +105,7 @@ class CoarseSearch:
         low, high = np.array(bounds).T
         simplex = np.vstack([start, np.clip(start + np.diag(np.where(start + step > high, -step, step)), low, high)])
 
-        def at(x: NDArray[np.float64]) -> Point:
+        def at(x: Floats) -> Point:
             return {**point, **{k: float(v) for g, v in zip(groups, x, strict=True) for k in g}}
 
         options: Any = {"initial_simplex": simplex, "maxfev": MOST_EVALUATIONS, "xatol": 1e-5, "fatol": 0.5}

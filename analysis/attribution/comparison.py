@@ -9,11 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.thresholds import MOST_OF_A_STEP_NATS
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class LogScoreDifference:
     clipped_error: float
 
     @classmethod
-    def of(cls, worse: Array, better: Array, train: NDArray[np.bool_]) -> LogScoreDifference:
+    def of(cls, worse: Floats, better: Floats, train: Bools) -> LogScoreDifference:
         """Gain of ``better`` over ``worse``, both losses by step."""
         d = (worse - better)[train]
         return cls(*_sum(d), *_sum(np.clip(d, -MOST_OF_A_STEP_NATS, MOST_OF_A_STEP_NATS)))
@@ -50,7 +48,7 @@ class LogScoreDifference:
         )
 
 
-def penalised_best(top: Array, losses: Sequence[Array], costs: Sequence[float], train: NDArray[np.bool_]) -> int:
+def penalised_best(top: Floats, losses: Sequence[Floats], costs: Sequence[float], train: Bools) -> int:
     """Index of the hypothesis of lowest penalised loss, among several that tie.
 
     Parameters
@@ -67,5 +65,5 @@ def penalised_best(top: Array, losses: Sequence[Array], costs: Sequence[float], 
     )
 
 
-def _sum(d: Array) -> tuple[float, float]:
+def _sum(d: Floats) -> tuple[float, float]:
     return float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf

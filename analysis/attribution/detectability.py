@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import LEAP_S, Fitted
@@ -20,9 +19,7 @@ from analysis.linear_algebra import pinv
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from kernels.arrays import Bools, Floats, Integers
 
 MOST_ROUNDS = 8  # of sizes that are tried
 SETTLED = 0.1  # relative change of a size at which it has been found
@@ -51,7 +48,7 @@ class Detectability:
         self._beside = self._whitener.white_slopes(best.bare, best.raw)
         folds = np.array([fold[self._state.step] for fold in best.fitter.folds])
         self._weights = np.array([self._weight, *np.where(folds, 0.0, self._weight)])  # of all, and without a fold each
-        self._covariances: dict[bytes, list[Array]] = {}
+        self._covariances: dict[bytes, list[Floats]] = {}
 
     def limit(self, key: ParameterId) -> float:
         """Smallest detectable size of a parameter, in its own unit; infinite where it changes nothing.
@@ -74,7 +71,7 @@ class Detectability:
             size = min(size * min(multiple, FARTHEST), most)
         return float((found * fitter.scale(key)) ** q.power) if found <= most else math.inf
 
-    def _change(self, key: ParameterId, x: float, others: Mask) -> Array:
+    def _change(self, key: ParameterId, x: float, others: Bools) -> Floats:
         """Change of the whitened residuals when a parameter goes to the coordinate ``x``, (r,).
 
         It is taken where calibrations have followed, less what they have done by their derivatives: what they hide to
@@ -85,7 +82,7 @@ class Detectability:
         after = np.clip(wanted, state.low, state.high)
         return np.asarray(self._moved(key, x, after) - self._beside @ (after - now))
 
-    def _moved(self, key: ParameterId, x: float, beside: Array) -> Array:
+    def _moved(self, key: ParameterId, x: float, beside: Floats) -> Floats:
         """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted, (q,)."""
         fitter, raw = self.best.fitter, self.best.raw
         values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), np.array([x]))}
@@ -94,7 +91,7 @@ class Detectability:
         change[(events & (np.abs(change) > LEAP_S)) | ~np.isfinite(change)] = 0.0
         return np.asarray(self._whitener.white_slopes(change[:, None], raw)[:, 0])
 
-    def _multiple(self, key: ParameterId, others: Mask, slope: Array, tried: float, reach: float) -> float:
+    def _multiple(self, key: ParameterId, others: Bools, slope: Floats, tried: float, reach: float) -> float:
         """By what the size tried has to be multiplied to be named; ``slope`` is the change per unit of it."""
         follow = self._followed(others, slope, 0)
         left, pulled = (
@@ -122,13 +119,13 @@ class Detectability:
             low, high = (low, middle) if named(middle) else (middle, high)
         return high
 
-    def _confirmed(self, signal: Array, lost: Array) -> bool:
+    def _confirmed(self, signal: Floats, lost: Floats) -> bool:
         """Whether steps left out gain enough by a size; what each residual gains and loses: see `_left_out`."""
         m = len(self.best.fitter.train)
         won, lose = (_sums(self._state.step, x, m) for x in (signal, lost))
         return LogScoreDifference.of(won, lose, self.best.fitter.train).exceeds(*self._wanted)
 
-    def _gain(self, change: Array) -> tuple[float, Array]:
+    def _gain(self, change: Floats) -> tuple[float, Floats]:
         """Expected gain of a change of whitened residuals, nats, and by what it is below a square law, (r,).
 
         Large residuals weigh less, and where a channel's own scatter is estimated, what is not named is taken for
@@ -150,7 +147,7 @@ class Detectability:
             return self.limits.next_effect_nats, self.limits.next_effect_sigmas
         return self.limits.first_effect_nats, self.limits.first_effect_sigmas
 
-    def _left_out(self, others: Mask, slope: Array, reach: float) -> tuple[Array, Array]:
+    def _left_out(self, others: Bools, slope: Floats, reach: float) -> tuple[Floats, Floats]:
         """What each residual gains by a unit of the size where it is left out, and loses by its uncertainty, (r,) nats.
 
         Without the size, a fit to the other steps is off by what calibrations cannot follow; with it, by the error of
@@ -165,7 +162,7 @@ class Detectability:
             lost[held] = signal[held] / known
         return signal, lost
 
-    def _followed(self, others: Mask, values: Array, part: int) -> Array:
+    def _followed(self, others: Bools, values: Floats, part: int) -> Floats:
         """Coefficients of ``others`` in a fit to ``values``, (q,), with priors about zero.
 
         ``part`` is 0 for all steps, else the number of the fold left out.
@@ -178,5 +175,5 @@ class Detectability:
         return np.asarray(self._covariances[key][part] @ (self._beside.T @ (self._weights[part] * values)))
 
 
-def _sums(place: NDArray[np.int64], values: Array, count: int) -> Array:
+def _sums(place: Integers, values: Floats, count: int) -> Floats:
     return np.asarray(np.bincount(place, values, minlength=count), dtype=np.float64)

@@ -17,7 +17,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
@@ -27,9 +26,8 @@ from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener, step_losses
 from analysis.thresholds import CALIBRATION_SIGMAS, NULL_P
+from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
-
-Array = NDArray[np.float64]
 
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
 MOST_ITERATIONS = 12
@@ -50,7 +48,7 @@ class Fitter:
         True for the steps that fits and selection may see, shape (m,).
     """
 
-    def __init__(self, world: ForwardModel, priors: Mapping[ParameterId, Prior], train: NDArray[np.bool_]) -> None:
+    def __init__(self, world: ForwardModel, priors: Mapping[ParameterId, Prior], train: Bools) -> None:
         self.world, self.priors, self.train = world, dict(priors), train
         spread = np.flatnonzero(train)
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
@@ -76,11 +74,11 @@ class Fitter:
         """Coordinate of a value."""
         return coordinate_of(key, value)
 
-    def values(self, keys: Sequence[ParameterId], x: Array) -> dict[ParameterId, float]:
+    def values(self, keys: Sequence[ParameterId], x: Floats) -> dict[ParameterId, float]:
         """Parameter values at the coordinates ``x``."""
         return {k: value_at(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
 
-    def _prior_rows(self, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> tuple[Array, Array]:
+    def _prior_rows(self, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> tuple[Floats, Floats]:
         """Means and inverse widths of the priors in coordinates; width 0 where nothing is known."""
         mean, inverse = np.zeros(len(keys)), np.zeros(len(keys))
         for i, key in enumerate(keys):
@@ -96,7 +94,7 @@ class Fitter:
         whitener: Whitener,
         free: Sequence[ParameterId],
         start: Mapping[ParameterId, float],
-        slopes: Mapping[ParameterId, Array] | None = None,
+        slopes: Mapping[ParameterId, Floats] | None = None,
     ) -> Fitted:
         """Levenberg-Marquardt on the robust loss from ``start``.
 
@@ -174,7 +172,7 @@ class Fitter:
         gain = _linear_gain(normal, gradient, step) - _linear_gain(normal[rest, rest], gradient[rest], without)
         return gain, self.values(keys, x + step)
 
-    def slope(self, best: Fitted, key: ParameterId, shapes: Mapping[ParameterId, float] | None = None) -> Array:
+    def slope(self, best: Fitted, key: ParameterId, shapes: Mapping[ParameterId, float] | None = None) -> Floats:
         """Derivative of the bare residuals to one parameter beyond ``best``, its shapes where ``shapes`` puts them."""
         at = {key: null_value_of(key), **best.values, **(shapes or {})}
         keys = [key, *(k for k in at if k != key)]
@@ -189,7 +187,7 @@ class _State:
     """One fit's bookkeeping: stacked residuals of events and plate, their steps, and the priors."""
 
     def __init__(
-        self, fitter: Fitter, whitener: Whitener, keys: Sequence[ParameterId], mean: Array, inverse: Array
+        self, fitter: Fitter, whitener: Whitener, keys: Sequence[ParameterId], mean: Floats, inverse: Floats
     ) -> None:
         self.fitter, self.whitener, self.keys = fitter, whitener, list(keys)
         self.mean, self.inverse = mean, inverse
@@ -198,25 +196,25 @@ class _State:
         bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
         self.low, self.high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
 
-    def point(self, x: Array) -> dict[ParameterId, float]:
+    def point(self, x: Floats) -> dict[ParameterId, float]:
         return self.fitter.values(self.keys, x)
 
-    def raw(self, x: Array) -> Array:
+    def raw(self, x: Floats) -> Floats:
         """Bare residuals at ``x``, stacked."""
         return self.whitener.stacked(self.fitter.world.residuals(self.point(x)))
 
-    def loss(self, raw: Array, x: Array) -> float:
+    def loss(self, raw: Floats, x: Floats) -> float:
         """Robust loss of the training steps, priors included; infinite where a prediction is."""
         if not np.isfinite(raw).all():
             return math.inf
         z = self.whitener.white_all(raw)
         return float(np.sum(robust_loss(z, self.whitener.odds)[self.mask])) + self.prior_penalty(x)
 
-    def prior_penalty(self, x: Array) -> float:
+    def prior_penalty(self, x: Floats) -> float:
         """Negative log prior at ``x``, nats."""
         return 0.5 * float(np.sum(((x - self.mean) * self.inverse) ** 2))
 
-    def fill(self, bare: Array, x: Array, raw: Array, columns: Iterable[int], *, kept: bool = False) -> None:
+    def fill(self, bare: Floats, x: Floats, raw: Floats, columns: Iterable[int], *, kept: bool = False) -> None:
         """Derivatives of the bare residuals, one column a parameter; ``kept`` where they will be asked for again."""
         world = self.fitter.world
         point = self.point(x) if kept else {}
@@ -229,7 +227,7 @@ class _State:
             else:
                 bare[:, j] = self._difference(x, raw, j, h)
 
-    def _difference(self, x: Array, raw: Array, j: int, h: float) -> Array:
+    def _difference(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
         """Finite difference of the bare residuals by one coordinate."""
         moved = x.copy()
         moved[j] += h
@@ -239,7 +237,7 @@ class _State:
         change[~np.isfinite(change)] = 0.0
         return np.asarray(change / h)
 
-    def normal(self, slopes: Array, raw: Array, x: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
         z, jacobian = self.whitener.white_all(raw), self.whitener.white_slopes(slopes, raw)
         weight = np.where(mask, robust_weight(z, self.whitener.odds), 0.0)
@@ -248,7 +246,7 @@ class _State:
         return weighted.T @ jacobian + np.diag(pull), -(weighted.T @ z) - pull * (x - self.mean)
 
 
-def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: Array) -> Array:
+def _solve(normal: Floats, gradient: Floats, damping: float, below: Floats, above: Floats) -> Floats:
     """Step that lowers the quadratic model within ``below <= step <= above``: what hits a bound stays on it."""
     diagonal = np.diag(normal).copy()
     diagonal[diagonal <= 0] = 1e-12
@@ -265,7 +263,7 @@ def _solve(normal: Array, gradient: Array, damping: float, below: Array, above: 
     return step
 
 
-def _linear_gain(normal: Array, gradient: Array, step: Array) -> float:
+def _linear_gain(normal: Floats, gradient: Floats, step: Floats) -> float:
     """Gain of a step in the quadratic model, nats."""
     return float(step @ gradient - 0.5 * step @ normal @ step)
 
@@ -278,17 +276,17 @@ class Fitted:
     state: _State
     free: tuple[ParameterId, ...]
     keys: list[ParameterId]
-    x: Array
-    raw: Array
+    x: Floats
+    raw: Floats
     loss: float
-    bare: Array
+    bare: Floats
 
     @property
-    def slopes(self) -> dict[ParameterId, Array]:
+    def slopes(self) -> dict[ParameterId, Floats]:
         """Derivatives of the bare residuals, by parameter."""
         return {k: self.bare[:, j] for j, k in enumerate(self.keys)}
 
-    def _normal(self, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _normal(self, mask: Bools) -> tuple[Floats, Floats]:
         return self.state.normal(self.bare, self.raw, self.x, mask)
 
     @property
@@ -301,7 +299,7 @@ class Fitted:
         """Negative log prior of calibrations and nuisances, nats."""
         return self.state.prior_penalty(self.x)
 
-    def covariance(self) -> Array:
+    def covariance(self) -> Floats:
         """Of all coordinates."""
         normal, _ = self._normal(self.state.mask)
         return np.asarray(pinv(normal, rcond=1e-14))
@@ -325,13 +323,13 @@ class Fitted:
         distance = float(away @ pinv(covariance, rcond=1e-14, hermitian=True) @ away)
         return distance > float(chdtri(len(sizes), NULL_P))
 
-    def held_out(self, whitener: Whitener) -> dict[str, Array]:
+    def held_out(self, whitener: Whitener) -> dict[str, Floats]:
         """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.
 
         Each fold's fit is one step from the common one, on the other folds' steps; its residuals are then exact.
         """
         world = self.fitter.world
-        out: dict[str, Array] = {}
+        out: dict[str, Floats] = {}
         for fold in self.fitter.folds:
             mask = self.state.mask & ~fold[self.state.step]
             normal, gradient = self._normal(mask)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
@@ -18,8 +17,8 @@ from analysis.residuals.prediction_errors import held_out_errors, noise_floors_u
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
+from kernels.arrays import Floats
 
-Array = NDArray[np.float64]
 P = ParamSpec("P")
 
 MOST_REWEIGHTINGS = 4  # fits with new weights
@@ -49,7 +48,7 @@ class Hypothesis:
     candidates: tuple[Candidate, ...]
     fitted: Fitted
     whitener: Whitener
-    losses: Mapping[str, Array]
+    losses: Mapping[str, Floats]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -62,7 +61,7 @@ class Hypothesis:
         return tuple(k for c in self.candidates for k in c.free)
 
     @property
-    def per_step(self) -> Array:
+    def per_step(self) -> Floats:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))
 

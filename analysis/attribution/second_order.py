@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.chance import Place
 from analysis.attribution.fit import Fitter
@@ -22,8 +21,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_curvature, robust_weight
 from analysis.residuals.values import ParameterId, Values
 from analysis.residuals.whitening import Whitener
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 STEP = 0.01  # finite difference of a coordinate
 LARGEST_STEP = 1.0  # secant of a coordinate
@@ -39,7 +37,7 @@ def slopes_of(
     at: Values,
     keys: Sequence[ParameterId],
     step: float = STEP,
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K).
 
     ``step`` is that of the finite differences.
@@ -58,7 +56,7 @@ def slopes_of(
 
 def slopes_at(
     world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place]
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """As `slopes_of`, each derivative at ``at`` with the shapes of its own place."""
     raw = whitener.stacked(world.residuals(dict(at)))
     out = np.zeros((len(raw), len(places)))
@@ -74,9 +72,9 @@ def secants_at(
     whitener: Whitener,
     at: Values,
     places: Sequence[Place],
-    raw: Array,
-    slopes: Array,
-) -> Array:
+    raw: Floats,
+    slopes: Floats,
+) -> Floats:
     """Derivatives, (r, K), with secants for what can only grow from where it is.
 
     A size that begins at nothing is told by what it does at a size that the run resolves: one standard deviation by
@@ -94,13 +92,13 @@ def secants_at(
     return out
 
 
-def of_same_events(change: Array, whitener: Whitener) -> Array:
+def of_same_events(change: Floats, whitener: Whitener) -> Floats:
     """Changes of bare residuals, those without which a flight became another one, (r,)."""
     events = np.arange(len(change)) < len(whitener.step)
     return np.where(events & (np.abs(change) > ANOTHER_EVENT_S), 0.0, change)
 
 
-def gradient_and_information(whitener: Whitener, raw: Array, slopes: Array) -> tuple[Array, Array]:
+def gradient_and_information(whitener: Whitener, raw: Floats, slopes: Floats) -> tuple[Floats, Floats]:
     """Slope and negative curvature of the log likelihood, (K,) and (K, K), from bare residuals and derivatives."""
     z, jacobian = whitener.white_all(raw), whitener.white_slopes(slopes, raw)
     weighted = jacobian * robust_weight(z, whitener.odds)[:, None]
@@ -108,7 +106,7 @@ def gradient_and_information(whitener: Whitener, raw: Array, slopes: Array) -> t
     return -(weighted.T @ z), 0.5 * (information + information.T)
 
 
-def adjusted_gradient_and_information(whitener: Whitener, raw: Array, slopes: Array) -> tuple[Array, Array]:
+def adjusted_gradient_and_information(whitener: Whitener, raw: Floats, slopes: Floats) -> tuple[Floats, Floats]:
     """As `gradient_and_information`, of a log likelihood that is as sharp as the residuals scatter.
 
     The weights of a least-squares step are no curvature: for normal residuals they are 1.04 in the mean, the curvature

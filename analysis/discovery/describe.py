@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.discovery.terms import Curve, label
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 POINTS = 61  # at which the curve is evaluated
 MOSTLY = 0.8  # share of the range that the ends of a rise or fall must span; share that happens in a narrow part
@@ -46,7 +44,7 @@ def describe(curve: Curve) -> str:
     return f"{name} is least, {level(bottom)}, where {words} is about {place(bottom)}, and {level(top)} at {place(top)}"
 
 
-def _middle(y: Array) -> tuple[int, int]:
+def _middle(y: Floats) -> tuple[int, int]:
     """First and last point of the middle `MOSTLY` of a rise or fall."""
     part = (y - y[0]) / (y[-1] - y[0])
     rest = 0.5 * (1.0 - MOSTLY)

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
@@ -27,11 +26,9 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import plate_effects
 from analysis.thresholds import FROZEN, Thresholds
+from kernels.arrays import Bools, Floats
 from model.effects.registry import registry
 from model.integrator.one_step import Predicted
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 REACHES = {  # covariate of a whole flight that gives the range of a quantity within it
     "speed_mps": "impact_mps",
@@ -82,12 +79,12 @@ class Discovery:
     unit: str
     scale: float
     description: str
-    knots: Array
-    values: Array
-    low: Array
-    high: Array
+    knots: Floats
+    values: Floats
+    low: Floats
+    high: Floats
     term_unit: str
-    seen: Array
+    seen: Floats
     gain: LogScoreDifference
     over_constant: LogScoreDifference
     similar_effects: tuple[tuple[str, float], ...]
@@ -172,7 +169,7 @@ def _bases(explanation: Hypothesis) -> list[tuple[Candidate, ...]]:
     return [still] if len(still) == len(explanation.candidates) else [still, explanation.candidates]
 
 
-def _tied(p: RefinedTerm, best: RefinedTerm, train: Mask, limits: Thresholds) -> bool:
+def _tied(p: RefinedTerm, best: RefinedTerm, train: Bools, limits: Thresholds) -> bool:
     lead = LogScoreDifference.of(p.per_step, best.per_step, train)
     return not lead.exceeds(limits.tie_nats, limits.tie_sigmas)
 
@@ -182,7 +179,7 @@ def _discovery(
     gain: LogScoreDifference,
     constant: LogScoreDifference,
     tied: Sequence[RefinedTerm],
-    tables: Mapping[str, Array],
+    tables: Mapping[str, Floats],
     limits: Thresholds,
 ) -> Discovery:
     """The chosen term as numbers and names."""
@@ -226,7 +223,7 @@ def _similar_effects(best: RefinedTerm, least: float) -> tuple[tuple[str, float]
     values, plain = best.explanation.fitted.values, best.world.without
     base = plain.predict(values)
 
-    def shift(p: Predicted) -> Array:
+    def shift(p: Predicted) -> Floats:
         both = np.concatenate(
             [(p.landing_s - base.landing_s)[plain.evidence.scored], (p.opening_s - base.opening_s)[plain.from_rest]]
         )

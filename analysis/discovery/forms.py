@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.discovery.terms import Term
+from kernels.arrays import Floats
 
-Array = NDArray[np.float64]
 Kind = Literal["value", "slope", "curvature", "width", "place", "power"]
 
 SIZES = frozenset({"value", "slope", "curvature"})  # kinds in which an expression is linear
@@ -53,7 +52,7 @@ class Form:
         """Number of parameters in which the expression is linear."""
         return sum(kind in SIZES for _, kind in self.parameters)
 
-    def at(self, x: Array, values: Sequence[float] | Array) -> Array:
+    def at(self, x: Floats, values: Sequence[float] | Floats) -> Floats:
         """Value at ``x``; 0 where it is not known."""
         known = np.isfinite(x)
         y = _compiled(self.expression, self.names)(np.where(known, x, 1.0), *values)
@@ -75,8 +74,8 @@ def quantity_unit(name: str) -> str:
 
 
 @functools.cache
-def _compiled(expression: str, names: tuple[str, ...]) -> Callable[..., Array]:
-    made: Callable[..., Array] = eval(f"lambda x, {', '.join(names)}: {expression}", {"np": np})
+def _compiled(expression: str, names: tuple[str, ...]) -> Callable[..., Floats]:
+    made: Callable[..., Floats] = eval(f"lambda x, {', '.join(names)}: {expression}", {"np": np})
     return made
 
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.discovery.spline_basis import basis_of, hat_functions
 from analysis.discovery.stack import StackedResiduals
@@ -19,14 +18,13 @@ from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
 from analysis.residuals.values import Values
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 TAILS = (0.9, 0.8, 0.65)  # quantiles of the residuals that set the robust width in the first passes
 SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # the same in the last passes: the median
 HALVINGS = 4  # of a step that does not lower the loss
 FAR_NATS, ENOUGH_NATS = 5.0, 0.2  # gain of a step after which slopes are taken anew, and below which the fit ends
-START_SIZES: dict[str, Array] = {
+START_SIZES: dict[str, Floats] = {
     "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
     "friction": np.geomspace(0.005, 2.0, 6),
     "restitution": np.geomspace(0.03, 0.9, 6),
@@ -41,7 +39,7 @@ class ScreenedTerm:
     loss: float
 
 
-def residual_table(world: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Array:
+def residual_table(world: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Floats:
     """Residuals (g, k) at each constant value of ``EVENT_GRIDS[name]``."""
     n = len(world.evidence)
     one, term = np.ones((n, 1)), event_term(name, "")
@@ -53,14 +51,14 @@ def residual_table(world: ForwardModel, values: Values, stack: StackedResiduals,
     return np.array(rows)
 
 
-def best_constant(table: Array, stack: StackedResiduals, name: str) -> tuple[float, float]:
+def best_constant(table: Floats, stack: StackedResiduals, name: str) -> tuple[float, float]:
     """Best constant value and its loss."""
     losses = [stack.loss(r) for r in table]
     best = int(np.argmin(losses))
     return float(EVENT_GRIDS[name][best]), losses[best]
 
 
-def screen_covariate(table: Array, stack: StackedResiduals, term: Term, x: Array, knots: Array) -> ScreenedTerm:
+def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floats, knots: Floats) -> ScreenedTerm:
     """Spline of one covariate on the table: the best value near each knot, then Gauss-Newton.
 
     Parameters
@@ -84,7 +82,7 @@ def screen_covariate(table: Array, stack: StackedResiduals, term: Term, x: Array
     return _descend(curve, stack, lambda c: _interpolated(table, grid, c.table[stack.event]), basis[stack.event])
 
 
-def _interpolated(table: Array, grid: Array, value: Array) -> tuple[Array, Array]:
+def _interpolated(table: Floats, grid: Floats, value: Floats) -> tuple[Floats, Floats]:
     """Residuals at each event's own value, linearly interpolated, and their slope."""
     i = np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2)
     k = np.arange(table.shape[1])
@@ -93,7 +91,7 @@ def _interpolated(table: Array, grid: Array, value: Array) -> tuple[Array, Array
 
 
 def _descend(
-    curve: Curve, stack: StackedResiduals, look: Callable[[Curve], tuple[Array, Array]], near: Array
+    curve: Curve, stack: StackedResiduals, look: Callable[[Curve], tuple[Floats, Floats]], near: Floats
 ) -> ScreenedTerm:
     """Gauss-Newton on the penalised robust loss; ``look`` gives residuals and their slope along each event's value."""
     r, slope = look(curve)
@@ -120,7 +118,7 @@ def penalty_weight(curve: Curve) -> float:
     return 1.0 / (rough * max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)) ** 2
 
 
-def newton_step(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Array, tail: float = 0.5) -> Array:
+def newton_step(curve: Curve, stack: StackedResiduals, r: Floats, jacobian: Floats, tail: float = 0.5) -> Floats:
     """Step of the curve's values that lowers the penalised robust loss, to second order."""
     width = stack.widths(r, tail)
     z, j = r / width, jacobian / width[:, None]
@@ -131,14 +129,14 @@ def newton_step(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Array
     return np.asarray(lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
 
 
-def _penalised(curve: Curve, stack: StackedResiduals, r: Array, width: Array) -> float:
+def _penalised(curve: Curve, stack: StackedResiduals, r: Floats, width: Floats) -> float:
     z, odds = r / width, log_odds(width, stack.period_s)
     roughness = curve.values @ curve.penalty @ curve.values
     data = float(np.sum(robust_loss(z, odds)[stack.train]))
     return data + 0.5 * penalty_weight(curve) * float(roughness)
 
 
-def best_start(world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Array) -> Curve:
+def best_start(world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
     """``curve`` or a plain shape of some size in its place, whichever predicts best.
 
     A strong term sends flights to other landings than a weak one, so that a descent from zero ends in a local minimum.
@@ -155,7 +153,7 @@ def best_start(world: ForwardModel, values: Values, stack: StackedResiduals, cur
 
 
 def fit_in_flight(
-    world: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Array, tails: Sequence[float]
+    world: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Floats, tails: Sequence[float]
 ) -> ScreenedTerm:
     """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew after a step of large gain.
 
@@ -184,8 +182,8 @@ def fit_in_flight(
 
 
 def jacobian_of(
-    world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Array, r: Array
-) -> Array:
+    world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats, r: Floats
+) -> Floats:
     """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction if each flight has one."""
     nudge = curve.term.nudge
     if curve.term.columns:
@@ -201,7 +199,7 @@ def jacobian_of(
     return out
 
 
-def covariance_of(curve: Curve, stack: StackedResiduals, r: Array, jacobian: Array) -> Array:
+def covariance_of(curve: Curve, stack: StackedResiduals, r: Floats, jacobian: Floats) -> Floats:
     """Covariance of the curve's values at its knots, (k, k)."""
     width = stack.widths(r)
     weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2

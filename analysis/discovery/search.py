@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.coarse_search import subsample
@@ -37,9 +36,8 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss
 from analysis.residuals.values import ParameterId, Values
 from analysis.residuals.whitening import Whitener
+from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
-
-Array = NDArray[np.float64]
 
 FINALISTS = 5  # screened terms that are fitted jointly, at most
 SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.penalised_fit.TAILS`, for terms within the flight
@@ -73,19 +71,19 @@ class RefinedTerm:
     """
 
     curve: Curve
-    covariance: Array
-    folds: Array
+    covariance: Floats
+    folds: Floats
     scatter: float
     world: AugmentedModel
     explanation: Hypothesis
 
     @property
-    def per_step(self) -> Array:
+    def per_step(self) -> Floats:
         """Held-out loss by step, (m,)."""
         return self.explanation.per_step
 
     @property
-    def band(self) -> Array:
+    def band(self) -> Floats:
         """Half the width of the pointwise 95 % band at the curve's points.
 
         From the noise of events, or from a delete-a-group jackknife over steps (Efron and Tibshirani 1993) where wider.
@@ -110,7 +108,7 @@ class TermSearch:
         fitter: Fitter,
         explanation: Hypothesis,
         kept: tuple[Candidate, ...],
-        tables: Mapping[str, Array],
+        tables: Mapping[str, Floats],
     ) -> None:
         self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, fitter.train, tables, kept
         self.free: tuple[ParameterId, ...] = tuple(k for c in kept for k in c.free)
@@ -190,7 +188,7 @@ class TermSearch:
 
     def refine(self, curve: Curve) -> RefinedTerm:
         """Curve and everything else fitted in turn; roughness and score from steps that the curve was not fitted to."""
-        values, slopes = dict(self.values), dict[ParameterId, Array]()
+        values, slopes = dict(self.values), dict[ParameterId, Floats]()
         passes = SHARP if not curve.term.columns else SHARP[:2]
         for first in (True, False):
             stack = StackedResiduals.of(AugmentedModel(self.world, [curve], self.dwell), values, self.train)
@@ -214,18 +212,18 @@ class TermSearch:
         scatter = self._scatter(augmented, values, landing_s)
         return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
 
-    def _scatter(self, augmented: AugmentedModel, values: Values, landing_s: Array) -> float:
+    def _scatter(self, augmented: AugmentedModel, values: Values, landing_s: Floats) -> float:
         """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
         ev = self.world.evidence
         rows = ev.scored & self.train[ev.measured.step]
         z = (landing_s / np.hypot(augmented.uncertainty(values).landing_total_s, LEAST_SIGMA_S))[rows]
         return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
 
-    def _by_step(self, stack: StackedResiduals, r: Array) -> Array:
+    def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:
         ev = self.world.evidence
         return stack.by_step(r, ev.measured.step, len(ev.steps))
 
-    def _folds(self) -> Iterator[NDArray[np.bool_]]:
+    def _folds(self) -> Iterator[Bools]:
         """Folds of the cross-validation over the steps of the fit: masks of flights, (n,)."""
         apart, step = np.flatnonzero(self.train), self.world.evidence.measured.step
         for i in range(CURVE_FOLDS):
@@ -246,8 +244,8 @@ class TermSearch:
         return replace(curve, roughness=min(ROUGHNESS, key=unseen))
 
     def _held_out(
-        self, curve: Curve, values: Values, stack: StackedResiduals, r: Array, jacobian: Array
-    ) -> tuple[Array, Array, Array]:
+        self, curve: Curve, values: Values, stack: StackedResiduals, r: Floats, jacobian: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Residuals of openings and landings (n,), each step's with the curve that the others give; these curves."""
         measured, curves = self.world.evidence.measured, []
         p = AugmentedModel(self.world, [curve], self.dwell).predict(values)
@@ -262,14 +260,14 @@ class TermSearch:
         return opening, landing, np.array(curves)
 
 
-def plate_loss(world: ForwardModel, values: Values) -> Array:
+def plate_loss(world: ForwardModel, values: Values) -> Floats:
     """Loss of the plate data by step."""
     data = world.evidence.plate
     loss = robust_loss(world.residuals(values).plate / data.sigma)
     return np.asarray(np.bincount(data.step, loss, minlength=len(world.evidence.steps)), dtype=np.float64)
 
 
-def named_loss(world: ForwardModel, explanation: Hypothesis, train: NDArray[np.bool_]) -> Array:
+def named_loss(world: ForwardModel, explanation: Hypothesis, train: Bools) -> Floats:
     """Loss of a named hypothesis by step, computed as in `TermSearch.refine`."""
     values, ev = explanation.fitted.values, world.evidence
     stack = StackedResiduals.of(world, values, train)

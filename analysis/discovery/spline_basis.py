@@ -8,18 +8,16 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from analysis.linear_algebra import solve
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 MOST_KNOTS = 12  # of a term with one value for each flight
 ENDS = (0.01, 0.99)  # quantiles at which a covariate's first and last knot lie
 
 
-def knots_of(x: Array, most: int = MOST_KNOTS) -> Array:
+def knots_of(x: Floats, most: int = MOST_KNOTS) -> Floats:
     """Knots between evenly spaced ones and quantiles of ``x``; its own values where there are few."""
     known = x[np.isfinite(x)]
     seen = np.unique(known)
@@ -31,7 +29,7 @@ def knots_of(x: Array, most: int = MOST_KNOTS) -> Array:
     return np.asarray(np.unique(0.5 * (even + dense)))
 
 
-def hat_functions(x: Array, knots: Array) -> Array:
+def hat_functions(x: Floats, knots: Floats) -> Floats:
     """Hat functions of the knots at ``x``, (n, k); 0 where ``x`` is not known."""
     if len(knots) == 1:
         return np.isfinite(x).astype(np.float64)[:, None]
@@ -39,7 +37,7 @@ def hat_functions(x: Array, knots: Array) -> Array:
     return out * np.isfinite(x)[:, None]
 
 
-def basis_of(x: Array, knots: Array) -> Array:
+def basis_of(x: Floats, knots: Floats) -> Floats:
     """Natural cubic splines that are 1 at one knot and 0 at the others, (n, k); 0 where ``x`` is not known."""
     if len(knots) < 3:
         return hat_functions(x, knots)
@@ -48,7 +46,7 @@ def basis_of(x: Array, knots: Array) -> Array:
     return out * np.isfinite(x)[:, None]
 
 
-def penalty_of(knots: Array) -> Array:
+def penalty_of(knots: Floats) -> Floats:
     """Integral of the squared second derivative by the values at the knots, (k, k), mean spacing taken for one.
 
     Green and Silverman, Nonparametric Regression and Generalized Linear Models (1994), equation 2.4: Q R^-1 Q^T.
@@ -57,7 +55,7 @@ def penalty_of(knots: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=256)
-def _penalty(places: tuple[float, ...]) -> Array:
+def _penalty(places: tuple[float, ...]) -> Floats:
     k, knots = len(places), np.array(places)
     if k < 3:
         return np.zeros((k, k))

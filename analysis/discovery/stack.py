@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import excess_noise, log_odds, robust_loss
 from analysis.residuals.values import Values
 from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -32,14 +30,14 @@ class StackedResiduals:
         True where a fit may look.
     """
 
-    event: NDArray[np.int64]
-    first: NDArray[np.bool_]
-    sigma_s: Array
-    period_s: Array
-    train: NDArray[np.bool_]
+    event: Integers
+    first: Bools
+    sigma_s: Floats
+    period_s: Floats
+    train: Bools
 
     @classmethod
-    def of(cls, world: ForwardModel, values: Values, train: NDArray[np.bool_]) -> StackedResiduals:
+    def of(cls, world: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
         """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,)."""
         ev, u = world.evidence, world.uncertainty(values)
         opening, landing = np.flatnonzero(world.from_rest), np.flatnonzero(ev.scored)
@@ -55,16 +53,16 @@ class StackedResiduals:
             self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows]
         )
 
-    def without(self, rows: NDArray[np.bool_]) -> StackedResiduals:
+    def without(self, rows: Bools) -> StackedResiduals:
         """The same with a fit that may not look at ``rows`` (k,)."""
         return replace(self, train=self.train & ~rows)
 
-    def residuals(self, world: ForwardModel, values: Values) -> Array:
+    def residuals(self, world: ForwardModel, values: Values) -> Floats:
         """Residuals of this stack at ``values``, clipped at `FARTHEST_PERIODS`."""
         p, measured = world.predict(values), world.evidence.measured
         return self.cut(measured.opening_s - p.opening_s, measured.landing_s - p.landing_s)
 
-    def widths(self, r: Array, tail: float = 0.5) -> Array:
+    def widths(self, r: Floats, tail: float = 0.5) -> Floats:
         """Uncertainty with an excess of each channel that fits the residual at the quantile ``tail``."""
         out = np.empty_like(r)
         for rows in (self.first, ~self.first):
@@ -74,7 +72,7 @@ class StackedResiduals:
             out[rows] = np.hypot(self.sigma_s[rows], max(np.sqrt(max(size**2 - usual**2, 0.0)), LEAST_EXCESS_S))
         return out
 
-    def by_step(self, r: Array, step: NDArray[np.int64], m: int) -> Array:
+    def by_step(self, r: Floats, step: Integers, m: int) -> Floats:
         """Loss of each of ``m`` steps, each excess at its best on the steps of the fit; ``step`` by flight."""
         out = np.zeros(m)
         for rows in (self.first, ~self.first):
@@ -86,13 +84,13 @@ class StackedResiduals:
                 out += np.bincount(step[self.event[rows]], loss, minlength=m)
         return out
 
-    def cut(self, opening_s: Array, landing_s: Array) -> Array:
+    def cut(self, opening_s: Floats, landing_s: Floats) -> Floats:
         """Residuals of this stack, from those of all flights (n,), cut at the farthest."""
         both = np.where(self.first, opening_s[self.event], landing_s[self.event])
         cap = FARTHEST_PERIODS * self.period_s
         return np.asarray(np.clip(np.where(np.isfinite(both), both, cap), -cap, cap))
 
-    def loss(self, r: Array) -> float:
+    def loss(self, r: Floats) -> float:
         """Loss of what is trained on, each channel's excess at its best."""
         total = 0.0
         for rows in (self.first & self.train, ~self.first & self.train):

@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.discovery.forms import SIZES, Form, forms_for
@@ -25,9 +24,8 @@ from analysis.discovery.terms import AugmentedModel, Curve
 from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
 from analysis.thresholds import Thresholds
+from kernels.arrays import Floats
 from model.effects.smooth_force import KNOTS
-
-Array = NDArray[np.float64]
 
 FITTED = 8  # forms nearest to the curve that are fitted to the events, and with them all of one parameter
 JUDGED = 6  # of these, how many are judged on held-out steps
@@ -75,7 +73,7 @@ class FittedForm:
 
 
 def search_forms(
-    best: RefinedTerm, tables: Mapping[str, Array], limits: Thresholds
+    best: RefinedTerm, tables: Mapping[str, Floats], limits: Thresholds
 ) -> tuple[tuple[FittedForm, ...], str]:
     """Formulas fitted in place of a curve, least penalised loss first, and the name of the one to prefer to it.
 
@@ -119,9 +117,9 @@ class _Fit:
     """A form at its fitted values, with residuals, their slopes in the parameters' units, and the training loss."""
 
     form: Form
-    values: Array
-    r: Array
-    slopes: Array
+    values: Floats
+    r: Floats
+    slopes: Floats
     loss: float
 
     @property
@@ -132,7 +130,7 @@ class _Fit:
 class _FormFits:
     """Fits of forms in place of one curve."""
 
-    def __init__(self, best: RefinedTerm, tables: Mapping[str, Array]) -> None:
+    def __init__(self, best: RefinedTerm, tables: Mapping[str, Floats]) -> None:
         self.curve, self.band, self.augmented = best.curve, best.band, best.world
         self.train, self.values = best.explanation.fitted.fitter.train, best.explanation.fitted.values
         self.stack = StackedResiduals.of(best.world, self.values, self.train)
@@ -141,12 +139,12 @@ class _FormFits:
         self.x = tables[best.curve.term.of] if best.curve.term.columns else inside
 
     # -- a form near the curve ---------------------------------------------------------------------------------------
-    def nearest(self, form: Form) -> tuple[Array, float]:
+    def nearest(self, form: Form) -> tuple[Floats, float]:
         """Values at which a form comes nearest to the curve, and its squared distance over the curve's band."""
         x = self.curve.points
         y = self.curve.at(x)
         weight = 1.0 / np.hypot(self.band, LEAST_BAND * max(float(np.ptp(y)), float(np.max(np.abs(y))), 1e-12))
-        best: tuple[Array, float] = np.zeros(len(form.parameters)), np.inf
+        best: tuple[Floats, float] = np.zeros(len(form.parameters)), np.inf
         for shape in itertools.product(*(self._grid(kind) for _, kind in form.parameters if kind not in SIZES)):
             columns = np.column_stack([form.at(x, (*unit, *shape)) for unit in np.eye(form.sizes)])
             size = lstsq(columns * weight[:, None], y * weight, rcond=None)[0]
@@ -155,7 +153,7 @@ class _FormFits:
                 best = np.array([*size, *shape]), far
         return best
 
-    def _grid(self, kind: str) -> Array:
+    def _grid(self, kind: str) -> Floats:
         """Values of a shape parameter that are tried."""
         low, high = self.span
         if kind == "width":
@@ -164,7 +162,7 @@ class _FormFits:
             return np.linspace(low, high, 24)[:-1]
         return np.array([0.25, 0.5, 0.75, 1.5, 2.0, 3.0])
 
-    def _units(self, form: Form) -> Array:
+    def _units(self, form: Form) -> Floats:
         """Size of each parameter that is one unit of its coordinate."""
         reach = max(abs(self.span[0]), abs(self.span[1]))
         y = max(float(np.max(np.abs(self.curve.values))), 10.0 * self.curve.term.nudge)
@@ -172,7 +170,7 @@ class _FormFits:
         unit = {"value": y, "slope": y / reach, "curvature": y / reach**2, "width": wide, "place": wide, "power": 1.0}
         return np.array([unit[kind] for _, kind in form.parameters])
 
-    def _kept(self, form: Form, values: Array) -> Array:
+    def _kept(self, form: Form, values: Floats) -> Floats:
         """Values within what their kinds allow."""
         low, high = self.span
         wide = high - low
@@ -181,16 +179,16 @@ class _FormFits:
         return np.clip(values, ends[:, 0], ends[:, 1])
 
     # -- a form fitted to the events ---------------------------------------------------------------------------------
-    def residuals(self, form: Form, values: Array) -> Array:
+    def residuals(self, form: Form, values: Floats) -> Floats:
         """Stacked residuals with the form in place of the curve."""
         return self.stack.residuals(self._with(form, values), self.values)
 
-    def _with(self, form: Form, values: Array) -> AugmentedModel:
+    def _with(self, form: Form, values: Floats) -> AugmentedModel:
         table = form.at(self.x, values)[:, None]
         curve = Curve(self.curve.term, self.curve.knots, np.ones(1), table)
         return AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
 
-    def _slopes(self, form: Form, values: Array, r: Array) -> Array:
+    def _slopes(self, form: Form, values: Floats, r: Floats) -> Floats:
         """Derivatives of the residuals by the parameters in their units, (k, parameters)."""
         out = np.empty((len(r), len(values)))
         for i, unit in enumerate(self._units(form)):
@@ -201,7 +199,7 @@ class _FormFits:
             out[:, i] = change / NUDGE
         return out
 
-    def fit(self, form: Form, start: Array) -> _Fit:
+    def fit(self, form: Form, start: Floats) -> _Fit:
         """Gauss-Newton on the robust loss of the training steps."""
         stack, unit = self.stack, self._units(form)
         values = self._kept(form, start)
@@ -223,7 +221,7 @@ class _FormFits:
                 break
         return _Fit(form, values, r, slopes, stack.loss(r))
 
-    def held_out(self, p: _Fit) -> Array:
+    def held_out(self, p: _Fit) -> Floats:
         """Loss of the events by step, each step's with the values that the others give, (m,)."""
         ev = self.augmented.evidence
         apart, held = np.flatnonzero(self.train), p.r.copy()
@@ -256,19 +254,19 @@ class _FormFits:
         )
 
 
-def _normal(stack: StackedResiduals, r: Array, slopes: Array, width: Array) -> tuple[Array, Array]:
+def _normal(stack: StackedResiduals, r: Floats, slopes: Floats, width: Floats) -> tuple[Floats, Floats]:
     """Normal equations of a weighted step."""
     z, j = r / width, slopes / width[:, None]
     weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
     return (j * weight[:, None]).T @ j, -(j.T @ (weight * z))
 
 
-def _step(stack: StackedResiduals, r: Array, slopes: Array, width: Array) -> Array:
+def _step(stack: StackedResiduals, r: Floats, slopes: Floats, width: Floats) -> Floats:
     """Step of the parameters in their units."""
     normal, pull = _normal(stack, r, slopes, width)
     normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(pull))
     return np.asarray(lstsq(normal, pull, rcond=1e-10)[0])
 
 
-def _loss(stack: StackedResiduals, r: Array, width: Array) -> float:
+def _loss(stack: StackedResiduals, r: Floats, width: Floats) -> float:
     return float(np.sum(robust_loss(r / width, log_odds(width, stack.period_s))[stack.train]))

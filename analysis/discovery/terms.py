@@ -10,17 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.discovery.spline_basis import basis_of, penalty_of
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values
 from daq.setup.setup import STANDARD_GRAVITY_MPS2
+from kernels.arrays import Bools, Floats
 from model.effects.registry import offsets, registry
 from model.effects.smooth_force import KNOTS
-
-Array = NDArray[np.float64]
 
 USUAL_ROUGHNESS = 0.05  # standard deviation of second differences, relative to the spread of the curve
 FIRST_KNOTS, MOST_INSIDE = 12, 23  # knots of a term within the flight, at first and at most
@@ -78,7 +76,7 @@ IN_FLIGHT_WORDS = {
 }
 AT_THE_IMPACT = {"previous_flight_s": "flight time", "earlier_flight_s": "previous flight"}
 
-EVENT_GRIDS: dict[str, Array] = {
+EVENT_GRIDS: dict[str, Floats] = {
     "force": np.sinh(np.linspace(-4.0, 4.0, 19)) / np.sinh(4.0) * 5.0,
     "friction": np.concatenate([[0.0], np.geomspace(0.004, 1.2, 14)]),
     "threshold": np.concatenate([[0.0], np.geomspace(0.05, 15.0, 13)]),
@@ -139,9 +137,9 @@ class Curve:
     """
 
     term: Term
-    knots: Array
-    values: Array
-    basis: Array
+    knots: Floats
+    values: Floats
+    basis: Floats
     roughness: float = USUAL_ROUGHNESS
 
     @classmethod
@@ -150,7 +148,7 @@ class Curve:
         knots = np.linspace(span[0], span[1], k)
         return cls(term, knots, np.zeros(k), basis_of(np.linspace(span[0], span[1], KNOTS), knots))
 
-    def moved(self, values: Array) -> Curve:
+    def moved(self, values: Floats) -> Curve:
         """The same with other values, kept within bounds."""
         return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis, self.roughness)
 
@@ -179,22 +177,22 @@ class Curve:
         term = event_term(self.term.name, self.term.of)
         return Curve(term, np.zeros(1), np.array([sign * middle]), np.ones((n, 1)))
 
-    def at(self, x: Array) -> Array:
+    def at(self, x: Floats) -> Floats:
         """Value of the term where the covariate is ``x``."""
         return np.asarray(np.clip(basis_of(x, self.knots) @ self.values, self.term.low, self.term.high))
 
     @property
-    def table(self) -> Array:
+    def table(self) -> Floats:
         """Value of the term in each row of the basis."""
         return np.asarray(np.clip(self.basis @ self.values, self.term.low, self.term.high))
 
     @property
-    def penalty(self) -> Array:
+    def penalty(self) -> Floats:
         """Bending energy as a quadratic form of the values, (k, k)."""
         return penalty_of(self.knots)
 
     @property
-    def points(self) -> Array:
+    def points(self) -> Floats:
         """Where the curve is reported: its knots where these are few, else evenly between the outer ones."""
         return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], POINTS)
 
@@ -215,7 +213,7 @@ def event_terms(name: str) -> tuple[Term, ...]:
     return tuple(event_term(name, k) for k in names)
 
 
-def ranges_of(tables: Mapping[str, Array], judged: NDArray[np.bool_]) -> dict[str, tuple[float, float]]:
+def ranges_of(tables: Mapping[str, Floats], judged: Bools) -> dict[str, tuple[float, float]]:
     """Ranges of the quantities within a flight, by name; NaN for what is known of no flight."""
 
     def most(name: str) -> float:
@@ -253,12 +251,12 @@ class AugmentedModel(ForwardModel):
         The forward model without the terms.
     """
 
-    def __init__(self, world: ForwardModel, curves: Sequence[Curve], dwell_s: Array) -> None:
+    def __init__(self, world: ForwardModel, curves: Sequence[Curve], dwell_s: Floats) -> None:
         super().__init__(world.evidence, world.declared, like=world)
         self.without, self.covariates = world, world.covariates
         self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
 
-    def rows(self, values: Values) -> Array:
+    def rows(self, values: Values) -> Floats:
         """Parameters of each event with the terms in, (P + 1,) where they are the same for all, else (n, P + 1)."""
         out = super().rows(values)
         if out.ndim == 1 and any(c.term.columns or c.term.of == "since_impact_s" for c in self.curves):
@@ -268,7 +266,7 @@ class AugmentedModel(ForwardModel):
         return out
 
 
-def _put(out: Array, curve: Curve, dwell_s: Array) -> None:
+def _put(out: Floats, curve: Curve, dwell_s: Floats) -> None:
     """Set the parameters that carry a curve; a friction or restitution takes the place of a constant one."""
     term, place = curve.term, offsets()
     for key in substituted(term.name):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.arrays import Array, Flags
+from kernels.arrays import Bools, Floats
 
 Progress = Callable[[str, int, int], None]  # what is being done, how much of it is done, and of how much
 
@@ -27,7 +27,7 @@ class Corrections:
     region: tuple[int, int, int, int] | None = None  # (left, top, right, bottom) of the picture, pixels
     axis_deg: float | None = None  # direction of the fall in the picture, degrees right of down; None finds it
 
-    def keeps(self, times: Array, reach_s: float) -> Flags:
+    def keeps(self, times: Floats, reach_s: float) -> Bools:
         """Flags of those ``times`` (n,) that are used; each ignored time takes out the nearest within ``reach_s``."""
         used = times >= (-np.inf if self.from_s is None else self.from_s)
         used &= times <= (np.inf if self.until_s is None else self.until_s)

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.drop.arrays import Array
 from analysis.drop.film.camera_fit import CameraFit
 from analysis.drop.laws.choice import Verdict
 from analysis.drop.times.model_selection import Judged
 from analysis.drop.times.one_ahead import Drop
+from kernels.arrays import Floats
 
-Curve = tuple[Array, Array]
+Curve = tuple[Floats, Floats]
 
 _GRID = 200
 _FLIGHT_GRID = 60
@@ -47,7 +47,7 @@ class FitPlot:
     def as_json(self) -> dict[str, Any]:
         """The same in plain lists; None for what is not finite."""
 
-        def plain(values: Array) -> list[float | None]:
+        def plain(values: Floats) -> list[float | None]:
             return [round(v, 9) if np.isfinite(v) else None for v in values.tolist()]
 
         def lists(curves: Sequence[Curve]) -> list[dict[str, list[float | None]]]:

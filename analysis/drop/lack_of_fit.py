@@ -10,10 +10,10 @@ import numpy as np
 from scipy import stats
 
 from analysis.drop import thresholds
-from analysis.drop.arrays import Array, Counts
 from analysis.drop.film.flights import LEAST_SAMPLES, Clip, Flight, jitter
 from analysis.drop.times.model_fit import Fit
 from analysis.drop.times.one_ahead import Rows
+from kernels.arrays import Floats, Integers
 
 _LEAST_ROWS = 8  # of residuals in which a trend is looked for
 _LEAST_WANDER_PX = 0.15
@@ -76,7 +76,7 @@ def _chance_of_trend(fit: Fit, rows: Rows) -> float:
     return float(stats.f.sf(explained / max(float((left**2).sum()) / (n - 3), 1e-300), 3, n - 3))
 
 
-def of_restitutions(ratio: Array, sigma: Array) -> str:
+def of_restitutions(ratio: Floats, sigma: Floats) -> str:
     """Restitutions (n,) with errors that no law follows, in words."""
     shown = ", ".join(f"{e:.3f} +- {s:.3f}" for e, s in list(zip(ratio, sigma, strict=True))[:8])
     low, high = int(np.argmin(ratio)), int(np.argmax(ratio))
@@ -116,7 +116,7 @@ def of_camera(clip: Clip, flights: Sequence[Flight]) -> str | None:
     )
 
 
-def of_floor(clip: Counts, floor: Array, draws: Array, fall: float) -> str | None:
+def of_floor(clip: Integers, floor: Floats, draws: Floats, fall: float) -> str | None:
     """A floor or camera that moved: impacts of one clip at heights that differ by far more than their errors.
 
     Parameters

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from analysis.drop.arrays import Array
 from analysis.drop.corrections import NOTHING, Corrections, Progress
 from analysis.drop.film.flights import Clip, near_impacts
 from analysis.drop.film.linking import ball_of
@@ -24,6 +23,7 @@ from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file, unheard
 from daq.files.wav import is_wav
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 T = TypeVar("T")
 
@@ -109,7 +109,7 @@ def load_all(
     return _table(path, corrections)
 
 
-def events_in(path: Path, corrections: Corrections, known: Known) -> Array:
+def events_in(path: Path, corrections: Corrections, known: Known) -> Floats:
     """Every event of a sound, a contact circuit or a table of times, as corrected, whether a ball's or not; else none.
 
     Raises

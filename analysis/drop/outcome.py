@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from analysis.drop.arrays import Array
 from analysis.drop.laws.choice import Candidate, Verdict
 from analysis.drop.thresholds import LEVEL_SIGMAS
+from kernels.arrays import Floats
 
 Interval = dict[str, float | None]  # value, low, high; None where not known
 
@@ -54,7 +54,7 @@ def interval(value: float, low: float, high: float) -> Interval:
 UNKNOWN = interval(np.nan, np.nan, np.nan)
 
 
-def of_draws(value: float, draws: Array) -> Interval:
+def of_draws(value: float, draws: Floats) -> Interval:
     """The interval that holds 95 % of the draws."""
     good = draws[np.isfinite(draws)]
     if not len(good) or not np.isfinite(value):

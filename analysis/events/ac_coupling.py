@@ -18,8 +18,8 @@ from analysis.events.levels import Levels
 from analysis.signals.stream import PAD, Piece
 from analysis.statistics import mad_sigma
 from kernels import njit
+from kernels.arrays import Floats, Integers
 
-Floats = npt.NDArray[np.float64]
 Volts = npt.NDArray[np.float32]
 
 RISE_S = 2e-4  # longest rise of an edge
@@ -81,7 +81,7 @@ def _samples(seconds: float, rate_hz: float) -> int:
     return max(2, round(seconds * rate_hz))
 
 
-def _edges(y: Floats, swing_v: float, rate_hz: float) -> npt.NDArray[np.int64]:
+def _edges(y: Floats, swing_v: float, rate_hz: float) -> Integers:
     """Samples in the middle of an edge: local extremes of its rise over `RISE_S`."""
     step = _samples(RISE_S, rate_hz)
     if y.size < 8 * step:
@@ -100,7 +100,7 @@ def white_noise(x: Floats) -> float:
     return float(mad_sigma(second - np.median(second)) / np.sqrt(6.0))
 
 
-def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float) -> Floats:
+def _heights(y: Floats, at: Integers, decay: float, rate_hz: float) -> Floats:
     """Signed heights of the isolated edges, corrected for the droop on both sides."""
     step, around = _samples(RISE_S, rate_hz), _samples(ISOLATED_S, rate_hz)
     apart = np.diff(np.concatenate([[0], at, [y.size]])) > around
@@ -111,7 +111,7 @@ def _heights(y: Floats, at: npt.NDArray[np.int64], decay: float, rate_hz: float)
     return np.asarray(after * np.exp(decay * middle) - before * np.exp(-decay * middle))
 
 
-def _corner_hz(pieces: Sequence[Floats], found: Sequence[npt.NDArray[np.int64]], rate_hz: float) -> float | None:
+def _corner_hz(pieces: Sequence[Floats], found: Sequence[Integers], rate_hz: float) -> float | None:
     """Corner frequency from the decay of chunk means without an edge.
 
     The chunk before is the instrumental variable, so noise does not bias the estimate.

@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_toeplitz, toeplitz
 from scipy.signal import lfilter
 
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from kernels.arrays import Bools, Floats
 
 FRAME = 128  # samples of a periodogram
 FEWEST_FRAMES, MOST_FRAMES = 8, 1024  # periodograms from which a spectrum is measured
@@ -86,7 +84,7 @@ class NoiseSpectrum:
         return np.asarray(lfilter(np.append(1.0, -weights), [1.0], volts) / np.sqrt(r[0] - weights @ r[1:]))
 
 
-def measure_noise(volts: Sequence[Floats], usable: Sequence[Mask], rate_hz: float) -> NoiseSpectrum | None:
+def measure_noise(volts: Sequence[Floats], usable: Sequence[Bools], rate_hz: float) -> NoiseSpectrum | None:
     """Spectrum of the noise from the frames in which nothing but noise is.
 
     Parameters

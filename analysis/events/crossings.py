@@ -10,8 +10,7 @@ import numpy.typing as npt
 from analysis.events.levels import Levels
 from analysis.signals.search import first_beyond
 from kernels import njit
-
-Ints = npt.NDArray[np.int64]
+from kernels.arrays import Integers
 
 LEAD, EARLIER, AFTER = 4, 8, 8  # samples kept around a crossing, see `Window`
 CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
@@ -55,7 +54,7 @@ class Crossings:
     around : Window
     """
 
-    sample: Ints
+    sample: Integers
     kind: npt.NDArray[np.int8]
     window: npt.NDArray[np.float32]
     around: Window = Window()

@@ -15,12 +15,10 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.statistics import nearest
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from kernels.arrays import Bools, Floats, Integers
 
 MAX_CYCLE = 6  # longest cycle of the motion looked for, in periods
 MATCH_S = 5e-4  # largest difference between an edge and that of the next cycle
@@ -50,20 +48,20 @@ class Scatter:
         Interval of the samples to which edges are rounded; 0 where they are not.
     """
 
-    excess_s2: Array = field(default_factory=lambda: np.zeros(0))
-    repeated_s2: Array = field(default_factory=lambda: np.zeros(0))
-    freedom: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    excess_s2: Floats = field(default_factory=lambda: np.zeros(0))
+    repeated_s2: Floats = field(default_factory=lambda: np.zeros(0))
+    freedom: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     sampling_s: float = 0.0
 
     @classmethod
     def of(
         cls,
-        time_s: Array,
-        sigma_s: Array,
-        step: Ints,
-        seen: NDArray[np.bool_],
-        period_s: Array,
-        lines_radps: Sequence[Array] = (),
+        time_s: Floats,
+        sigma_s: Floats,
+        step: Integers,
+        seen: Bools,
+        period_s: Floats,
+        lines_radps: Sequence[Floats] = (),
         sampling_s: float = 0.0,
     ) -> Self:
         """From edges.
@@ -120,7 +118,7 @@ class Scatter:
         """Whether enough steps repeat."""
         return max(len(self.excess_s2), len(self.repeated_s2)) >= MIN_STEPS
 
-    def raised(self, sigma_s: Array) -> Array:
+    def raised(self, sigma_s: Floats) -> Floats:
         """Uncertainties (n,) raised by the jitter; as they are where fewer than `MIN_STEPS` steps repeat."""
         if len(self.excess_s2) >= MIN_STEPS:
             return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0)))
@@ -134,7 +132,7 @@ class Scatter:
         return _before_rounding(self.repeated_s2, self.freedom, self.sampling_s)
 
 
-def raised_together(sigmas_s: Sequence[Array], scatters: Sequence[Scatter]) -> list[Array]:
+def raised_together(sigmas_s: Sequence[Floats], scatters: Sequence[Scatter]) -> list[Floats]:
     """Uncertainties of several recordings of one rig, each raised by its own steps that repeat.
 
     Where these are too few, as in a short block, the circuit is the same, and those of all recordings tell that are
@@ -147,12 +145,12 @@ def raised_together(sigmas_s: Sequence[Array], scatters: Sequence[Scatter]) -> l
     return out
 
 
-def rounded(sigma_s: ArrayLike, sampling_s: float) -> NDArray[np.bool_]:
+def rounded(sigma_s: ArrayLike, sampling_s: float) -> Bools:
     """Whether edges were rounded to samples: they are known no better than to the rounding's standard deviation."""
     return np.asarray(sigma_s) >= LEAST_PART * sampling_s / math.sqrt(12.0)
 
 
-def _at_one_place(left_s: Array, samples: float) -> tuple[float, int]:
+def _at_one_place(left_s: Floats, samples: float) -> tuple[float, int]:
     """Half the squared differences of edges at one place, summed over pairs, and their number.
 
     ``left_s`` (n,) are deviations of edges that come every so many samples.
@@ -163,7 +161,7 @@ def _at_one_place(left_s: Array, samples: float) -> tuple[float, int]:
     return 0.5 * float(np.sum((left_s[i] - left_s[j])[near] ** 2)), int(np.count_nonzero(near))
 
 
-def _before_rounding(squares: Array, freedom: Ints, sampling_s: float) -> float:
+def _before_rounding(squares: Floats, freedom: Integers, sampling_s: float) -> float:
     """Jitter from the squared scatter of steps' edges at one place between two samples, unknown in each step.
 
     Averaged over all places, jitter of J leaves the variance ``J T / sqrt(pi)`` while it is below a third of the
@@ -174,7 +172,7 @@ def _before_rounding(squares: Array, freedom: Ints, sampling_s: float) -> float:
     return sampling_s * (math.sqrt(math.pi) * share if share < 1.0 / 6.0 else math.sqrt(share - 1.0 / 12.0))
 
 
-def _left(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[Array, int]:
+def _left(time_s: Floats, off_s: Floats, lines_radps: Floats) -> tuple[Floats, int]:
     """Deviations (n,) from a polynomial of `N_COEFFICIENTS` and the lines, and their degrees of freedom."""
     slow = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, len(off_s)), N_COEFFICIENTS - 1)
     regular = time_s - off_s - time_s[0]  # a line at jittered times would fit the jitter itself
@@ -185,7 +183,7 @@ def _left(time_s: Array, off_s: Array, lines_radps: Array) -> tuple[Array, int]:
     return off_s - shapes @ np.linalg.lstsq(shapes, off_s, rcond=None)[0], len(off_s) - shapes.shape[1]
 
 
-def _sequences(time_s: Array, period_s: float) -> list[tuple[Array, Array, float]]:
+def _sequences(time_s: Floats, period_s: float) -> list[tuple[Floats, Floats, float]]:
     """Sequences of corresponding edges a cycle apart, for the shortest cycle after which most edges repeat.
 
     Of each the times, the times less whole cycles, and the cycle.
@@ -202,9 +200,7 @@ def _sequences(time_s: Array, period_s: float) -> list[tuple[Array, Array, float
     return []
 
 
-def _chained(
-    time_s: Array, partner: Ints, matched: NDArray[np.bool_], cycle_s: float
-) -> list[tuple[Array, Array, float]]:
+def _chained(time_s: Floats, partner: Integers, matched: Bools, cycle_s: float) -> list[tuple[Floats, Floats, float]]:
     """Each sequence from its first edge on: times, times less whole cycles, and the cycle."""
     out = []
     for first in np.setdiff1d(np.flatnonzero(matched), partner[matched]):

@@ -15,9 +15,7 @@ import numpy.typing as npt
 
 from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings, Window
 from analysis.events.levels import Levels
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from kernels.arrays import Floats, Integers
 
 VISIBLE_SIGMAS = 5.0  # standard deviations of noise from which a sample counts as moved
 NO_NEIGHBOUR = 1 << 30  # distance in samples where there is no neighbouring crossing
@@ -106,7 +104,7 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     shapes = {OPENS: SHARP, CLOSES: SHARP}
     index = {kind: np.flatnonzero(crossings.kind == kind) for kind in shapes}
 
-    def towards(some: Ints, kind: int, restored: bool) -> Floats:
+    def towards(some: Integers, kind: int, restored: bool) -> Floats:
         """Samples as 1 before the edge, decaying to 0, shape (n, before + after)."""
         fraction: Floats = crossings.window[some].astype(np.float64)
         own = fraction if kind == CLOSES else 1.0 - fraction
@@ -147,14 +145,14 @@ def _half_way(crossings: Crossings, noise: float, rate_hz: float) -> Edges:
     return Edges(np.maximum.accumulate(times), sigma, crossings.kind)
 
 
-def _alone(index: Ints, room: Ints, gap: Ints, around: Window) -> Ints:
+def _alone(index: Integers, room: Integers, gap: Integers, around: Window) -> Integers:
     """Edges of ``index`` far from others."""
     alone = index[(room[index] > around.after) & (gap[index] > around.after)]
     near = 2 * around.stretch
     return alone if alone.size >= MIN_EDGES else index[(room[index] > near) & (gap[index] > near)]
 
 
-def _unsettled(crossings: Crossings, index: Ints, rises: Floats, tau_s: float, rate_hz: float) -> Floats:
+def _unsettled(crossings: Crossings, index: Integers, rises: Floats, tau_s: float, rate_hz: float) -> Floats:
     """Distance to the level that the edge before each of ``index`` has not yet covered, at every sample."""
     around = np.arange(-crossings.around.before, crossings.around.after)
     since = (crossings.sample[index][:, None] + around) / rate_hz - rises[index - 1][:, None]
@@ -162,7 +160,7 @@ def _unsettled(crossings: Crossings, index: Ints, rises: Floats, tau_s: float, r
     return np.where(known, np.exp(-np.maximum(since, 0.0) / max(tau_s, 1e-12)), 0.0)
 
 
-def _first_moved(y: Floats, noise: float, before: int, gap: Ints | int = NO_NEIGHBOUR) -> Ints:
+def _first_moved(y: Floats, noise: float, before: int, gap: Integers | int = NO_NEIGHBOUR) -> Integers:
     """Column of the first sample visibly moved: backwards from the crossing, not past the one before."""
     first = np.full(y.shape[0], before)
     active = np.ones(y.shape[0], dtype=np.bool_)
@@ -208,7 +206,7 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
     return EdgeShape(tau, tau_sigma, max(1.0, chi), n, clock_s, (place - 0.5) * clock_s)
 
 
-def _from_first(y: Floats, first: Ints, around: Window) -> Floats:
+def _from_first(y: Floats, first: Integers, around: Window) -> Floats:
     """Samples of each edge from its first moved one on, `FIT_SAMPLES` of them a stretch apart and those between."""
     columns = first[:, None] + np.arange((FIT_SAMPLES - 1) * around.stretch + 1)
     return np.asarray(np.take_along_axis(y, np.minimum(columns, y.shape[1] - 1), axis=1))
@@ -241,7 +239,7 @@ def _misfit(samples: Floats, noise: float, tau_samples: float) -> Floats:
 
 
 def fit_edges(
-    y: Floats, room: Ints, gap: Ints, noise: float, shape: EdgeShape, rate_hz: float, around: Window
+    y: Floats, room: Integers, gap: Integers, noise: float, shape: EdgeShape, rate_hz: float, around: Window
 ) -> tuple[Floats, Floats]:
     """Delay of each edge relative to its crossing sample, and its uncertainty, seconds, shapes (n,).
 

@@ -16,9 +16,8 @@ from analysis.signals.search import first_beyond
 from analysis.signals.stream import block_means
 from analysis.statistics import nearest
 from kernels import njit
+from kernels.arrays import Bools, Floats, Integers
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 Volts = npt.NDArray[np.float32]
 
 TILE = 256  # outputs of the filter computed together
@@ -76,7 +75,7 @@ class Impacts:
         within = np.any((spans_s[:, :1] <= self.time_s) & (self.time_s < spans_s[:, 1:]), axis=0)
         return self._among(~within | (self.strength > STRONG_PART * np.median(self.strength)))
 
-    def _among(self, chosen: npt.NDArray[np.bool_]) -> Impacts:
+    def _among(self, chosen: Bools) -> Impacts:
         return replace(self, **{k: getattr(self, k)[chosen] for k in ("time_s", "uncertainty_s", "strength")})
 
 
@@ -104,7 +103,7 @@ class ImpactScan:
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
         self._found = np.zeros((0, MARGIN + 1))
 
-    def add(self, volts: Volts, first: int, pad: int, count: int) -> Ints:
+    def add(self, volts: Volts, first: int, pad: int, count: int) -> Integers:
         """Scan ``volts[pad : pad + count]``, sample ``first`` of the recording being ``volts[pad]``.
 
         ``first`` and ``pad`` are multiples of the template's width. Returns the samples of the impacts found.

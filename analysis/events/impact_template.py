@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.accelerometer_noise import NoiseSpectrum
-
-Floats = npt.NDArray[np.float64]
+from kernels.arrays import Floats
 
 LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample
 LENGTH = LEAD + TAIL

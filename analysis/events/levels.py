@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kernels import njit
-
-Floats = npt.NDArray[np.float64]
+from kernels.arrays import Floats
 
 LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
 MIN_DIP, DIP_SIGMAS, MAX_DIP = 0.02, 10.0, 0.3  # depth of a visible dip: bounds, and in standard deviations of noise

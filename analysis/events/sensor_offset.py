@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.events.crossings import CLOSES
 from analysis.events.edges import Edges
 from analysis.events.impact_detection import Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
 from analysis.statistics import mad_sigma, nearest
-
-Floats = npt.NDArray[np.float64]
+from kernels.arrays import Floats
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
 LONGEST_DELAY_S = 6e-3  # longest delay of the accelerometer by a converter's filter

@@ -14,8 +14,7 @@ from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings
 from analysis.events.edges import Edges, EdgeShape
 from analysis.events.impact_detection import Impacts
 from analysis.events.levels import Levels
-
-Floats = npt.NDArray[np.float64]
+from kernels.arrays import Floats
 
 GRID_POINTS = 25  # grid points a parameter in the search for a start
 N_STARTS = 3  # best grid points from which the fit is started

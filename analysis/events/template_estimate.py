@@ -30,10 +30,7 @@ from analysis.signals.saturation import STANDS, share_at_an_end
 from analysis.signals.stream import Piece
 from daq.lock_in import LockIn, ToneFit
 from kernels import njit
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+from kernels.arrays import Bools, Floats, Integers
 
 MASK_S = 8e-3  # mask after an impact in the tone fits made here
 QUIET_SAMPLES = 60  # samples without an onset before an onset
@@ -53,11 +50,11 @@ class _Stretch:
     start: int
     own: slice
     every: LockIn
-    main: npt.NDArray[np.bool_]
+    main: Bools
 
 
 def estimate_template(
-    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, gaps: Ints | None = None
+    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, gaps: Integers | None = None
 ) -> tuple[NoiseSpectrum | None, ImpactTemplate | None]:
     """Noise of the accelerometer and impact template from a few pieces of a recording.
 
@@ -110,7 +107,7 @@ def estimate_template(
     return noise, template
 
 
-def _quiet(fitted: Mask, places: Floats, rate_hz: float) -> Mask:
+def _quiet(fitted: Bools, places: Floats, rate_hz: float) -> Bools:
     """Samples of a piece whose motion is known and that no impact in it reaches."""
     quiet, echo = fitted.copy(), echo_samples(rate_hz)
     for place in places.astype(np.int64):
@@ -118,7 +115,7 @@ def _quiet(fitted: Mask, places: Floats, rate_hz: float) -> Mask:
     return quiet
 
 
-def _noise(still: list[tuple[Floats, Mask]], places: list[Floats], rate_hz: float) -> NoiseSpectrum | None:
+def _noise(still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float) -> NoiseSpectrum | None:
     quiet = [_quiet(fitted, own, rate_hz) for (_, fitted), own in zip(still, places, strict=True)]
     return measure_noise([volts for volts, _ in still], quiet, rate_hz)
 
@@ -133,7 +130,7 @@ def _detected(piece: Piece, template: ImpactTemplate, rate_hz: float) -> Floats:
 def _with_threshold(
     template: ImpactTemplate,
     pieces: list[Piece],
-    still: list[tuple[Floats, Mask]],
+    still: list[tuple[Floats, Bools]],
     places: list[Floats],
     rate_hz: float,
 ) -> ImpactTemplate:
@@ -152,7 +149,7 @@ def _with_threshold(
     )
 
 
-def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDArray[np.void]:
+def _unbroken(steps: npt.NDArray[np.void], breaks: Integers, width: int) -> npt.NDArray[np.void]:
     """Steps cut where samples were lost, counted in means over ``width`` samples."""
     rows = []
     for row in steps:
@@ -168,7 +165,7 @@ def _unbroken(steps: npt.NDArray[np.void], breaks: Ints, width: int) -> npt.NDAr
     return np.array(rows, dtype=steps.dtype)
 
 
-def _onsets(volts: Floats, fitted: Mask, noise: NoiseSpectrum) -> Floats:
+def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> Floats:
     """Places in a piece where a strong signal begins after a quiet interval."""
     surprise = np.abs(noise.innovations(volts))
     span = PREDICTED_FROM + 1
@@ -182,7 +179,7 @@ def _onsets(volts: Floats, fitted: Mask, noise: NoiseSpectrum) -> Floats:
     return np.asarray(first[enough] - 0.5, dtype=np.float64)
 
 
-def _snippets(volts: Floats, fitted: npt.NDArray[np.bool_], places: Floats, echo: int) -> tuple[Floats, Floats]:
+def _snippets(volts: Floats, fitted: Bools, places: Floats, echo: int) -> tuple[Floats, Floats]:
     """Accelerometer around isolated impacts, and the impacts' time before the sample, in samples."""
     alone = (np.append(np.diff(places), np.inf) > echo) & (np.diff(places, prepend=-np.inf) > echo)
     sample = np.ceil(places).astype(np.int64)
@@ -214,9 +211,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
     return found
 
 
-def _without_motion(
-    piece: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float
-) -> tuple[Floats, npt.NDArray[np.bool_]]:
+def _without_motion(piece: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float) -> tuple[Floats, Bools]:
     """Accelerometer volts less each step's tones (fitted outside impacts), and the samples where a fit was possible."""
     volts = piece.channels["accelerometer"].astype(np.float64)
     fitted = np.zeros(volts.size, dtype=np.bool_)
@@ -235,7 +230,7 @@ def _without_motion(
     return volts, fitted
 
 
-def _motion(part: _Stretch, volts: Floats, ringing: npt.NDArray[np.bool_]) -> ToneFit:
+def _motion(part: _Stretch, volts: Floats, ringing: Bools) -> ToneFit:
     """Plate tones outside impacts: the main ones, and harmonics and mains lines that are significant.
 
     Hum and distortion left in would look like ringing; absent harmonics would fit noise into the masked intervals.

@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.fit import LEAP_S, Fitter
 from analysis.attribution.second_order import slopes_of
@@ -28,8 +27,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 CLIP_SIGMAS = 6.0  # of a whitened difference
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
@@ -108,8 +106,8 @@ class Pool:
     """
 
     option: Option
-    products: Array
-    flight_s: Array
+    products: Floats
+    flight_s: Floats
 
     @classmethod
     def of(cls, option: Option, world: ForwardModel, fitter: Fitter, known: Weighed) -> Pool:
@@ -133,7 +131,7 @@ class Pool:
         return cls(option, np.array(products), np.array(means))
 
 
-def apart(whitener: Whitener, raw: Array, other: Array) -> Array:
+def apart(whitener: Whitener, raw: Floats, other: Floats) -> Floats:
     """Whitened difference of two predictions (n,), from bare residuals; 0 where one is of another flight.
 
     A fit cannot follow a flight that becomes another one, and near an edge chance decides which it is.
@@ -162,7 +160,7 @@ def bistable(pools: Sequence[Pool], block: Block) -> tuple[float, ...]:
     return tuple(out)
 
 
-def divergences(total: Array, known: Weighed, some: Sequence[Explanation]) -> Array:
+def divergences(total: Floats, known: Weighed, some: Sequence[Explanation]) -> Floats:
     """Expected nats by which explanation i, if true, would beat j, whatever j's own parameters do, (E, E).
 
     ``total`` is the sum of `Pool.products` over the steps of a block.
@@ -181,18 +179,18 @@ def divergences(total: Array, known: Weighed, some: Sequence[Explanation]) -> Ar
     return out
 
 
-def mutual_information(probability: Array, divergence: Array) -> float:
+def mutual_information(probability: Floats, divergence: Floats) -> float:
     """Between explanation and data, nats, from pairwise divergences."""
     mixed = np.exp(-divergence) @ probability
     return float(-np.sum(probability * np.log(np.maximum(mixed, 1e-300))))
 
 
-def sharpened(total: Array, known: Weighed, wanted: Sequence[ParameterId]) -> float:
+def sharpened(total: Floats, known: Weighed, wanted: Sequence[ParameterId]) -> float:
     """Nats gained about the parameters ``wanted``: logarithms of the ratio of their deviations before and after."""
     return -sum(float(np.log(sharper(total, known, key))) for key in wanted if key in known.keys)
 
 
-def sharper(total: Array, known: Weighed, key: ParameterId) -> float:
+def sharper(total: Floats, known: Weighed, key: ParameterId) -> float:
     """Deviation of a parameter after data of products ``total``, over that before, beside the likeliest explanation."""
     first = known.explanations[0]
     rows, before = known.known_under(replace(first, free=(*first.free, key)))
@@ -248,7 +246,7 @@ def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[Parameter
     probability = np.array([x.probability for x in some])
     probability /= probability.sum()
 
-    def worth(total: Array) -> float:
+    def worth(total: Floats) -> float:
         told = mutual_information(probability, divergences(total, known, some)) if len(some) > 1 else 0.0
         return told + sharpened(total, known, wanted)
 
@@ -271,7 +269,7 @@ def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[Parameter
 
 
 def _separated(
-    total: Array, known: Weighed, some: Sequence[Explanation], probability: Array
+    total: Floats, known: Weighed, some: Sequence[Explanation], probability: Floats
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The two explanations whose separation is worth most, by probability."""
     if len(some) < 2:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate, candidates_of
 from analysis.attribution.fit import Fitter
@@ -25,8 +24,7 @@ from analysis.attribution.second_order import gradient_and_information, slopes_o
 from analysis.linear_algebra import inv, lstsq, slogdet
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats, Integers
 
 IMPROBABLE = 1e-4  # explanations of less probability are left out
 
@@ -72,10 +70,10 @@ class Weighed:
     explanations: tuple[Explanation, ...]
     keys: tuple[ParameterId, ...]
     shared: int
-    information: Array
-    stiffness: Array
+    information: Floats
+    stiffness: Floats
 
-    def known_under(self, x: Explanation) -> tuple[NDArray[np.int64], Array]:
+    def known_under(self, x: Explanation) -> tuple[Integers, Floats]:
         """Places in ``keys`` of what ``x`` leaves open, and the information on them: it frees its own calibrations."""
         rows = np.array([i for i, key in enumerate(self.keys) if i < self.shared or key in x.free], dtype=np.int64)
         own = np.array([self.keys[i] in x.free for i in rows], dtype=bool)
@@ -135,7 +133,7 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     return Weighed(_normalised(found, np.array(logs)), keys, len(shared), information, stiffness)
 
 
-def _within(fitter: Fitter, keys: Sequence[ParameterId], x: Array) -> Array:
+def _within(fitter: Fitter, keys: Sequence[ParameterId], x: Floats) -> Floats:
     """Coordinates of ``keys``, none beyond its bounds."""
     bounds = np.array([fitter.bounds(k, released=True) for k in keys]).reshape(-1, 2)
     return np.clip(x, bounds[:, 0], bounds[:, 1])
@@ -151,7 +149,7 @@ def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
     }
 
 
-def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId]) -> Array:
+def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId]) -> Floats:
     """Inverse squared prior widths in coordinates; 0 for what has none."""
     out = np.zeros(len(keys))
     for i, key in enumerate(keys):
@@ -181,23 +179,23 @@ class _Fit:
         How many of the coordinates the fit varies; they come first.
     """
 
-    information: Array
-    gradient: Array
-    stiffness: Array
-    off: Array
+    information: Floats
+    gradient: Floats
+    stiffness: Floats
+    off: Floats
     shared: int
 
-    def _others(self, own: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _others(self, own: Integers) -> Integers:
         """Places of what the fit varies beside ``own``."""
         return np.setdiff1d(np.arange(self.shared), own)
 
-    def follow(self, own: NDArray[np.int64]) -> Array:
+    def follow(self, own: Integers) -> Floats:
         """By how much each other coordinate that the fit varies goes back when one of ``own`` goes up by one."""
         shared = self._others(own)
         inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
         return np.asarray(lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0])
 
-    def evidence(self, own: NDArray[np.int64], at: Array) -> tuple[float, Array, Array]:
+    def evidence(self, own: Integers, at: Floats) -> tuple[float, Floats, Floats]:
         """Log evidence of freeing ``own`` over not freeing it, and how far its coordinates then move, and deviations.
 
         Each has a normal prior of one unit, the size that matters, around nothing; the fit has it ``at`` so much. A
@@ -215,7 +213,7 @@ class _Fit:
         return after[0] - before[0], after[1], after[2]
 
 
-def _log_evidence(information: Array, score: Array, precision: Array, off: Array) -> tuple[float, Array, Array]:
+def _log_evidence(information: Floats, score: Floats, precision: Floats, off: Floats) -> tuple[float, Floats, Floats]:
     """Log evidence of a linear model with normal priors ``off`` from here, and mean and deviation of its coordinates.
 
     MacKay (1992), equation 2.5; without the factor that all models of the same data share.
@@ -228,7 +226,7 @@ def _log_evidence(information: Array, score: Array, precision: Array, off: Array
     return 0.5 * float(log), mean, np.sqrt(np.diag(covariance))
 
 
-def _normalised(found: Sequence[Explanation], logs: Array) -> tuple[Explanation, ...]:
+def _normalised(found: Sequence[Explanation], logs: Floats) -> tuple[Explanation, ...]:
     """With probabilities, of one effect's variants the likeliest alone, the most probable first."""
     best: dict[tuple[str, ...], int] = {}
     for i, x in enumerate(found):

@@ -24,13 +24,13 @@ from analysis.statistics import nearest
 from daq.recording import Recording
 from daq.setup.setup import Setup
 from kernels import njit
+from kernels.arrays import Bools, Floats, Integers
 
 __all__ = ["FlightFlag", "Flights", "flights_of", "write_csv"]
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-_Intervals = tuple[Floats, Floats, Floats, Floats, Ints]
-_Table = tuple[Floats, Floats, Floats, Floats, Floats, Ints, EdgeReport]
+
+_Intervals = tuple[Floats, Floats, Floats, Floats, Integers]
+_Table = tuple[Floats, Floats, Floats, Floats, Floats, Integers, EdgeReport]
 
 GLITCH_S = 2e-4  # shortest flight
 BOUNCE_S = 4e-4  # shortest flight within BOUNCE_AFTER_S of a landing: shorter ones are contact bounce
@@ -125,7 +125,7 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Tabl
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
 
 
-def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, Floats, Floats, Floats, Ints]:
+def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, Floats, Floats, Floats, Integers]:
     """Take-off and landing of every interval in the air, with uncertainties and the flags `CUT` and `FALSE`."""
     known = edges.kind != DIP
     time_s, sigma, kind = edges.time_s[known], edges.uncertainty_s[known], edges.kind[known]
@@ -171,10 +171,10 @@ def _split(
     landing: Floats,
     takeoff_sigma: Floats,
     landing_sigma: Floats,
-    flags: Ints,
+    flags: Integers,
     impacts: Impacts,
     reach_s: float,
-) -> tuple[Floats, Floats, Floats, Floats, Ints]:
+) -> tuple[Floats, Floats, Floats, Floats, Integers]:
     """Intervals in the air split at impacts inside them; impacts near their ends belong to the edges."""
     if takeoff.size == 0 or impacts.time_s.size == 0:
         return takeoff, landing, takeoff_sigma, landing_sigma, flags
@@ -196,7 +196,9 @@ def _split(
     return starts[start_order], ends[end_order], start_sigma[start_order], end_sigma[end_order], out
 
 
-def _pass_cut(out: Ints, starts: Floats, ends: Floats, takeoff: Floats, landing: Floats, flags: Ints) -> Ints:
+def _pass_cut(
+    out: Integers, starts: Floats, ends: Floats, takeoff: Floats, landing: Floats, flags: Integers
+) -> Integers:
     """Flag `CUT` only on the first part of an interval cut at its start, and the last of one cut at its end."""
     cut = np.flatnonzero(flags & FlightFlag.CUT)
     out &= ~int(FlightFlag.CUT)
@@ -213,7 +215,7 @@ def _strength(landing: Floats, impacts: Impacts, reach_s: float) -> Floats:
     return np.where(np.abs(impacts.time_s[partner] - landing) < reach_s, impacts.strength[partner], np.nan)
 
 
-def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_hz: float) -> tuple[Ints, Ints]:
+def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_hz: float) -> tuple[Integers, Integers]:
     """Step of each flight (-1: in none), and the flags `SETTLING` and `CUT` at a change of step."""
     first = steps["first_sample"] / rate_hz
     settled = (steps["first_sample"] + steps["settle_samples"]) / rate_hz
@@ -226,7 +228,7 @@ def _steps(steps: npt.NDArray[np.void], takeoff: Floats, landing: Floats, rate_h
     return np.where(outside, -1, step), flags.astype(np.int64)
 
 
-def _gaps(found: Scan, takeoff: Floats, landing: Floats) -> Ints:
+def _gaps(found: Scan, takeoff: Floats, landing: Floats) -> Integers:
     """Flag `GAP` where samples were lost or filled in during the flight or at its edges."""
     margin_s = 2.0 / found.plate.rate_hz
     at_s = found.plate.gaps[:, 0] / found.plate.rate_hz
@@ -237,7 +239,7 @@ def _gaps(found: Scan, takeoff: Floats, landing: Floats) -> Ints:
     return np.where(touched, int(FlightFlag.GAP), 0).astype(np.int64)
 
 
-def _missed(found: Scan, landing: Floats, rate_hz: float) -> Ints:
+def _missed(found: Scan, landing: Floats, rate_hz: float) -> Integers:
     """Flag `UNSURE` where, since the last landing, an edge of an AC-coupled circuit was missed, or may be in a gap."""
     flags = np.zeros(landing.size, dtype=np.int64)
     if found.survey.coupling is None:
@@ -257,7 +259,13 @@ def unseen_contact_s(report: EdgeReport, rate_hz: float) -> float:
 
 
 def _unseen_contacts(
-    plate: PlateMotion, g: float, takeoff: Floats, takeoff_sigma: Floats, landing: Floats, step: Ints, unseen_s: float
+    plate: PlateMotion,
+    g: float,
+    takeoff: Floats,
+    takeoff_sigma: Floats,
+    landing: Floats,
+    step: Integers,
+    unseen_s: float,
 ) -> tuple[Floats, Floats]:
     """Take-offs at a landing where the plate was still pushing, moved by half an undetectable contact time."""
     at_landing = np.append(False, np.abs(takeoff[1:] - landing[:-1]) < 1e-12)
@@ -268,7 +276,7 @@ def _unseen_contacts(
     return later, np.where(pushing, np.hypot(takeoff_sigma, unseen_s / np.sqrt(12.0)), takeoff_sigma)
 
 
-def _unresolved(strength: Floats, flags: Ints, report: EdgeReport) -> Ints:
+def _unresolved(strength: Floats, flags: Integers, report: EdgeReport) -> Integers:
     """Flag `UNSURE` on the last part of a chatter, which ends after bounces too small to be resolved."""
     if report.sensor_offset is None:
         return np.zeros(flags.size, dtype=np.int64)
@@ -276,7 +284,7 @@ def _unresolved(strength: Floats, flags: Ints, report: EdgeReport) -> Ints:
     return np.where(silent, int(FlightFlag.UNSURE), 0).astype(np.int64)
 
 
-def _contacts(takeoff: Floats, landing: Floats, true: npt.NDArray[np.bool_]) -> Floats:
+def _contacts(takeoff: Floats, landing: Floats, true: Bools) -> Floats:
     """Time since the last true landing; NaN before the first."""
     contact = np.full(takeoff.size, np.nan)
     index = np.flatnonzero(true)
@@ -291,9 +299,9 @@ def _launch_flags(
     takeoff: Floats,
     landing: Floats,
     contact: Floats,
-    step: Ints,
-    true: npt.NDArray[np.bool_],
-) -> Ints:
+    step: Integers,
+    true: Bools,
+) -> Integers:
     """Flags `RELAUNCHED` (the plate fell away faster than g at the landing) and `DOUBLE_HIT` (it was pushing)."""
     flags = np.zeros(takeoff.size, dtype=np.int64)
     brief = true & (contact < REBOUND_CONTACT_S)
@@ -309,8 +317,8 @@ def _launch_flags(
 
 
 def _hidden(
-    plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Ints, flags: Ints
-) -> Ints:
+    plate: PlateMotion, g: float, takeoff: Floats, landing: Floats, contact: Floats, step: Integers, flags: Integers
+) -> Integers:
     """Flag `UNSURE` where a ball leaving from rest in free flight would have met the plate well before its landing."""
     skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT | FlightFlag.RELAUNCHED
     rest = ((flags & int(skip)) == 0) & ((contact > RESTED_S) | np.isnan(contact))
@@ -348,7 +356,7 @@ def _clearances(place, turn, speed, step_s, g, lowest, highest):  # type: ignore
         lowest[i], highest[i] = low, high
 
 
-def _gammas(found: Scan, step: Ints) -> Floats:
+def _gammas(found: Scan, step: Integers) -> Floats:
     """Gamma of each flight's step: measured on the plate, else achieved according to the rig, else asked for."""
     best = np.array(
         [

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import pdtr
 
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
-
-Floats = npt.NDArray[np.float64]
+from kernels.arrays import Floats
 
 MAX_CYCLE = 8  # flights of the longest cycle looked for
 MIN_REPEATS = 3  # cycles needed

@@ -17,6 +17,7 @@ from analysis.flights.classify import BandTest, Change, StepClass, band_test, ch
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
+from kernels.arrays import Floats, Integers
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.bifurcations.sweep import TYPES, each_observed
 from model.effects.registry import effect, resolve
@@ -25,8 +26,6 @@ from model.orbits.attractor import AT_REST, Attractor, Ball, attractor
 from model.orbits.contact_sensor import Instrument, observe
 from model.orbits.make_ball import make_ball
 from model.tones import Forcing
-
-Floats = npt.NDArray[np.float64]
 
 MAX_GAMMA = 500.0  # largest gamma of a plate, beyond what shakers reach
 MAX_FLIGHTS = 2048  # flights computed before a step is called chaotic
@@ -258,7 +257,7 @@ def _changes(flights: Flights, classes: Sequence[StepClass]) -> tuple[Change, ..
     return changes(tuple(classes[i] for i in order), gammas[order])
 
 
-def _order(gammas: Floats) -> npt.NDArray[np.int64]:
+def _order(gammas: Floats) -> Integers:
     """Order of the steps along the ramp: in time where gamma turns at most once, by gamma where they are shuffled."""
     known = gammas[np.isfinite(gammas)]
     turns = np.count_nonzero(np.diff(np.sign(np.diff(known))))

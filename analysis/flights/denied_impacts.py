@@ -8,12 +8,9 @@ what is taken for a contradiction. Decision 296.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.plate.motion import PlateMotion
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from kernels.arrays import Bools, Complexes, Floats, Integers
 
 CLEARLY = 2.0  # times that the velocity of the cut flight lies farther below the plate's than that of the whole one
 LEAST_MPS = 0.03  # least distance below the plate's velocity that counts
@@ -21,8 +18,14 @@ LEAST_PART = 0.3  # the same as a part of the velocity of a free flight of that 
 
 
 def denied(
-    plate: PlateMotion, g_mps2: float, takeoff_s: Floats, landing_s: Floats, step: Ints, impact_s: Floats, host: Ints
-) -> npt.NDArray[np.bool_]:
+    plate: PlateMotion,
+    g_mps2: float,
+    takeoff_s: Floats,
+    landing_s: Floats,
+    step: Integers,
+    impact_s: Floats,
+    host: Integers,
+) -> Bools:
     """Whether the flight that an impact would end did not end there: no ball can have left so slowly.
 
     Parameters
@@ -61,8 +64,8 @@ def denied(
 
 
 def _too_slow(
-    plate: PlateMotion, g_mps2: float, step: Ints, begin_s: Floats, impact_s: Floats, whole_s: Floats
-) -> npt.NDArray[np.bool_]:
+    plate: PlateMotion, g_mps2: float, step: Integers, begin_s: Floats, impact_s: Floats, whole_s: Floats
+) -> Bools:
     """Whether a flight that began at a time and ended at an impact must have begun more slowly than the plate.
 
     Where the flight would have begun slowly even if it ended at ``whole_s``, something else is wrong.
@@ -71,7 +74,7 @@ def _too_slow(
     moving = omega > 0.0
     place = np.where(moving, -z / np.where(moving, omega, 1.0) ** 2, 0.0)
 
-    def shown(time_s: Floats) -> npt.NDArray[np.complex128]:
+    def shown(time_s: Floats) -> Complexes:
         return np.asarray(place * np.exp(1j * np.where(moving, omega, 0.0) * plate.true_time_s(time_s)))
 
     begin = shown(begin_s)

@@ -27,8 +27,8 @@ from daq.files.tables import STEP_DTYPE, BlockFlag
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE
+from kernels.arrays import Floats, Integers
 
-Ints = npt.NDArray[np.int64]
 Progress = Callable[[float], None]  # part done, 0 to 1
 
 MIN_SAMPLES = 32  # samples of a recording, at least
@@ -90,8 +90,8 @@ class Scan:
     starts_open: bool
     impacts: Impacts
     plate: PlateMotion
-    missed: Ints
-    filled_spans_s: npt.NDArray[np.float64]
+    missed: Integers
+    filled_spans_s: Floats
 
 
 def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:
@@ -230,7 +230,7 @@ def plate_of(recording: Recording, *, progress: Progress | None = None) -> Plate
     return scan(recording, progress).plate
 
 
-def _filled_spans_s(recording: Recording) -> npt.NDArray[np.float64]:
+def _filled_spans_s(recording: Recording) -> Floats:
     """Intervals of the recording that the recorder filled in, (n, 2)."""
     filled = recording.blocks[recording.blocks["flags"] & BlockFlag.FILLED != 0]
     ends = filled["first_sample"] + filled["n_samples"]

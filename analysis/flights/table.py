@@ -19,9 +19,7 @@ from analysis.events.levels import Levels
 from analysis.events.sensor_offset import SensorOffset
 from analysis.plate.motion import PlateMotion
 from daq.files.whole_file import whole
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from kernels.arrays import Bools, Floats, Integers
 
 
 class FlightFlag(enum.IntFlag):
@@ -60,7 +58,7 @@ class Flights:
     landing_uncertainty_s: Floats
     takeoff_phase: Floats
     landing_phase: Floats
-    step: Ints
+    step: Integers
     gamma: Floats
     contact_s: Floats
     impact: Floats
@@ -81,16 +79,16 @@ class Flights:
     def __len__(self) -> int:
         return self.takeoff_s.size
 
-    def has(self, flag: FlightFlag) -> npt.NDArray[np.bool_]:
+    def has(self, flag: FlightFlag) -> Bools:
         """Which flights carry any of the flags."""
         return np.asarray(self.flags & int(flag), dtype=bool)
 
-    def select(self, chosen: npt.NDArray[np.bool_]) -> Flights:
+    def select(self, chosen: Bools) -> Flights:
         """The chosen flights, same plate."""
         columns = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("plate", "edges")}
         return Flights(**columns, plate=self.plate, edges=self.edges)
 
-    def good(self) -> npt.NDArray[np.bool_]:
+    def good(self) -> Bools:
         """Flights fit for a comparison: true, whole, in the hold of a step, no gap, nothing hidden."""
         bad = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.UNSURE
         return ~self.has(bad)

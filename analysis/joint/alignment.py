@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.chance import Place
 from analysis.attribution.priors import coordinate_of, parameter_of, scale_of
 from analysis.joint.population import Prior, Quadratic
 from analysis.joint.summary import Option, Point, RunSummary
 from analysis.joint.systematics import PLACES
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats, Integers
 
 LEAST_SIGMA = 1e-3  # of a systematic error's prior: narrower, it is none
 
@@ -46,16 +44,16 @@ class Aligned:
     options: tuple[Option, ...]
     runs: tuple[Quadratic, ...]
     prior: Prior
-    width: Array
-    low: Array
-    high: Array
+    width: Floats
+    low: Floats
+    high: Floats
 
     @property
     def named(self) -> int:
         """Number of coordinates before the candidates'."""
         return len(self.point.own) + len(self.point.shared) + len(PLACES)
 
-    def places_of(self, option: Option) -> NDArray[np.int64]:
+    def places_of(self, option: Option) -> Integers:
         """Columns of a candidate."""
         return self.named + np.array([self.columns[self.named :].index(s) for s in option.sizes], dtype=np.int64)
 

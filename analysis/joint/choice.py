@@ -12,18 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.chance import DRAWS, ScoreSpace
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
 from analysis.attribution.priors import parameter_of, scale_of
 from analysis.joint.alignment import Aligned
-from analysis.joint.population import Places, Population, Quadratic, normal_equations
+from analysis.joint.population import Population, Quadratic, normal_equations
 from analysis.joint.summary import Option
 from analysis.linear_algebra import pinv
 from analysis.thresholds import Thresholds
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats, Integers
 
 LEAST_INFORMATION = 1e-9  # of a column beyond what calibrations can follow, relative
 
@@ -50,9 +48,9 @@ class Tested:
     """
 
     option: Option
-    sizes: Array
+    sizes: Floats
     gain: float
-    losses: Array
+    losses: Floats
     held_out: LogScoreDifference
     p: float
     refusal: str
@@ -136,7 +134,7 @@ class Candidates:
                 out[name] = max(out.get(name, 0.0), float(width ** parameter_of(key).power))
         return dict(sorted(out.items()))
 
-    def judged_again(self, first: Tested, gain: float, gains: Array, depth: int) -> Tested:
+    def judged_again(self, first: Tested, gain: float, gains: Floats, depth: int) -> Tested:
         """A candidate with its gains as runs linearised at its value have them, too.
 
         Runs linearised where it is nothing weigh down what its own signal throws off, and so promise too little of it;
@@ -161,12 +159,12 @@ class Candidates:
         return replace(first, gain=mean, held_out=held_out, p=p, refusal=self._refusal(held_out, p, depth))
 
     @functools.cached_property
-    def _noise(self) -> Array:
+    def _noise(self) -> Floats:
         """Best gains of normal noise, (draws,)."""
         seed = hashlib.sha256(np.round(self.found.x, 9).tobytes()).digest()
         return self._space(self.found.x).by_noise(np.random.default_rng(np.frombuffer(seed, dtype="<u4")))
 
-    def _p(self, gain: float, x: Array) -> float:
+    def _p(self, gain: float, x: Floats) -> float:
         """Probability that chance lets the best of all candidates gain so much; runs' scores are taken at ``x``."""
         by_runs = self._space(x).by_steps(
             self.every.astype(np.float64), np.arange(len(self.every)), np.random.default_rng(len(self.every))
@@ -193,10 +191,10 @@ class Candidates:
             return f"chance lets the best of all candidates gain as much: p = {p:.2g}, wanted {limits.best_of_all_p:g}"
         return ""
 
-    def _loss(self, x: Array) -> float:
+    def _loss(self, x: Floats) -> float:
         return loss_of(self.world, self.found, x)
 
-    def _space(self, x: Array) -> ScoreSpace:
+    def _space(self, x: Floats) -> ScoreSpace:
         """Scores of each run at ``x``, less what calibrations follow, in units of their deviation."""
         prior, free, tried = self.world.prior, self.found.free, self._places
         share = (prior.precision * (x - prior.mean))[free] / len(self.every)
@@ -211,13 +209,13 @@ class Candidates:
         return ScoreSpace(parts * self._scale, 0.5 * (information + information.T), kept, self._signs)
 
 
-def loss_of(world: Aligned, found: Population, x: Array) -> float:
+def loss_of(world: Aligned, found: Population, x: Floats) -> float:
     """Loss of all runs and of the priors at a point, nats."""
     away = x - world.prior.mean
     return sum(run.loss_at(x) for run in found.runs) + 0.5 * float(world.prior.precision @ away**2)
 
 
-def bounded_fit(runs: Sequence[Quadratic], start: Array, world: Aligned, free: Places) -> Array:
+def bounded_fit(runs: Sequence[Quadratic], start: Floats, world: Aligned, free: Integers) -> Floats:
     """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
     loose, x = free, start.copy()
     own = len(world.point.own)
@@ -233,7 +231,7 @@ def bounded_fit(runs: Sequence[Quadratic], start: Array, world: Aligned, free: P
     return x
 
 
-def left_out_losses(world: Aligned, found: Population, free: Places) -> Array:
+def left_out_losses(world: Aligned, found: Population, free: Integers) -> Floats:
     """Loss of each run at the fit of all others, (R,)."""
     out = np.empty(len(found.runs))
     for i, run in enumerate(found.runs):

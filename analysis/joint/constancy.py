@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from analysis.thresholds import CALIBRATION_SIGMAS, NULL_P
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Constancy:
         return min(self.p, self.p_trend) < 0.5 * p
 
 
-def constancy(values: Array, sigmas: Array, time: Array) -> Constancy:
+def constancy(values: Floats, sigmas: Floats, time: Floats) -> Constancy:
     """Test of values of runs at given times.
 
     Parameters
@@ -93,7 +91,7 @@ class OneRun:
     others_sigma: float
 
 
-def one_run_alone(values: Array, sigmas: Array, null: float, width: float) -> OneRun | None:
+def one_run_alone(values: Floats, sigmas: Floats, null: float, width: float) -> OneRun | None:
     """The run that alone shows a parameter to differ from what does nothing; None where more do, or none does.
 
     Of a run, a value counts that is farther off than `CALIBRATION_SIGMAS`; of the others together, one that Wald's test

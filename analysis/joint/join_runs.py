@@ -15,7 +15,6 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, priors_of, scale_of, value_at
 from analysis.joint.alignment import Aligned, aligned
@@ -33,9 +32,9 @@ from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 from model.effects.registry import registry
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 LEAST_RUNS = 3  # fewer tell nothing of how runs differ
@@ -338,7 +337,7 @@ def _moved(point: Point, values: dict[ParameterId, float]) -> Point:
     return Point(priors, {**point.shared, **{k: v for k, v in values.items() if k not in priors}})
 
 
-def _days(summaries: Sequence[RunSummary]) -> tuple[Array, bool]:
+def _days(summaries: Sequence[RunSummary]) -> tuple[Floats, bool]:
     """Days since the first run, and whether they are known; else the runs' numbers."""
     try:
         starts = [datetime.fromisoformat(s.started) for s in summaries]

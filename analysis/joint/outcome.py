@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, value_at
 from analysis.joint.alignment import Aligned, width_of
@@ -19,8 +18,7 @@ from analysis.joint.systematics import NAMES, PLACES, UNIT_S
 from analysis.loop.verdicts import Verdict
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 LEAST_SHOWN = 1.0  # a calibration counts as seen where a run's own sigma is below so many of its prior's
 
@@ -30,7 +28,7 @@ def outcome_of(
     world: Aligned,
     found: Population,
     limits: Thresholds,
-    days: Array,
+    days: Floats,
     declared: Mapping[ParameterId, Prior],
     *,
     names: tuple[str, ...] = (),
@@ -79,7 +77,7 @@ def _over_runs(
     found: Population,
     place: int,
     key: ParameterId,
-    days: Array,
+    days: Floats,
     level: float,
     declared: Prior | None,
 ) -> OverRuns:
@@ -100,7 +98,7 @@ def _over_runs(
     )  # fmt: skip
 
 
-def _one_run(key: ParameterId, values: Array, sigmas: Array, declared: Prior | None) -> OneRun | None:
+def _one_run(key: ParameterId, values: Floats, sigmas: Floats, declared: Prior | None) -> OneRun | None:
     """The run that alone shows a named effect, its others in the parameter's unit."""
     stated = Prior(null_value_of(key), 0.0) if declared is None else declared
     found = one_run_alone(values, sigmas, coordinate_of(key, stated.mean), width_of(key, stated.sigma))

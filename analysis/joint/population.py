@@ -19,12 +19,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.linear_algebra import inv, pinv, solve
-
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
+from kernels.arrays import Floats, Integers
 
 MOST_ROUNDS = 300  # of the EM algorithm
 SETTLED = 1e-3  # relative change of the spreads, of the widest one, at which it ends
@@ -44,11 +41,11 @@ class Quadratic:
         Slope and negative curvature there, (K,) and (K, K).
     """
 
-    origin: Array
-    gradient: Array
-    information: Array
+    origin: Floats
+    gradient: Floats
+    information: Floats
 
-    def without_own(self, spread: Array) -> Quadratic:
+    def without_own(self, spread: Floats) -> Quadratic:
         """The run's own deviations integrated out: calibrations are then those of the population.
 
         Parameters
@@ -64,11 +61,11 @@ class Quadratic:
             self.origin, self.gradient - across.T @ follow[:, -1], self.information - across.T @ follow[:, :-1]
         )
 
-    def slope_at(self, x: Array) -> Array:
+    def slope_at(self, x: Floats) -> Floats:
         """Gradient at a point, (K,)."""
         return self.gradient - self.information @ (x - self.origin)
 
-    def loss_at(self, x: Array) -> float:
+    def loss_at(self, x: Floats) -> float:
         """Negative log likelihood at a point, above that of the origin, nats."""
         away = x - self.origin
         return float(0.5 * away @ self.information @ away - self.gradient @ away)
@@ -78,8 +75,8 @@ class Quadratic:
 class Prior:
     """What is known before any run: means of the population and their precisions, (K,); precision 0 for nothing."""
 
-    mean: Array
-    precision: Array
+    mean: Floats
+    precision: Floats
 
 
 @dataclass(frozen=True)
@@ -101,10 +98,10 @@ class Population:
     prior
     """
 
-    x: Array
-    free: Places
-    covariance: Array
-    spread: Array
+    x: Floats
+    free: Integers
+    covariance: Floats
+    spread: Floats
     runs: tuple[Quadratic, ...]
     prior: Prior
 
@@ -115,7 +112,13 @@ class Population:
 
 
 def fit_population(
-    runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places, *, fixed_spread: bool = False
+    runs: Sequence[Quadratic],
+    start: Floats,
+    spread: Floats,
+    prior: Prior,
+    free: Integers,
+    *,
+    fixed_spread: bool = False,
 ) -> Population:
     """Means, shared parameters and spreads of greatest posterior probability.
 
@@ -150,7 +153,7 @@ def fit_population(
     return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
 
 
-def _likeliest_spread(squares: Array, runs: int, width: Array) -> Array:
+def _likeliest_spread(squares: Floats, runs: int, width: Floats) -> Floats:
     """Most probable spread of deviations whose squares add up to ``squares``, (q,), with a half-normal prior.
 
     It is where ``-n log s - S / (2 s^2) - s^2 / (2 w^2)`` is greatest.
@@ -159,7 +162,7 @@ def _likeliest_spread(squares: Array, runs: int, width: Array) -> Array:
     return np.asarray(width * np.sqrt(2.0 * ratio / (runs + np.sqrt(runs**2 + 4.0 * ratio))))
 
 
-def _solved(runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior, free: Places) -> Population:
+def _solved(runs: Sequence[Quadratic], start: Floats, spread: Floats, prior: Prior, free: Integers) -> Population:
     """Means and shared parameters at given spreads."""
     normal, push = normal_equations(runs, start, prior, free)
     covariance = np.asarray(pinv(normal, rcond=1e-13, hermitian=True), dtype=np.float64)
@@ -168,7 +171,7 @@ def _solved(runs: Sequence[Quadratic], start: Array, spread: Array, prior: Prior
     return Population(x, free, covariance, spread, tuple(runs), prior)
 
 
-def normal_equations(runs: Sequence[Quadratic], at: Array, prior: Prior, free: Places) -> tuple[Array, Array]:
+def normal_equations(runs: Sequence[Quadratic], at: Floats, prior: Prior, free: Integers) -> tuple[Floats, Floats]:
     """Curvature and slope of the log posterior at a point, of what is free."""
     normal = np.sum([run.information[np.ix_(free, free)] for run in runs], axis=0)
     normal[np.diag_indices(len(free))] += prior.precision[free]
@@ -176,7 +179,7 @@ def normal_equations(runs: Sequence[Quadratic], at: Array, prior: Prior, free: P
     return normal, push - prior.precision[free] * (at - prior.mean)[free]
 
 
-def _own_squares(run: Quadratic, found: Population) -> Array:
+def _own_squares(run: Quadratic, found: Population) -> Floats:
     """Expected square of a run's deviations over their spread, (q,)."""
     spread, free = found.spread, found.free
     q = len(spread)
@@ -186,14 +189,14 @@ def _own_squares(run: Quadratic, found: Population) -> Array:
     return np.asarray(np.diag(inverse) + own**2 + np.einsum("ij,jk,ik->i", follow, found.covariance, follow))
 
 
-def own_calibrations(run: Quadratic, found: Population) -> Array:
+def own_calibrations(run: Quadratic, found: Population) -> Floats:
     """Most probable calibrations of one run, given the population, (q,)."""
     q, spread = len(found.spread), found.spread
     inner = np.eye(q) + spread[:, None] * run.information[:q, :q] * spread
     return np.asarray(found.x[:q] + spread * solve(inner, spread * run.slope_at(found.x)[:q]))
 
 
-def alone(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Array, Array]:
+def alone(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Floats, Floats]:
     """Each run's own value of one parameter and its standard deviation, all else as in the population, (R,).
 
     A run's other calibrations are free within the spreads; the one at ``place`` is not drawn to its mean.

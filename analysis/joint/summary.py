@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import candidates_of
 from analysis.attribution.chance import Place, places
@@ -33,9 +32,9 @@ from analysis.thresholds import Thresholds
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 from model.effects.registry import resolve
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 LEAST_STEPS = 2  # of a run whose plate motion can be measured
@@ -247,11 +246,11 @@ def _to_second_order(
     return Quadratic(origin, *adjusted_gradient_and_information(whitener, raw, both)), errors.sigma
 
 
-def _packed(x: Array) -> str:
+def _packed(x: Floats) -> str:
     return base64.b64encode(np.ascontiguousarray(x, dtype="<f8").tobytes()).decode("ascii")
 
 
-def _unpacked(text: str) -> Array:
+def _unpacked(text: str) -> Floats:
     return np.frombuffer(base64.b64decode(text), dtype="<f8").astype(np.float64)
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.chance import Place
 from analysis.attribution.second_order import of_same_events
@@ -22,8 +21,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.uncertainty import EDGE_STEP_S
 from analysis.residuals.values import Values
 from analysis.residuals.whitening import Whitener
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats
 
 NAMES = ("openings late beside closings", "closings of brief contacts late")
 PLACES: tuple[Place, ...] = tuple((("systematic", name), ()) for name in NAMES)
@@ -44,7 +42,7 @@ class Systematics:
         Standard deviations of their priors, in `UNIT_S`, (2,); 0 where the run has no such edges.
     """
 
-    slopes: Array
+    slopes: Floats
     sigma: tuple[float, ...]
 
     @classmethod
@@ -71,5 +69,5 @@ class Systematics:
         return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
 
 
-def _typical(sigma_s: Array, some: NDArray[np.bool_]) -> float:
+def _typical(sigma_s: Floats, some: Bools) -> float:
     return float(np.median(sigma_s[some])) if some.any() else 0.0

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Rejected, SelectionResult
@@ -43,14 +42,14 @@ from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Bools, Floats
 from model.effects.registry import effect, resolve
 
 if TYPE_CHECKING:
     from analysis.flights.table import Flights
     from daq.recording import Recording
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+
 Progress = Callable[[str, float], None]
 
 
@@ -281,7 +280,7 @@ def _selected(model: ForwardModel, selection: SelectionResult) -> dict[str, Any]
 
 
 def withdraw_unconfirmed(
-    model: ForwardModel, found: SelectionResult, train: Mask, limits: Thresholds
+    model: ForwardModel, found: SelectionResult, train: Bools, limits: Thresholds
 ) -> SelectionResult:
     """The selection less the last effects whose small gain the reserved steps contradict."""
     if found.best is found.before:
@@ -305,7 +304,7 @@ def withdraw_unconfirmed(
     return found
 
 
-def _unseen_losses(model: ForwardModel, x: Hypothesis, train: Mask) -> Array:
+def _unseen_losses(model: ForwardModel, x: Hypothesis, train: Bools) -> Floats:
     """Loss of each step by a fit that had not seen it: held out in turn, or reserved."""
     reserved = np.asarray(sum(step_losses(model, x.whitener, model.residuals(x.fitted.values)).values()))
     return np.where(train, x.per_step, reserved)

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
@@ -23,12 +22,11 @@ from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIR
 from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import STANDARD_GRAVITY_MPS2, Setup
+from kernels.arrays import Floats
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, registry
 from model.integrator.one_step import Measured, PlateSteps, simulate
 from model.tones import Plate
-
-Array = NDArray[np.float64]
 
 STEPS = 14  # of a designed ramp
 SETTLE_CYCLES, HOLD_CYCLES = 20, 30  # of each simulated step
@@ -68,7 +66,7 @@ class Ranked:
     closest_rival: tuple[str, ...]
 
 
-def designs_for(gamma: Array, ratio: int) -> list[Design]:
+def designs_for(gamma: Floats, ratio: int) -> list[Design]:
     """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations beside.
 
     Parameters
@@ -147,7 +145,7 @@ def simulate_design(design: Design, world: ForwardModel, fitted: Values) -> Obse
 
 
 def simulate_steps(
-    setup: Setup, gammas: Array, world: ForwardModel, fitted: Values, *, carried: bool = False
+    setup: Setup, gammas: Floats, world: ForwardModel, fitted: Values, *, carried: bool = False
 ) -> Observations:
     """Noise-free observations of steps one after another, with the uncertainties of ``world``.
 
@@ -209,10 +207,10 @@ def replace_ratio(setup: Setup, ratio: int) -> Setup:
 
 
 def _flights(
-    values: Mapping[ParameterId, float], plate: PlateSteps, part: Array, g_mps2: float, carried: bool
+    values: Mapping[ParameterId, float], plate: PlateSteps, part: Floats, g_mps2: float, carried: bool
 ) -> Measured:
     """Flights of every step by the integrator, with drifting parameters at their value in the step."""
-    columns: list[list[Array]] = [[], [], [], [], [], []]
+    columns: list[list[Floats]] = [[], [], [], [], [], []]
     start = (0.0, 0.0)
     for i in range(len(part)):
         effects: dict[str, dict[str, float]] = {}

@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.attribution.hypothesis import ChanceTest, Rejected
 from analysis.discovery.discover import Discovery
 from analysis.loop.verdict import Failed
@@ -20,9 +17,8 @@ from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import Thresholds
 from daq.setup.setup import Setup
+from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import resolve
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -110,12 +106,12 @@ class StepTable:
         True for steps reserved for the final test.
     """
 
-    recording: NDArray[np.int64]
-    number: NDArray[np.int64]
-    gamma: Array
-    ratio: NDArray[np.int64]
-    period_s: Array
-    held_out: NDArray[np.bool_]
+    recording: Integers
+    number: Integers
+    gamma: Floats
+    ratio: Integers
+    period_s: Floats
+    held_out: Bools
 
     def __len__(self) -> int:
         return len(self.gamma)
@@ -135,12 +131,12 @@ class Predictions:
         Standard deviation of these residuals by the errors of measurement, the plate's included.
     """
 
-    takeoff_s: Array
-    landing_s: Array
-    takeoff_residual_s: Array
-    landing_residual_s: Array
-    takeoff_sigma_s: Array
-    landing_sigma_s: Array
+    takeoff_s: Floats
+    landing_s: Floats
+    takeoff_residual_s: Floats
+    landing_residual_s: Floats
+    takeoff_sigma_s: Floats
+    landing_sigma_s: Floats
 
 
 @dataclass(frozen=True)
@@ -163,14 +159,14 @@ class FlightTable:
         By the names of `analysis.residuals.covariates.COVARIATES`, SI units, NaN where unknown.
     """
 
-    step: NDArray[np.int64]
-    takeoff_s: Array
-    landing_s: Array
-    scored: NDArray[np.bool_]
-    from_rest: NDArray[np.bool_]
+    step: Integers
+    takeoff_s: Floats
+    landing_s: Floats
+    scored: Bools
+    from_rest: Bools
     before: Predictions
     after: Predictions
-    covariates: Mapping[str, Array]
+    covariates: Mapping[str, Floats]
 
     def __len__(self) -> int:
         return len(self.step)
@@ -190,12 +186,12 @@ class PlateTable:
         Residuals under the declared model and the best hypothesis, scaled to ``sigma``.
     """
 
-    kind: NDArray[np.int64]
-    step: NDArray[np.int64]
-    value: Array
-    sigma: Array
-    before: Array
-    after: Array
+    kind: Integers
+    step: Integers
+    value: Floats
+    sigma: Floats
+    before: Floats
+    after: Floats
 
     def __len__(self) -> int:
         return len(self.kind)

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.flights.compare import FirstBifurcation, first_bifurcation
 from analysis.flights.table import Flights
 from analysis.loop.result import (
@@ -26,12 +23,13 @@ from daq.recording import open_recording
 from daq.recording.identity import stored_id
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Bools
 from model.effects.registry import resolve
 
 Effects = Mapping[str, Mapping[str, float]]
 
 
-def step_table(model: ForwardModel, train: NDArray[np.bool_]) -> StepTable:
+def step_table(model: ForwardModel, train: Bools) -> StepTable:
     """Steps of the observations; those outside ``train`` (m,) are held out."""
     steps = model.evidence.steps
     return StepTable(steps.recording, steps.number, steps.gamma, steps.ratio, steps.plate.period_s, ~train)

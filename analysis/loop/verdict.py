@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.loop.verdicts import Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import Thresholds
+from kernels.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -111,9 +111,9 @@ def verdict_of(
 
 
 def confirmed_on_reserve(
-    worse: NDArray[np.float64],
-    better: NDArray[np.float64],
-    train: NDArray[np.bool_],
+    worse: Floats,
+    better: Floats,
+    train: Bools,
     limits: Thresholds,
     *,
     further: bool,

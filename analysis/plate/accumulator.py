@@ -44,9 +44,8 @@ from analysis.signals.stream import block_means
 from daq.lock_in import LockIn
 from daq.recording import Recording
 from kernels import njit
+from kernels.arrays import Floats, Integers
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 Volts = npt.NDArray[np.float32]
 
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
@@ -125,9 +124,9 @@ class StepAccumulator:
         self.waiting: list[StepState] = []
         self.open: StepState | None = None
         self.mains = [unmeasured_line(hz) for hz in MAINS_HZ]
-        self.impacts: list[Ints] = []
+        self.impacts: list[Integers] = []
 
-    def add(self, piece: PlatePiece, impacts: Ints) -> None:
+    def add(self, piece: PlatePiece, impacts: Integers) -> None:
         """Add one piece; ``impacts`` are the samples of the landings found in it, in any order."""
         self.impacts = [*self.impacts[-1:], impacts]
         begins = np.sort(np.concatenate(self.impacts))
@@ -178,7 +177,7 @@ class StepAccumulator:
         first: int,
         samples: tuple[int, int],
         means: Callable[[int], tuple[Volts, Volts | None, Volts | None]],
-        impacts: Ints,
+        impacts: Integers,
     ) -> None:
         """Keep the block means of unbroken ``samples`` of the piece that begins at ``first``."""
         gaps = self.recording.gaps
@@ -198,7 +197,7 @@ class StepAccumulator:
         state.blocks += end - block
         state.last_sample = samples[1]
 
-    def _block_class(self, block: int, end: int, impacts: Ints, fraction: Volts) -> npt.NDArray[np.int8]:
+    def _block_class(self, block: int, end: int, impacts: Integers, fraction: Volts) -> npt.NDArray[np.int8]:
         """Place and mask level of blocks; the mask begins `LEAD_S` before an impact."""
         begins = (impacts - int(LEAD_S * self.rate_hz)) // self.width
         out = np.empty(end - block, dtype=np.int8)

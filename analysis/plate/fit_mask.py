@@ -12,14 +12,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.linear_algebra import solve
 from kernels import njit
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
+from kernels.arrays import Bools, Complexes, Floats, Integers
 
 MIN_PHASE_RAD = 1e-4  # phase difference over an interval below which two exponentials count as equal
 RIDGE = 1e-9  # added to normal equations whose diagonal is 1
@@ -41,19 +37,19 @@ class FitIntervals:
         Whether the ball lay on the plate all the while.
     """
 
-    step: Ints
-    span_s: Array
-    window: Ints
-    contact: NDArray[np.bool_]
+    step: Integers
+    span_s: Floats
+    window: Integers
+    contact: Bools
 
     @classmethod
-    def whole(cls, span_s: Array) -> Self:
+    def whole(cls, span_s: Floats) -> Self:
         """One unmasked interval a step, ``span_s`` (m, 2)."""
         m = len(span_s)
         return cls(np.arange(m), span_s, np.full(m, -1), np.zeros(m, dtype=np.bool_))
 
     @classmethod
-    def join(cls, parts: Sequence[Self], steps: Ints, windows: Ints) -> Self:
+    def join(cls, parts: Sequence[Self], steps: Integers, windows: Integers) -> Self:
         """All parts in one, their rows of steps and windows counted on from ``steps`` and ``windows``."""
         if not parts:
             return cls.whole(np.zeros((0, 2)))
@@ -65,16 +61,14 @@ class FitIntervals:
         )
 
     @classmethod
-    def of_blocks(
-        cls, first: int, keep: NDArray[np.bool_], window: Ints, contact: NDArray[np.bool_], block_s: float
-    ) -> Self:
+    def of_blocks(cls, first: int, keep: Bools, window: Integers, contact: Bools, block_s: float) -> Self:
         """Intervals of consecutive blocks from number ``first`` on: ``keep``, ``window`` and ``contact`` are (n,)."""
         bounds = _alike(keep, window, contact)
         at = bounds[:, 0]
         return cls(np.zeros(len(at), dtype=np.int64), (first + bounds) * block_s, window[at], contact[at])
 
     @cached_property
-    def seconds(self) -> Array:
+    def seconds(self) -> Floats:
         """Length of each interval."""
         return np.asarray(self.span_s[:, 1] - self.span_s[:, 0])
 
@@ -91,18 +85,18 @@ class FitIntervals:
         rows = self.contact
         return type(self)(self.step[rows], self.span_s[rows], self.window[rows], self.contact[rows])
 
-    def overlaps(self, e: Array, others: Array) -> Complex:
+    def overlaps(self, e: Floats, others: Floats) -> Complexes:
         """Integrals of ``exp(i (others - e) t)`` over each step, ``e`` (n, a) and ``others`` (n, b): (n, a, b), s."""
         e, others = np.ascontiguousarray(e), np.ascontiguousarray(others)
         out = np.zeros((len(e), e.shape[1], others.shape[1]), dtype=np.complex128)
         _overlaps(self.step, self.span_s, e, others, out)
         return out
 
-    def gram(self, e: Array, fitted: NDArray[np.bool_]) -> Complex:
+    def gram(self, e: Floats, fitted: Bools) -> Complexes:
         """Normal equations (n, a, a) of a fit of those exponentials ``e`` (n, a) that are ``fitted``."""
         return self.overlaps(e, e) * (fitted[:, :, None] & fitted[:, None, :])
 
-    def projected(self, gram: Complex, e: Array, others: Array) -> Complex:
+    def projected(self, gram: Complexes, e: Floats, others: Floats) -> Complexes:
         """Least-squares projections of exponentials ``others`` (n, b) on those of ``e`` (n, a) that ``gram`` fits.
 
         Angular frequencies in rad/s. Shape (n, a, b), zero for what is not fitted.
@@ -111,7 +105,7 @@ class FitIntervals:
         return solved(gram, self.overlaps(e, others) * fitted[:, :, None])
 
 
-def solved(gram: Complex, side: Complex) -> Complex:
+def solved(gram: Complexes, side: Complexes) -> Complexes:
     """Solutions of normal equations (n, a, a) with right sides (n, a, b); undetermined unknowns are zero."""
     size = np.sqrt(np.abs(np.diagonal(gram, axis1=1, axis2=2)))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)

@@ -6,16 +6,13 @@ Only the moved tone's two rows of the normal equations are computed anew.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.plate.mains_lines import BIN_S
 from analysis.plate.step_state import N_MASK_LEVELS, StepState
 from daq.lock_in import ToneFit, boxcar_response, inverse_of, solved
 from daq.lock_in_kernel import turns
 from kernels import njit
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+from kernels.arrays import Complexes, Floats
 
 STRETCH = 64  # blocks between exact restarts of the rotating phasors, at most
 

@@ -14,12 +14,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.lock_in import ToneFit
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+from kernels.arrays import Complexes, Floats
 
 MAINS_HZ = (50.0, 60.0)
 MULTIPLES = (2, 3, 4, 5, 6, 7)  # of a measured line

@@ -15,9 +15,9 @@ from analysis.plate.contact_flight_fit import ContactFlightFit
 from analysis.plate.fit_mask import FitIntervals
 from analysis.signals.saturation import STANDS
 from daq.lock_in import ToneFit
+from kernels.arrays import Complexes, Floats, Integers
 from model.tones import Plate
 
-Floats = npt.NDArray[np.float64]
 TWO_PI = 2.0 * np.pi
 FALSE_ALARM = 1e-5  # probability of a slow line in noise alone, below which it is reported
 MIN_VALUES = 16  # values of the slow residual needed for a spectrum
@@ -93,14 +93,12 @@ class Windows:
 
     time_s: Floats
     length_s: float
-    amplitudes: npt.NDArray[np.complex128]
+    amplitudes: Complexes
     uncertainty_mps2: Floats
-    drive_v: npt.NDArray[np.complex128]
+    drive_v: Complexes
     drive_uncertainty_v: Floats
 
-    def relative_amplitude(
-        self, tones: npt.NDArray[np.complex128], drive: npt.NDArray[np.complex128] | None = None
-    ) -> tuple[Floats, Floats]:
+    def relative_amplitude(self, tones: Complexes, drive: Complexes | None = None) -> tuple[Floats, Floats]:
         """Relative deviation of all tones together from ``tones`` (tones,) in each window, and its uncertainty, (w,).
 
         With the step's ``drive`` amplitudes (tones,), the deviation is that beyond the drive's own in the window.
@@ -167,7 +165,7 @@ class StepPlate:
     ratio: int
     multiples: tuple[int, ...]
     acceleration: ToneFit
-    unmasked_mps2: npt.NDArray[np.complex128]
+    unmasked_mps2: Complexes
     drive: ToneFit | None
     contact_flight: ContactFlightFit
     gamma: float
@@ -250,7 +248,7 @@ class PlateMotion:
     steps: tuple[StepPlate | None, ...]
     noise_mps2: float
     rate_hz: float
-    gaps: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    gaps: Integers = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
     def saturation_warnings(self) -> tuple[str, ...]:
         """A sentence that names the steps whose accelerometer saturates; none where it does not."""
@@ -295,12 +293,12 @@ class PlateMotion:
         omega = np.append(self._table()[0], np.nan)
         return np.asarray(omega[np.where((k >= 0) & (k < len(self.steps)), k, -1)] / TWO_PI)
 
-    def acceleration_mps2(self, time_s: Floats, step: npt.NDArray[np.int64]) -> Floats:
+    def acceleration_mps2(self, time_s: Floats, step: Integers) -> Floats:
         """Plate acceleration at times within steps (the forcing's tones), m/s^2; NaN where the step was not fitted."""
         omega, z = self.forcing_tones(step)
         return np.asarray((z * np.exp(1j * omega * self.true_time_s(time_s))).real.sum(axis=0))
 
-    def forcing_tones(self, step: npt.NDArray[np.int64]) -> tuple[Floats, npt.NDArray[np.complex128]]:
+    def forcing_tones(self, step: Integers) -> tuple[Floats, Complexes]:
         """Angular frequencies in rad/s and amplitudes in m/s^2 of the forcing's tones in steps (n,), both (2, n).
 
         The second tone of a forcing that has but one is 0 at 0 rad/s; NaN where the step was not fitted.
@@ -310,7 +308,7 @@ class PlateMotion:
         return omega[:, row_of], z[:, row_of]
 
     @cached_property
-    def _forcing(self) -> tuple[Floats, npt.NDArray[np.complex128]]:
+    def _forcing(self) -> tuple[Floats, Complexes]:
         """The forcing's tones of every step, and of none."""
         omega, z = np.full((2, len(self.steps) + 1), np.nan), np.zeros((2, len(self.steps) + 1), dtype=np.complex128)
         for k, fitted in enumerate(self.steps):

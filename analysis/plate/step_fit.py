@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
 from analysis.plate.fit_mask import FitIntervals
@@ -25,9 +24,7 @@ from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording
 from daq.setup.setup import Setup
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
+from kernels.arrays import Complexes
 
 MIN_WINDOWS = 4  # windows needed to measure a slow modulation
 MODULATION_ERROR = 0.5  # relative error of the modulation's power: windows need not cover a step

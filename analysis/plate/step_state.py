@@ -11,10 +11,7 @@ import numpy.typing as npt
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import MainsLine
 from daq.lock_in import LockIn, ToneFit
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Ints = npt.NDArray[np.int64]
+from kernels.arrays import Bools, Complexes, Floats, Integers
 
 HARMONICS = 5
 MASK_PARTS = (0.25, 0.35, 0.5, 0.7, 1.0)  # lengths of the masks after an impact, as parts of the longest
@@ -45,7 +42,7 @@ class Span:
         """One past the last block."""
         return self.first + len(self.values)
 
-    def clear(self, mask_level: int) -> npt.NDArray[np.bool_]:
+    def clear(self, mask_level: int) -> Bools:
         """Blocks outside the chosen mask, (n,)."""
         return self.block_class % N_MASK_LEVELS >= mask_level
 
@@ -116,7 +113,7 @@ class StepState:
         """Rows of the forcing's tones among the fitted ones."""
         return [self.multiples.index(m) for m in sorted({1, self.ratio}) if m in self.multiples]
 
-    def clear_classes(self, places: tuple[int, ...] = (CONTACT, NEITHER, FLIGHT)) -> Ints:
+    def clear_classes(self, places: tuple[int, ...] = (CONTACT, NEITHER, FLIGHT)) -> Integers:
         """Block classes of the given places outside the chosen mask."""
         return np.array(
             [p * N_MASK_LEVELS + level for p in places for level in range(self.mask_level, N_MASK_LEVELS)],

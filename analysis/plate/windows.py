@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import BIN_S, noise_near
@@ -18,10 +17,7 @@ from analysis.statistics import median
 from daq.lock_in import ToneFit
 from daq.lock_in_kernel import RESYNC, turns
 from kernels import njit
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Ints = npt.NDArray[np.int64]
+from kernels.arrays import Complexes, Floats, Integers
 
 WINDOW_CYCLES = 2.0  # length of a window
 SLOW_PER_CYCLE = 4.0  # values of the slow residual per period of the forcing
@@ -44,7 +40,7 @@ class StepTones(NamedTuple):
     response: Complexes
     amplitudes: Complexes
     offsets: Floats
-    rows: Ints
+    rows: Integers
     forcing: int
     lines: int
 
@@ -69,7 +65,7 @@ class SpanSums(NamedTuple):
     gram: Floats
     side: Floats
     power: Floats
-    used: Ints
+    used: Integers
 
 
 class SpanWindows(NamedTuple):
@@ -92,7 +88,7 @@ class Scratch(NamedTuple):
     sine: Floats
     left: Floats
     row: Floats
-    n_slow: Ints
+    n_slow: Integers
 
 
 def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
@@ -222,7 +218,7 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
 
 def _sum_span(
     span: Span, level: int, group: int, tones: StepTones, windows: SpanWindows, rate_hz: float, beats: Complexes
-) -> tuple[SpanSums, Ints]:
+) -> tuple[SpanSums, Integers]:
     """Sums of the residuals of a span's block means about the step's ``tones``, in slow bins of ``group`` blocks.
 
     Beside them the number of the window of each place of ``windows.length`` blocks, and of the rest; -1 for none.

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Bools, Floats, Integers
 from model.integrator.one_step import PlateSteps
 
 if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel
     from analysis.residuals.values import Values
 
-Array = NDArray[np.float64]
 
 HEIGHT_POINTS = 33  # points of a flight in the search of its highest one
 
@@ -71,7 +70,7 @@ COVARIATES: Mapping[str, Covariate] = {
 }
 
 
-def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
+def covariates(world: ForwardModel, values: Values) -> dict[str, Floats]:
     """Covariates of every flight of the observations.
 
     Parameters
@@ -99,7 +98,7 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     _, at_land, a_land = _plate(plate, step, land)
     _, at_start, _ = _plate(plate, step, start)
 
-    def previous(x: Array) -> Array:
+    def previous(x: Floats) -> Floats:
         return np.where(linked, x[before], np.nan)
 
     return {
@@ -127,22 +126,22 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Array]:
     }
 
 
-def _plate(plate: PlateSteps, step: NDArray[np.int64], t: Array) -> tuple[Array, Array, Array]:
+def _plate(plate: PlateSteps, step: Integers, t: Floats) -> tuple[Floats, Floats, Floats]:
     """Displacement, velocity and acceleration of the plate at times of the shape of ``step``."""
     w, z = plate.omega_radps[step], plate.acceleration_mps2[step]
     turned = z * np.exp(1j * w * t[:, None])
     return -(turned / w**2).real.sum(axis=1), (turned / (1j * w)).real.sum(axis=1), turned.real.sum(axis=1)
 
 
-def _phase(plate: PlateSteps, step: NDArray[np.int64], t: Array) -> Array:
+def _phase(plate: PlateSteps, step: Integers, t: Floats) -> Floats:
     """Phase of the first tone's displacement, 0 where it crosses zero going up, in [0, 2 pi)."""
     w, z = plate.omega_radps[step, 0], plate.acceleration_mps2[step, 0]
     return np.asarray(np.mod(w * t + np.angle(-z) + 0.5 * math.pi, 2.0 * math.pi))
 
 
 def _ends(
-    g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, lasts: Array, relaunched: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+    g: float, plate: PlateSteps, step: Integers, start: Floats, lasts: Floats, relaunched: Bools
+) -> tuple[Floats, Floats]:
     """Launch and impact speed relative to the plate of flights under gravity alone, from where they began and ended."""
     x0, v0, _ = _plate(plate, step, start)
     x1, v1, _ = _plate(plate, step, start + lasts)
@@ -150,7 +149,7 @@ def _ends(
     return np.maximum(launch, 0.0), np.maximum(g * lasts + v1 - v0 - launch, 0.0)
 
 
-def _height(g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, lasts: Array, launch: Array) -> Array:
+def _height(g: float, plate: PlateSteps, step: Integers, start: Floats, lasts: Floats, launch: Floats) -> Floats:
     """Greatest height above the plate under gravity alone."""
     x0, v0, _ = _plate(plate, step, start)
     best = np.zeros(len(step))
@@ -161,13 +160,13 @@ def _height(g: float, plate: PlateSteps, step: NDArray[np.int64], start: Array, 
     return best
 
 
-def _since_rest(relaunched: NDArray[np.bool_]) -> Array:
+def _since_rest(relaunched: Bools) -> Floats:
     """Number of flights since the last rest, (n,)."""
     index = np.arange(len(relaunched))
     return np.asarray(index - np.maximum.accumulate(np.where(relaunched, 0, index)), dtype=np.float64)
 
 
-def _first_of_step(step: NDArray[np.int64], t: Array) -> Array:
+def _first_of_step(step: Integers, t: Floats) -> Floats:
     first = np.full(int(step.max(initial=0)) + 1, np.inf)
     np.minimum.at(first, step, t)
     return first[step]

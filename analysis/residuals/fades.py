@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.flights.assemble import FlightFlag, Flights
 from daq.recording import Recording
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from kernels.arrays import Bools, Floats, Integers
 
 LONGEST_S = 0.2  # of a flight or contact whose acceleration is integrated
 BESIDE_S = 4e-3  # time on both sides of an impact from which the motion in between is told
@@ -30,9 +27,9 @@ class Fades:
     ``earlier_s`` is by how much each may have begun earlier: its length where it was found in a drive, else nothing.
     """
 
-    begin_s: Array
-    length_s: Array
-    earlier_s: Array
+    begin_s: Floats
+    length_s: Floats
+    earlier_s: Floats
 
     @classmethod
     def of(cls, recording: Recording) -> Self:
@@ -42,18 +39,18 @@ class Fades:
         found = recording.attrs.get("backend") == "import"
         return cls(steps["first_sample"] / rate_hz, length_s, length_s if found else np.zeros(len(steps)))
 
-    def before_half(self, step: Ints, time_s: Array) -> NDArray[np.bool_]:
+    def before_half(self, step: Integers, time_s: Floats) -> Bools:
         """Whether times in steps, (n,) each, lie before the half of the fade: the plate moves as in the step before."""
         half_s = np.append(self.begin_s + 0.5 * self.length_s, np.inf)
         return np.asarray((step > 0) & (time_s < half_s[np.minimum(step, len(half_s) - 1)]))
 
-    def touch(self, opening_s: Array, landing_s: Array) -> NDArray[np.bool_]:
+    def touch(self, opening_s: Floats, landing_s: Floats) -> Bools:
         """Whether intervals (n,) meet a fade, or what may be one."""
         fades = self.length_s > 0.0
         begin_s, end_s = (self.begin_s - self.earlier_s)[fades], (self.begin_s + self.length_s)[fades]
         return np.searchsorted(begin_s, landing_s) > np.searchsorted(end_s, opening_s)
 
-    def others(self, step: Ints, time_s: Array) -> tuple[Ints, Array]:
+    def others(self, step: Integers, time_s: Floats) -> tuple[Integers, Floats]:
         """The other step of the fade in which each time lies, -1 for rest, and the share of its motion, (n,) each.
 
         ``step`` is the one whose motion is taken for the plate's; no share outside of fades. The weight of the new step
@@ -78,12 +75,12 @@ class Pushes:
     contact; NaN where none touches a fade or where it cannot be told.
     """
 
-    flight_mps: Array
-    contact_mps: Array
-    contact_centre: Array
+    flight_mps: Floats
+    contact_mps: Floats
+    contact_centre: Floats
 
 
-def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Ints) -> Pushes:
+def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Integers) -> Pushes:
     """Integrals of the accelerometer's reading for the flights in ``rows``.
 
     Nothing need be known of how the plate gets from one motion to the next, but the accelerometer's zero must: no mean
@@ -106,7 +103,7 @@ def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Ints) -> 
     return out
 
 
-def _push_mps2(recording: Recording, begin_s: float, end_s: float) -> Array:
+def _push_mps2(recording: Recording, begin_s: float, end_s: float) -> Floats:
     """The plate's acceleration plus gravity at the samples between two times, one at least."""
     channel, g_mps2 = recording.setup.channels.accelerometer, recording.setup.g_mps2.value
     zero_v = 0.0 if channel.offset_v is None else channel.offset_v.value
@@ -116,7 +113,7 @@ def _push_mps2(recording: Recording, begin_s: float, end_s: float) -> Array:
     return np.asarray(read_mps2 + (0.0 if channel.reads_gravity else g_mps2))
 
 
-def _after_impact_mps2(recording: Recording, impact_s: float, end_s: float) -> Array:
+def _after_impact_mps2(recording: Recording, impact_s: float, end_s: float) -> Floats:
     """The same from an impact on; while that rings, a cubic through the readings on both sides stands for them."""
     begin_s, stop_s = impact_s - BESIDE_S, max(end_s, impact_s + RINGING_S + BESIDE_S)
     read = _push_mps2(recording, begin_s, stop_s)

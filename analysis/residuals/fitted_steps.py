@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
 from analysis.residuals.plate_observables import LEAST_WINDOWS
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from kernels.arrays import Complexes, Floats
 
 
-def tones_of(fitted: Sequence[StepPlate]) -> tuple[Array, Complex]:
+def tones_of(fitted: Sequence[StepPlate]) -> tuple[Floats, Complexes]:
     """Fitted tones of each step and their amplitudes, (m, k); places that are free hold multiples beyond them."""
     k = max((len(s.acceleration.amplitudes) for s in fitted), default=2)
     omega, z = np.zeros((len(fitted), k)), np.zeros((len(fitted), k), dtype=np.complex128)
@@ -38,6 +35,6 @@ def intervals_of(fitted: Sequence[StepPlate]) -> FitIntervals:
     return FitIntervals.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
 
 
-def window_spans(s: StepPlate) -> Array:
+def window_spans(s: StepPlate) -> Floats:
     """From where to where each window of a step goes, (w, 2)."""
     return s.windows.time_s[:, None] + 0.5 * s.windows.length_s * np.array([-1.0, 1.0])

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.residuals.covariates import COVARIATES, covariates
 from analysis.residuals.memory import Memory
@@ -21,14 +20,13 @@ from analysis.residuals.plate_mode import Ringing
 from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from analysis.residuals.values import TREND, AllValues, Own, Values, calibrating_effects, driving_effects
+from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.event_slopes import Slopes, slopes_of
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead
 from model.integrator.problem import columns_of
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
 MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kept: of predictions, plate data and hooks
 
@@ -37,19 +35,19 @@ MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kep
 class Inputs:
     """What a prediction is made from: parameters (P + 1,) or (n, P + 1), plate, the circuit's height and delay (n,)."""
 
-    rows: Array
+    rows: Floats
     plate: PlateSteps
-    gap_m: Array
-    delay_s: Array
+    gap_m: Floats
+    delay_s: Floats
 
 
 @dataclass(frozen=True)
 class Residuals:
     """Measured minus predicted, in seconds, (n,), NaN where there is no prediction; and of the plate data, (r,)."""
 
-    opening_s: Array
-    landing_s: Array
-    plate: Array
+    opening_s: Floats
+    landing_s: Floats
+    plate: Floats
     predicted: Predicted
 
 
@@ -91,7 +89,7 @@ class ForwardModel:
         self.memory, self.slope_memory = Memory(MOST_KEPT["flights"]), Memory(MOST_KEPT["slopes"])
         self._nothing = row({}, self.gravity)
         self.from_rest = evidence.scored & ~evidence.measured.relaunched  # take-offs after a rest, as the circuit saw
-        self.covariates: dict[str, Array] = {}  # computed where an effect follows one
+        self.covariates: dict[str, Floats] = {}  # computed where an effect follows one
         of_steps = evidence.steps.run_part[evidence.measured.step]
         self._run_part_events = of_steps if evidence.run_part is None else evidence.run_part
 
@@ -99,7 +97,7 @@ class ForwardModel:
         """All parameters that are set: the base, overridden by ``values``."""
         return values if isinstance(values, AllValues) else AllValues({**self.base, **values})
 
-    def rows(self, values: Values) -> Array:
+    def rows(self, values: Values) -> Floats:
         """Parameters of each event, (P + 1,) or with drifting parameters (n, P + 1)."""
         point = self.start(values)
         out = self._nothing.copy()
@@ -120,18 +118,18 @@ class ForwardModel:
             out[:, column] = np.clip(trend, parameter.low, parameter.high)
         return out
 
-    def _covariate(self, name: str) -> Array:
+    def _covariate(self, name: str) -> Floats:
         """A quantity of each flight as measured, by the declared calibrations, (n,); NaN where it is not known."""
         if not self.covariates:
             self.covariates.update(covariates(self, {}))
         return self.covariates[name]
 
-    def by_step(self, values: Values) -> dict[str, dict[str, Array]]:
+    def by_step(self, values: Values) -> dict[str, dict[str, Floats]]:
         """Parameters in each step, by effect and parameter, for the plate data."""
         point = self.start(values)
         return {name: self._in_steps(name, own) for name, own in point.own.items()}
 
-    def _in_steps(self, name: str, own: Own) -> dict[str, Array]:
+    def _in_steps(self, name: str, own: Own) -> dict[str, Floats]:
         """Parameters of one effect in each step."""
         m, run_part = len(self.evidence.steps), self.evidence.steps.run_part
         table = {q.name: np.full(m, q.null_value) for q in effect(name).effect.parameters}
@@ -141,10 +139,10 @@ class ForwardModel:
                 table[key.removesuffix(TREND)] = table[key.removesuffix(TREND)] + value * run_part
         return table
 
-    def _hook_in_steps(self, entry: Registered, hook: str, own: Own) -> Array:
+    def _hook_in_steps(self, entry: Registered, hook: str, own: Own) -> Floats:
         """Values of a plain hook of one effect in each step, (m,) or (m, j)."""
 
-        def made() -> Array:
+        def made() -> Floats:
             table = self._in_steps(entry.effect.name, own)
             if any(key.endswith(TREND) for (_, key), _ in own):
                 rows = zip(*table.values(), strict=True)
@@ -161,22 +159,22 @@ class ForwardModel:
             if own := point.own.get(entry.effect.name):
                 yield entry, own
 
-    def per_step(self, values: Values, hook: str) -> Array:
+    def per_step(self, values: Values, hook: str) -> Floats:
         """Sum of a plain hook over the effects, (m,)."""
         total = np.zeros(len(self.evidence.steps))
         for entry, own in self._with_hook(values, hook):
             total = total + self._hook_in_steps(entry, hook, own)
         return total
 
-    def reading(self, values: Values) -> NDArray[np.complex128] | Array:
+    def reading(self, values: Values) -> Complexes | Floats:
         """What the accelerometer shows of each tone of the plate, relative to it, (m, k)."""
-        total: NDArray[np.complex128] | Array = np.ones(self.evidence.steps.plate.omega_radps.shape)
+        total: Complexes | Floats = np.ones(self.evidence.steps.plate.omega_radps.shape)
         for entry, own in self._with_hook(values, "accelerometer_response"):
             key = ("reading", entry.effect.name, own)
             total = total * self._plate_memory.recall(key, functools.partial(self._reading_of, entry, own))
         return total
 
-    def _reading_of(self, entry: Registered, own: Own) -> NDArray[np.complex128] | Array:
+    def _reading_of(self, entry: Registered, own: Own) -> Complexes | Floats:
         """What one effect makes the accelerometer show of each tone, (m, k)."""
         omega, table = self.evidence.steps.plate.omega_radps, self._in_steps(entry.effect.name, own)
         hook = entry.hooks["accelerometer_response"]
@@ -185,7 +183,7 @@ class ForwardModel:
             return np.array([hook(p, w) for p, w in zip(points, omega, strict=True)])
         return np.asarray(hook(points[0], omega))
 
-    def _expected(self, values: Values) -> Array:
+    def _expected(self, values: Values) -> Floats:
         """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""
         total = np.zeros(len(self.evidence.plate))
         for name, own in self.start(values).own.items():
@@ -193,15 +191,15 @@ class ForwardModel:
                 total = total + self._expected_of(name, own)
         return total
 
-    def _expected_of(self, name: str, own: Own) -> Array:
-        def made() -> Array:
+    def _expected_of(self, name: str, own: Own) -> Floats:
+        def made() -> Floats:
             if any(key.endswith(TREND) for (_, key), _ in own):
                 return expected(self.evidence.plate, {name: self._in_steps(name, own)})
             return share(self.evidence.plate, name, effect(name).effect.null_values | {q: v for (_, q), v in own})
 
         return self._plate_memory.recall((name, own), made)
 
-    def inputs(self, values: Values, tones: NDArray[np.complex128] | None = None, rows: Array | None = None) -> Inputs:
+    def inputs(self, values: Values, tones: Complexes | None = None, rows: Floats | None = None) -> Inputs:
         """What a prediction at ``values`` is made from, with other ``tones`` (m, k) or ``rows`` where given."""
         values = self.start(values)
         if tones is None:
@@ -211,7 +209,7 @@ class ForwardModel:
             plate, gap, delay = self._calibrated(values, tones)
         return Inputs(self.rows(values) if rows is None else rows, plate, gap, delay)
 
-    def _calibrated(self, values: Values, tones: NDArray[np.complex128] | None) -> tuple[PlateSteps, Array, Array]:
+    def _calibrated(self, values: Values, tones: Complexes | None) -> tuple[PlateSteps, Floats, Floats]:
         """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
         ev = self.evidence
         step = ev.measured.step
@@ -229,12 +227,12 @@ class ForwardModel:
         self,
         values: Values,
         *,
-        landing_shift_s: Array | None = None,
-        tones: NDArray[np.complex128] | None = None,
-        rows: Array | None = None,
+        landing_shift_s: Floats | None = None,
+        tones: Complexes | None = None,
+        rows: Floats | None = None,
         kick: tuple[float, float] = (0.0, 0.0),
         near: Predicted | None = None,
-        wanted: NDArray[np.bool_] | None = None,
+        wanted: Bools | None = None,
     ) -> Predicted:
         """One event ahead at ``values``; times as the instrument would show them.
 
@@ -250,7 +248,7 @@ class ForwardModel:
             p, takeoff_s=p.takeoff_s + x.delay_s, landing_s=p.landing_s + x.delay_s, opening_s=p.opening_s + x.delay_s
         )
 
-    def measured_at(self, x: Inputs, wanted: NDArray[np.bool_] | None = None) -> Measured:
+    def measured_at(self, x: Inputs, wanted: Bools | None = None) -> Measured:
         """The flights as they were, less the circuit's delay."""
         seen = self.evidence.measured
         of = seen.wanted if wanted is None else wanted & seen.wanted
@@ -270,7 +268,7 @@ class ForwardModel:
         values = self.start(values)
         return self.memory.recall(("predicted", values.flying), lambda: self.predict(values))
 
-    def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Array, float] | None:
+    def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Floats, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
         if self.evidence.modulation is None:
             return None
@@ -292,8 +290,8 @@ class ForwardModel:
         return (speed / omega, 0.0), (0.0, speed)
 
     def moved_landings(
-        self, values: Values, shift_s: Array, wanted: NDArray[np.bool_] | None = None
-    ) -> Iterator[tuple[Predicted, tuple[NDArray[np.bool_], ...]]]:
+        self, values: Values, shift_s: Floats, wanted: Bools | None = None
+    ) -> Iterator[tuple[Predicted, tuple[Bools, ...]]]:
         """Predictions with every third landing moved by ``shift_s`` (n,), so that each event depends on one of them.
 
         Yields
@@ -309,7 +307,7 @@ class ForwardModel:
             moved = self.predict(values, landing_shift_s=own, near=near, wanted=wanted)
             yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
-    def residuals(self, values: Values, rows: Array | None = None) -> Residuals:
+    def residuals(self, values: Values, rows: Floats | None = None) -> Residuals:
         """Measured minus predicted at ``values``."""
         ev, values = self.evidence, self.start(values)
         p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
@@ -326,7 +324,7 @@ class ForwardModel:
             plate = self._plate_memory.recall(key, lambda: self._plate_residuals(values))
         return Residuals(opening, landing, plate, p)
 
-    def _plate_residuals(self, values: Values, mode: Array | float = 0.0, mode_sigma: Array | float = 0.0) -> Array:
+    def _plate_residuals(self, values: Values, mode: Floats | float = 0.0, mode_sigma: Floats | float = 0.0) -> Floats:
         """Measured minus expected plate data at ``values``, (r,), scaled where what is expected is uncertain."""
         ev = self.evidence
         predicted, inexact = self._expected(values) + mode, np.zeros(len(ev.plate)) + mode_sigma

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
 from analysis.linear_algebra import cholesky, solve
@@ -37,8 +36,7 @@ from analysis.thresholds import (
     SHARED_S,
     Thresholds,
 )
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats, Integers
 
 BINS = 8  # quantile bins of a covariate
 LAGS = 4  # of the Ljung-Box test
@@ -87,10 +85,10 @@ class GoodnessOfFit:
 class Innovations:
     """Independent unit residuals, arrays (k,): ``event`` is the flight, ``landing`` False for an opening."""
 
-    z: Array
-    event: NDArray[np.int64]
-    landing: NDArray[np.bool_]
-    step: NDArray[np.int64]
+    z: Floats
+    event: Integers
+    landing: Bools
+    step: Integers
 
 
 def goodness_of_fit(world: ForwardModel, values: Values, limits: Thresholds = FROZEN) -> GoodnessOfFit:
@@ -151,7 +149,7 @@ def plate_probability(world: ForwardModel, values: Values) -> float:
     return min(1.0, len(p) * min(p, default=1.0))
 
 
-def _plate_squares(world: ForwardModel, values: Values) -> list[Array]:
+def _plate_squares(world: ForwardModel, values: Values) -> list[Floats]:
     """Squares of the normalised plate residuals, clipped, an array for each kind of which there are enough."""
     data = world.evidence.plate
     z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
@@ -159,7 +157,7 @@ def _plate_squares(world: ForwardModel, values: Values) -> list[Array]:
     return [z[data.kind == k] ** 2 for k in kinds[counts >= LEAST_OF_KIND]]
 
 
-def _unit(residual: Array, sigma: Array) -> Array:
+def _unit(residual: Floats, sigma: Floats) -> Floats:
     """Residuals over uncertainty, clipped; the clip itself where nothing was predicted."""
     sigma = np.hypot(sigma, SHARED_S)
     return np.clip(
@@ -194,7 +192,7 @@ def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovati
     return Innovations(np.clip(z, -INNOVATION_SIGMAS, INNOVATION_SIGMAS), event, landing, step)
 
 
-def _carried(world: ForwardModel, values: Values) -> tuple[Array, Array]:
+def _carried(world: ForwardModel, values: Values) -> tuple[Floats, Floats]:
     """Derivatives of predicted openings and landings by the landing one and two flights before, (n, 2) each."""
     base, n = world.predict(values), len(world.evidence)
     opening, landing = np.zeros((n, 2)), np.zeros((n, 2))
@@ -207,10 +205,10 @@ def _carried(world: ForwardModel, values: Values) -> tuple[Array, Array]:
 
 def innovation_covariance(
     u: Uncertainty,
-    carried: tuple[Array, Array],
-    event: NDArray[np.int64],
-    landing: NDArray[np.bool_],
-) -> Array:
+    carried: tuple[Floats, Floats],
+    event: Integers,
+    landing: Bools,
+) -> Floats:
     """Covariance of one step's residuals, (k, k), s^2."""
     first = max(int(event.min()) - 2, 0)
     edges = np.arange(first, int(event.max()) + 1)
@@ -236,7 +234,7 @@ def _log_f(between: float, groups: int, within: float, freedom: int) -> float:
         return float(np.log(fdtrc(groups, freedom, between / max(within, 1.0))))
 
 
-def _log_p_grouped(z: Array, group: NDArray[np.int64], about_zero: bool) -> float:
+def _log_p_grouped(z: Floats, group: Integers, about_zero: bool) -> float:
     """Do groups differ (from zero, or from their common mean)?"""
     count = np.bincount(group)
     full = np.isin(group, np.flatnonzero(count >= LEAST_IN_BIN))
@@ -259,7 +257,7 @@ def _p_between(found: Innovations) -> float:
     return math.exp(_log_p_grouped(found.z, 2 * found.step + found.landing, about_zero=True))
 
 
-def _p_scatter(z: Array) -> float:
+def _p_scatter(z: Floats) -> float:
     """Lack of fit within steps: more scatter than the uncertainty, granted that it is known roughly."""
     return float(chdtrc(len(z), float(np.sum(z**2)) / (1.0 + SCALE_KNOWN) ** 2)) if len(z) else 1.0
 
@@ -278,7 +276,7 @@ def _p_serial(found: Innovations) -> float:
     return float(chdtrc(LAGS, q))
 
 
-def _log_p_of_covariate(found: Innovations, x: Array) -> float:
+def _log_p_of_covariate(found: Innovations, x: Floats) -> float:
     """Means over quantile bins of a covariate, of openings and landings apart, against the scatter within."""
     logs = []
     for landing in (False, True):

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.linear_algebra import solve
 from analysis.plate.fit_mask import FitIntervals
@@ -22,11 +21,8 @@ from analysis.plate.phasors import mean_phasor, modulated_projection, shifted_do
 from analysis.residuals.fitted_steps import intervals_of, tones_of, window_spans
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from analysis.statistics import mad_sigma
+from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.one_step import PlateSteps
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
 
 FASTEST = 0.45  # highest frequency over the windows' rate: beyond, it is aliased
 FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
@@ -68,21 +64,21 @@ class AmplitudeModulation:
         Unmasked intervals of the fits of steps and windows.
     """
 
-    recording: Ints
-    span_s: Array
-    omega_radps: Array
-    seen_mps2: Complex
-    tones: Ints
-    gain: Array
-    gain_sigma: Array
-    window_step: Ints
-    window_span_s: Array
-    value: Array
-    sigma: Array
+    recording: Integers
+    span_s: Floats
+    omega_radps: Floats
+    seen_mps2: Complexes
+    tones: Integers
+    gain: Floats
+    gain_sigma: Floats
+    window_step: Integers
+    window_span_s: Floats
+    value: Floats
+    sigma: Floats
     kept: FitIntervals
 
     @classmethod
-    def of(cls, fitted: Sequence[StepPlate], spans_s: Array, data: PlateData) -> Self:
+    def of(cls, fitted: Sequence[StepPlate], spans_s: Floats, data: PlateData) -> Self:
         """From the fitted steps of a recording, their spans (m, 2) and its plate data."""
         m, rows = len(fitted), data.kind == MODULATION
         weight, total = np.zeros(m), np.zeros(m)
@@ -123,7 +119,7 @@ class AmplitudeModulation:
         return replace(self, omega_radps=omega, seen_mps2=np.pad(self.seen_mps2, ((0, 0), (0, more))))
 
     # -- frequency and phase -------------------------------------------------------------------------------------------
-    def phases(self, hz: float) -> Array:
+    def phases(self, hz: float) -> Floats:
         """Phase of the modulation ``sin(2 pi hz t + phase)`` in each step's recording, (m,)."""
         return np.asarray(np.angle(self._fit_at(hz).phasor)[self.recording])
 
@@ -144,7 +140,7 @@ class AmplitudeModulation:
         return range(int(self.recording.max(initial=-1)) + 1)
 
     @cached_property
-    def _since_s(self) -> tuple[Array, Array]:
+    def _since_s(self) -> tuple[Floats, Floats]:
         """End of each step, and middle of each window, since its recording's first step began, (m,) and (w,)."""
         begin = np.array([self.span_s[self.recording == r, 0].min() for r in self._runs])[self.recording]
         return self.span_s[:, 1] - begin, self.window_span_s.mean(axis=1) - begin[self.window_step]
@@ -165,7 +161,7 @@ class AmplitudeModulation:
             if until >= since[-1]:
                 return best
 
-    def _power(self, hz: Array, until_s: float, source: Source) -> Array:
+    def _power(self, hz: Floats, until_s: float, source: Source) -> Floats:
         """What the best modulation at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
         out = np.zeros(len(hz))
         for first in range(0, len(hz), CHUNK):
@@ -181,7 +177,7 @@ class AmplitudeModulation:
                 out[some] += self._without_scale(r, until_s, gained) if source == "gains" else gained
         return out
 
-    def _without_scale(self, r: int, until_s: float, gained: Array) -> Array:
+    def _without_scale(self, r: int, until_s: float, gained: Floats) -> Floats:
         """Gain in likelihood of the steps' gains where their scatter is not known but found from what is left, (f,)."""
         known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(self.gain)
         if known.sum() <= LEAST:
@@ -197,17 +193,17 @@ class AmplitudeModulation:
         return {}
 
     @cached_property
-    def _signed(self) -> tuple[Array, Array]:
+    def _signed(self) -> tuple[Floats, Floats]:
         """Both signs of every fitted tone, (m, 1 + 2 k), and of the forcing's, (m, 5)."""
         return signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, :2])
 
     @cached_property
-    def _gram(self) -> Complex:
+    def _gram(self) -> Complexes:
         """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
         return self.kept.gram(self._signed[0], _in_both_senses(self.seen_mps2 != 0.0))
 
     @cached_property
-    def _window_gram(self) -> Complex:
+    def _window_gram(self) -> Complexes:
         """Normal equations of the windows' fits, (w, 5, 5)."""
         of = self.window_step
         return self.kept.in_windows.gram(self._signed[1][of], _in_both_senses(self._forced)[of])
@@ -227,7 +223,7 @@ class AmplitudeModulation:
             found = self._fits[hz] = replace(fit, phasor=self._fitted(fit))
         return found
 
-    def _fitted(self, fit: ModulationFit) -> Complex:
+    def _fitted(self, fit: ModulationFit) -> Complexes:
         """Depth and phase, ``depth exp(i phase)``, of each recording's modulation, by least squares, (recordings,)."""
         phasor = fit.phasor
         slopes = [
@@ -245,7 +241,7 @@ class AmplitudeModulation:
             phasor = phasor * np.minimum(1.0, DEEPEST / np.maximum(np.abs(phasor), DEEPEST))
         return phasor
 
-    def _model(self, fit: ModulationFit, phasor: Complex) -> tuple[Array, Array]:
+    def _model(self, fit: ModulationFit, phasor: Complexes) -> tuple[Floats, Floats]:
         """Contribution of each recording's modulation to the windows, (w,), and to the steps' gains, (m,)."""
         depth, phase = np.abs(phasor)[self.recording], np.angle(phasor)[self.recording]
         true = self._true(self.seen_mps2, fit, depth, phase)
@@ -255,8 +251,8 @@ class AmplitudeModulation:
         return self._in_windows(self.seen_mps2, true, fit, depth, phase), gain
 
     def _normal(
-        self, r: int, rows: Array, means: Array, value: Array, gain: Array, until_s: float
-    ) -> tuple[Array, Array]:
+        self, r: int, rows: Floats, means: Floats, value: Floats, gain: Floats, until_s: float
+    ) -> tuple[Floats, Floats]:
         """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows.
 
         ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a modulation make of windows and gains.
@@ -273,7 +269,7 @@ class AmplitudeModulation:
         return normal, side
 
     # -- its contribution ----------------------------------------------------------------------------------------------
-    def modulated(self, plate: PlateSteps, depth: Array, hz: float) -> PlateSteps:
+    def modulated(self, plate: PlateSteps, depth: Floats, hz: float) -> PlateSteps:
         """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
         fit, w = self._fit_at(hz), 2.0 * np.pi * hz
         phase, forced = self.phases(hz), self._forced
@@ -290,7 +286,7 @@ class AmplitudeModulation:
         omega = np.concatenate([plate.omega_radps, self.omega_radps[:, :2] + w, np.abs(below) + (below == 0.0)], axis=1)
         return PlateSteps(omega, tones, plate.period_s, derived=4)
 
-    def expected(self, data: PlateData, plate: PlateSteps, depth: Array, hz: float) -> tuple[Array, Array]:
+    def expected(self, data: PlateData, plate: PlateSteps, depth: Floats, hz: float) -> tuple[Floats, Floats]:
         """Contribution of the modulation to each plate datum and its standard deviation, (r,) each.
 
         Leakage between tones is known less well than the modulation's mean over a step.
@@ -310,7 +306,7 @@ class AmplitudeModulation:
         out[data.kind == MODULATION] = self._in_windows(seen, true, fit, depth, phase)
         return out, sigma
 
-    def leaking(self, plate: PlateSteps, depth: Array, hz: float) -> Array:
+    def leaking(self, plate: PlateSteps, depth: Floats, hz: float) -> Floats:
         """Standard deviation of the forcing's tones from the leakage between them, m/s^2."""
         out = np.zeros(plate.acceleration_mps2.shape)
         seen = self._seen(plate)
@@ -319,12 +315,12 @@ class AmplitudeModulation:
         out[:, :2] = np.where(self._forced, leak[:, :2], 0.0)
         return out
 
-    def _means(self, hz: float) -> Array:
+    def _means(self, hz: float) -> Floats:
         """Mean of the modulation of depth 1 over each step, (m,)."""
         turned = mean_phasor(self.span_s, np.array([2.0 * np.pi * hz]))[0]
         return np.asarray((np.exp(1j * self.phases(hz)) * turned).imag)
 
-    def _in_windows(self, seen: Complex, true: Complex, fit: ModulationFit, depth: Array, phase: Array) -> Array:
+    def _in_windows(self, seen: Complexes, true: Complexes, fit: ModulationFit, depth: Floats, phase: Floats) -> Floats:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
         of, forced = self.window_step, self._forced
         z = two_sided(np.where(forced, true[:, :2], 0.0))[of]
@@ -337,7 +333,7 @@ class AmplitudeModulation:
         return np.asarray(change / np.where(power > 0.0, power, 1.0))
 
     @cached_property
-    def _others(self) -> Complex:
+    def _others(self) -> Complexes:
         """Projection of the tones beyond the forcing's two on windows, (w, 4, b)."""
         own, others = (
             signed_frequencies(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None))
@@ -345,17 +341,17 @@ class AmplitudeModulation:
         return self.kept.in_windows.projected(self._window_gram, own, others[:, 1:])[:, 1:]
 
     @property
-    def _forced(self) -> NDArray[np.bool_]:
+    def _forced(self) -> Bools:
         """Which of the first two tones are the forcing's, (m, 2)."""
         return np.asarray(self.tones[:, None] > np.arange(2))
 
-    def _seen(self, plate: PlateSteps) -> Complex:
+    def _seen(self, plate: PlateSteps) -> Complexes:
         """Every tone as the steps' fits have it, (m, k)."""
         out = self.seen_mps2.copy()
         out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
         return out
 
-    def _true(self, seen: Complex, fit: ModulationFit, depth: Array, phase: Array) -> Complex:
+    def _true(self, seen: Complexes, fit: ModulationFit, depth: Floats, phase: Floats) -> Complexes:
         """The tones without the contribution of the modulation to the fits ``seen``, (m, k)."""
         k = self.omega_radps.shape[1]
         projection = modulated_projection(fit.step_up, fit.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
@@ -369,24 +365,24 @@ class ModulationFit:
     """Projections at one frequency: of the forcing's two tones in both senses, shifted up and down by it, on the tones
     of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the modulation of each recording."""
 
-    step_up: Complex
-    step_down: Complex
-    window_up: Complex
-    window_down: Complex
-    phasor: Complex
+    step_up: Complexes
+    step_down: Complexes
+    window_up: Complexes
+    window_down: Complexes
+    phasor: Complexes
 
 
-def _in_both_senses(fitted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_both_senses(fitted: Bools) -> Bools:
     """Which turns are fitted, the constant first, from which tones are, (n, 2 k + 1)."""
     return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])
 
 
-def _squares(parts: Array, value: Array, weight: Array) -> tuple[Array, Array]:
+def _squares(parts: Floats, value: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Normal equations (f, 2, 2) and right sides (f, 2) of ``value`` (n,) as a sum of two ``parts`` (f, 2, n)."""
     return (parts * weight) @ parts.transpose(0, 2, 1), (parts * weight) @ value
 
 
-def _scatter(x: Array) -> float:
+def _scatter(x: Floats) -> float:
     """Robust standard deviation of what is finite; 0 where there is too little."""
     x = x[np.isfinite(x)]
     return mad_sigma(x - np.median(x)) if len(x) >= LEAST else 0.0

@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.thresholds import LEAST_EXCESS_S, OUTLIER_FRACTION
 from kernels import njit
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats, Integers
 
 FREEDOM = 5.0  # degrees of freedom of Student's t: robust, and close to normal in the middle
 T_PEAK = 0.3796  # density of that t at its centre
@@ -31,24 +29,24 @@ EXCESSES_S = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, LARGEST_EXCESS
 EXCESSES_OF_PLATE = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)])  # in the median uncertainty
 
 
-def log_odds(sigma_s: Array, period_s: Array) -> Array:
+def log_odds(sigma_s: Floats, period_s: Floats) -> Floats:
     """Log odds of an outlier: its density over that of a perfect hit of width ``sigma_s``."""
     return np.asarray(np.log(OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK * sigma_s / period_s))
 
 
-def robust_loss(z: Array, odds: Array | float = NEVER) -> Array:
+def robust_loss(z: Floats, odds: Floats | float = NEVER) -> Floats:
     """Negative log density of unit residuals, up to a constant; ``odds`` (a logarithm) of being an outlier."""
     inlier = -0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM)
     return np.asarray(-np.logaddexp(inlier, odds))
 
 
-def robust_weight(z: Array, odds: Array | float = NEVER) -> Array:
+def robust_weight(z: Floats, odds: Floats | float = NEVER) -> Floats:
     """Weight of each residual in the least-squares step that lowers the robust loss."""
     inlier = -0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM)
     return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z) * np.exp(inlier - np.logaddexp(inlier, odds)))
 
 
-def robust_curvature(z: Array, odds: Array | float = NEVER) -> Array:
+def robust_curvature(z: Floats, odds: Floats | float = NEVER) -> Floats:
     """Second derivative of the robust loss of each residual."""
     inlier = -0.5 * (FREEDOM + 1.0) * np.log1p(z * z / FREEDOM)
     real = np.exp(inlier - np.logaddexp(inlier, odds))  # probability of being no outlier
@@ -57,7 +55,7 @@ def robust_curvature(z: Array, odds: Array | float = NEVER) -> Array:
     return np.asarray(real * core - real * (1.0 - real) * slope**2)
 
 
-def excess_noise(residual_s: Array, sigma_s: Array, period_s: Array) -> tuple[float, float]:
+def excess_noise(residual_s: Floats, sigma_s: Floats, period_s: Floats) -> tuple[float, float]:
     """Excess noise: scatter beyond the uncertainty by maximum likelihood on a grid, and the loss with it."""
     if len(residual_s) == 0:
         return LEAST_EXCESS_S, 0.0
@@ -83,13 +81,13 @@ class PlateNoise:
         Excesses that are tried, of each kind, (kinds, g).
     """
 
-    rows: NDArray[np.int64]
-    bounds: NDArray[np.int64]
-    sigma: Array
-    grids: Array
+    rows: Integers
+    bounds: Integers
+    sigma: Floats
+    grids: Floats
 
     @classmethod
-    def of(cls, kind: NDArray[np.int64], sigma: Array, among: NDArray[np.bool_] | None = None) -> Self:
+    def of(cls, kind: Integers, sigma: Floats, among: Bools | None = None) -> Self:
         """Of data with a ``kind`` and an uncertainty each, (r,); only those ``among`` (r,) where given."""
         rows = np.argsort(kind, kind="stable")
         if among is not None:
@@ -99,7 +97,7 @@ class PlateNoise:
         grids = np.array([EXCESSES_OF_PLATE * np.median(x) for x in own]).reshape(len(own), len(EXCESSES_OF_PLATE))
         return cls(rows, bounds, sigma[rows], grids)
 
-    def scaled(self, residual: Array) -> tuple[Array, Array]:
+    def scaled(self, residual: Floats) -> tuple[Floats, Floats]:
         """Uncertainty of ``rows`` with the excess of each kind that is likeliest for these residuals (r,) of all data.
 
         Beside it its logarithm, relative to the bare uncertainty; (n,) each.
@@ -108,14 +106,14 @@ class PlateNoise:
         _widen(residual[self.rows], self.sigma, self.bounds, self.grids, out)
         return out, np.log(out / self.sigma)
 
-    def loss(self, residual: Array) -> float:
+    def loss(self, residual: Floats) -> float:
         """Loss of ``rows`` with the likeliest excess of each kind, from residuals (r,) of all data."""
         sigma, log = self.scaled(residual)
         return float(np.sum(robust_loss(residual[self.rows] / sigma) + log))
 
 
 @njit(error_model="numpy", nogil=True)
-def _loss(excess: float, residual: Array, sigma: Array, outlier: Array, first: int, last: int) -> float:
+def _loss(excess: float, residual: Floats, sigma: Floats, outlier: Floats, first: int, last: int) -> float:
     """Loss of residuals from ``first`` to ``last`` at an excess, `robust_loss` and the logarithm of the width in one.
 
     The cube is that of five degrees of freedom; logarithms are taken of products of a few densities.
@@ -132,7 +130,7 @@ def _loss(excess: float, residual: Array, sigma: Array, outlier: Array, first: i
 
 
 @njit(error_model="numpy", nogil=True)
-def _losses(excess: Array, residual: Array, sigma: Array, outlier: Array) -> Array:
+def _losses(excess: Floats, residual: Floats, sigma: Floats, outlier: Floats) -> Floats:
     """Loss of residuals (n,) at each excess."""
     out = np.empty(len(excess))
     for g in range(len(excess)):
@@ -141,7 +139,7 @@ def _losses(excess: Array, residual: Array, sigma: Array, outlier: Array) -> Arr
 
 
 @njit(error_model="numpy", nogil=True)
-def _widen(residual: Array, sigma: Array, bounds: NDArray[np.int64], grids: Array, out: Array) -> None:
+def _widen(residual: Floats, sigma: Floats, bounds: Integers, grids: Floats, out: Floats) -> None:
     """Uncertainties (n,) with the excess of each kind, between its ``bounds``, that has the lowest loss."""
     never = np.zeros(len(residual))
     for k in range(len(bounds) - 1):

@@ -26,10 +26,9 @@ from analysis.residuals.slow_lines import clustered, hints_of, other_lines_radps
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
+from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.one_step import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2
-
-Array = NDArray[np.float64]
 
 NOT_EVENTS = FlightFlag.FALSE
 NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
@@ -61,20 +60,20 @@ class Steps:
         True for the forcing's own tones, shape (m, k).
     """
 
-    recording: NDArray[np.int64]
-    number: NDArray[np.int64]
-    gamma: Array
-    ratio: NDArray[np.int64]
-    run_part: Array
+    recording: Integers
+    number: Integers
+    gamma: Floats
+    ratio: Integers
+    run_part: Floats
     plate: PlateSteps
-    spread_mps2: NDArray[np.complex128]
-    forcing: NDArray[np.bool_]
+    spread_mps2: Complexes
+    forcing: Bools
 
     def __len__(self) -> int:
         return len(self.gamma)
 
     @property
-    def sigma_mps2(self) -> Array:
+    def sigma_mps2(self) -> Floats:
         """Uncertainty of each quadrature of the plate's tones, (m, k)."""
         return np.asarray(np.sqrt(0.5 * np.sum(np.abs(self.spread_mps2) ** 2, axis=1)))
 
@@ -115,11 +114,11 @@ class Observations:
     """
 
     measured: Measured
-    opening_sigma_s: Array
-    landing_sigma_s: Array
-    scored: NDArray[np.bool_]
-    time_s: Array
-    weak_mps: Array
+    opening_sigma_s: Floats
+    landing_sigma_s: Floats
+    scored: Bools
+    time_s: Floats
+    weak_mps: Floats
     steps: Steps
     plate: PlateData
     setup: Setup
@@ -130,7 +129,7 @@ class Observations:
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
-    run_part: Array | None = None
+    run_part: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -258,7 +257,7 @@ def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
     )
 
 
-def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
+def _spread(s: StepPlate, omega_radps: Floats) -> Complexes:
     """Factor of the covariance of a step's tones (k,), those of the forcing first: see `Steps.spread_mps2`; (2 k, k).
 
     A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they do
@@ -274,7 +273,7 @@ def _spread(s: StepPlate, omega_radps: Array) -> NDArray[np.complex128]:
     return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 
 
-def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: NDArray[np.bool_]) -> Array:
+def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: Bools) -> Floats:
     """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
 
     The strength at a speed is calibrated by free flights from rest; friction makes it too low by its own size at most.
@@ -301,9 +300,7 @@ def _closure_s(measured: Measured) -> float:
     return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
 
 
-def _events(
-    flights: Flights, rows: NDArray[np.int64], fades: Fades
-) -> tuple[Measured, NDArray[np.bool_], NDArray[np.bool_]]:
+def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, Bools, Bools]:
     """True flights of steps whose plate is known, with their links; which are scored; which rows were kept."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
@@ -331,13 +328,13 @@ def _events(
     return measured, scored, keep
 
 
-def _moved(measured: Measured, shift: int) -> NDArray[np.int64]:
+def _moved(measured: Measured, shift: int) -> Integers:
     """Rows of the other steps in fades, counted on from ``shift``; -1 for none."""
     beside = np.full(len(measured.step), -1) if measured.beside is None else measured.beside
     return np.where(beside >= 0, beside + shift, -1)
 
 
-def _or(nothing: float, values: Array | None, measured: Measured) -> Array:
+def _or(nothing: float, values: Floats | None, measured: Measured) -> Floats:
     return np.full(len(measured.step), nothing) if values is None else values
 
 

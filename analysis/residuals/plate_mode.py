@@ -11,17 +11,13 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals, solved
 from analysis.plate.phasors import signed_frequencies
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
+from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.one_step import PlateSteps, Predicted
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
 
 KNOWN = 0.99  # least part of a window's time in which the mode is followed
 LEAST = 1e-6  # least driven part of a tone
@@ -29,7 +25,7 @@ SMALL = 1e-3  # relative change for which a load's contribution is taken as line
 INEXACT = 0.03  # relative uncertainty of the contribution: blocks are means, and the impact template absorbs a part
 
 
-def driven(z: Complex, mode_amplitudes: Complex) -> Complex:
+def driven(z: Complexes, mode_amplitudes: Complexes) -> Complexes:
     """Driven part of the tones (measured minus mode); floored at 1e-6 of the tone so that log ratios stay finite."""
     left = z - mode_amplitudes
     return np.where(np.abs(left) > LEAST * np.abs(z), left, LEAST * z)
@@ -49,11 +45,11 @@ class Loading:
         Power of the change with which a datum grows, (r,).
     """
 
-    tones_mps2: Complex
-    data: Array
-    power: Array
+    tones_mps2: Complexes
+    data: Floats
+    power: Floats
 
-    def added(self, change: Array) -> Array:
+    def added(self, change: Floats) -> Floats:
         """Contribution of ``change`` (r,) in each datum's step, (r,)."""
         return np.asarray(self.data * np.abs(change) ** self.power * np.sign(change))
 
@@ -74,27 +70,27 @@ class IntervalSums:
         Their length together, (n,).
     """
 
-    rows: Ints
-    some: NDArray[np.bool_]
-    first: Ints
-    seconds: Array
+    rows: Integers
+    some: Bools
+    first: Integers
+    seconds: Floats
 
     @classmethod
-    def of(cls, rows: Ints, fit: Ints, n: int, seconds: Array) -> Self:
+    def of(cls, rows: Integers, fit: Integers, n: int, seconds: Floats) -> Self:
         """Of intervals ``rows`` in the order of their ``fit``; ``seconds`` are those of all intervals."""
         first = np.searchsorted(fit, np.arange(n))
         some = np.diff(np.append(first, len(fit))) > 0
         lengths = np.asarray(np.bincount(fit, seconds[rows], minlength=n), dtype=np.float64)
         return cls(rows, some, first[some], lengths)
 
-    def total(self, x: NDArray[np.complex128] | Array) -> NDArray[np.complex128] | Array:
+    def total(self, x: Complexes | Floats) -> Complexes | Floats:
         """Sum of ``x`` (intervals, ...) in each fit, (n, ...)."""
         out = np.zeros((len(self.some), *x.shape[1:]), dtype=x.dtype)
         if len(self.first):
             out[self.some] = np.add.reduceat(x[self.rows], self.first, axis=0)
         return out
 
-    def sides(self, projection: Complex, observed_s: Array) -> tuple[Complex, Array]:
+    def sides(self, projection: Complexes, observed_s: Floats) -> tuple[Complexes, Floats]:
         """Right sides of the fits, (n, 1 + 2 k), from projections (intervals, 1 + k); the part of the time known.
 
         Where the mode was not followed for all of the time, its mean over the rest is taken to be the same.
@@ -123,10 +119,10 @@ class Ringing:
     """
 
     kept: FitIntervals
-    omega_radps: Array
-    seen_mps2: Complex
-    tones: Ints
-    place: Ints
+    omega_radps: Floats
+    seen_mps2: Complexes
+    tones: Integers
+    place: Integers
 
     @classmethod
     def of(cls, measured: AmplitudeModulation, plate: PlateSteps) -> Self:
@@ -137,31 +133,31 @@ class Ringing:
 
     # -- the probe of the integrator -----------------------------------------------------------------------------------
     @cached_property
-    def first(self) -> Ints:
+    def first(self) -> Integers:
         """First interval of each step, and the end of the last, (m + 1,)."""
         return np.searchsorted(self.kept.step, np.arange(len(self.omega_radps) + 1))
 
     @property
-    def span_s(self) -> Array:
+    def span_s(self) -> Floats:
         """The intervals, (r, 2)."""
         return self.kept.span_s
 
-    def of_tones(self, projection: Complex, observed_s: Array) -> Complex:
+    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
         """Contribution of the mode to the fitted tones of the plate, (m, j), m/s^2."""
         contact, rest = self._of_places(projection, observed_s)
         found = self._solved(contact + rest)[:, 1 : self.omega_radps.shape[1]]
         return np.take_along_axis(2.0 * found, self.place, 1)
 
     # -- plate data ---------------------------------------------------------------------------------
-    def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Array, Array]:
+    def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Floats, Floats]:
         """Contribution of a prediction's mode to each datum and its standard deviation, (r,) each."""
         if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))
         return self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s)
 
     def _added(
-        self, data: PlateData, plate: PlateSteps, mode_amplitudes: Complex, projection: Complex, observed_s: Array
-    ) -> tuple[Array, Array]:
+        self, data: PlateData, plate: PlateSteps, mode_amplitudes: Complexes, projection: Complexes, observed_s: Floats
+    ) -> tuple[Floats, Floats]:
         out = np.zeros(len(data))
         contact_side, rest_side = self._of_places(projection, observed_s)
         found, step = self._solved(contact_side + rest_side), data.step
@@ -200,12 +196,12 @@ class Ringing:
         power = np.where(np.isin(data.kind, (SECOND, THIRD, HUM)), 2.0, 1.0)
         return Loading(tones / SMALL, np.where(data.kind == GATE, 0.0, added / SMALL**power), power)
 
-    def _lifted(self, gravity_mps2: float) -> Complex:
+    def _lifted(self, gravity_mps2: float) -> Complexes:
         """Projection of ``a_p + g`` in flight and of zero in contact, (r, 1 + k): the ball's load taken away."""
         step, w = self.kept.step, self.omega_radps[self.kept.step]
         length, middle = self.kept.seconds[:, None], self.kept.span_s.mean(axis=1)[:, None]
 
-        def turned(rate: Array) -> Complex:
+        def turned(rate: Floats) -> Complexes:
             return np.asarray(length * np.sinc(rate * length / (2.0 * np.pi)) * np.exp(1j * rate * middle))
 
         out = gravity_mps2 * turned(-w)
@@ -216,28 +212,28 @@ class Ringing:
         return np.where(self.kept.contact[:, None], 0.0, out)
 
     @cached_property
-    def _turns(self) -> Array:
+    def _turns(self) -> Floats:
         """The constant and both senses of every tone, (m, 1 + 2 k)."""
         return signed_frequencies(self.omega_radps[:, 1:])
 
-    def _fitted(self, tones: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _fitted(self, tones: Bools) -> Bools:
         """Which turns a fit of the constant and of ``tones`` (n, k) has, (n, 1 + 2 k)."""
         return np.column_stack([np.ones(len(tones), dtype=np.bool_), tones, tones])
 
     @cached_property
-    def _own(self) -> NDArray[np.bool_]:
+    def _own(self) -> Bools:
         """Turns that are the constant or the forcing's, (m, 1 + 2 k)."""
         k = self.seen_mps2.shape[1]
         return self._fitted(np.arange(k) < self.tones[:, None])
 
     @cached_property
-    def _gram(self) -> Complex:
+    def _gram(self) -> Complexes:
         """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
         fitted = self._fitted(self.seen_mps2 != 0.0)
         return self.kept.overlaps(self._turns, self._turns) * (fitted[:, :, None] & fitted[:, None, :])
 
     @cached_property
-    def _inverse(self) -> Complex:
+    def _inverse(self) -> Complexes:
         return solved(self._gram, np.broadcast_to(np.eye(self._gram.shape[1], dtype=np.complex128), self._gram.shape))
 
     @cached_property
@@ -248,18 +244,18 @@ class Ringing:
         contact, rest = (IntervalSums.of(rows, step[rows], m, self.kept.seconds) for rows in both)
         return contact, rest
 
-    def _of_places(self, projection: Complex, observed_s: Array) -> tuple[Complex, Complex]:
+    def _of_places(self, projection: Complexes, observed_s: Floats) -> tuple[Complexes, Complexes]:
         """Right sides of the steps' fits from intervals in contact and from the rest, (m, 1 + 2 k) each."""
         contact, rest = (place.sides(projection, observed_s)[0] for place in self._places)
         return contact, rest
 
-    def _solved(self, sides: Complex) -> Complex:
+    def _solved(self, sides: Complexes) -> Complexes:
         """Amplitudes of all turns in the steps' fits, (m, 1 + 2 k), from their right sides."""
         return np.asarray((self._inverse @ sides[..., None])[..., 0])
 
     # -- contact and flight -----------------------------------------------------------------------------------------
     @cached_property
-    def _gates(self) -> Complex:
+    def _gates(self) -> Complexes:
         """Normal equations of the joint fits of contact and flight, (m, 2 p, 2 p)."""
         extra = self.kept.in_contact.overlaps(self._turns, self._turns)
         fitted = np.diagonal(self._gram, axis1=1, axis2=2) != 0.0
@@ -268,12 +264,12 @@ class Ringing:
         return np.block([[self._gram, beside], [np.conj(beside.transpose(0, 2, 1)), own]])
 
     @cached_property
-    def _first_tone(self) -> tuple[Complex, Complex]:
+    def _first_tone(self) -> tuple[Complexes, Complexes]:
         """Rows of the inverse of `_gates` that give the first tone in contact and in flight, (m, 2 p) each."""
         every = solved(self._gates, np.broadcast_to(np.eye(self._gates.shape[1]), self._gates.shape).astype(complex))
         return 2.0 * (every[:, 1] + every[:, self._turns.shape[1] + 1]), 2.0 * every[:, 1]
 
-    def _apart(self, contact: Complex, rest: Complex) -> tuple[Complex, Complex]:
+    def _apart(self, contact: Complexes, rest: Complexes) -> tuple[Complexes, Complexes]:
         """The first tone in contact and in flight, (m,) each, from the right sides of the two."""
         sides = np.concatenate([contact + rest, contact * self._own], axis=1)
         there, here = (np.sum(row * sides, axis=1) for row in self._first_tone)
@@ -281,7 +277,7 @@ class Ringing:
 
     # -- windows ----------------------------------------------------------------------------------------------------
     @cached_property
-    def _windows(self) -> tuple[IntervalSums, Ints, Complex, Complex]:
+    def _windows(self) -> tuple[IntervalSums, Integers, Complexes, Complexes]:
         """Sums over each window; the windows' steps; inverse normal matrices, alone and times the Gram matrix."""
         rows = np.flatnonzero(self.kept.window >= 0)
         of = self.kept.window[rows]
@@ -294,7 +290,7 @@ class Ringing:
         inverse = solved(gram * (own[:, :, None] & own[:, None, :]), one)
         return IntervalSums.of(rows, of, len(step), self.kept.seconds), step, inverse, inverse @ gram
 
-    def _in_windows(self, found: Complex, projection: Complex, observed_s: Array) -> tuple[Array, Array]:
+    def _in_windows(self, found: Complexes, projection: Complexes, observed_s: Floats) -> tuple[Floats, Floats]:
         """Relative deviation of the forcing's amplitude in each window and its standard deviation, (w,) each."""
         sums, step, inverse, of_steps = self._windows
         sides, part = sums.sides(projection, observed_s)

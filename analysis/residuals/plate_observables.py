@@ -19,10 +19,9 @@ from analysis.plate.mains_lines import MAINS_HZ, MAX_OFFSET_HZ
 from analysis.plate.motion import StepPlate
 from analysis.residuals.noise_model import PlateNoise
 from daq.setup.setup import Setup
+from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import effect
 from model.tones import STANDARD_GRAVITY_MPS2
-
-Array = NDArray[np.float64]
 
 GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
 KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
@@ -56,22 +55,22 @@ class PlateData:
         large the drive asks for that one, over the first; complex, its phase counted from where the first is a sine.
     """
 
-    kind: NDArray[np.int64]
-    step: NDArray[np.int64]
-    value: Array
-    sigma: Array
-    omega_radps: Array
-    accel_g: Array
-    scale: Array
-    multiple: NDArray[np.int64]
-    ratio: NDArray[np.int64]
-    share: NDArray[np.complex128]
+    kind: Integers
+    step: Integers
+    value: Floats
+    sigma: Floats
+    omega_radps: Floats
+    accel_g: Floats
+    scale: Floats
+    multiple: Integers
+    ratio: Integers
+    share: Complexes
 
     def __len__(self) -> int:
         return len(self.kind)
 
     @cached_property
-    def level_g(self) -> Array:
+    def level_g(self) -> Floats:
         """Amplitude of one tone with the mean square of all that the drive asks for, in units of g, (r,)."""
         second = np.where(self.ratio > 1, np.abs(self.share), 0.0)
         return np.asarray(self.accel_g * np.hypot(1.0, second))
@@ -88,21 +87,21 @@ class PlateData:
         return {}
 
     @cached_property
-    def quadrature_noise(self) -> Array:
+    def quadrature_noise(self) -> Floats:
         """Noise of one quadrature of each squared amplitude, squared: `_square_sigma` undone; in their order."""
         rows = self.rows_of(*SQUARED)
         return np.asarray((np.sqrt(self.value[rows] ** 2 + 3.0 * self.sigma[rows] ** 2) - self.value[rows]) / 6.0)
 
-    def among(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+    def among(self, rows: Bools | NDArray[np.intp]) -> Self:
         """Some of the data."""
         return type(self)(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
-    def noise(self, steps: NDArray[np.bool_] | None = None) -> PlateNoise:
+    def noise(self, steps: Bools | None = None) -> PlateNoise:
         """Noise of all data, or of those of some ``steps`` (m,)."""
         return PlateNoise.of(self.kind, self.sigma, None if steps is None else steps[self.step])
 
     @classmethod
-    def join(cls, parts: Sequence[Self], shift: NDArray[np.int64]) -> Self:
+    def join(cls, parts: Sequence[Self], shift: Integers) -> Self:
         """All parts in one table, their steps' rows moved by ``shift``."""
         columns = [np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__]
         columns[1] = np.concatenate([p.step + s for p, s in zip(parts, shift, strict=True)])
@@ -267,7 +266,7 @@ def _square_sigma(square: float, noise: float) -> float:
     return float(np.sqrt(4.0 * square * noise**2 + 4.0 * noise**4))
 
 
-def power_uncertainty(data: PlateData, predicted: Array) -> Array:
+def power_uncertainty(data: PlateData, predicted: Floats) -> Floats:
     """Additional uncertainty of a squared amplitude whose expected value exceeds the measured one, (r,).
 
     The error of a square is noise times the amplitude, and chance may have made the measured amplitude small.
@@ -277,7 +276,7 @@ def power_uncertainty(data: PlateData, predicted: Array) -> Array:
     return out
 
 
-def _wander(sample: NDArray[np.int64], offset: Array, sigma: Array) -> float:
+def _wander(sample: Integers, offset: Floats, sigma: Floats) -> float:
     """Standard deviation of a sensor's zero about its trend, (m,), beyond its uncertainty; 0 where chance may do it.
 
     What wanders slowly errs for all steps together: no more is known of the mean of ``m`` steps than of one.
@@ -312,7 +311,7 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
     return rows
 
 
-def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Array:
+def expected(data: PlateData, values: Mapping[str, Mapping[str, Floats]]) -> Floats:
     """Expected value of each datum under the effects, shape (r,).
 
     Parameters
@@ -333,7 +332,7 @@ def expected(data: PlateData, values: Mapping[str, Mapping[str, Array]]) -> Arra
     return out
 
 
-def share(data: PlateData, name: str, p: Mapping[str, float]) -> Array:
+def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
     """Contribution of one effect, its parameters the same in all steps, to the expected value of each datum, (r,)."""
     out, hooks = np.zeros(len(data)), effect(name).hooks
     if p == effect(name).effect.null_values:
@@ -350,7 +349,7 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Array:
     return out
 
 
-def _add_transfer(out: Array, data: PlateData, factor: Callable[[NDArray[np.intp]], Any]) -> None:
+def _add_transfer(out: Floats, data: PlateData, factor: Callable[[NDArray[np.intp]], Any]) -> None:
     """Add the logarithm of a complex ``factor`` of the tones in some rows to gains and phases."""
     for kind, part in ((GAIN, np.abs), (PHASE, np.angle)):
         rows = data.rows_of(kind)
@@ -370,14 +369,14 @@ PLATE_HOOKS = frozenset({"harmonics", "transfer", "accelerometer_response", *PLA
 """Hooks that change the expected value of plate data."""
 
 
-def _add_harmonics(out: Array, data: PlateData, hook: Callable[..., Any]) -> None:
+def _add_harmonics(out: Floats, data: PlateData, hook: Callable[..., Any]) -> None:
     """Harmonics on a forcing tone change its gain and phase; the others are squares relative to the first tone."""
 
-    def added(rows: NDArray[np.intp], multiple: NDArray[np.int64]) -> NDArray[np.complex128]:
+    def added(rows: NDArray[np.intp], multiple: Integers) -> Complexes:
         accel_g = np.where(data.accel_g[rows] > 0.0, data.accel_g[rows], data.scale[rows] / STANDARD_GRAVITY_MPS2)
         return np.asarray(hook(multiple, data.ratio[rows], data.share[rows], accel_g))
 
-    def on_forcing(rows: NDArray[np.intp]) -> NDArray[np.complex128]:
+    def on_forcing(rows: NDArray[np.intp]) -> Complexes:
         asked = np.where(data.multiple[rows] == 1, 1.0, data.share[rows])
         return np.asarray(1.0 + added(rows, data.multiple[rows]) / asked)
 

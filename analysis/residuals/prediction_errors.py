@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.linear_algebra import cholesky, inv
 from analysis.residuals.forward_model import ForwardModel
@@ -28,9 +27,8 @@ from analysis.thresholds import (
     SCALE_KNOWN,
     SHARED_S,
 )
+from kernels.arrays import Bools, Floats, Integers
 from model.integrator.one_step import Predicted
-
-Array = NDArray[np.float64]
 
 DRAWS = 4000  # of noise, for its quantile
 
@@ -68,9 +66,7 @@ class Errors:
     landing_rms_us_without_lost: float = float("nan")
 
 
-def scored_rows(
-    world: ForwardModel, values: Mapping[ParameterId, float], steps: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], float]:
+def scored_rows(world: ForwardModel, values: Mapping[ParameterId, float], steps: Bools) -> tuple[Integers, float]:
     """Flights of ``steps`` (m,) that count at ``values``, and the fraction excluded as near-grazing."""
     ev = world.evidence
     rows = np.flatnonzero(ev.scored & steps[ev.measured.step])
@@ -80,7 +76,7 @@ def scored_rows(
     return rows[keep], 1.0 - float(keep.mean())
 
 
-def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:
+def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
     """Flights whose landing cannot be predicted from the measured numbers, (n,), whatever the residuals.
 
     Either the uncertainty is `GRAZING_RATIO` times the median one, or the prediction jumps by `GRAZING_SIGMAS` of that
@@ -89,7 +85,7 @@ def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> ND
     return world.memory.recall(("grazing", world.start(values).flying), lambda: _grazing(world, values))
 
 
-def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArray[np.bool_]:
+def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
     ev = world.evidence
     total = world.uncertainty(values).landing_total_s
     usual = GRAZING_RATIO * float(np.median(total[ev.scored])) if ev.scored.any() else np.inf
@@ -106,7 +102,7 @@ def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> NDArra
     return np.asarray(out)
 
 
-def _jumps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]:
+def _jumps(base: Predicted, moved: Predicted, far_s: float) -> Bools:
     """Whether a landing moves by more than ``far_s``, or comes into being or vanishes, (n,)."""
     lost = np.isfinite(base.landing_s) != np.isfinite(moved.landing_s)
     return np.asarray(lost | (np.abs(moved.landing_s - base.landing_s) > far_s))
@@ -115,7 +111,7 @@ def _jumps(base: Predicted, moved: Predicted, far_s: float) -> NDArray[np.bool_]
 def held_out_errors(
     world: ForwardModel,
     values: Mapping[ParameterId, float],
-    rows: NDArray[np.int64],
+    rows: Integers,
     excluded_fraction: float,
     seed: int = 0,
 ) -> Errors:
@@ -149,16 +145,14 @@ def held_out_errors(
     )
 
 
-def _lost(
-    world: ForwardModel, values: Mapping[ParameterId, float], landing_s: Array, rows: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _lost(world: ForwardModel, values: Mapping[ParameterId, float], landing_s: Floats, rows: Integers) -> Bools:
     """Which landings (k,) are likelier to be outliers than missed by noise, in the likelihood of the fits."""
     sigma = np.hypot(world.uncertainty(values).landing_total_s[rows], SHARED_S)
     odds = log_odds(sigma, world.evidence.steps.plate.period_s[world.evidence.measured.step[rows]])
     return np.asarray(robust_loss(landing_s / sigma) > -odds)
 
 
-def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float]:
+def _interval(residual: Floats, step: Integers, rng: np.random.Generator) -> tuple[float, float]:
     """95 % interval of the rms when whole steps are drawn anew: the step is the replicate."""
     names, inverse = np.unique(step, return_inverse=True)
     squares, counts = np.bincount(inverse, residual**2), np.bincount(inverse)
@@ -167,9 +161,7 @@ def _interval(residual: Array, step: NDArray[np.int64], rng: np.random.Generator
     return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
 
 
-def noise_floors_us(
-    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64]
-) -> tuple[float, float]:
+def noise_floors_us(world: ForwardModel, values: Mapping[ParameterId, float], rows: Integers) -> tuple[float, float]:
     """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
 
     Returns
@@ -185,7 +177,7 @@ def noise_floors_us(
 def noise_quantiles_us(
     world: ForwardModel,
     values: Mapping[ParameterId, float],
-    rows: NDArray[np.int64],
+    rows: Integers,
     chance_p: float = FROZEN.chance_p,
     seed: int = 0,
 ) -> tuple[float, float]:
@@ -201,7 +193,7 @@ def noise_quantiles_us(
     u, from_rest, rng = world.uncertainty(values), rows[world.from_rest[rows]], np.random.default_rng(seed)
     step = world.evidence.measured.step
 
-    def quantile(events: NDArray[np.int64], sigma: Array, by_tone: Array) -> float:
+    def quantile(events: Integers, sigma: Floats, by_tone: Floats) -> float:
         if len(events) == 0:
             return 0.0
         names, place = np.unique(step[events], return_inverse=True)
@@ -219,7 +211,7 @@ def noise_quantiles_us(
 
 
 def landing_probability(
-    world: ForwardModel, values: Mapping[ParameterId, float], rows: NDArray[np.int64]
+    world: ForwardModel, values: Mapping[ParameterId, float], rows: Integers
 ) -> tuple[float, float]:
     """Probability that noise alone misses the landings of the flights ``rows`` (k,) by so much, and their rms, us.
 
@@ -266,7 +258,7 @@ class GivenOpenings:
 def given_openings(
     world: ForwardModel,
     values: Mapping[ParameterId, float],
-    rows: NDArray[np.int64],
+    rows: Integers,
     chance_p: float = FROZEN.chance_p,
     seed: int = 0,
 ) -> GivenOpenings:
@@ -296,7 +288,7 @@ def given_openings(
     return GivenOpenings(rms, floor, 1e6 * float(np.quantile(np.sqrt(drawn / len(rows)), 1.0 - chance_p)))
 
 
-def _tones_given(opening_s: Array, sigma_s: Array, by_tone: Array) -> tuple[Array, Array]:
+def _tones_given(opening_s: Floats, sigma_s: Floats, by_tone: Floats) -> tuple[Floats, Floats]:
     """Mean and root of the covariance of a step's tone errors, unit ones before, given its openings.
 
     The contact circuit may shift all of the openings together by `SHARED_S`.
@@ -308,5 +300,5 @@ def _tones_given(opening_s: Array, sigma_s: Array, by_tone: Array) -> tuple[Arra
     return mean[:q], cholesky(covariance)[:q]
 
 
-def _rms_us(x: Array) -> float:
+def _rms_us(x: Floats) -> float:
     return 1e6 * float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")

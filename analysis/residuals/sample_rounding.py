@@ -14,16 +14,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import rounded
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 HARMONICS = 4  # of the sawtooth; the rest, a tenth of its variance, counts as each edge's own
 
 
-def rounding_errors(time_s: Array, sigma_s: Array, sampling_s: float, jitter_s: float) -> Array:
+def rounding_errors(time_s: Floats, sigma_s: Floats, sampling_s: float, jitter_s: float) -> Floats:
     """Errors of edges that edges at the same place between two samples share, of one sigma each.
 
     The place of the samples is unknown, so that the covariance of two errors is that of a sawtooth of random phase,

@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.plate.motion import StepPlate
+from kernels.arrays import Floats
 from model.integrator.one_step import PlateSteps
-
-Array = NDArray[np.float64]
 
 WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
@@ -24,14 +22,14 @@ def hints_of(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
     return clustered(np.array([line.frequency_hz for s in fitted for line in s.lines]), SHARED_LINES)
 
 
-def clustered(lines_hz: Array, least: int) -> tuple[float, ...]:
+def clustered(lines_hz: Floats, least: int) -> tuple[float, ...]:
     """Middles of clusters of at least ``least`` lines, Hz."""
     found = np.sort(lines_hz)
     clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
     return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
 
 
-def other_lines_radps(plate: PlateSteps, hints_hz: Sequence[float]) -> list[Array]:
+def other_lines_radps(plate: PlateSteps, hints_hz: Sequence[float]) -> list[Floats]:
     """Angular frequencies of each step that are no multiple of the forcing, ``hints_hz`` among them."""
     found = []
     for w, z, period_s in zip(plate.omega_radps, plate.acceleration_mps2, plate.period_s, strict=True):

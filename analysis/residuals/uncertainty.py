@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.residuals.plate_mode import INEXACT
 from analysis.residuals.sample_rounding import rounding_errors
+from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.event_slopes import Slopes
 from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
 
@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel, Inputs
     from analysis.residuals.values import Values
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
+
 Kicks = tuple[tuple[float, float], ...]
 
 EDGE_STEP_S = 2e-6  # finite difference of an edge
@@ -48,20 +46,20 @@ class Uncertainty:
     what is left to each measured edge alone.
     """
 
-    opening_sigma_s: Array
-    landing_sigma_s: Array
-    opening_by_tone: Array
-    landing_by_tone: Array
-    opening_edge_s: Array
-    landing_edge_s: Array
+    opening_sigma_s: Floats
+    landing_sigma_s: Floats
+    opening_by_tone: Floats
+    landing_by_tone: Floats
+    opening_edge_s: Floats
+    landing_edge_s: Floats
 
     @property
-    def landing_total_s(self) -> Array:
+    def landing_total_s(self) -> Floats:
         """With the plate's share, (n,)."""
         return np.asarray(np.sqrt(self.landing_sigma_s**2 + np.sum(self.landing_by_tone**2, axis=1)))
 
     @property
-    def opening_total_s(self) -> Array:
+    def opening_total_s(self) -> Floats:
         """With the plate's share, (n,)."""
         return np.asarray(np.sqrt(self.opening_sigma_s**2 + np.sum(self.opening_by_tone**2, axis=1)))
 
@@ -113,13 +111,13 @@ def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
     )
 
 
-def by_tones(slopes: Slopes, change_mps2: Complex, step: NDArray[np.int64]) -> Array:
+def by_tones(slopes: Slopes, change_mps2: Complexes, step: Integers) -> Floats:
     """Changes of opening, landing and impact speed, (n, 3), for changes (m, k) of the plate's tones."""
     parts = np.stack([change_mps2.real, change_mps2.imag], axis=-1)[step]
     return np.asarray(np.einsum("nckp,nkp->nc", slopes.tones, parts))
 
 
-def second_order(slopes: Slopes, changes: Array) -> Array:
+def second_order(slopes: Slopes, changes: Floats) -> Floats:
     """Size of the second order, (q, n, 2), of openings and landings where changes (q, n, 3) are the first.
 
     A take-off's is that of what throws the ball. A landing's is where the parabola of the end of the flight meets the
@@ -132,7 +130,7 @@ def second_order(slopes: Slopes, changes: Array) -> Array:
     return np.stack([np.abs(bend) * opening**2, np.abs(lower) / speed], axis=-1)
 
 
-def _doubtful(slopes: Slopes, changes: Array, bent: Array, own: Array, lasts_s: Array) -> Mask:
+def _doubtful(slopes: Slopes, changes: Floats, bent: Floats, own: Floats, lasts_s: Floats) -> Bools:
     """Events whose derivatives do not tell what a change of one sigma does, (n,)."""
     most = np.max(np.abs(changes), axis=0, initial=0.0)
     out = (slopes.info[:, 0] == 0.0) | np.any(np.max(bent, axis=0, initial=0.0) > BENT * own, axis=1)
@@ -141,7 +139,7 @@ def _doubtful(slopes: Slopes, changes: Array, bent: Array, own: Array, lasts_s: 
     return np.asarray(out | ~(lasts_s > SHORT_S))
 
 
-def _tone_changes(model: ForwardModel, values: Values) -> list[Complex]:
+def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
     """One sigma of each number that the plate's measured tones depend on, as changes of the tones (m, k)."""
     steps, base = model.evidence.steps, model.predicted(values)
     sigma = steps.sigma_mps2
@@ -163,9 +161,9 @@ class _FlownAgain:
 
     model: ForwardModel
     values: Values
-    again: Mask
+    again: Bools
 
-    def one_by_one(self, tones: list[Complex], kicks: Kicks) -> tuple[Array, Array, Array]:
+    def one_by_one(self, tones: list[Complexes], kicks: Kicks) -> tuple[Floats, Floats, Floats]:
         """Each move a prediction of its own: a plate mode rings on from flight to flight."""
         model, z = self.model, self.model.evidence.steps.plate.acceleration_mps2
         base = model.predicted(self.values)
@@ -183,10 +181,10 @@ class _FlownAgain:
         ahead, behind = np.moveaxis(np.array(sides).reshape(len(moves), 2, -1, 2), 1, 0)
         return edges, *_halves(ahead, behind, self._events(base))
 
-    def _events(self, p: Predicted) -> Array:
+    def _events(self, p: Predicted) -> Floats:
         return np.stack([p.opening_s[self.again], p.landing_s[self.again]], axis=1)
 
-    def together(self, x: Inputs, moved: list[Complex]) -> tuple[Array, Array, Array]:
+    def together(self, x: Inputs, moved: list[Complexes]) -> tuple[Floats, Floats, Floats]:
         """All moves in one prediction, of copies of the few flights that the events lean on."""
         n = len(self.again)
         few = self.again.copy()
@@ -208,11 +206,11 @@ class _FlownAgain:
 def _copies(
     model: ForwardModel,
     x: Inputs,
-    tones: Sequence[NDArray[np.complex128]],
-    shift_s: Array,
-    events: NDArray[np.int64],
-    wanted: Mask,
-) -> Array:
+    tones: Sequence[Complexes],
+    shift_s: Floats,
+    events: Integers,
+    wanted: Bools,
+) -> Floats:
     """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
 
     For plates without a mode: nothing rings on from flights that are left out. ``shift_s`` (q, n) is added to
@@ -226,7 +224,7 @@ def _copies(
     def each(values: Any) -> Any:
         return np.tile(np.asarray(values)[events], q)
 
-    def perhaps(values: Array | None) -> Array | None:
+    def perhaps(values: Floats | None) -> Floats | None:
         return None if values is None else np.asarray(each(values))
 
     measured = Measured(
@@ -243,7 +241,7 @@ def _copies(
     return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
 
 
-def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Array) -> Array:
+def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) -> Floats:
     """Openings and landings (n, 2) as predicted had no landing been rounded that a prediction leans on.
 
     A ball that leaves as it lands is predicted from the measured landing. Its rounding shifts what follows by the
@@ -257,22 +255,22 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Array) -> 
     return np.asarray(out)
 
 
-def _halves(ahead: Array, behind: Array, base: Array) -> tuple[Array, Array]:
+def _halves(ahead: Floats, behind: Floats, base: Floats) -> tuple[Floats, Floats]:
     """First and second order of changes from predictions either way; the second counts as noise of each event."""
     return _finite(0.5 * (ahead - behind)), _finite(0.5 * (ahead + behind) - base)
 
 
-def _earlier(x: Array, back: int) -> Array:
+def _earlier(x: Floats, back: int) -> Floats:
     """The values of the event so many before, (n, ...); zero where there is none."""
     out = np.zeros_like(x)
     out[back:] = x[:-back]
     return out
 
 
-def _finite(x: Array) -> Array:
+def _finite(x: Floats) -> Floats:
     return np.where(np.abs(x) < LARGEST_CHANGE_S, np.nan_to_num(x), 0.0)
 
 
-def edge_slope(difference: Array) -> Array:
+def edge_slope(difference: Floats) -> Floats:
     """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
     return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)

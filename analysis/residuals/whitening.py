@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from analysis.linear_algebra import NotFiniteError, svd
@@ -29,8 +28,7 @@ from analysis.thresholds import (
     UNSHARED_RATIO,
 )
 from kernels import njit
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats, Integers
 
 NONLINEAR = 0.1  # part of the error that a step shares which counts as an event's own: grazes are not linear in it
 RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds that raise an excess, least scatter and number of events
@@ -38,7 +36,7 @@ UNSEEN = 1e-8  # common error over an event's own that changes nothing: it count
 REACH, COARSE, FINE = 1.4, 0.7, 0.05  # search of the excess, in its logarithm: range, steps, precision
 
 
-def _capped(x: Array, cap: Array) -> Array:
+def _capped(x: Floats, cap: Floats) -> Floats:
     """Residuals within their caps; the cap itself where nothing was predicted."""
     return np.clip(np.where(np.isfinite(x), x, cap), -cap, cap)
 
@@ -51,22 +49,22 @@ class Whitener:
     compared each at its own excess.
     """
 
-    opening: NDArray[np.int64]
-    landing: NDArray[np.int64]
-    step: NDArray[np.int64]
-    order: NDArray[np.int64]
-    bounds: NDArray[np.int64]  # of the steps' blocks
-    sd: Array
-    shared: Array  # directions of the common errors of a step, orthonormal in each block
-    shrink: Array
-    cap: Array  # of each unit residual: beyond, it is excluded from the estimate of the common errors
-    period_s: Array  # of the stacked events, before they are ordered by step
-    log_sigma: Array  # of each whitened residual
-    odds: Array  # log odds of being an outlier, of each event; never of plate data
-    plate_sigma: Array
-    plate_log: Array
+    opening: Integers
+    landing: Integers
+    step: Integers
+    order: Integers
+    bounds: Integers  # of the steps' blocks
+    sd: Floats
+    shared: Floats  # directions of the common errors of a step, orthonormal in each block
+    shrink: Floats
+    cap: Floats  # of each unit residual: beyond, it is excluded from the estimate of the common errors
+    period_s: Floats  # of the stacked events, before they are ordered by step
+    log_sigma: Floats  # of each whitened residual
+    odds: Floats  # log odds of being an outlier, of each event; never of plate data
+    plate_sigma: Floats
+    plate_log: Floats
     excess_s: tuple[float, float]
-    total_s: Array  # uncertainty of the stacked events, without excess, before they are ordered by step
+    total_s: Floats  # uncertainty of the stacked events, without excess, before they are ordered by step
     lost: bool  # whether landings are so far off that a fit may begin on the wrong branch
 
     @classmethod
@@ -132,7 +130,7 @@ class Whitener:
         plate = np.max(np.abs(np.log(self.plate_sigma / other.plate_sigma)), initial=0.0)
         return bool(0.8 < shrunk < 1.25 and np.median(np.abs(self.log_sigma - other.log_sigma)) < 0.1 and plate < 0.2)
 
-    def profile_loss(self, r: Residuals, train: NDArray[np.bool_], noise: PlateNoise) -> float:
+    def profile_loss(self, r: Residuals, train: Bools, noise: PlateNoise) -> float:
         """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals.
 
         ``noise`` is that of the plate data of these steps. Infinite where a prediction is.
@@ -148,15 +146,15 @@ class Whitener:
             total += excess_noise(events[rows], self.total_s[rows], self.period_s[rows])[1]
         return total + noise.loss(r.plate)
 
-    def _events(self, r: Residuals) -> Array:
+    def _events(self, r: Residuals) -> Floats:
         both = np.concatenate([r.opening_s[self.opening], r.landing_s[self.landing]])
         return _capped(both, FARTHEST_PERIODS * self.period_s)
 
-    def stacked(self, r: Residuals) -> Array:
+    def stacked(self, r: Residuals) -> Floats:
         """Bare residuals in one column: events in the order of ``step``, then plate data."""
         return np.concatenate([self._events(r)[self.order], r.plate])
 
-    def white_all(self, bare: Array) -> Array:
+    def white_all(self, bare: Floats) -> Floats:
         """Whitened residuals, from bare ones."""
         n = len(self.step)
         unit = bare[:n] / self.sd
@@ -164,22 +162,22 @@ class Whitener:
             [self._unshared(unit[:, None], self._limited(unit)[:, None])[:, 0], bare[n:] / self.plate_sigma]
         )
 
-    def white_slopes(self, slopes: Array, bare: Array) -> Array:
+    def white_slopes(self, slopes: Floats, bare: Floats) -> Floats:
         """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
         n = len(self.step)
         unit = slopes[:n] / self.sd[:, None]
         counts = np.abs(bare[:n] / self.sd) < self.cap
         return np.concatenate([self._unshared(unit, unit * counts[:, None]), slopes[n:] / self.plate_sigma[:, None]])
 
-    def _limited(self, unit: Array) -> Array:
+    def _limited(self, unit: Floats) -> Floats:
         return np.clip(unit, -self.cap, self.cap)
 
-    def _unshared(self, y: Array, limited: Array) -> Array:
+    def _unshared(self, y: Floats, limited: Floats) -> Floats:
         out = np.ascontiguousarray(y)
         _unshare(out, np.ascontiguousarray(limited), self.bounds, self.shared, self.shrink)
         return out
 
-    def white(self, r: Residuals) -> tuple[Array, Array]:
+    def white(self, r: Residuals) -> tuple[Floats, Floats]:
         """Whitened event residuals (in the order of ``step``) and plate residuals."""
         both = self.white_all(self.stacked(r))
         return both[: len(self.step)], both[len(self.step) :]
@@ -189,21 +187,21 @@ class Whitener:
 class StepBlocks:
     """Events in the order of their steps: bare residuals, each one's own error, and errors common to its step."""
 
-    bare: Array
-    edges: Array
-    tones: Array
-    opening: NDArray[np.bool_]
-    period_s: Array
-    bounds: NDArray[np.int64]
+    bare: Floats
+    edges: Floats
+    tones: Floats
+    opening: Bools
+    period_s: Floats
+    bounds: Integers
 
-    def parts(self, excess: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
+    def parts(self, excess: tuple[float, float]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Own deviation, shared directions, their shrinkage, caps and logarithm of the determinant at an excess."""
         sd = np.hypot(self.edges, np.where(self.opening, *excess))
         relative = self.tones / sd[:, None]
         shared, shrink, logs = _shared(relative, self.bounds)
         return sd, shared, shrink, COMMON_MODE_SIGMAS * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
 
-    def unit(self, excess: tuple[float, float]) -> tuple[Array, Array]:
+    def unit(self, excess: tuple[float, float]) -> tuple[Floats, Floats]:
         """Whitened residuals at an excess, and the logarithm of what each was divided by."""
         sd, shared, shrink, cap, logs = self.parts(excess)
         unit = self.bare / sd
@@ -234,7 +232,7 @@ class StepBlocks:
             opening = _lowest(lambda x: self.loss((x, landing)), opening)
         return opening, landing
 
-    def _raised(self, rows: NDArray[np.bool_], both: Callable[[float], tuple[float, float]], excess: float) -> float:
+    def _raised(self, rows: Bools, both: Callable[[float], tuple[float, float]], excess: float) -> float:
         """The excess raised while whitened residuals scatter by more than a unit."""
         for _ in range(RAISES):
             z, _ = self.unit(both(excess))
@@ -257,7 +255,7 @@ def _lowest(loss: Callable[[float], float], guess: float) -> float:
     return math.exp(fine.x) if fine.fun < losses[k] else max(math.exp(grid[k]), LEAST_EXCESS_S)
 
 
-def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def _shared(tones: Floats, bounds: Integers) -> tuple[Floats, Floats, Floats]:
     """Orthonormal directions of each block's common errors, their shrinkage, and their share of each log sigma."""
     counts, tones = np.diff(bounds), tones[:, np.max(np.abs(tones), axis=0, initial=0.0) > UNSEEN]
     place = np.arange(len(tones)) - np.repeat(bounds[:-1], counts)
@@ -270,7 +268,7 @@ def _shared(tones: Array, bounds: NDArray[np.int64]) -> tuple[Array, Array, Arra
 
 
 @njit()
-def _unshare(y: Array, limited: Array, bounds: NDArray[np.int64], shared: Array, shrink: Array) -> None:
+def _unshare(y: Floats, limited: Floats, bounds: Integers, shared: Floats, shrink: Floats) -> None:
     """Subtract the common mode of each block: ``y += U shrink U^T limited``, in place, (n, columns)."""
     for i in range(len(bounds) - 1):
         for q in range(shared.shape[1]):
@@ -285,7 +283,7 @@ def _unshare(y: Array, limited: Array, bounds: NDArray[np.int64], shared: Array,
                     y[j, c] += total * shared[j, q]
 
 
-def step_losses(world: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Array]:
+def step_losses(world: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Floats]:
     """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,).
 
     Raises

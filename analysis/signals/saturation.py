@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kernels import njit
+from kernels.arrays import Floats
 
 STANDS = 0.02  # share of the samples at an end from which it saturates: a sine cut off there has lost 0.2 % of its peak
 STANDS_S = 1e-3  # time at an end from which it is the motion that stands there: a table's ringing turns sooner
@@ -38,7 +39,7 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     return -_end(-x, widths), _end(x, widths)
 
 
-def _end(x: npt.NDArray[np.float64], widths: list[float]) -> float:
+def _end(x: Floats, widths: list[float]) -> float:
     """Reading from which on the upper end is reached."""
     top = float(x.max())
     near = x[x > top - 2.0 * widths[-1]]

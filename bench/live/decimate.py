@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels import njit
+from kernels.arrays import Floats
 
 Codes = NDArray[np.int16]
 
@@ -91,7 +92,7 @@ class PlateHeight:
 
 
 @njit()
-def _integrate(codes: Codes, constants: NDArray[np.float64], state: NDArray[np.float64], out: Codes) -> None:
+def _integrate(codes: Codes, constants: Floats, state: Floats, out: Codes) -> None:
     """``state``: slow part of the acceleration, velocity, displacement, slow part of the displacement."""
     dt, leak, scale, least = constants
     rest, v, x, slow = state

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels.arrays import Floats
+
 SCOPE, FLIGHTS, SPECTRUM = 1, 2, 3
 
 
@@ -30,7 +32,7 @@ def flights_piece(message: dict[str, Any], factor: float) -> bytes:
     return head + b"".join(np.asarray(x, "<f4").tobytes() for x in columns) + np.asarray(mark, np.uint8).tobytes()
 
 
-def spectrum_piece(rate_hz: float, acceleration_mps2: NDArray[np.float64]) -> bytes:
+def spectrum_piece(rate_hz: float, acceleration_mps2: Floats) -> bytes:
     """Amplitude spectral density of the accelerometer, (m/s^2)/sqrt(Hz), in bins of even width in the logarithm.
 
     Header of 8 bytes, then frequencies and the largest density in each bin, float32.

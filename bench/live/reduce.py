@@ -18,9 +18,8 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observed
 from daq.recording import Recording
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 from model.effects.registry import resolve
-
-Floats = NDArray[np.float64]
 
 PLAIN, DOUBTFUL, POOR = 0, 1, 2  # marks of a flight
 _POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP

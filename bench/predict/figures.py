@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.report.figures import style
 from analysis.report.figures.zones import draw_zones, zones_over
@@ -24,8 +23,6 @@ from model.bifurcations.events import bifurcations
 from model.orbits.ideal_ball import IdealBall
 from model.surveys.diagram import Rows, adaptive, diagram
 from model.tones import Forcing
-
-Floats = NDArray[np.float64]
 
 PAPER_HZ = 20.0  # the paper's "omega = 20"
 ZONE_GAMMAS = 400

@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.report.figures import style
 from analysis.report.gamma import GAMMA_LABEL
+from kernels.arrays import Integers
 from model.surveys.ensemble import Job
 
 DOTS = 1600  # of the picture along each axis, at most
@@ -56,7 +56,7 @@ def map_picture(path: Path, job: Job, picture: Path) -> None:
         figure.savefig(picture, dpi=200)
 
 
-def _periods(file: h5py.File, start: int, stop: int, step: int) -> NDArray[np.int64]:
+def _periods(file: h5py.File, start: int, stop: int, step: int) -> Integers:
     some = slice(start, stop, step)
     flights, kind = file["flights"][some], file["kind"][some]
     period = np.minimum(file["period"][some], PERIODS[-1])

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import FLIGHTS, Afterwards, imported
 from benchmarks.plants.instrument import Instrument
+from kernels.arrays import Floats
 from rig.backends.simulated import SimulatedBackend
 from rig.sim.catalogue import RIG_DEFAULTS
 from rig.sim.scenario import Scenario
 
-Floats = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
 LAG, HIGH_PASS, PICKUP, OFFSET = "accelerometer_lag", "accelerometer_high_pass", "mains_pickup", "accelerometer_offset"

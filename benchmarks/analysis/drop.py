@@ -19,7 +19,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.flights import Clip, flights_of
@@ -33,9 +32,9 @@ from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 G = 9.80665
-Array = NDArray[np.float64]
 
 
 def synthetic() -> ModuleType:
@@ -147,7 +146,7 @@ def _random_truth(cam: ModuleType, cause: str, rng: np.random.Generator) -> Any:
 
 def _heard(
     cam: ModuleType, truth: Any, rng: np.random.Generator, echo: float = 0.03, speech: float | None = None
-) -> tuple[Array, Array | None, Array | None, Array, Array]:
+) -> tuple[Floats, Floats | None, Floats | None, Floats, Floats]:
     """Events in a microphone recording, with noise, hum, talk, clicks and unheard impacts."""
     room = cam.Room(
         rate_hz=float(rng.choice([16000, 22050, 44100, 48000, 96000])),
@@ -171,7 +170,7 @@ def _heard(
 
 def _tabled(
     cam: ModuleType, truth: Any, rng: np.random.Generator
-) -> tuple[Array, Array | None, Array | None, Array, Array]:
+) -> tuple[Floats, Floats | None, Floats | None, Floats, Floats]:
     """Events as a phone lists them: impacts with jitter, one perhaps missing, one perhaps false, none under 0.1 s."""
     _, impacts = cam.path(truth, np.array([20.0]), 1e-4, settle_mps=0.05, rng=rng)
     impacts = impacts[np.diff(impacts, append=impacts[-1]) > 0.1]

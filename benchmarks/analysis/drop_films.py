@@ -17,16 +17,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.filmed import Units, of_camera
 from analysis.drop.load import Path2D, load
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats
 
 G = 9.80665
-Array = NDArray[np.float64]
+
 FINE = 8  # sub-pixels a pixel
 
 
@@ -104,16 +104,16 @@ def hard_scene(seed: int, k: int) -> Scene:
     return replace(scene, shutter=float(rng.uniform(0.3, 0.9)))
 
 
-def fall(scene: Scene) -> tuple[Array, Array]:
+def fall(scene: Scene) -> tuple[Floats, Floats]:
     """Times (fine) and heights of the drop, integrated flight by flight with its turning points as events."""
 
-    def rates(_t: float, s: Array) -> list[float]:
+    def rates(_t: float, s: Floats) -> list[float]:
         return [s[1], -G - np.sign(s[1]) * scene.friction * G]
 
-    def landed(_t: float, s: Array) -> float:
+    def landed(_t: float, s: Floats) -> float:
         return float(s[0])
 
-    def turned(_t: float, s: Array) -> float:
+    def turned(_t: float, s: Floats) -> float:
         return float(s[1])
 
     landed.terminal, landed.direction = True, -1  # type: ignore[attr-defined]
@@ -140,7 +140,7 @@ def fall(scene: Scene) -> tuple[Array, Array]:
     return np.concatenate(times), np.maximum(np.concatenate(heights), 0.0)
 
 
-def film(target: Path, scene: Scene, rng: np.random.Generator) -> tuple[float, NDArray[np.bool_]]:
+def film(target: Path, scene: Scene, rng: np.random.Generator) -> tuple[float, Bools]:
     """Render the film; returns metres a pixel along the fall, and which frames show it moving."""
     times, heights = fall(scene)
     seconds = float(times[-1]) - 10.0 + 0.02 + scene.rest_s
@@ -194,7 +194,7 @@ def _camera(scene: Scene, rows: int, columns: int, per_m: float, tall: float):  
     angle = np.radians(scene.roll_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
-    def see(points: Array) -> Array:
+    def see(points: Floats) -> Floats:
         centred = (points - np.array([0.0, 0.5 * tall])) * per_m
         centred = centred / (1.0 + scene.tilt * centred[:, 1:] / (0.5 * rows))
         centred = centred @ turn.T
@@ -205,7 +205,7 @@ def _camera(scene: Scene, rows: int, columns: int, per_m: float, tall: float):  
     return see
 
 
-def _polygon(camera, left: float, right: float, low: float, high: float) -> Array:  # type: ignore[no-untyped-def]
+def _polygon(camera, left: float, right: float, low: float, high: float) -> Floats:  # type: ignore[no-untyped-def]
     """A rectangle's outline in pixels, its sides cut into pieces, for the lens bends them."""
     s = np.linspace(0.0, 1.0, 9)[:-1]
     corners = np.array([[left, low], [right, low], [right, high], [left, high]])
@@ -213,7 +213,7 @@ def _polygon(camera, left: float, right: float, low: float, high: float) -> Arra
     return np.asarray(camera(np.concatenate(sides)))
 
 
-def _paint(picture: Array, outline: Array, shade: float) -> None:
+def _paint(picture: Floats, outline: Floats, shade: float) -> None:
     """Fill a polygon, each pixel by the part of it that is covered; pixel centres are at whole numbers."""
     low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 1, 0)
     high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 2, np.array(picture.shape[::-1]))

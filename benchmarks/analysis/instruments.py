@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.analysis.chains import CHAINS, HIDDEN, Floats, Job, Values, jobs, recorded
+from benchmarks.analysis.chains import CHAINS, HIDDEN, Job, Values, jobs, recorded
 from benchmarks.scoring.tables import rate
 from benchmarks.scoring.version import code_version
 from daq.files.whole_file import Journal
+from kernels.arrays import Bools, Floats
 from model.surveys.workers import outcomes
 
 Row = dict[str, Any]
@@ -37,7 +37,7 @@ SHORTEST_S = 1e-3  # a ringing table and a contact that is held closed hide shor
 GOOD_FLOORS = 1.3  # landing rms over the noise floor
 
 
-def counted(found_s: Floats, cut: NDArray[np.bool_], flown: Floats, near_s: float) -> tuple[int, int, int]:
+def counted(found_s: Floats, cut: Bools, flown: Floats, near_s: float) -> tuple[int, int, int]:
     """Flights flown, phantom landings and missed ones.
 
     Parameters

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Bools, Floats
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import AT_REST, Ball, State
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -19,7 +17,7 @@ class Series:
 
     tau: Floats
     phase: Floats
-    reset: NDArray[np.bool_]
+    reset: Bools
 
 
 def every_flight(ball: Ball, gamma: float, n_transient: int, n_keep: int, start: State = AT_REST) -> Series:

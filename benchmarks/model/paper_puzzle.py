@@ -16,9 +16,9 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.model.every_flight import Series, every_flight
+from kernels.arrays import Floats
 from model.bifurcations.events import Bifurcation
 from model.bifurcations.find import find_bifurcations
 from model.bifurcations.sweep import key, observed_bifurcations
@@ -27,8 +27,6 @@ from model.orbits.attractor import AT_REST, attractor
 from model.orbits.contact_sensor import Instrument, observe
 from model.orbits.friction_ball import FrictionBall
 from model.tones import Forcing
-
-Floats = NDArray[np.float64]
 
 FREQUENCY_HZ = 20.0
 OMEGA = 2.0 * math.pi * FREQUENCY_HZ

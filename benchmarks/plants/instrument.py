@@ -10,13 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import bilinear, butter, firwin, lfilter, lfilter_zi, upfirdn
 
 from benchmarks.plants.sensors import blocked
 from kernels import njit
-
-Array = NDArray[np.float64]
+from kernels.arrays import Bools, Floats
 
 V_PER_G = 0.1
 RINGING = (14.0, 1800.0, 1e-3)  # of the table after an impact: g for each m/s, Hz, decay s
@@ -99,7 +97,7 @@ class Instrument:
         has_filter = channel == ACCELEROMETER or not self.fir_accelerometer_only
         return shift_s - (self.fir_samples / rate_hz if has_filter else 0.0)
 
-    def mains(self, volts: float, odd: float, time_s: Array) -> Array:
+    def mains(self, volts: float, odd: float, time_s: Floats) -> Floats:
         """A line at 50 Hz with its odd harmonics."""
         angle = 2.0 * math.pi * 50.0 * time_s + 1.0
         return np.asarray(volts * (np.sin(angle) + sum(odd / k * np.sin(k * angle) for k in (3, 5, 7))))
@@ -120,12 +118,12 @@ def add_impacts(felt, impacts, grid_hz, size, hz, decay_s, pulse_s):
                 felt[i] -= size * speed * math.exp(-t / decay_s) * math.sin(2.0 * math.pi * hz * t)
 
 
-def through(x: Array, b: Array, a: Array) -> Array:
+def through(x: Floats, b: Floats, a: Floats) -> Floats:
     """Behind a filter that has had the first value for long."""
     return np.asarray(lfilter(b, a, x, zi=lfilter_zi(b, a) * x[0])[0])
 
 
-def _second_order(numerator: list[float], hz: float, damping: float, grid_hz: float) -> tuple[Array, Array]:
+def _second_order(numerator: list[float], hz: float, damping: float, grid_hz: float) -> tuple[Floats, Floats]:
     """``numerator`` over s^2 + 2 damping w s + w^2 on the grid, s in units of w."""
     w = 2.0 * math.pi * hz
     scaled = [c * w ** (3 - len(numerator) + i) for i, c in enumerate(numerator)]
@@ -133,7 +131,7 @@ def _second_order(numerator: list[float], hz: float, damping: float, grid_hz: fl
     return np.asarray(b), np.asarray(a)
 
 
-def taken(part: Instrument, x: Array, over: int, channel: int) -> Array:
+def taken(part: Instrument, x: Floats, over: int, channel: int) -> Floats:
     """The converter's samples of a signal on a grid ``over`` times as fine; its filter delays them."""
     if part.fir_samples and (channel == ACCELEROMETER or not part.fir_accelerometer_only):
         half = int(part.fir_samples) * over
@@ -145,8 +143,14 @@ def taken(part: Instrument, x: Array, over: int, channel: int) -> Array:
 
 
 def accelerometer_v(
-    part: Instrument, felt_g: Array, impacts: Array, rate_hz: float, over: int, noise_g: float, rng: np.random.Generator
-) -> Array:
+    part: Instrument,
+    felt_g: Floats,
+    impacts: Floats,
+    rate_hz: float,
+    over: int,
+    noise_g: float,
+    rng: np.random.Generator,
+) -> Floats:
     """Volts of the accelerometer at each sample.
 
     Parameters
@@ -199,7 +203,7 @@ def accelerometer_v(
     return np.asarray(volts + part.mains(part.mains_v, part.mains_odd, time_s))
 
 
-def flicker(n: int, rms_an_octave: float, rng: np.random.Generator) -> Array:
+def flicker(n: int, rms_an_octave: float, rng: np.random.Generator) -> Floats:
     """1/f noise of so much rms in each octave; one octave has the power that one bin's share ``1/k ln 2`` has."""
     k = np.fft.rfftfreq(n, 1.0 / n)
     k[0] = np.inf
@@ -207,9 +211,7 @@ def flicker(n: int, rms_an_octave: float, rng: np.random.Generator) -> Array:
     return np.asarray(rms_an_octave * math.sqrt(n / (2.0 * math.log(2.0))) * np.fft.irfft(spectrum, n))
 
 
-def chattering(
-    part: Instrument, times: Array, opens: NDArray[np.bool_], rng: np.random.Generator
-) -> tuple[Array, Array]:
+def chattering(part: Instrument, times: Floats, opens: Bools, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """The contact's edges, and up to three short openings after each landing, none later than the next take-off."""
     if not part.bounce_s or not times.size:
         return times, opens
@@ -244,13 +246,13 @@ def _follow(times, opens, levels, at_s, rc_open_s, rc_close_s, low_v, high_v, ou
 
 def contact_v(
     part: Instrument,
-    times: Array,
-    opens: NDArray[np.bool_],
+    times: Floats,
+    opens: Bools,
     rate_hz: float,
     over: int,
     n: int,
     rng: np.random.Generator,
-) -> Array:
+) -> Floats:
     """Volts of the contact circuit at each of ``n`` samples, noise apart.
 
     Parameters

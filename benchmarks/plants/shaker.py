@@ -11,13 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
 from benchmarks.plants.command import G, commands, level_at
 from kernels import njit
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 BALL_KG = 0.2492
 STEPS_PER_SAMPLE = 250  # 0.2 us at 20 kHz: the contact's own frequency is 5 kHz or more
@@ -75,7 +73,7 @@ class Shaker:
             self.contact_n_per_m, dashpot, self.sliding_friction * BALL_KG * G, self.oil_per_s * BALL_KG,
         )  # fmt: skip
 
-    def drive(self) -> Array:
+    def drive(self) -> Floats:
         """Amplitude and phase of force (N) or volts of each tone at gamma 1, shape (2, 2), as the operator set them."""
         mass, spring, dashpot, *_ = self.parts()
         force_per_ampere, ohm, henry = COIL
@@ -123,7 +121,7 @@ def _march(parts, coil, voltage_driven, drive, gammas, step_s, w, c, dt, plate, 
         plate[k], touching[k] = total / STEPS_PER_SAMPLE, contacts / STEPS_PER_SAMPLE
 
 
-def simulate(rig: Shaker) -> dict[str, Array]:
+def simulate(rig: Shaker) -> dict[str, Floats]:
     """What the rig's owner records.
 
     Returns

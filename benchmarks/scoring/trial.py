@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.plants import other_plant as plant
+from kernels.arrays import Floats
 
 if TYPE_CHECKING:
     from analysis.loop.result import Predictions
@@ -92,7 +92,7 @@ def run(job: Job) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _unit_landings(p: Predictions) -> NDArray[np.float64]:
+def _unit_landings(p: Predictions) -> Floats:
     """Landing residuals over their uncertainty, clipped at 6, (n,)."""
     z = p.landing_residual_s / p.landing_sigma_s
     return np.asarray(np.clip(np.where(np.isfinite(p.landing_residual_s), z, 6.0), -6.0, 6.0))
@@ -117,7 +117,7 @@ def size_of(world: Any, values: Any) -> dict[str, float]:
     return out
 
 
-def _beyond_noise(z: NDArray[np.float64]) -> float:
+def _beyond_noise(z: Floats) -> float:
     return float(np.sqrt(max(np.mean(np.clip(z, -1e3, 1e3) ** 2) - 1.0, 0.0)))
 
 

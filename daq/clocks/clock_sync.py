@@ -20,8 +20,7 @@ from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at, sliding_products
 from daq.clocks.sample_loss import SMALLEST_MISFIT
 from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Bools, Floats, Integers
 
 MARKER_S = 0.3
 MARKER_HZ = (150.0, 2500.0)
@@ -142,7 +141,7 @@ def compile_now() -> None:
     fit_clock(np.concatenate(tracker.readings), np.array([100]))
 
 
-def fit_clock(readings: NDArray[np.void], at: NDArray[np.int64]) -> NDArray[np.void]:
+def fit_clock(readings: NDArray[np.void], at: Integers) -> NDArray[np.void]:
     """The map at the frames ``at`` (recorded samples, lost ones counted), `MAP_DTYPE` rows; NaN without readings.
 
     Parameters
@@ -176,7 +175,7 @@ def fit_clock(readings: NDArray[np.void], at: NDArray[np.int64]) -> NDArray[np.v
     return rows
 
 
-def _honest(where: Floats, lags: Floats, sigma: Floats, jump: NDArray[np.bool_]) -> Floats:
+def _honest(where: Floats, lags: Floats, sigma: Floats, jump: Bools) -> Floats:
     """Uncertainties no smaller than the readings' own scatter: second differences know no lag and no rate."""
     if len(where) < 8:
         return sigma
@@ -244,7 +243,7 @@ def _smooth(where, before, states):  # type: ignore[no-untyped-def]
         states[k, 4] += g21 * (g21 * e11 + g22 * e12) + g22 * (g21 * e12 + g22 * e22)
 
 
-def played_s(times_s: Floats, rows: NDArray[np.void], gaps: NDArray[np.int64], rate_hz: float) -> Floats:
+def played_s(times_s: Floats, rows: NDArray[np.void], gaps: Integers, rate_hz: float) -> Floats:
     """Times on a recording's axis as times on the clock that played the drive.
 
     Parameters

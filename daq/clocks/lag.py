@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from kernels.arrays import Floats
 
 LARGEST = 20_000  # most samples lost at once that are searched for
 LATENCY = 20_000  # longest latency of the loop-back, samples

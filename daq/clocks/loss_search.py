@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.clocks.lag import LARGEST, LATENCY, Floats, Stretch, candidates, lag_at
+from daq.clocks.lag import LARGEST, LATENCY, Stretch, candidates, lag_at
+from kernels.arrays import Floats
 
 SURE_SAMPLES = 0.05  # a lag known less well than this decides nothing
 SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice

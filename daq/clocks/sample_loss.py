@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.clocks.lag import LARGEST, LATENCY, Floats, LagFit, PlayedBuffer, lag_at
+from daq.clocks.lag import LARGEST, LATENCY, LagFit, PlayedBuffer, lag_at
 from daq.clocks.loss_search import (
     CLOCK_SLACK,
     LIKE_NOISE,
@@ -29,6 +29,7 @@ from daq.clocks.loss_search import (
     WhichLoss,
 )
 from daq.files.tables import Block, BlockFlag
+from kernels.arrays import Floats
 
 CHUNK = 1024  # frames looked at together, at least
 OPENING = 8  # chunks that give the latency, at most

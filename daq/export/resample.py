@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from daq.recording.reader import Recording
 from daq.setup.errors import InputError
+from kernels.arrays import Floats, Integers
 
 LARGEST = 100_000  # of numerator and denominator of the two rates' ratio
 REACH = 4000  # samples of the recording on either side that the filter is shown
@@ -56,7 +57,7 @@ class Resampled:
         return steps
 
     @property
-    def gaps(self) -> NDArray[np.int64]:
+    def gaps(self) -> Integers:
         """Lost samples as the recording's, int64 ``(n, 2)``, counted in samples of the new rate."""
         return np.asarray(np.rint(self._recording.gaps * (self._up / self._down)), np.int64)
 
@@ -68,7 +69,7 @@ class Resampled:
         """Volts: what was filtered is no code of the converter any more."""
         return self.read_v(channel, start, stop)
 
-    def read_v(self, channel: str, start: int, stop: int) -> NDArray[np.float64]:
+    def read_v(self, channel: str, start: int, stop: int) -> Floats:
         """Samples ``start`` to ``stop`` of the new rate, volts."""
         stop = min(stop, self.n_samples)
         reach = math.ceil(REACH / self._down)  # in whole turns of the ratio, so that the grid stays where it is
@@ -79,7 +80,7 @@ class Resampled:
         out = self._resample(raw, self._recording.rate_hz, self.rate_hz, quality="VHQ")
         return np.asarray(out[start - first * self._up : stop - first * self._up], np.float64)
 
-    def timestamps_ns(self, start: int, stop: int) -> NDArray[np.int64]:
+    def timestamps_ns(self, start: int, stop: int) -> Integers:
         """Times of samples ``start`` to ``stop``; lost samples leave a step, as in the recording."""
         n = self._recording.n_samples
         place = np.arange(start, min(stop, self.n_samples)) * (self._down / self._up)

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.export.facts import Progress
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.recording.reader import Recording
+from kernels.arrays import Integers
 
 LINE = 80
 EVEN_NS = 1.5  # farthest from an even grid, nanoseconds, at which a piece is written as even
@@ -37,7 +37,7 @@ def export_uff58(recording: Recording, part: Path, tell: Progress) -> None:
 
 
 def _write_set(
-    file: BinaryIO, recording: Recording, number: int, name: str, first: int, stamps: NDArray[np.int64], lost: int
+    file: BinaryIO, recording: Recording, number: int, name: str, first: int, stamps: Integers, lost: int
 ) -> None:
     """One channel from sample ``first`` on; times that are not even stand next to the values."""
     volts, n = recording.read_v(name, first, first + len(stamps)), len(stamps)

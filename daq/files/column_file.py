@@ -27,6 +27,7 @@ from daq.files.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, 
 from daq.files.whole_file import sync
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Integers
 
 FORMAT = "shakerbench recording"
 FORMAT_VERSION = 1
@@ -118,7 +119,7 @@ class ColumnWriter:
             name, (0,), maxshape=(None,), dtype=dtype, chunks=(CHUNK_SAMPLES,), fletcher32=True, **self._filters
         )
 
-    def append(self, timestamps_ns: NDArray[np.int64] | None, columns: Mapping[str, NDArray[Any]]) -> None:
+    def append(self, timestamps_ns: Integers | None, columns: Mapping[str, NDArray[Any]]) -> None:
         """Add samples: ``timestamps_ns`` (n,) (None: `write_timestamps` gives them), an array (n,) a channel."""
         pieces = dict(columns) if timestamps_ns is None else {"timestamp": timestamps_ns, **columns}
         lengths = {len(piece) for piece in pieces.values()}
@@ -174,7 +175,7 @@ class ColumnWriter:
         self._file.flush()
         self._disk.check()
 
-    def write_timestamps(self, stamps: Callable[[int, int], NDArray[np.int64]]) -> None:
+    def write_timestamps(self, stamps: Callable[[int, int], Integers]) -> None:
         """Write the times of all samples appended without; ``stamps(start, stop)`` gives nanoseconds."""
         self.flush()
         self._sets["timestamp"].id.set_extent((self.n_samples,))

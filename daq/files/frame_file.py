@@ -20,6 +20,7 @@ from daq.files.disk import PatchedFile
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
+from kernels.arrays import Bools
 
 FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
 FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "clock_map": "frame_clock_map",
@@ -156,7 +157,7 @@ class FrameFile:
         self.side = {table: sound(FRAME_SIDE[table], dtype) for table, dtype in SIDE_TABLES.items()}
         self._held = (0, 0, np.zeros((0, self._frames.shape[1]), np.int16))
 
-    def _whole_blocks(self, rows: NDArray[np.void], intact: NDArray[np.bool_], stored: int) -> NDArray[np.void]:
+    def _whole_blocks(self, rows: NDArray[np.void], intact: Bools, stored: int) -> NDArray[np.void]:
         """Blocks that follow each other and whose frames are there; where a row differs, its samples are lost."""
         rows, at = rows.copy(), 0
         n_whole = int(np.flatnonzero(intact)[-1]) + 1 if intact.any() else 0
@@ -205,7 +206,7 @@ class FrameFile:
         return [which.start + i for i, (start, stop, crc) in enumerate(each) if zlib.crc32(held[start:stop]) != crc]
 
 
-def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[NDArray[Any], Bools]:
     """A table of a frames file, and which of its rows are as they were written.
 
     Raises

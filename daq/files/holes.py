@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
+from kernels.arrays import Integers
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Holes:
         int64 ``(m, 2)``: their ranges, in order.
     """
 
-    left: NDArray[np.int64]
+    left: Integers
 
     @classmethod
     def of(cls, lost: Iterable[tuple[int, int]], n_samples: int) -> Holes:
@@ -38,7 +39,7 @@ class Holes:
         return cls(np.array(rows, np.int64).reshape(-1, 2))
 
     @property
-    def starts(self) -> NDArray[np.int64]:
+    def starts(self) -> Integers:
         """Beginning of each range among the samples that are left, and their number."""
         return np.concatenate([[0], np.cumsum(self.left[:, 1] - self.left[:, 0])]).astype(np.int64)
 
@@ -47,7 +48,7 @@ class Holes:
         """Samples that are left."""
         return int(self.starts[-1])
 
-    def place(self, sample: NDArray[np.int64]) -> NDArray[np.int64]:
+    def place(self, sample: Integers) -> Integers:
         """Number of samples that are left before each of the file's samples."""
         k = np.searchsorted(self.left[:, 0], sample, side="right")
         inside = np.minimum(sample, np.append(0, self.left[:, 1])[k]) - np.append(0, self.left[:, 0])[k]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 # Kinds of samples, by their number in the header:
 _PCM = 1
@@ -66,7 +67,7 @@ class Wav:
             raw = wide.reshape(-1)
         return raw.view(self.dtype).reshape(-1, self.channels)
 
-    def read(self, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+    def read(self, start: int = 0, stop: int | None = None) -> Floats:
         """Samples ``start`` to ``stop``, (n, channels), full scale 1."""
         codes = self.codes(start, stop)
         if self.dtype.kind == "f":
@@ -74,9 +75,7 @@ class Wav:
         middle = 128.0 if self.dtype.kind == "u" else 0.0
         return (codes - middle) / 2.0 ** (8 * self.dtype.itemsize - 1)
 
-    def envelope(
-        self, start_s: float, stop_s: float, columns: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def envelope(self, start_s: float, stop_s: float, columns: int) -> tuple[Floats, Floats, Floats]:
         """Time, lowest and highest sample of all channels, in at most ``columns`` columns; read in pieces."""
         first = max(int(start_s * self.rate_hz), 0)
         last = min(int(stop_s * self.rate_hz), self.n_samples)

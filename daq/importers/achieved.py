@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, fit_tones
@@ -19,9 +18,7 @@ from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, gamma_of
 from daq.steps.forcing_detection import Read, weights
 from daq.steps.tone_tracking import fit, tones_hz
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from kernels.arrays import Bools, Floats, Integers
 
 HARMONICS = 3  # of the first tone, which a mask at one phase of the cycle would mix in; more are undetermined there
 BELOW = 0.45  # of the sample rate: tones that are fitted
@@ -104,7 +101,7 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
     return np.ones(len(x), np.bool_)
 
 
-def _clear(n: int, impacts: NDArray[np.int64], rate_hz: float, ringing_s: float) -> Bools:
+def _clear(n: int, impacts: Integers, rate_hz: float, ringing_s: float) -> Bools:
     """Samples of ``n`` away from all ``impacts``."""
     change = np.zeros(n + 1, np.int64)
     np.add.at(change, np.maximum(impacts - round(LEAD_S * rate_hz), 0), 1)

@@ -51,8 +51,7 @@ from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
 from daq.steps.forcing_detection import Read
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Floats, Integers
 
 LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanoseconds, in 64 bits
 YEAR_9999_S = 2.5e11
@@ -232,7 +231,7 @@ def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timeba
 def _write_times(writer: ColumnWriter, scratch: Scratch, base: Timebase) -> None:
     """Write the times: even ones where they are even, else as they came."""
 
-    def stamps(start: int, stop: int) -> NDArray[np.int64]:
+    def stamps(start: int, stop: int) -> Integers:
         if base.uniform:
             return timestamps_ns(start, stop, base.rate_hz, base.gaps[:, :2])
         return scratch.read("timestamp", start, stop)

@@ -19,8 +19,8 @@ from daq.importers.scratch import Scratch
 from daq.importers.timebase import quantum_of, to_nanoseconds
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE, Setup
+from kernels.arrays import Floats, Integers
 
-Floats = NDArray[np.float64]
 Progress = Callable[[str, int], None]
 LONGEST_S = 9e9  # longest span that 64 bits of nanoseconds hold
 
@@ -69,7 +69,7 @@ class Intake:
         """Resolution of the time column, seconds."""
         return max(self.quantum_s if np.isfinite(self.quantum_s) else 0.0, self.spacing_s, 1e-9)
 
-    def take(self, piece: Piece) -> NDArray[np.int64]:
+    def take(self, piece: Piece) -> Integers:
         """Check a piece and note its properties; returns nanoseconds since the first row, empty without a time."""
         ends = {name: self._ends(piece, name) for name in dict.fromkeys(c.name for c in self.columns.values())}
         stamps = self._times_ns(piece) if "time" in self.columns else np.zeros(0, np.int64)
@@ -110,7 +110,7 @@ class Intake:
             )
         return ends
 
-    def _times_ns(self, piece: Piece) -> NDArray[np.int64]:
+    def _times_ns(self, piece: Piece) -> Integers:
         """Nanoseconds since the first row; refuses times that fall."""
         column = self.columns["time"]
         raw = given = piece.columns[column.name]

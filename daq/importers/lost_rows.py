@@ -8,12 +8,10 @@ from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.steps.find_steps import SAME_FREQUENCY, FoundStep
 from daq.steps.forcing_detection import Read
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Complexes, Floats, Integers
 
 RUNS_ON_RAD = 0.03  # median jump of the phase at borders of steps, up to which a forcing runs on through them
 FEWEST_BORDERS = 4
@@ -22,7 +20,7 @@ SIGMAS = 5.0
 LEAST_SAMPLES = 1.5  # jump of the phase that is a loss, at least
 
 
-def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> NDArray[np.int64]:
+def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
     """Places where rows are missing: ``(k, 3)``, row before which, how many, and their uncertainty.
 
     A forcing that runs on through the steps keeps its phase at most of their borders; where it jumps by what a number
@@ -69,8 +67,8 @@ class _Jump:
         Cycles of each tone in a sample, (k,).
     """
 
-    before: NDArray[np.complex128]
-    after: NDArray[np.complex128]
+    before: Complexes
+    after: Complexes
     sigma_rad: Floats
     turns: Floats
 

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels import njit
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Floats, Integers
 
 PAUSE_SAMPLES = 1.6  # a longer step in time is a pause: samples are missing
 JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
@@ -42,7 +40,7 @@ class Timebase:
     rate_hz: float
     uniform: bool
     jitter_s: float
-    gaps: NDArray[np.int64]
+    gaps: Integers
 
 
 Times = Callable[[int, int], Floats]
@@ -90,7 +88,7 @@ def quantum_of(values: Floats) -> float:
     return float("inf")
 
 
-def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) -> NDArray[np.int64]:
+def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) -> Integers:
     """First samples after each pause."""
     limit, found = PAUSE_SAMPLES * typical + quantum_s, [np.zeros(0, np.int64)]
     for start in range(0, n - 1, piece):
@@ -100,11 +98,11 @@ def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) 
     return np.concatenate(found).astype(np.int64)
 
 
-def _runs(n: int, gaps: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _runs(n: int, gaps: Integers) -> list[tuple[int, int]]:
     return list(pairwise([0, *(int(g) for g in gaps), n]))
 
 
-def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[float, float]:
+def _slope(times: Times, n: int, gaps: Integers, piece: int) -> tuple[float, float]:
     """Seconds a sample by least squares within the unbroken runs, with its standard deviation."""
     sxy = sxx = ss = 0.0
     own: list[tuple[float, float]] = []
@@ -124,8 +122,8 @@ def _slope(times: Times, n: int, gaps: NDArray[np.int64], piece: int) -> tuple[f
 
 
 def _missing(
-    times: Times, gaps: NDArray[np.int64], step: float, step_sigma: float, quantum_s: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    times: Times, gaps: Integers, step: float, step_sigma: float, quantum_s: float
+) -> tuple[Integers, Integers]:
     """Samples missing in each pause, and the standard uncertainty (rounded up)."""
     pause = np.array([float(np.diff(times(int(g) - 1, int(g) + 1))[0]) for g in gaps])
     samples = pause / step
@@ -133,7 +131,7 @@ def _missing(
     return np.rint(samples).astype(np.int64) - 1, np.ceil(sigma - 0.5).clip(0).astype(np.int64)
 
 
-def _distance(times: Times, n: int, gaps: NDArray[np.int64], step: float, piece: int) -> tuple[float, float]:
+def _distance(times: Times, n: int, gaps: Integers, step: float, piece: int) -> tuple[float, float]:
     """Largest and rms distance of the times from an even grid through each unbroken run."""
     worst = squares = 0.0
     for start, stop in _runs(n, gaps):

@@ -10,13 +10,11 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.instrument.instrument import Doubt
 from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
 from daq.setup.setup import ContinuityChannel, Setup
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Floats
 
 OFTEN = 0.7  # part of the steps that must show the same tones
 HIGHEST = 4  # ratio up to which the first tone is strong enough to be found next to the second

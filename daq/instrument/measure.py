@@ -13,9 +13,7 @@ from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import ContinuityChannel, Setup
 from daq.steps.find_steps import gamma_of
 from daq.steps.forcing_detection import Read
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from kernels.arrays import Bools, Floats, Integers
 
 STEPS, SAMPLES = 24, 1 << 16  # steps that are looked at, spread over the recording, and samples of each
 POINTS_A_CYCLE = 64  # of a step's frequency, at which tones are looked for
@@ -96,7 +94,7 @@ def measure(
     n_samples: int,
     rate_hz: float,
     steps: NDArray[np.void],
-    gaps: NDArray[np.int64],
+    gaps: Integers,
     setup: Setup,
 ) -> Measured:
     """Measure the instruments.
@@ -135,9 +133,7 @@ def measure(
     )
 
 
-def _spans(
-    steps: NDArray[np.void], gaps: NDArray[np.int64], n_samples: int, rate_hz: float
-) -> list[tuple[int, int, float]]:
+def _spans(steps: NDArray[np.void], gaps: Integers, n_samples: int, rate_hz: float) -> list[tuple[int, int, float]]:
     """First sample, end and frequency of the holds that are looked at; of one with a gap, the longer part."""
     out = []
     chosen = np.unique(np.linspace(0, len(steps) - 1, min(STEPS, len(steps))).round().astype(np.int64))

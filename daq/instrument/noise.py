@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from kernels.arrays import Floats
 
 WINDOW_S = 12.8e-3  # of a spectrum: impacts are farther apart
 FEWEST_WINDOWS = 8

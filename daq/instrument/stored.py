@@ -17,6 +17,7 @@ from daq.recording import Recording, open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.forcing_detection import Read
+from kernels.arrays import Integers
 
 
 def examine(
@@ -24,7 +25,7 @@ def examine(
     n_samples: int,
     rate_hz: float,
     steps: NDArray[np.void],
-    gaps: NDArray[np.int64],
+    gaps: Integers,
     setup: Setup,
 ) -> Instrument:
     """The instrument and the doubts about its profile; parameters are those of `daq.instrument.measure.measure`."""

@@ -19,6 +19,7 @@ from daq.pyramid.layout import BUCKET, FACTOR, Layout, read_layout
 from daq.recording import Recording
 from daq.recording.identity import stored_id
 from kernels import njit
+from kernels.arrays import Integers
 
 PIECE = 4 * CHUNK_SAMPLES
 """Samples read at a time."""
@@ -210,8 +211,8 @@ def fold_samples(codes: NDArray[Any], skipped: int, bucket: int, low: NDArray[An
 def fold_buckets(
     low: NDArray[Any],
     high: NDArray[Any],
-    begins: NDArray[np.int64],
-    ends: NDArray[np.int64],
+    begins: Integers,
+    ends: Integers,
     into_low: NDArray[Any],
     into_high: NDArray[Any],
 ) -> None:

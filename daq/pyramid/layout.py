@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.recording import Recording
+from kernels.arrays import Integers
 
 MAGIC = b"SBPYRAM1"
 HEAD = struct.Struct("<8sQII")
@@ -64,13 +64,13 @@ class Layout:
         return cls(key, recording.rate_hz, recording.n_samples, channels, gaps, levels)
 
     @cached_property
-    def starts(self) -> NDArray[np.int64]:
+    def starts(self) -> Integers:
         """First sample of each stretch without gaps, and the number of samples, (s + 1,)."""
         inside = [first for first, _ in self.gaps if 0 < first < self.n_samples]
         return np.unique(np.array([0, *inside, self.n_samples], np.int64))
 
     @cached_property
-    def lost_before(self) -> NDArray[np.int64]:
+    def lost_before(self) -> Integers:
         """Samples lost before each stretch, (s,)."""
         lost = np.zeros(len(self.starts) - 1, np.int64)
         for first, n in self.gaps:
@@ -83,7 +83,7 @@ class Layout:
         return self.n_samples + (int(self.lost_before[-1]) if len(self.lost_before) else 0)
 
     @cached_property
-    def first_buckets(self) -> list[NDArray[np.int64]]:
+    def first_buckets(self) -> list[Integers]:
         """By level, the first bucket of each stretch, and the number of buckets, (s + 1,)."""
         counts, out = -(-np.diff(self.starts) // BUCKET), []
         for _ in range(self.levels):

@@ -16,8 +16,8 @@ from daq.pyramid.layout import read_layout
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from kernels import njit
+from kernels.arrays import Floats, Integers
 
-Floats = NDArray[np.float64]
 WIDEST = 8192
 """Columns of the widest picture."""
 
@@ -197,7 +197,7 @@ class Pyramid:
 
 @njit(nogil=True)
 def widen(
-    low: NDArray[Any], high: NDArray[Any], column: NDArray[np.int64], into_low: NDArray[Any], into_high: NDArray[Any]
+    low: NDArray[Any], high: NDArray[Any], column: Integers, into_low: NDArray[Any], into_high: NDArray[Any]
 ) -> None:
     """Widen the extremes of columns of a picture by buckets, or samples, that fall into ``column`` (n,) each."""
     for i in range(len(column)):

@@ -19,6 +19,7 @@ from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.files.tables import Block
 from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.setup.errors import InputError
+from kernels.arrays import Integers
 
 
 class LiveColumns:
@@ -84,7 +85,7 @@ class LiveColumns:
             return
         self._n_samples, self._n_waiting = start + n, 0
 
-    def _gap_rows(self) -> NDArray[np.int64]:
+    def _gap_rows(self) -> Integers:
         return np.array(self._gaps, np.int64).reshape(-1, 2)
 
     def drop(self) -> None:

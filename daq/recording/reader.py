@@ -24,13 +24,14 @@ from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Floats, Integers
 
 Spans = Sequence[tuple[int, int]]
 ALL = (0, 1 << 62)
 """The samples of a channel that is lost as a whole."""
 
 
-def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: NDArray[np.int64]) -> NDArray[np.int64]:
+def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: Integers) -> Integers:
     """Nanoseconds of samples ``start`` to ``stop``: nominal rate, jumping over ``gaps`` ``(n, 2)``."""
     index = np.arange(start, stop, dtype=np.int64)
     if len(gaps):
@@ -40,11 +41,11 @@ def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: NDArray[np.int64]
     if period_ns.is_integer() and stop * period_ns < 2.0**52:
         index *= int(period_ns)
         return index
-    stamps: NDArray[np.int64] = np.rint(index * period_ns).astype(np.int64)
+    stamps: Integers = np.rint(index * period_ns).astype(np.int64)
     return stamps
 
 
-def gaps_of(blocks: NDArray[np.void]) -> NDArray[np.int64]:
+def gaps_of(blocks: NDArray[np.void]) -> Integers:
     """Gaps declared in a block table, int64 ``(n, 2)``: first sample after the gap, samples lost."""
     lost = blocks[blocks["lost_before"] > 0]
     return np.stack([lost["first_sample"], lost["lost_before"]], axis=1).astype(np.int64)
@@ -250,18 +251,18 @@ class Recording(Closing):
             dataset.id.read(h5py.h5s.create_simple((stop - start,)), there, out[: stop - start])
         return out[: max(stop - start, 0)]
 
-    def read_v(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+    def read_v(self, channel: str, start: int = 0, stop: int | None = None) -> Floats:
         """Volts ``(stop - start,)`` of a channel."""
         factor, offset = self.scale(channel)
         codes = self.codes(channel, start, stop)
         if factor == 1.0 and offset == 0.0:
             return codes.astype(np.float64, copy=False)
-        volts: NDArray[np.float64] = np.multiply(codes, factor, dtype=np.float64)
+        volts: Floats = np.multiply(codes, factor, dtype=np.float64)
         if offset:
             volts += offset
         return volts
 
-    def timestamps_ns(self, start: int = 0, stop: int | None = None) -> NDArray[np.int64]:
+    def timestamps_ns(self, start: int = 0, stop: int | None = None) -> Integers:
         """Time of each sample since the first, int64 nanoseconds, gaps included."""
         stop = self.n_samples if stop is None else min(stop, self.n_samples)
         if self.frames is not None or (self._even and (self._holes is not None or "timestamp" in self._lost)):

@@ -10,11 +10,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels import njit
+from kernels.arrays import Floats
 
-Floats = NDArray[np.float64]
 LONGEST_SEGMENT = 192  # longest part that the search takes at once; longer ones are merged afterwards
 
 

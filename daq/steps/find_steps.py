@@ -25,8 +25,7 @@ from daq.steps.tone_tracking import (
     split_exactly,
     steady_segments,
 )
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Floats
 
 SHORTEST_CYCLES = 4.0  # of a step that the file states
 QUIET = 2e-3  # of the largest amplitude

@@ -12,12 +12,11 @@ from functools import lru_cache
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.setup.setup import Forcing
 from kernels import njit
+from kernels.arrays import Bools, Floats, Integers
 
-Floats = NDArray[np.float64]
 Read = Callable[[int, int], Floats]
 
 WINDOW_CYCLES = 10.0
@@ -78,7 +77,7 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
     return _grouped(starts, window, frequency, active, (start, stop))
 
 
-def _windows(read: Read, starts: NDArray[np.int64], window: int, reduce: int) -> Floats:
+def _windows(read: Read, starts: Integers, window: int, reduce: int) -> Floats:
     """Windows from ``starts`` on, averaged over ``reduce`` samples, shape (m, window // reduce)."""
     x = read(int(starts[0]), int(starts[-1]) + window)
     means = np.empty((len(starts), window // reduce))
@@ -129,9 +128,7 @@ def _look(x: Floats, rate_hz: float, tones: tuple[tuple[int, float], ...], hint_
     return found
 
 
-def _grouped(
-    starts: NDArray[np.int64], window: int, frequency: Floats, active: NDArray[np.bool_], ends: tuple[int, int]
-) -> list[Region]:
+def _grouped(starts: Integers, window: int, frequency: Floats, active: Bools, ends: tuple[int, int]) -> list[Region]:
     """Join active windows of like frequency, and let each region reach half-way into what lies between."""
     groups: list[list[int]] = []
     hz = frequency.tolist()

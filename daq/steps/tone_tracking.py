@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.lock_in import ToneFit, ToneFits, fit_tones, fit_tones_each
 from daq.setup.setup import Forcing
 from daq.steps.changepoints import segments
 from daq.steps.forcing_detection import Read, Region, weights
-
-Floats = NDArray[np.float64]
+from kernels.arrays import Bools, Floats, Integers
 
 SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
 SHORTEST_WINDOWS = 4  # a shorter stillness is part of a fade
@@ -55,12 +53,12 @@ class SteadySegment:
 class _Track:
     """Fits of successive windows: amplitudes (n, k), noise (n, 1), the main tone's phase advance (n,), loudness."""
 
-    edges: NDArray[np.int64]
+    edges: Integers
     amplitude: Floats
     floor: Floats
     advance: Floats
     main: int
-    loud: NDArray[np.bool_]
+    loud: Bools
 
     def frequency_change(self, a: int, b: int, multiple: float, rate_hz: float) -> float:
         """Distance of windows ``a .. b`` from the reference frequency (first tone, hertz), by the median advance."""
@@ -79,7 +77,7 @@ def fit(read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, 
     return fit_tones(read(start, stop), start, rate_hz, tones_hz(frequency_hz, forcing))
 
 
-def _fits(read: Read, edges: NDArray[np.int64], rate_hz: float, frequency_hz: float, forcing: Forcing) -> ToneFits:
+def _fits(read: Read, edges: Integers, rate_hz: float, frequency_hz: float, forcing: Forcing) -> ToneFits:
     """The forcing's tones in each of the windows between ``edges``."""
     tones = tones_hz(frequency_hz, forcing)
     nothing = np.zeros(0)
@@ -217,12 +215,12 @@ def frequency_correction(
     return float(np.dot(estimates, information)) / total, total**-0.5
 
 
-def _edges(start: int, stop: int, rate_hz: float, frequency_hz: float) -> NDArray[np.int64]:
+def _edges(start: int, stop: int, rate_hz: float, frequency_hz: float) -> Integers:
     """Sample indices that cut ``start .. stop`` into whole cycles, enough samples in each piece for a fit."""
     cycle = rate_hz / frequency_hz
     piece = cycle * max(1, int(np.ceil(_WINDOW_POINTS / cycle)))
     whole = np.arange(int((stop - start) / piece + 1e-9) + 1)
-    edges: NDArray[np.int64] = start + np.rint(whole * piece).astype(np.int64)
+    edges: Integers = start + np.rint(whole * piece).astype(np.int64)
     return edges
 
 
@@ -255,9 +253,7 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     return _Track(edges, amplitude, floor, advance, main, loud)
 
 
-def _independent_share(
-    windows: Mapping[int, Floats], edges: NDArray[np.int64], fits: ToneFits, rate_hz: float
-) -> float:
+def _independent_share(windows: Mapping[int, Floats], edges: Integers, fits: ToneFits, rate_hz: float) -> float:
     """Share of the samples that count as independent noise: hum or ringing repeats itself, white noise does not.
 
     From the median lag-one correlation r of what the fits leave over, ``(1 - r) / (1 + r)``.
@@ -320,7 +316,7 @@ def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
     return not np.any(((change > little) & (change > 6.0 * noise)) | ((change > much) & (change > 2.0 * noise)))
 
 
-def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> NDArray[np.bool_]:
+def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> Bools:
     """Whether each short part belongs to a fade: it moves as fast as the path from the part before to the one after.
 
     A step between two others stands still while the path does not; a fade that was cut in pieces moves with it.

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from model.orbits.attractor import LockedCycle, State
@@ -28,8 +27,6 @@ SMALLEST_STEP = 1e-13
 JUMP = 0.3  # a flight time that changes by more than this in one step belongs to another cycle
 HALVES = 0.02  # two halves of a cycle alike to this are about to meet, at the doubling of half the cycle
 NEAR_FOLD = 0.8  # a cycle lost with a multiplier beyond this is lost at a fold
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from model.bifurcations import itinerary_windows
@@ -35,8 +34,6 @@ BESIDE_CYCLE = 0.1  # how near to a cycle a landing must pass on either side of 
 FALLS = 1e-6  # how near to a cycle a landing must come at an accumulation: rounding, stretched on the way
 LAST_COMMON = 6  # landings before the orbits part, of which one is asked whether it falls on a cycle
 ACCUMULATES = 4  # flights of the longest unstable cycle on which an accumulation is looked for
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

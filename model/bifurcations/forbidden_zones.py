@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from kernels.arrays import Floats, Integers
 from model.flight import first_landing, ideal
 from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.tones import Forcing
 
-Fly = Callable[[Floats], tuple[Floats, NDArray[np.int64]]]
+Fly = Callable[[Floats], tuple[Floats, Integers]]
 
 PHASES = 1000  # take-off phases tried in a window
 JUMP = 1e-13  # phase to which a jump is bisected
@@ -26,7 +26,7 @@ SMALLEST_ZONE = 1e-3  # gaps narrower than this are not shown
 
 @compiled
 def _flights_from(
-    tones: Floats, gamma: float, edge: Floats, n_windows: int, phases: Floats, tau: Floats, index: NDArray[np.int64]
+    tones: Floats, gamma: float, edge: Floats, n_windows: int, phases: Floats, tau: Floats, index: Integers
 ) -> None:
     for k in range(phases.shape[0]):
         phi = fold(phases[k], edge[0])
@@ -36,7 +36,7 @@ def _flights_from(
         index[k] = 2 * n_windows * turns + branch_of(edge, n_windows, landing)
 
 
-def forbidden_zones(forcing: Forcing, gamma: float) -> NDArray[np.float64]:
+def forbidden_zones(forcing: Forcing, gamma: float) -> Floats:
     """Gaps between the flight times that occur at ``gamma``: shape (k, 2), ascending; none below take-off.
 
     Raises
@@ -63,7 +63,7 @@ def _pieces(
 ) -> list[tuple[float, float]]:
     """Least and greatest flight time of each continuous piece, over the take-offs in one window."""
 
-    def fly(phases: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    def fly(phases: Floats) -> tuple[Floats, Integers]:
         tau, index = np.empty(phases.size), np.empty(phases.size, dtype=np.int64)
         _flights_from(forcing.tones, gamma, edge, n_windows, np.ascontiguousarray(phases), tau, index)
         return tau, index

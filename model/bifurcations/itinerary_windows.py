@@ -11,12 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats, Integers
 from model.orbits.cycles import CODE, FLIGHTS, PERIOD, RESETS
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 ItineraryCodes = Callable[[Floats], Integers]
 """Maps gammas (m,) to (m, CODE_SIZE) whole numbers, see `model.orbits.cycles`."""
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats, Integers
 from model.bifurcations import locked_family
 from model.bifurcations.continuation import follow_both_ways
 from model.bifurcations.itinerary_windows import Window
@@ -20,13 +20,11 @@ from model.orbits.ideal_ball import Itinerary
 
 MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 
-Floats = NDArray[np.float64]
-
 
 class Map(Ball, Protocol):
     """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
 
-    def itinerary_codes(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+    def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
         """See `model.orbits.ideal_ball.IdealBall.itinerary_codes`."""
         ...
 

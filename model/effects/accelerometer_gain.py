@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -34,6 +34,6 @@ EFFECT = Effect(
 )
 
 
-def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.float64]:
+def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Floats:
     """Reading over truth."""
     return np.full(np.shape(omega_radps), 1.0 + p["relative"])

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Complexes, Floats
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -32,7 +32,7 @@ EFFECT = Effect(
 )
 
 
-def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.complex128]:
+def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:
     """Reading over truth."""
     present = np.where(omega_radps > 0.0, omega_radps, np.inf)  # a tone that is not there has the frequency 0
     return np.asarray(1.0 / (1.0 - 2j * np.pi * p["corner_hz"] / present))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Complexes, Floats
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -44,7 +44,7 @@ EFFECT = Effect(
 )
 
 
-def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.complex128]:
+def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:
     """Reading over truth."""
     low = 1j * omega_radps * p["low_pass_s"]
     return np.asarray(np.exp(-1j * omega_radps * p["delay_s"]) / (1.0 + low + p["sharpness"] * low**2))

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="adhesion",
@@ -43,7 +44,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def takeoff_threshold(dwell_s: float, p: Row, k: int) -> float:
+def takeoff_threshold(dwell_s: float, p: Floats, k: int) -> float:
     """Acceleration to be overcome at take-off, m/s^2."""
     if p[k] <= 0.0 or p[k + 1] <= 0.0:
         return float(p[k])

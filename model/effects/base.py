@@ -44,10 +44,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-Row = NDArray[np.float64]
 """The row of all parameters, the local g last."""
 
 COMPILED_HOOKS = ("gravity", "force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")

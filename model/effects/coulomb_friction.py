@@ -6,7 +6,8 @@ Static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import Effect, Parameter
 
 COARSE = (0.05, 0.12, 0.2, 0.3, 0.45)
 
@@ -44,6 +45,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Floats, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     return float(p[-1] * (p[k] if direction > 0.0 else p[k + 1]))

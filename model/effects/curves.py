@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import Row
+from kernels.arrays import Floats
 
 
 @njit(error_model="numpy")
-def straight_between(x: float, knots: Row, values: Row) -> float:
+def straight_between(x: float, knots: Floats, values: Floats) -> float:
     """Value at ``x`` of the curve through ``values`` (k,) at rising ``knots`` (k,); 0 where ``x`` is NaN."""
     if not x <= knots[-1]:
         return float(values[-1]) if x > knots[-1] else 0.0

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Complexes, Floats
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -33,8 +33,6 @@ EFFECT = Effect(
 )
 
 
-def transfer(
-    p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def transfer(p: Mapping[str, float], omega_radps: Floats, accel_g: Floats) -> Complexes:
     """Factor on drive -> plate."""
     return np.full(omega_radps.shape, 1.0 + p["relative"], dtype=np.complex128)

@@ -9,8 +9,8 @@ import functools
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Complexes, Floats, Integers
 from model.effects.base import Effect, Parameter
 
 SIZES = (0.002, 0.01, 0.05)
@@ -53,11 +53,11 @@ def _powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex
 
 def harmonics(
     p: Mapping[str, float],
-    multiple: NDArray[np.int64],
-    ratio: NDArray[np.int64],
-    share: NDArray[np.complex128],
-    accel_g: NDArray[np.float64],
-) -> NDArray[np.complex128]:
+    multiple: Integers,
+    ratio: Integers,
+    share: Complexes,
+    accel_g: Floats,
+) -> Complexes:
     """What is added to each ``multiple`` of the forcing, over the first tone of ``accel_g``; all shapes (k,).
 
     The second forcing tone is the ``ratio``-th multiple and ``share`` times as large as the first, its phase counted

@@ -6,7 +6,8 @@ The place's g is known to 1e-4 unless the profile says otherwise.
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="local_gravity",
@@ -33,6 +34,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def gravity(p: Row, k: int) -> float:
+def gravity(p: Floats, k: int) -> float:
     """Constant downward acceleration of the ball beside the local g, m/s^2."""
     return float(p[k])

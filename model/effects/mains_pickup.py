@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats
 from model.effects.base import Effect, Parameter
 
 MAINS_HZ = np.array([50.0, 60.0])
@@ -42,7 +42,7 @@ def pickup_mps2(p: Mapping[str, float]) -> float:
     return p["amplitude_mps2"]
 
 
-def accelerometer_response(p: Mapping[str, float], omega_radps: NDArray[np.float64]) -> NDArray[np.float64]:
+def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Floats:
     """Reading over truth: without bound at the mains frequency and its multiples, where the plate is still."""
     hz = np.asarray(omega_radps)[..., None, None] / (2.0 * np.pi) / MULTIPLES[:, None]
     shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < REACH_HZ).any(axis=(-2, -1))

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Complexes, Floats
 from model.effects.base import Effect, Parameter
 
 LEAST_RADPS = 1e-3  # nothing of the plate moves slower
@@ -64,9 +64,7 @@ EFFECT = Effect(
 )
 
 
-def transfer(
-    p: Mapping[str, float], omega_radps: NDArray[np.float64], accel_g: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def transfer(p: Mapping[str, float], omega_radps: Floats, accel_g: Floats) -> Complexes:
     """Factor on drive -> plate."""
     low = 1j * omega_radps * p["low_pass_s"]
     high = 2.0 * np.pi * p["high_pass_hz"] / (1j * np.maximum(omega_radps, LEAST_RADPS))

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="position_force",
@@ -37,7 +38,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     pull = p[k] * h
     if p[k + 1] != 0.0:

@@ -16,9 +16,9 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model.effects
+from kernels.arrays import Floats
 from model.effects import kept
 from model.effects.base import COMPILED_HOOKS, PLAIN_HOOKS, SIGNATURES, Effect, Parameter, Registered
 from model.effects.kept import EffectFileError
@@ -188,12 +188,12 @@ def _null_values() -> tuple[float, ...]:
     return tuple(q.null_value for r in registry() for q in r.effect.parameters)
 
 
-def null_row(g_mps2: float) -> NDArray[np.float64]:
+def null_row(g_mps2: float) -> Floats:
     """The row of all parameters at their null values, shape (P + 1,); the last element is ``g_mps2``."""
     return np.array((*_null_values(), g_mps2))
 
 
-def row(values: Mapping[str, Mapping[str, float]], g_mps2: float) -> NDArray[np.float64]:
+def row(values: Mapping[str, Mapping[str, float]], g_mps2: float) -> Floats:
     """The row of all parameters for ``values`` by effect and parameter, shape (P + 1,); others at null values."""
     out = null_row(g_mps2)
     for name, table in resolve(values).items():

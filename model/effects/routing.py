@@ -10,8 +10,8 @@ import functools
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Complexes, Floats
 from model.effects.base import COMPILED_HOOKS, Registered
 from model.effects.registry import effect
 
@@ -23,7 +23,7 @@ def ball_effects(effects: Effects) -> dict[str, dict[str, float]]:
     return {n: dict(t) for n, t in effects.items() if effect(n).hooks.keys() & set(COMPILED_HOOKS)}
 
 
-def accelerometer_response(effects: Effects, omega_radps: NDArray[np.float64]) -> NDArray[np.complex128]:
+def accelerometer_response(effects: Effects, omega_radps: Floats) -> Complexes:
     """Factor by which the accelerometer reads too much, and late, at each frequency."""
     factors = (e.hooks["accelerometer_response"](t, omega_radps) for e, t in _with(effects, "accelerometer_response"))
     return functools.reduce(np.multiply, factors, np.ones(np.shape(omega_radps), dtype=np.complex128))

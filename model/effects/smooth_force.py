@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from model.effects.base import CurveOf, Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import CurveOf, Effect, Parameter
 
 KNOTS = 45
 TURNS_MPS = 0.01  # speed over which a force against the motion changes its sign, so that the integrator can follow
@@ -45,7 +46,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     of = p[k]
     if of == 0.0:

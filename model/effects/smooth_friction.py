@@ -6,7 +6,8 @@ Piecewise linear between knots, constant beyond them, never negative; not part o
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import CurveOf, Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import CurveOf, Effect, Parameter
 
 KNOTS = 45
 
@@ -26,7 +27,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Floats, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k] == 0.0:
         return 0.0

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="stribeck_friction",
@@ -48,7 +49,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Floats, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k + 1] == 0.0:
         return float(p[-1] * p[k])

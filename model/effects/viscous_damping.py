@@ -6,7 +6,8 @@ It acts on the velocity relative to the plate, since the rod moves with it.
 from __future__ import annotations
 
 from kernels import njit
-from model.effects.base import Effect, Parameter, Row
+from kernels.arrays import Floats
+from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="viscous_damping",
@@ -18,6 +19,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     return float(-p[k] * v)

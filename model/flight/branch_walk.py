@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from kernels.arrays import Floats
 from kernels.lanes import any_of, floor, gather, select
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
-from model.flight.numerics import Floats, Number, inlined
+from model.flight.numerics import Number, inlined
 
 
 @inlined

@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-from model.flight.numerics import Floats, compiled, sincos
+from kernels.arrays import Floats
+from model.flight.numerics import compiled, sincos
 
 TWO_PI = 2.0 * math.pi
 NARROWEST = 1e-9  # q cannot change by more than its rounding over a stretch this narrow about a turning point

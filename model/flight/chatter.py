@@ -17,8 +17,9 @@ from __future__ import annotations
 
 import math
 
+from kernels.arrays import Floats
 from model.flight.branches import q_and_slope
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.flight.records import FrictionRestitution
 
 PHASE_BOUND = 1e-9  # error of the phase of rest

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from kernels.arrays import Floats
 from kernels.lanes import WIDTH, any_of, load, root, select, size, spread, store
 from kernels.rows import ROW
 from model.flight.branches import TWO_PI
-from model.flight.numerics import Floats, compiled, inlined, sincos
+from model.flight.numerics import compiled, inlined, sincos
 from model.flight.plate_lanes import plate
 
 TABLE = ROW  # numbers a table holds of an edge: its phase, and s, s' and q' there

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from kernels.arrays import Floats
 from model.flight import branches, ideal, segment
 from model.flight.precision import check_gamma, check_harmonics
 from model.tones import Forcing
 
 SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
-Floats = NDArray[np.float64]
 
 
 class FlightFlag(enum.IntFlag):

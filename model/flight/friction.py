@@ -12,11 +12,12 @@ import math
 
 import numpy as np
 
+from kernels.arrays import Floats
 from kernels.lanes import nearest
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
 from model.flight.chatter import tail_of_chatter
 from model.flight.ideal import RESTS
-from model.flight.numerics import Floats, compiled, inlined
+from model.flight.numerics import compiled, inlined
 from model.flight.records import EdgeTables, FrictionRestitution, Segment
 from model.flight.segment import (
     UNDECIDED,

@@ -18,9 +18,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from kernels.arrays import Floats
 from kernels.lanes import WIDTH, floor, load, root, select, spread
 from model.flight.branches import TWO_PI
-from model.flight.numerics import Floats, Number, inlined
+from model.flight.numerics import Number, inlined
 from model.flight.plate_lanes import root_in_branch, standstill_in_branch, start_of_root
 from model.flight.records import Segment
 from model.flight.segment import SHORT, height

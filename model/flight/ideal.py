@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 
+from kernels.arrays import Floats
 from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.flight.records import Segment
 from model.flight.segment import UNDECIDED, motion, root_in_concave, root_in_convex, shape, surely_above
 

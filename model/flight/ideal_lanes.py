@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from kernels.arrays import Floats
 from kernels.lanes import any_of, select, size, spread
 from kernels.rows import gather_rows
 from model.flight.branch_walk import branch_after, odd, step_on
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
-from model.flight.numerics import Floats, Number, inlined
+from model.flight.numerics import Number, inlined
 from model.flight.plate_lanes import plate, root_in_branch, start_of_root
 from model.flight.segment import SHORT, clear_times
 

@@ -11,13 +11,9 @@ import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kernels import njit
 from kernels.lanes import floor, nearest, select
 
-Floats = NDArray[np.float64]
 Number = Any
 """One double, or many in lanes (`kernels.lanes`)."""
 _F = TypeVar("_F", bound=Callable[..., object])

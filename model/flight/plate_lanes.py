@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from kernels.arrays import Floats
 from kernels.lanes import any_of, select, size
-from model.flight.numerics import C4, C6, C8, S3, S5, S7, Floats, Number, inlined, sincos
+from model.flight.numerics import C4, C6, C8, S3, S5, S7, Number, inlined, sincos
 
 ROUNDS = 8  # at most; two are taken mostly
 NEAR = 0.05  # radians over which `turned` is exact to rounding

@@ -12,8 +12,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from kernels.arrays import Floats
 from model.flight.segment import ROUNDING
 from model.tones import Forcing
 
@@ -94,7 +95,7 @@ def check_gamma(forcing: Forcing, gamma: ArrayLike, lengthening: ArrayLike = 1.0
         )
 
 
-def lengthened(mu_down: ArrayLike, e0: ArrayLike) -> NDArray[np.float64]:
+def lengthened(mu_down: ArrayLike, e0: ArrayLike) -> Floats:
     """How much longer flights get by friction on the way down, and by bounces that add to one another.
 
     Friction leaves a pull of ``1 - mu_down``. With restitution ``e`` a launch is at most ``e v + (1 + e) gamma N``

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from model.flight.numerics import Floats
+from kernels.arrays import Floats
 
 
 class Segment(NamedTuple):

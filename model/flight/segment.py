@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from kernels.arrays import Floats
 from kernels.lanes import root, select
 from model.flight.numerics import (
     C4,
@@ -36,7 +37,6 @@ from model.flight.numerics import (
     S13,
     S15,
     S17,
-    Floats,
     Number,
     compiled,
     inlined,

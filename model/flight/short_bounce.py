@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 
-from model.flight.numerics import Floats, compiled, sincos
+from kernels.arrays import Floats
+from model.flight.numerics import compiled, sincos
 from model.flight.records import FrictionRestitution
 
 REACH = 0.25  # of the highest harmonic's phase: the first term left out, at order 11, is below 1e-14 of gamma

@@ -8,15 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from kernels.arrays import Floats
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted
 from model.integrator.problem import Problem, active, for_kernel
 from model.integrator.takeoff_slopes import LANDING, LANDING_BEFORE
 from model.integrator.variation import TONES
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -33,16 +29,16 @@ class Slopes:
         What the second order is about, (n, `model.integrator.takeoff_slopes.INFO`).
     """
 
-    landing: Array
-    landing_before: Array
-    tones: Array
-    info: Array
+    landing: Floats
+    landing_before: Floats
+    tones: Floats
+    info: Floats
 
 
 def slopes_of(
     measured: Measured,
     plate: PlateSteps,
-    rows: Array,
+    rows: Floats,
     detection: Detection,
     found: Predicted,
 ) -> Slopes:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 import model.tones
+from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import row
 from model.integrator import predict
 from model.integrator.hooks import plate_mode
@@ -17,7 +17,6 @@ from model.integrator.plate import loaded
 from model.integrator.problem import Problem, active, columns_of, driven, for_kernel, tones_for_kernel
 from model.integrator.records import Law, Mode, Plate, Probe
 
-Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
 
 
@@ -36,9 +35,9 @@ class PlateSteps:
         How many of the last tones were not measured but follow from the others.
     """
 
-    omega_radps: Array
-    acceleration_mps2: NDArray[np.complex128]
-    period_s: Array
+    omega_radps: Floats
+    acceleration_mps2: Complexes
+    period_s: Floats
     derived: int = 0
 
 
@@ -67,17 +66,17 @@ class Measured:
         tones tell it; None where they always do.
     """
 
-    opening_s: Array
-    landing_s: Array
-    relaunched: NDArray[np.bool_]
-    linked: NDArray[np.bool_]
-    step: NDArray[np.int64]
-    wanted: NDArray[np.bool_]
-    beside: NDArray[np.int64] | None = None
-    share: Array | None = None
-    gained_mps: Array | None = None
-    pressed_mps: Array | None = None
-    pressed_at: Array | None = None
+    opening_s: Floats
+    landing_s: Floats
+    relaunched: Bools
+    linked: Bools
+    step: Integers
+    wanted: Bools
+    beside: Integers | None = None
+    share: Floats | None = None
+    gained_mps: Floats | None = None
+    pressed_mps: Floats | None = None
+    pressed_at: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -100,11 +99,11 @@ class Detection:
         on through it. Infinite where nothing but the contact circuit watches; one number or (n,).
     """
 
-    gap_m: Array | float = 0.0
+    gap_m: Floats | float = 0.0
     unseen_s: float = 1e-4
     passable_s: float = 2e-3
     closure_s: float = 0.0
-    weak_mps: Array | float = 0.0
+    weak_mps: Floats | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -132,18 +131,18 @@ class Predicted:
         The kernel's table, (n, `predict.OUT_COLUMNS`), for derivatives of the prediction.
     """
 
-    takeoff_s: Array
-    landing_s: Array
-    opening_s: Array
-    hidden: Array
-    kind: Array
-    launch_mps: Array
-    impact_mps: Array
-    ambiguity_s: Array
-    mode_amplitudes: NDArray[np.complex128]
-    projection: NDArray[np.complex128]
-    observed_s: Array
-    table: Array | None = None
+    takeoff_s: Floats
+    landing_s: Floats
+    opening_s: Floats
+    hidden: Floats
+    kind: Floats
+    launch_mps: Floats
+    impact_mps: Floats
+    ambiguity_s: Floats
+    mode_amplitudes: Complexes
+    projection: Complexes
+    observed_s: Floats
+    table: Floats | None = None
 
 
 class ToneProbe(Protocol):
@@ -160,13 +159,13 @@ class ToneProbe(Protocol):
     """
 
     @property
-    def first(self) -> NDArray[np.int64]: ...
+    def first(self) -> Integers: ...
     @property
-    def span_s(self) -> Array: ...
+    def span_s(self) -> Floats: ...
     @property
-    def omega_radps(self) -> Array: ...
+    def omega_radps(self) -> Floats: ...
 
-    def of_tones(self, projection: NDArray[np.complex128], observed_s: Array) -> NDArray[np.complex128]:
+    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
         """Contribution to the plate's tones (m, k), m/s^2, of integrals (r, l) of ``acceleration exp(-i w t)``."""
         ...
 
@@ -175,24 +174,24 @@ class ToneProbe(Protocol):
 class ContinuousProbe:
     """Tones measured all the time, far apart from one another."""
 
-    omega_radps: Array
+    omega_radps: Floats
 
     @property
-    def first(self) -> NDArray[np.int64]:
+    def first(self) -> Integers:
         return np.arange(len(self.omega_radps) + 1)
 
     @property
-    def span_s(self) -> Array:
+    def span_s(self) -> Floats:
         return np.tile([-np.inf, np.inf], (len(self.omega_radps), 1))
 
-    def of_tones(self, projection: NDArray[np.complex128], observed_s: Array) -> NDArray[np.complex128]:
+    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
         return np.asarray(2.0 * projection / np.where(observed_s > 0.0, observed_s, 1.0)[:, None])
 
 
 def one_ahead(
     measured: Measured,
     plate: PlateSteps,
-    rows: Array,
+    rows: Floats,
     detection: Detection | None = None,
     *,
     kick: tuple[float, float] = (0.0, 0.0),
@@ -251,7 +250,7 @@ def one_ahead(
     return Predicted(*columns)
 
 
-def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> NDArray[np.complex128]:
+def _carried(omega_radps: Floats, tones: Complexes, row: Floats) -> Complexes:
     """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
     row = for_kernel(row)
     om, ze, _ = plate_mode(row)
@@ -264,12 +263,12 @@ def _carried(omega_radps: Array, tones: NDArray[np.complex128], row: Array) -> N
 class Orbit:
     """Flights one after another, shape (n,) each: SI units, velocities relative to the plate."""
 
-    takeoff_s: Array
-    launch_mps: Array
-    landing_s: Array
-    impact_mps: Array
-    after_rest: NDArray[np.bool_]
-    hidden: NDArray[np.int64]
+    takeoff_s: Floats
+    launch_mps: Floats
+    landing_s: Floats
+    impact_mps: Floats
+    after_rest: Bools
+    hidden: Integers
 
 
 def simulate(
@@ -312,7 +311,7 @@ def law_of(effects: Mapping[str, Mapping[str, float]], g_mps2: float) -> Law:
 
 
 def flown(
-    law: Law, tones: Array, period_s: float, flights: int, start: tuple[float, float], unseen_s: float = 0.0
+    law: Law, tones: Floats, period_s: float, flights: int, start: tuple[float, float], unseen_s: float = 0.0
 ) -> Orbit:
     """`simulate` under a ``law`` made once, over a plate with ``tones`` (k, 3): see `problem.tones_for_kernel`."""
     out = np.empty((flights, 6))

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from kernels.arrays import Floats
 from model.integrator.hooks import plate_mode, rebound
-from model.integrator.records import Floats, Mode, Plate, Probe, compiled, inlined
+from model.integrator.records import Mode, Plate, Probe, compiled, inlined
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
 SAME_TONE = 1e-6  # relative difference of two frequencies that are one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kernels.arrays import Bools, Floats
 from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import (
@@ -16,21 +17,7 @@ from model.integrator.plate import (
     strike,
     with_state,
 )
-from model.integrator.records import (
-    Bools,
-    Chain,
-    Event,
-    Events,
-    Floats,
-    Law,
-    Mode,
-    Plate,
-    Probe,
-    Steps,
-    Visibility,
-    compiled,
-    inlined,
-)
+from model.integrator.records import Chain, Event, Events, Law, Mode, Plate, Probe, Steps, Visibility, compiled, inlined
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
 OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one

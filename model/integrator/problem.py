@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import null_row, registry
 from model.integrator import predict, slopes, takeoff_slopes
 from model.integrator.records import Events, Probe, Steps, Visibility
@@ -17,7 +18,7 @@ from model.integrator.variation import TONES
 if TYPE_CHECKING:
     from model.integrator.one_step import Detection, Measured, PlateSteps
 
-Array = NDArray[np.float64]
+
 _T = TypeVar("_T", bound=np.generic)
 
 
@@ -37,12 +38,12 @@ def columns_of(hook: str) -> NDArray[np.intp]:
 
 
 @functools.cache
-def _nothing(hook: str) -> Array:
+def _nothing(hook: str) -> Floats:
     """The null values of `columns_of`."""
     return null_row(0.0)[columns_of(hook)]
 
 
-def active(rows: Array, hook: str) -> bool:
+def active(rows: Floats, hook: str) -> bool:
     """Whether any effect with ``hook`` acts in ``rows`` (..., P + 1)."""
     return bool((rows[..., columns_of(hook)] != _nothing(hook)).any())
 
@@ -54,7 +55,7 @@ def for_kernel(values: NDArray[_T]) -> NDArray[_T]:
     return np.require(values, requirements=["C", "W"])
 
 
-def tones_for_kernel(omega_radps: Array, acceleration_mps2: NDArray[np.complex128]) -> Array:
+def tones_for_kernel(omega_radps: Floats, acceleration_mps2: Complexes) -> Floats:
     """Tones (..., k) as the kernels take them, (..., k, 3)."""
     out = np.empty((*acceleration_mps2.shape, 3))
     out[..., 0], out[..., 1], out[..., 2] = omega_radps, acceleration_mps2.real, acceleration_mps2.imag
@@ -76,18 +77,18 @@ class Problem:
 
     measured: Measured
     plate: PlateSteps
-    rows: Array
+    rows: Floats
     detection: Detection
     kick: tuple[float, float]
 
-    def predicted(self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], probe: Probe) -> Array:
+    def predicted(self, tones: Complexes, wanted: Bools, probe: Probe) -> Floats:
         """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
         out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
         seen = Visibility(0.0, self.detection.unseen_s, self.detection.passable_s, self.detection.closure_s)
         predict.one_ahead(self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out)
         return out
 
-    def slopes(self, tones: NDArray[np.complex128], wanted: NDArray[np.bool_], table: Array) -> tuple[Array, Array]:
+    def slopes(self, tones: Complexes, wanted: Bools, table: Floats) -> tuple[Floats, Floats]:
         """Derivatives (n, 3, d) of openings, landings and impact speeds in ``table``, and `takeoff_slopes.INFO`."""
         n, d = len(table), TONES + 2 * tones.shape[1]
         out, info = np.zeros((n, 3, d)), np.zeros((n, takeoff_slopes.INFO))
@@ -99,10 +100,10 @@ class Problem:
         """Whether there are forces, and dry friction."""
         return active(self.rows, "force"), active(self.rows, "dry_friction")
 
-    def steps(self, tones: NDArray[np.complex128]) -> Steps:
+    def steps(self, tones: Complexes) -> Steps:
         return Steps(for_kernel(self.plate.period_s), tones_for_kernel(self.plate.omega_radps, tones))
 
-    def events(self, wanted: NDArray[np.bool_]) -> Events:
+    def events(self, wanted: Bools) -> Events:
         m, n = self.measured, len(self.measured.landing_s)
         return Events(
             for_kernel(m.opening_s),
@@ -122,7 +123,7 @@ class Problem:
         )
 
 
-def driven(plate: PlateSteps, amplitudes: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def driven(plate: PlateSteps, amplitudes: Complexes) -> Complexes:
     """Tones (m, k) less what a plate mode adds to them: the measured ones contain it, only the rest is driven."""
     tones, own = plate.acceleration_mps2, amplitudes.shape[1]
     driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)

@@ -8,14 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kernels import njit
+from kernels.arrays import Bools, Complexes, Floats, Integers
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 _F = TypeVar("_F", bound=Callable[..., object])
 
 
@@ -183,7 +178,7 @@ class Probe(NamedTuple):
     first: Integers
     span_s: Floats
     omega: Floats
-    projection: NDArray[np.complex128]
+    projection: Complexes
     observed_s: Floats
 
 

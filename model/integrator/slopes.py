@@ -11,10 +11,11 @@ import math
 
 import numpy as np
 
+from kernels.arrays import Floats
 from model.integrator.flight import flight
 from model.integrator.plate import between_steps, step_length
 from model.integrator.predict import AS_PREDICTED, TWO_POINTS
-from model.integrator.records import Chain, Events, Floats, Law, Mode, Plate, Steps, clear, clear_rows, compiled
+from model.integrator.records import Chain, Events, Law, Mode, Plate, Steps, clear, clear_rows, compiled
 from model.integrator.takeoff_slopes import LANDING, LANDING_BEFORE, Leaving, Work, at_takeoff, work_for
 from model.integrator.variation import LAUNCH, MOST_NODES, TAKEOFF, TONES, Room, flight_variations, room_for
 

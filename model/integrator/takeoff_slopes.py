@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kernels.arrays import Floats
 from model.integrator.flight import pull
 from model.integrator.hooks import dry_friction, force, rebound, takeoff_threshold
 from model.integrator.plate import tones_at
-from model.integrator.records import Floats, Law, Plate, clear, compiled
+from model.integrator.records import Law, Plate, clear, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
 from model.integrator.variation import SPEED_MPS, TONES
 

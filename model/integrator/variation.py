@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kernels.arrays import Floats
 from model.integrator.flight import _effects
 from model.integrator.hermite import hermite5, standstill
 from model.integrator.hooks import gravity
-from model.integrator.records import Floats, Law, StepEnds, clear, clear_rows, compiled
+from model.integrator.records import Law, StepEnds, clear, clear_rows, compiled
 
 TAKEOFF, LAUNCH, TONES = 0, 1, 2
 """Places of a variation: of the take-off's time and speed; the two quadratures of every tone follow."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Bools, Floats
 from model.flight.branches import TWO_PI
 from model.orbits.cycles import repeating
 
@@ -28,8 +28,7 @@ HALVINGS = 24  # of the distance to that cycle, at which the double is looked fo
 SLOW = 0.97  # a multiplier beyond which an orbit may still be on its way after `MAX_FLIGHTS`
 CHAOS_SHOWN = 64  # flights shown of an orbit that never closes
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+
 Kind = Literal["periodic", "chattering", "chaotic"]
 
 
@@ -65,8 +64,8 @@ class Path:
     phase: Floats
     speed: Floats
     slope: Floats
-    reset: NDArray[np.bool_]
-    chatter: NDArray[np.bool_]
+    reset: Bools
+    chatter: Bools
     first: int
     periods: int
     last: State

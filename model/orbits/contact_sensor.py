@@ -15,10 +15,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from kernels.arrays import Bools, Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -66,12 +65,12 @@ class Observed:
 
     takeoff_s: Floats
     landing_s: Floats
-    first: Indices
-    last: Indices
-    hidden: Indices
+    first: Integers
+    last: Integers
+    hidden: Integers
 
     @property
-    def merged(self) -> NDArray[np.bool_]:
+    def merged(self) -> Bools:
         """Which visible flights hold more than one exact flight."""
         return np.asarray(self.last > self.first)
 
@@ -126,7 +125,7 @@ def observe(
 
 def _edges(
     opens: Floats, landing: Floats, instrument: Instrument, rng: np.random.Generator | None
-) -> tuple[Floats, Indices]:
+) -> tuple[Floats, Integers]:
     """Times of alternating openings and closings, and the exact flight of each (-1: a bounce)."""
     seen = opens < landing  # a flight too low for the gap, or too short for the closure, never opens
     index = np.flatnonzero(seen)
@@ -143,7 +142,7 @@ def _edges(
     return times, flight
 
 
-def _believed(samples: Indices, dead: int) -> Indices:
+def _believed(samples: Integers, dead: int) -> Integers:
     """Which of the alternating edges (opening first) begin a level that lasts for ``dead`` samples and is a new one."""
     lasts = np.append(np.diff(samples) >= max(dead, 1), True)
     edges = np.flatnonzero(lasts)

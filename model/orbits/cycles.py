@@ -12,13 +12,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats, Integers
 from model.flight.branches import TWO_PI, branch_of, fold
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.flight.records import EdgeTables, FrictionRestitution
-
-Integers = NDArray[np.int64]
 
 CHATTERS = 1  # bit of a mark: the landing ends in a completed chatter
 SMALL = 2  # bit of a mark: a bounce that lands in the branch in which it began

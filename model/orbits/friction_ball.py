@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats, Integers
 from model.flight import first_landing
 from model.flight.branches import TWO_PI
 from model.flight.friction import edge_tables
@@ -23,8 +23,6 @@ from model.orbits.attractor import LockedCycle, Path, State
 from model.orbits.cycles import CHATTERS, CODE_SIZE, SMALL, Flown, room_for
 from model.orbits.ideal_ball import IdealBall, Itinerary, has_shorter, resting
 from model.tones import Forcing
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ class FrictionBall:
             last,
         )
 
-    def itinerary_codes(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+    def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
         """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
         self._check(gammas)
         out = np.empty((len(gammas), CODE_SIZE), dtype=np.int64)

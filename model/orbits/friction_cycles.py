@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from kernels.arrays import Floats, Integers
 from model.flight.branches import TWO_PI, branch_of, fold
 from model.flight.friction import (
     edge_tables,
@@ -23,10 +24,10 @@ from model.flight.friction import (
     rebound_or_rest,
 )
 from model.flight.ideal import RESTS
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.flight.records import EdgeTables, FrictionRestitution
 from model.flight.segment import motion
-from model.orbits.cycles import CHATTERS, SMALL, Flown, Integers, itinerary_codes_of, locked_family_of
+from model.orbits.cycles import CHATTERS, SMALL, Flown, itinerary_codes_of, locked_family_of
 
 Tangent = tuple[float, float, float, float]  # d landing/d phase, d landing/d v, d rebound/d phase, d rebound/d v
 MOST_SEGMENTS = 1000  # of a flight whose tangent is asked for

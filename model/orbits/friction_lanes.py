@@ -10,17 +10,18 @@ from __future__ import annotations
 
 from typing import Any
 
+from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, any_of, count, select, spread, store
 from model.flight.branch_walk import branch_at, fold_onto
 from model.flight.branches import TWO_PI, fold
 from model.flight.edge_table import TABLE
 from model.flight.friction import MOST_SEGMENTS, fall, hang, rebound_or_rest, rise
 from model.flight.friction_lanes import fall_in_lanes, land_in_lanes, rise_in_lanes
-from model.flight.numerics import Floats, Number, compiled, inlined
+from model.flight.numerics import Number, compiled, inlined
 from model.flight.records import Segment
 from model.flight.segment import motion, segment_from, shape
 from model.flight.short_bounce import short_bounce, surely_long
-from model.orbits.cycles import CHATTERS, Integers
+from model.orbits.cycles import CHATTERS
 from model.orbits.lane_state import (
     AT_EDGE,
     COUNT,

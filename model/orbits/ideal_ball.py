@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Bools, Floats, Integers
 from model.flight import first_landing, ideal
 from model.flight.branches import TWO_PI, fold, q_and_slope
 from model.flight.precision import check_gamma
@@ -20,8 +20,6 @@ from model.orbits import ideal_cycles
 from model.orbits.attractor import LockedCycle, Path, State
 from model.orbits.cycles import CODE_SIZE, room_for
 from model.tones import Forcing
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ class Itinerary:
     """
 
     landing: Floats
-    symbol: NDArray[np.int64]
-    rests: NDArray[np.bool_]
+    symbol: Integers
+    rests: Bools
     first: int
 
 
@@ -78,7 +76,7 @@ class IdealBall:
             State(float(fold(phase[stop - 1] + tau_[stop - 1], edge[0]))),
         )
 
-    def _slopes(self, gamma: float, phase: Floats, tau: Floats, speed: Floats, threshold: NDArray[np.int64]) -> Floats:
+    def _slopes(self, gamma: float, phase: Floats, tau: Floats, speed: Floats, threshold: Integers) -> Floats:
         """``d landing / d take-off = -tau h''(take-off) / impact speed``; 0 at a threshold, where h'' vanishes."""
         h2 = gamma * _q(self.forcing, phase) - 1.0
         h2[threshold >= 0] = 0.0
@@ -102,7 +100,7 @@ class IdealBall:
         speeds = np.array([first_landing.first_landing(forcing, gamma, p).impact_speed for p in phases])
         return LockedCycle(phases, np.zeros(n), taus, speeds, periods, multiplier)
 
-    def itinerary_codes(self, gammas: Floats, max_flights: int) -> NDArray[np.int64]:
+    def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
         """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
         check_gamma(self.forcing, gammas)
         out = np.empty((len(gammas), CODE_SIZE), dtype=np.int64)

@@ -10,9 +10,10 @@ import math
 
 import numpy as np
 
+from kernels.arrays import Floats
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold, q_and_slope
 from model.flight.ideal import land, next_take_off
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.flight.records import EdgeTables, FrictionRestitution
 from model.orbits.cycles import Flown, itinerary_codes_of, locked_family_of
 

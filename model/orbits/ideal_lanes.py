@@ -6,14 +6,14 @@ that closes its orbit, is decided lane by lane. Decision 154.
 
 from __future__ import annotations
 
+from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, select, spread, store
 from model.flight.branches import TWO_PI, q_and_slope
 from model.flight.edge_table import TABLE
 from model.flight.ideal import land
 from model.flight.ideal_lanes import land_lanes
-from model.flight.numerics import Floats, compiled, inlined
+from model.flight.numerics import compiled, inlined
 from model.flight.segment import shape
-from model.orbits.cycles import Integers
 from model.orbits.lane_state import (
     AT_EDGE,
     BRANCH,

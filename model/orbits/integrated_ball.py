@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Floats
 from model.flight.branches import TWO_PI
 from model.integrator import one_step
 from model.integrator.flight import LONGEST_PERIODS
@@ -73,7 +73,7 @@ class IntegratedBall:
         return one_step.law_of(self.effects, self.g_mps2)
 
     @cached_property
-    def _tones(self) -> NDArray[np.float64]:
+    def _tones(self) -> Floats:
         """The plate's tones at gamma 1, as the integrator takes them."""
         n, b, p = self.forcing.tones.T
         plate = Plate(n * self.omega_radps, 1j * self.g_mps2 * n**2 * b * np.exp(1j * p))

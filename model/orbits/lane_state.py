@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 
+from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, load
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.friction_lanes import BRANCH_ROWS, EDGE_ROWS
-from model.flight.numerics import Floats, Number, compiled, inlined
+from model.flight.numerics import Number, compiled, inlined
 from model.flight.records import FrictionRestitution
-from model.orbits.cycles import Integers
 
 # rows of ``work``: parameters; places of the tables going up and down, and their edges
 GAMMA, MU_UP, MU_DOWN, E0, E1, UP, UP_LAST, DOWN, DOWN_LAST = range(9)

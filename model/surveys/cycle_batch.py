@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from kernels.arrays import Floats, Integers
 from kernels.borrowed import borrowed
 from kernels.lanes import WIDTH
 from model.flight.branches import fold
 from model.flight.edge_table import FOUND, TABLE, fill_tables
-from model.flight.numerics import Floats, compiled
+from model.flight.numerics import compiled
 from model.flight.segment import shape
 from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
 from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, NEAR, SLOW
-from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, Integers, nearest_turn, repeating
+from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, nearest_turn, repeating
 from model.orbits.lane_state import (
     CLOSED,
     COUNT,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kernels.arrays import Bools, Floats
 from model.flight import first_landing
 from model.flight.precision import check_gamma, lengthened
 from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
@@ -24,8 +25,6 @@ KEEP = 64  # flight times kept of a row
 FEW_ROWS = 1000  # flown one at a time: the kernels in lanes take half a minute to compile, once
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
 HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Rows:
     period: NDArray[np.int32]
     flights: NDArray[np.int32]
     resets: NDArray[np.int32]
-    locked: NDArray[np.bool_]
+    locked: Bools
     tau: Floats
 
     def sorted(self) -> Rows:

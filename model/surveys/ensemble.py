@@ -17,8 +17,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from kernels.arrays import Bools, Floats
 from model.effects.registry import resolve
 from model.flight.precision import MOST_WINDOWS, largest_gamma
 from model.orbits.attractor import Ball, attractor
@@ -31,7 +31,7 @@ CHUNK = 4000  # points: a fraction of a second of an exact ball
 USUAL_WINDOWS = 1000  # of a flight, in parts of `model.flight.precision.MOST_WINDOWS`: full chunks up to there
 MOST_POINTS = 100_000_000
 """Points of a job: half a kilobyte each."""
-Floats = NDArray[np.float64]
+
 Progress = Callable[[int, int], None]
 """Called with the points done and all points."""
 
@@ -191,7 +191,7 @@ def run(
     chunk = min(chunk, _chunk_size(job))
     chunk = len(job.gammas) if job.sweep else chunk
     with _open(job, path, chunk) as file:
-        done: NDArray[np.bool_] = file["chunk_done"][:]
+        done: Bools = file["chunk_done"][:]
         todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
         finished = job.size - sum(stop - start for start, stop in todo)
         pieces = (((start, stop), _piece(job, start, stop)) for start, stop in todo)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import Block
+from kernels.arrays import Floats
 
 
 class BackendError(RuntimeError):
@@ -55,7 +56,7 @@ class Backend(Protocol):
     def start(self) -> None:
         """Open the device; the drive is at 0 V afterwards. Raises `BackendError`."""
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+    def exchange(self, drive_v: Floats) -> Block:
         """Play ``drive_v`` (n,) and return n frames: same order, indices without holes, losses declared in the block.
 
         Raises
@@ -117,7 +118,7 @@ class Running:
         self._backend.stop()
 
 
-def checked_drive(drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
+def checked_drive(drive_v: Floats) -> Floats:
     """``drive_v`` as contiguous float64; raises `ValueError` for a wrong shape or a value that is not finite."""
     drive = np.ascontiguousarray(drive_v, dtype=np.float64)
     if drive.ndim != 1 or not np.all(np.isfinite(drive)):

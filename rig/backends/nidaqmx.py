@@ -13,10 +13,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.files.tables import CHANNELS, Block
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.nidaqmx import NiDaqmxOptions
@@ -113,7 +113,7 @@ class NiDaqmxBackend:
             raise
         self._given = 0
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+    def exchange(self, drive_v: Floats) -> Block:
         """Append ``drive_v`` to the output buffer and wait for as many frames.
 
         Raises

@@ -9,11 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.files.tables import Block
 from daq.recording import Recording, open_recording
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions
 from rig.profile import Profile
@@ -50,7 +50,7 @@ class ReplayBackend:
         self._recording = open_recording(self._path)
         self._position = 0
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+    def exchange(self, drive_v: Floats) -> Block:
         """The next frames, as many as ``drive_v`` has samples.
 
         Raises

@@ -21,13 +21,13 @@ from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
 from rig.backends.soundcard import SoundcardBackend
 from rig.profile import Profile
 
-Floats = NDArray[np.float64]
 Codes = NDArray[np.int16]
 
 POLL_S = 0.05  # longest time a read of the port waits

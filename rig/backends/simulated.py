@@ -8,9 +8,9 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.files.tables import Block
+from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions
 from rig.profile import Profile
@@ -62,7 +62,7 @@ class SimulatedBackend:
         self._running = True
         self._began_ns = time.monotonic_ns()
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+    def exchange(self, drive_v: Floats) -> Block:
         """Move the plant by ``drive_v`` (n,) and return what its converters read.
 
         Raises

@@ -13,18 +13,16 @@ import threading
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.clocks.clock_sync import find_marker, start_marker
 from daq.files.tables import Block, volts_per_code
+from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.soundcard import card_options
 from rig.backends.portaudio import CardStream, open_stream
 from rig.profile import Profile
-
-Floats = NDArray[np.float64]
 
 FIRST_S = 5.0  # until the first callback
 SILENCE_S = 0.5  # without a callback: the card is stuck, or gone

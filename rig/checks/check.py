@@ -16,9 +16,10 @@ from daq.clocks.clock_sync import find_marker, start_marker
 from daq.files.tables import step_row
 from daq.instrument.stored import examine
 from daq.lock_in import fit_tones
+from kernels.arrays import Floats
 from rig.backends.base import Backend, Running
 from rig.profile import Profile
-from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
+from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, synthesise
 from rig.programme.ramp import forbidden, peaks, plan
 from rig.programme.sequencer import largest_block
 

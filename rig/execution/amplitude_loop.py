@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from daq.setup.setup import Setup
-from rig.execution.plate_monitor import Mask
+from kernels.arrays import Bools, Complexes
 from rig.execution.tone_meter import ENOUGH_WINDOWS, Amplitudes, MeterBlock, ToneMeter, mean_of
 from rig.profile import ControlTable, Profile
-from rig.programme.forcing import Complexes, PhaseClock, drive_amplitudes
+from rig.programme.forcing import PhaseClock, drive_amplitudes
 from rig.programme.ramp import fade_cycles
 from rig.programme.sequencer import Sequencer, State
 
@@ -142,7 +142,7 @@ class AmplitudeLoop:
             self._correct(sequencer, driven, error)
         return None
 
-    def _correct(self, sequencer: Sequencer, driven: Mask, error: Complexes) -> None:
+    def _correct(self, sequencer: Sequencer, driven: Bools, error: Complexes) -> None:
         """Divide each driven tone by its error, within the slew limit, and measure again."""
         before = np.array(sequencer.amplitudes)
         size = np.clip(np.abs(error), 1.0 / LARGEST_CORRECTION, LARGEST_CORRECTION)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import Block, BlockFlag
+from kernels.arrays import Bools, Floats, Integers
 from rig.execution.plate_monitor import Motion
 from rig.profile import Profile
-from rig.programme.forcing import Floats
 
 HEARTBEAT_S = 0.5  # a device may be late by
 WINDOW_CYCLES = 4  # over which a dead accelerometer is judged
@@ -115,7 +115,7 @@ class Interlock:
         self._since_open = self._since_closed = self._flying = 0
         ranges = {"accelerometer": accelerometer.range_v, "drive": profile.channels.drive.range_v}
         self._full = {name: _full_code(ranges[name], scales[name][0]) for name in ranges if name in self._column}
-        self._clipped: dict[str, NDArray[np.int64]] = {name: np.zeros(0, np.int64) for name in self._full}
+        self._clipped: dict[str, Integers] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window = _Window()
         self._scales = {name: scales[name] for name in channels if name in scales}
         self._loops_back = "drive" in self._scales and profile.backend.kind != "replay"
@@ -155,7 +155,7 @@ class Interlock:
         )
         return next((reason for reason in reasons if reason), None)
 
-    def circuit(self, codes: NDArray[np.int16]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+    def circuit(self, codes: NDArray[np.int16]) -> tuple[Bools, Bools] | None:
         """Where in a block (n, channels) the contact circuit is closed, and where it closes; None without one."""
         if self._contact_levels is None:
             return None
@@ -301,7 +301,7 @@ class Interlock:
             return None
         return f"clipped input: {name} lay at a limit for {len(self._clipped[name])} samples of one cycle"
 
-    def _open(self, codes: NDArray[np.int16], levels: tuple[float, float], before: bool) -> NDArray[np.bool_]:
+    def _open(self, codes: NDArray[np.int16], levels: tuple[float, float], before: bool) -> Bools:
         """Whether the circuit is open, frame by frame; a frame between the two levels takes the state before it.
 
         Behind a capacitor an edge counts as well: where the ball hardly touches, the open level is near 0 V.
@@ -313,7 +313,7 @@ class Interlock:
             step = sign * (x - np.concatenate([self._before_edge, x])[: len(x)])
             is_open, is_closed = is_open | (step > self._edge_code), is_closed | (step < -self._edge_code)
         last = np.maximum.accumulate(np.where(is_open | is_closed, np.arange(1, len(x) + 1), 0))
-        known: NDArray[np.bool_] = np.concatenate([[before], is_open])[last]
+        known: Bools = np.concatenate([[before], is_open])[last]
         return known
 
     def _contact(self, drive_v: Floats, codes: NDArray[np.int16], motion: Motion) -> str | None:

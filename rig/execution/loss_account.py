@@ -16,9 +16,9 @@ import numpy as np
 from daq.clocks.loss_search import AtOnce, InThread
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block
+from kernels.arrays import Floats
 from rig.execution.high_pass import HighPass
 from rig.profile import Profile
-from rig.programme.forcing import Floats
 
 CHUNK_CYCLES = 1.3  # of the forcing, looked at together
 LEAST_CHUNK = 64  # samples

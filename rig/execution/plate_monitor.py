@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from daq.setup.setup import Setup
 from kernels import njit
-from rig.programme.forcing import Floats
-
-Mask = NDArray[np.bool_]
+from kernels.arrays import Bools, Floats
 
 LOWPASS_OVER_TONE = 4.0  # corner of the low-pass over the fastest tone
 LEAK_OVER_TONE = 1.0 / 20.0  # corner below which offset and integrals forget, over the first tone
@@ -49,7 +47,7 @@ class Motion:
     displacement_m: float
     square_sum: float
     since_impact: int
-    quiet: Mask
+    quiet: Bools
 
 
 class MotionWatch:
@@ -78,7 +76,7 @@ class MotionWatch:
         nothing, nowhere = np.zeros(1, np.int16), np.zeros(1, np.bool_)
         _follow(nothing, 1.0, nowhere, self._constants, np.zeros(_FIELDS), nowhere.copy())  # compiled before all moves
 
-    def update(self, codes: NDArray[np.int16], landed: Mask | None = None, lost: int = 0) -> Motion:
+    def update(self, codes: NDArray[np.int16], landed: Bools | None = None, lost: int = 0) -> Motion:
         """The plate over the block with these accelerometer ``codes`` (n,).
 
         ``landed`` (n,) marks where the contact circuit closed: such an impact may ring too softly to detect. ``lost``
@@ -116,7 +114,7 @@ class MotionWatch:
 
 @njit()
 def _follow(
-    codes: NDArray[np.int16], scale: float, landed: Mask, constants: Floats, state: Floats, quiet: Mask
+    codes: NDArray[np.int16], scale: float, landed: Bools, constants: Floats, state: Floats, quiet: Bools
 ) -> tuple[float, float, float, float]:
     """Peaks of acceleration, velocity, displacement, and the sum of squares; marks ``quiet``.
 

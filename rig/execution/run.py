@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.files.tables import Block, note_rows
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
+from kernels.arrays import Bools
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.clock_log import ClockLog
@@ -149,7 +149,7 @@ class _Run:
         self.account = LossAccount(profile, drive, backend.scales["drive"], threaded=not backend.simulated)
         self._metered = -1
         self._last_achieved = math.nan, math.nan
-        self._touching: NDArray[np.bool_] | None = None
+        self._touching: Bools | None = None
         self._motion = Motion(0.0, 0.0, 0.0, 0.0, 0, np.zeros(0, np.bool_))
         self._applied_stop: Stop | None = None
         self._applied_pause = False

@@ -9,8 +9,8 @@ import numpy as np
 from daq.loaded_tones import Load, LoadedTones
 from daq.lock_in import LockIn
 from daq.setup.setup import Setup
-from rig.execution.plate_monitor import Mask
-from rig.programme.forcing import Complexes, Floats, PhaseClock
+from kernels.arrays import Bools, Complexes, Floats
+from rig.programme.forcing import PhaseClock
 
 HARMONICS = 3  # harmonics fitted with the tones: a mask that follows the cycle would mix them in
 ENOUGH_WINDOWS = 3  # number of windows from which their scatter is a better uncertainty than the fits' own
@@ -34,8 +34,8 @@ class MeterBlock:
 
     first_sample: int
     acceleration_mps2: Floats
-    quiet: Mask
-    touching: Mask | None = None
+    quiet: Bools
+    touching: Bools | None = None
 
     @property
     def end_sample(self) -> int:

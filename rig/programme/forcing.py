@@ -12,15 +12,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.setup.setup import Setup
 from kernels import njit
+from kernels.arrays import Floats
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-
-# Decimal frequencies and rates are exact up to this denominator, and twice it still fits 64 bits; anything finer is
 # taken within 2^-80 of a turn a sample, far below what a float frequency can say.
 _MAX_DENOMINATOR = 2**40
 

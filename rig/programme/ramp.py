@@ -11,14 +11,12 @@ from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Complexes, Integers
 from rig.profile import Limits, Profile, RampTable
-from rig.programme.forcing import Complexes, PhaseClock, drive_amplitudes
-
-Integers = NDArray[np.int64]
+from rig.programme.forcing import PhaseClock, drive_amplitudes
 
 _STEEPEST = 1.5  # slope of a fade's middle, over that of a straight line
 _MIN_FADE_CYCLES = 2

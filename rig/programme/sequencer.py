@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from daq.files.tables import DRIVE_DTYPE
 from daq.setup.setup import Setup
-from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
+from kernels.arrays import Floats
+from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, synthesise
 from rig.programme.ramp import Programme, Step
 
 # A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.

@@ -12,13 +12,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import bilinear, butter, firwin
 
 from kernels import njit
+from kernels.arrays import Floats
 from rig.sim.forces import G_MPS2
-
-Array = NDArray[np.float64]
 
 SUBSTEPS = 8
 
@@ -40,7 +38,7 @@ ANALOGUE = ("low_pass_hz", "high_pass_hz", "mount_hz", "cross_axis", "sensor_cli
 LINE_HZ = 50.0
 
 
-def sections(rig: Mapping[str, float], rate_hz: float) -> Array:
+def sections(rig: Mapping[str, float], rate_hz: float) -> Floats:
     """Coefficients b0, b1, b2, a1, a2 of each section at the rate of the substeps, (`SECTIONS`, 5)."""
     fine_hz = rate_hz * SUBSTEPS
     out = np.zeros((SECTIONS, 5))
@@ -195,7 +193,7 @@ class Converter:
         self._lines = {channel: line for channel, line in lines.items() if line[0]}
         self.changes = bool(size or self._lines or self._flickers or rig["bias_v"] or rig["warm_up_v"])
 
-    def apply(self, volts: Array, first: int) -> None:
+    def apply(self, volts: Floats, first: int) -> None:
         """Change ``volts`` (n, 3) of samples ``first``, ``first + 1``, ... in place."""
         time_s = (first + np.arange(len(volts))) / self._rate_hz
         for channel in self._filtered:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels import njit
+from kernels.arrays import Floats
 from rig.sim.ball_motion import move_ball
 from rig.sim.catalogue import RIG_DEFAULTS
 from rig.sim.drive_chain import drive_plate
@@ -151,7 +152,7 @@ class Plant:
         """Lay the accelerometer upside down, or back as it was mounted; for a plate at rest."""
         self._state["turned"] = over
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
+    def exchange(self, drive_v: Floats) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.
 
         Parameters

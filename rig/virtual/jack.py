@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 from rig.backends.kinds.soundcard import card_options
 from rig.execution.high_pass import HighPass
 from rig.execution.priority import may_run_first
@@ -102,11 +103,11 @@ class PlantClient:
         self._frame = (now + frames) % 2**32
         self._play(now, np.asarray(self._amplifier.get_array(), np.float64) * self._card.output_range_v)
 
-    def _skip(self, drive_v: NDArray[np.float64]) -> None:
+    def _skip(self, drive_v: Floats) -> None:
         """Move the plant through frames that the server skipped."""
         raise NotImplementedError
 
-    def _play(self, frame: int, drive_v: NDArray[np.float64]) -> None:
+    def _play(self, frame: int, drive_v: Floats) -> None:
         """Move the plant through one period, which began at the server's ``frame``."""
         raise NotImplementedError
 
@@ -142,7 +143,7 @@ class JackPlant(PlantClient):
         self._outs = [self._client.outports.register(name or f"unused_{k}") for k, name in enumerate(self._names)]
         self._output = HighPass(profile.drive.highpass_hz, self._plant.rate_hz)
         self._inputs = {name: self._input(name) for name in self._plant.channels}
-        self._heard: dict[str, NDArray[np.float64]] = {}
+        self._heard: dict[str, Floats] = {}
 
     def _input(self, name: str) -> tuple[HighPass, float]:
         """What the card's input does to a channel: its high-pass, and volts to full scale."""
@@ -152,16 +153,16 @@ class JackPlant(PlantClient):
         corner_hz = AC_CORNER_HZ if channel.coupling == "ac" else None
         return HighPass(corner_hz, self._plant.rate_hz), self._plant.channel_scales[name] / channel.range_v
 
-    def _skip(self, drive_v: NDArray[np.float64]) -> None:
+    def _skip(self, drive_v: Floats) -> None:
         self._exchange(drive_v)
 
-    def _play(self, frame: int, drive_v: NDArray[np.float64]) -> None:
+    def _play(self, frame: int, drive_v: Floats) -> None:
         codes = self._exchange(drive_v)
         for port, name in zip(self._outs, self._names, strict=True):
             port.get_array()[:] = self._heard.get(name, 0.0)
         self._log.keep(frame, codes)
 
-    def _exchange(self, drive_v: NDArray[np.float64]) -> NDArray[np.int16]:
+    def _exchange(self, drive_v: Floats) -> NDArray[np.int16]:
         """The plant's answer, and what the card's inputs make of it."""
         codes = self._plant.exchange(self._output(drive_v))
         self._heard = {}

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
 from rig.profile import Profile
 from rig.sim.scenario import Scenario
@@ -71,13 +71,13 @@ class JackSerialPlant(PlantClient):
         os.set_blocking(self._master, False)
         _raw(self._slave)
         self.port = os.ttyname(self._slave)
-        self._periods: queue.SimpleQueue[NDArray[np.float64] | None] = queue.SimpleQueue()
+        self._periods: queue.SimpleQueue[Floats | None] = queue.SimpleQueue()
         self._sender = threading.Thread(target=self._send, name="virtual serial", daemon=True)
 
-    def _skip(self, drive_v: NDArray[np.float64]) -> None:
+    def _skip(self, drive_v: Floats) -> None:
         self._periods.put(drive_v)
 
-    def _play(self, frame: int, drive_v: NDArray[np.float64]) -> None:
+    def _play(self, frame: int, drive_v: Floats) -> None:
         self._periods.put(drive_v)  # the device runs in a thread of its own
 
     def _send(self) -> None:

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.clocks.serial_frames import SerialFrame, encode_frame
+from kernels.arrays import Floats
 from rig.sim.plant import REFRESH_SAMPLES, Plant
 from rig.sim.scenario import Scenario
-
-Floats = NDArray[np.float64]
 
 
 class SerialDevice:

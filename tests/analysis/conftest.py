@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
 from analysis.attribution.priors import priors_of
@@ -20,6 +19,7 @@ from analysis.residuals.values import ParameterId
 from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
+from kernels.arrays import Bools
 from model.integrator.one_step import Measured, PlateSteps
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
@@ -214,6 +214,6 @@ def fitter_of() -> Callable[[ForwardModel], Fitter]:
     return lambda world: Fitter(world, priors_of(world.evidence.setup), trained(world))
 
 
-def trained(world: ForwardModel) -> NDArray[np.bool_]:
+def trained(world: ForwardModel) -> Bools:
     """Steps that a fit may see."""
     return np.asarray(np.arange(len(world.evidence.steps)) % 4 != 2)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
 
@@ -29,12 +29,12 @@ def setup() -> Setup:
 
 
 @pytest.fixture
-def ramp() -> Callable[..., NDArray[np.float64]]:
+def ramp() -> Callable[..., Floats]:
     """``ramp(levels, frequencies)``: volts of a drive that holds each level for 20 cycles after a fade of 2."""
 
     def make(
         levels: list[float], frequencies_hz: list[float], rate_hz: float = RATE_HZ, ratio: int = 1, fade: int = 2
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         pieces, phase, before = [np.zeros(round(0.2 * rate_hz))], 0.0, 0.0
         for level, frequency in zip(levels, frequencies_hz, strict=True):
             n_fade, n_hold = round(fade * rate_hz / frequency), round(20 * rate_hz / frequency)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.setup import Setup
-from rig.programme.forcing import Fade, Floats, PhaseClock, drive_amplitudes, synthesise
+from kernels.arrays import Floats
+from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, synthesise
 from rig.programme.sequencer import stop_fade_samples
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import Block, BlockFlag
+from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError, checked_drive
 
 Codes = NDArray[np.int16]
@@ -41,7 +42,7 @@ class Fault:
     def reset(self, device: Device) -> None:
         """Begin a run: forget everything and learn the device."""
 
-    def on_drive(self, first: int, drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_drive(self, first: int, drive_v: Floats) -> Floats:
         """What reaches the plate of ``drive_v``, samples from ``first`` on; raises `BackendError` if nothing can."""
         return drive_v
 
@@ -230,7 +231,7 @@ class Unplugged(Fault):
 
     at_sample: int
 
-    def on_drive(self, first: int, drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_drive(self, first: int, drive_v: Floats) -> Floats:
         if first + drive_v.size > self.at_sample:
             raise BackendError("the device went away (unplugged?): check its cable, then start again")
         return drive_v
@@ -243,12 +244,12 @@ class AmplifierTrip(Fault):
     at_sample: int
     _column: int = field(default=0, init=False)
     _scale_v: float = field(default=1.0, init=False)
-    _asked: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), init=False)
+    _asked: Floats = field(default_factory=lambda: np.zeros(0), init=False)
 
     def reset(self, device: Device) -> None:
         self._column, self._scale_v = device.columns["drive"], device.volts_per_code["drive"]
 
-    def on_drive(self, first: int, drive_v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_drive(self, first: int, drive_v: Floats) -> Floats:
         self._asked = drive_v
         return np.where(first + np.arange(drive_v.size) < self.at_sample, drive_v, 0.0)
 
@@ -258,7 +259,7 @@ class AmplifierTrip(Fault):
         return _with_column(block, self._column, np.where(tripped, asked, block.codes[:, self._column]))
 
 
-def _with_column(block: Block, column: int, values: NDArray[np.float64]) -> Block:
+def _with_column(block: Block, column: int, values: Floats) -> Block:
     """The block with one column replaced, kept within 16 bits."""
     codes = block.codes.copy()
     codes[:, column] = np.clip(values, -32768, 32767).astype(np.int16)
@@ -292,7 +293,7 @@ class FaultyBackend:
             fault.reset(device)
         self._device_sample = self._recorded = 0
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+    def exchange(self, drive_v: Floats) -> Block:
         """Play ``drive_v`` (n,); returns at most n frames, numbered as recorded. Raises `BackendError`."""
         drive = checked_drive(drive_v)
         first = self._device_sample

@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels.arrays import Floats
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 
@@ -64,7 +65,7 @@ class Bench:
         if self.unplugged:
             raise DaqError("Device is not available: it has been removed. Status Code: -88709")
 
-    def write(self, volts: NDArray[np.float64]) -> None:
+    def write(self, volts: Floats) -> None:
         """Into the output buffer."""
         self.check()
         self._written = np.concatenate([self._written, volts])
@@ -193,6 +194,6 @@ class _Writer:
         if auto_start:
             raise DaqError("An output that starts by itself does not start with the inputs.")
 
-    def write_many_sample(self, data: NDArray[np.float64], timeout: float) -> int:
+    def write_many_sample(self, data: Floats, timeout: float) -> int:
         self._task.bench.write(np.asarray(data, np.float64))
         return len(data)

@@ -8,9 +8,9 @@ from __future__ import annotations
 import threading
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.files.tables import Block, volts_per_code
+from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
 from rig.virtual.serial_device import SerialDevice
 
@@ -40,7 +40,7 @@ class WiredPort:
         """Bytes that can be read at once."""
         return len(self._bytes)
 
-    def play(self, drive_v: NDArray[np.float64]) -> None:
+    def play(self, drive_v: Floats) -> None:
         """Drive the device; what it sends meanwhile can be read."""
         data = self._device.play(drive_v)
         with self._changed:
@@ -94,7 +94,7 @@ class WiredCard:
         """Ready to play; the device has been running all along."""
         self._running = True
 
-    def exchange(self, drive_v: NDArray[np.float64]) -> Block:
+    def exchange(self, drive_v: Floats) -> Block:
         """Play; frames of nothing come back."""
         drive = checked_drive(drive_v)
         if not self._running:

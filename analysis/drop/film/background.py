@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.arrays import Counts, Flags
 from analysis.drop.corrections import Progress
 from analysis.drop.film.video import LEAST_FRAMES, Film, Image, opencv, smaller
 from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Integers
 
 Picture = NDArray[np.float32]
 
@@ -37,7 +37,7 @@ class Still:
     background: Picture  # (rows, columns, 3) median of frames in which something small moves
     small: Picture  # (rows, columns, 3) the same at `SEARCH_WIDTH`
     n_frames: int  # frames read
-    repeated: Counts  # (k,) frames that show again what the frame before showed, while the ball moves
+    repeated: Integers  # (k,) frames that show again what the frame before showed, while the ball moves
 
 
 def still_of(film: Film, progress: Progress | None = None) -> Still:
@@ -70,7 +70,7 @@ def still_of(film: Film, progress: Progress | None = None) -> Still:
     return _still(background, len(stack), repeated.astype(np.int64), film)
 
 
-def _still(background: Picture, count: int, repeated: Counts, film: Film) -> Still:
+def _still(background: Picture, count: int, repeated: Integers, film: Film) -> Still:
     factor = min(1.0, SEARCH_WIDTH / background.shape[1])
     return Still(background, smaller(background, factor, 1, opencv(film.path)), count, repeated)
 
@@ -182,7 +182,7 @@ def _clean_frames(stack: Picture, step: Picture, film: Film) -> set[int]:
     chosen, coarse = [int(pool[0])], stack[pool][:, ::4, ::4]
     distance = np.full(len(pool), np.inf)
     while len(chosen) < min(_MOST_SAMPLES, len(pool)):
-        differs: Flags = np.abs(coarse - stack[chosen[-1], ::4, ::4]) > _CHANGED_LEVELS
+        differs: Bools = np.abs(coarse - stack[chosen[-1], ::4, ::4]) > _CHANGED_LEVELS
         distance = np.minimum(distance, differs.mean(axis=(1, 2)))
         distance[pool == chosen[-1]] = -1.0
         chosen.append(int(pool[int(distance.argmax())]))

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop import lack_of_fit
-from analysis.drop.arrays import Array, Counts, Flags
 from analysis.drop.film.flights import Clip, Flight, flights_of
 from analysis.drop.film.restitution import RestitutionFit, fit_restitution
 from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
@@ -31,6 +30,7 @@ from analysis.drop.laws.choice import Candidate
 from analysis.drop.laws.flight_law import FlightLaw
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats, Integers
 
 _SHAPE_OF = {
     CONSTANT: "parabola",
@@ -51,24 +51,24 @@ _MOST_WORTH = 0.5  # a tracker errs alike over several frames (the same pixels, 
 class Impacts:
     """Impacts of all clips under one shape, in the file's units (frames, pixels)."""
 
-    clip: Counts  # (n,)
-    frame: Array  # (n,) impact times
+    clip: Integers  # (n,)
+    frame: Floats  # (n,) impact times
     # speed_in, speed_out: (n,) NaN where the flight on that side was not resolved
-    speed_in: Array
-    speed_out: Array
-    floor: Array  # (n,) height of the ball at the impact; NaN for an impact after which nothing is known
+    speed_in: Floats
+    speed_out: Floats
+    floor: Floats  # (n,) height of the ball at the impact; NaN for an impact after which nothing is known
     # frame_draws, in_draws, out_draws, floor_draws: (m, n) the same for each draw of the fit
-    frame_draws: Array
-    in_draws: Array
-    out_draws: Array
-    floor_draws: Array
+    frame_draws: Floats
+    in_draws: Floats
+    out_draws: Floats
+    floor_draws: Floats
 
     @property
-    def bounced(self) -> Flags:
+    def bounced(self) -> Bools:
         """Impacts with a measured speed on both sides."""
         return np.isfinite(self.speed_in) & np.isfinite(self.speed_out)
 
-    def restitution(self) -> tuple[Array, Array]:
+    def restitution(self) -> tuple[Floats, Floats]:
         """Restitution of each impact that has speeds on both sides, and its standard deviation."""
         index = np.flatnonzero(self.bounced)
         sigma = (self.out_draws[:, index] / self.in_draws[:, index]).std(axis=0)
@@ -97,10 +97,10 @@ class CameraFit:
 
     flights: list[Flight]
     shapes: dict[str, Shape]  # each shape fitted to all flights
-    values: dict[str, Array]  # (m, p) draws of each shape's parameters
+    values: dict[str, Floats]  # (m, p) draws of each shape's parameters
     impacts: dict[str, Impacts]
     candidates: tuple[CameraCandidate, ...]
-    fall_height: dict[str, tuple[Array, Array]]  # (clips,) and draws (m, clips), to the first impact, unit
+    fall_height: dict[str, tuple[Floats, Floats]]  # (clips,) and draws (m, clips), to the first impact, unit
     noise: float  # of single positions, from third differences
     worth: float  # independent samples per sample
     moved: tuple[str, ...] = ()  # signs that a camera moved whose motion nothing measures, in words
@@ -170,7 +170,7 @@ def _worth(shape: Shape, flights: Sequence[Flight]) -> float:
     return min((1.0 - rho) / (1.0 + rho), _MOST_WORTH)
 
 
-def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: float) -> Array:
+def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: float) -> Floats:
     """Held-out log likelihood of each flight's positions, the shape taken from the other flights."""
     sigma = max(shape.sigma, noise)
     unit = (sigma / noise) ** 2 / worth
@@ -185,8 +185,8 @@ def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: f
 
 
 def impacts_of(
-    shape: Shape, flights: Sequence[Flight], values: Array, at: Array, top: Array
-) -> tuple[Impacts, tuple[Array, Array]]:
+    shape: Shape, flights: Sequence[Flight], values: Floats, at: Floats, top: Floats
+) -> tuple[Impacts, tuple[Floats, Floats]]:
     """Impacts where neighbouring flights meet, and one more where the last flight comes down to that floor; and the
     heights of the falls.
 
@@ -197,7 +197,7 @@ def impacts_of(
     """
     laws = law_of(shape.name, np.vstack([shape.values, values]))
     frames, heights = np.vstack([shape.apex_frame, at]), np.vstack([shape.apex_height, top])
-    rows: list[tuple[int, Array, Array, Array, Array]] = []
+    rows: list[tuple[int, Floats, Floats, Floats, Floats]] = []
     unknown = np.full(len(frames), np.nan)
     fall = np.full((len(frames), max(f.clip for f in flights) + 1), np.nan)
     for i, flight in enumerate(flights):
@@ -218,7 +218,7 @@ def impacts_of(
     return Impacts(clip, *table[:, :, 0].T, *table[:, :, 1:].transpose(1, 2, 0)), (fall[0], fall[1:])
 
 
-def _meet(laws: FlightLaw, frames: Array, heights: Array, i: int, before: Flight, after: Flight) -> Array:
+def _meet(laws: FlightLaw, frames: Floats, heights: Floats, i: int, before: Flight, after: Flight) -> Floats:
     """Frame in which flight ``i`` coming down meets flight ``i + 1`` going up: Newton from the middle of the gap."""
     when = np.full(len(frames), 0.5 * (before.frame[-1] + after.frame[0]))
     for _ in range(20):
@@ -229,11 +229,11 @@ def _meet(laws: FlightLaw, frames: Array, heights: Array, i: int, before: Flight
     return when
 
 
-def _speed(laws: FlightLaw, since: Array) -> Array:
+def _speed(laws: FlightLaw, since: Floats) -> Floats:
     return np.asarray(np.abs(laws.velocity_mps(since)))
 
 
-def _candidate(model: BounceModel, shape: Shape, values: Array, found: Impacts, scores: Array) -> CameraCandidate:
+def _candidate(model: BounceModel, shape: Shape, values: Floats, found: Impacts, scores: Floats) -> CameraCandidate:
     """A law of restitution under a shape: how long it says the next flight lasts."""
     index = np.flatnonzero(found.bounced)
     incoming = found.speed_in[index]
@@ -241,7 +241,7 @@ def _candidate(model: BounceModel, shape: Shape, values: Array, found: Impacts, 
     last = np.append(np.diff(found.clip) != 0, True)  # of its clip: no flight after it
     flight = np.where(last, np.nan, np.append(np.diff(found.frame), np.nan))[index]
 
-    def rms(e: Array) -> float:
+    def rms(e: Floats) -> float:
         left = flight - shape.law.duration_s(np.maximum(e, 0.01) * incoming)
         left = left[np.isfinite(left)]
         return float(np.sqrt((left**2).mean())) if len(left) else float("nan")

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from analysis.drop.arrays import Array, Flags
 from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats
 
 Indices = NDArray[np.intp]
 
@@ -33,10 +33,10 @@ class Clip:
 
     name: str
     # frame, height: (n,) time in frames (not always whole), and height in the file's unit, counted upward
-    frame: Array
-    height: Array
+    frame: Floats
+    height: Floats
     acceleration: float  # rough free-fall acceleration, unit per frame^2
-    across: Array | None = None  # (n,) place across the fall, where the unit is pixels
+    across: Floats | None = None  # (n,) place across the fall, where the unit is pixels
     # the film has edges by which a motion of its camera along the fall would be seen, and was moved back
     watched: bool = True
     # no_impact, impact: frames at which a person says that there is no impact, or is one
@@ -51,8 +51,8 @@ class Flight:
     clip: int  # number of the file it belongs to
     order: int  # 0 for the fall, then 1, 2, ...
     # frame, height: (n,)
-    frame: Array
-    height: Array
+    frame: Floats
+    height: Floats
     lands: bool  # whether an impact at the end was filmed
     # height from the middle of the picture's used part to its ends, where its distortion is taken as none
     reach: float = 0.0
@@ -106,7 +106,7 @@ def impact_samples(clip: Clip) -> Indices:
     return np.array(found, dtype=np.intp)
 
 
-def near_impacts(clip: Clip, frames: Array) -> Flags:
+def near_impacts(clip: Clip, frames: Floats) -> Bools:
     """Flags of those ``frames`` (n,) that mean an impact that was found."""
     found = clip.frame[impact_samples(clip)]
     off = np.abs(np.asarray(frames)[:, None] - found[None]).min(axis=1, initial=np.inf)
@@ -121,7 +121,7 @@ def _corrected(clip: Clip, low: Indices) -> Indices:
     return np.union1d(low[gone > _SAME_FRAMES], np.array(inside, dtype=np.intp))
 
 
-def jitter(height: Array) -> float:
+def jitter(height: Floats) -> float:
     """Noise of single samples from third differences, which no smooth path survives."""
     third = np.diff(height, 3)
     return mad_sigma(third) / np.sqrt(20.0) if len(third) else 0.0
@@ -142,7 +142,7 @@ def _end_of_last(clip: Clip, start: int) -> tuple[int, bool]:
     return stop - 1, stop < len(h)
 
 
-def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
+def _fall(t: Floats, h: Floats, acceleration: float) -> tuple[Floats, Floats]:
     """The free part of the fall: from the impact backward as long as one parabola explains it."""
     start = len(t)
     while start > 0 and (start == len(t) or h[start - 1] > h[start]):
@@ -167,6 +167,6 @@ def _fall(t: Array, h: Array, acceleration: float) -> tuple[Array, Array]:
     return _inside(t[first:], h[first:])
 
 
-def _inside(t: Array, h: Array) -> tuple[Array, Array]:
+def _inside(t: Floats, h: Floats) -> tuple[Floats, Floats]:
     """A long flight without its samples next to the impacts: their exposure or the contact may straddle one."""
     return (t[1:-1], h[1:-1]) if len(t) >= 2 * LEAST_SAMPLES else (t, h)

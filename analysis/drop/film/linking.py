@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from analysis.drop.arrays import Array, Counts, Flags
 from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats, Integers
 
 _WINDOW = 7  # samples in which free flight is looked for
 _LONGEST_GAP = 8.0  # frames a track may be lost
@@ -36,13 +36,13 @@ class _Open:
 
     index: list[int]
     clock: float
-    position: Array
-    velocity: Array = field(default_factory=lambda: np.zeros(2))
+    position: Floats
+    velocity: Floats = field(default_factory=lambda: np.zeros(2))
     speed: float = 0.0  # vertical, of late: the step across a bounce is short, the one after it is not
-    bend: Array = field(default_factory=lambda: np.zeros(2))  # change of velocity from step to step, of late
+    bend: Floats = field(default_factory=lambda: np.zeros(2))  # change of velocity from step to step, of late
     steps: int = 0
 
-    def goes_on(self, i: int, here: Array, now: float) -> None:
+    def goes_on(self, i: int, here: Floats, now: float) -> None:
         """Take a point into the track."""
         span = now - self.clock
         velocity = (here - self.position) / span
@@ -60,16 +60,16 @@ class _Open:
 class Track:
     """The ball."""
 
-    index: Counts  # (n,) which of the points it is, in time order
-    clock: Array  # (n,) frame numbers or seconds
+    index: Integers  # (n,) which of the points it is, in time order
+    clock: Floats  # (n,) frame numbers or seconds
     # x, height: (n,) position across, and height counted upward, in the points' unit
-    x: Array
-    height: Array
+    x: Floats
+    height: Floats
     acceleration: float  # typical downward acceleration in free flight (unit per clock^2), positive
     remarks: tuple[str, ...] = ()  # what was noticed
 
 
-def ball_of(clock: Array, x: Array, y: Array, where: str, axis_deg: float | None = None) -> Track:
+def ball_of(clock: Floats, x: Floats, y: Floats, where: str, axis_deg: float | None = None) -> Track:
     """Choose the ball's track among points (n,), and turn it upright.
 
     ``axis_deg``: direction of the fall, degrees right of down; found where None.
@@ -120,12 +120,12 @@ def ball_of(clock: Array, x: Array, y: Array, where: str, axis_deg: float | None
     return Track(chosen, clock[chosen], x[chosen], upright * y[chosen], abs(acceleration), remarks)
 
 
-def _turned(x: Array, y: Array, angle: float) -> tuple[Array, Array]:
+def _turned(x: Floats, y: Floats, angle: float) -> tuple[Floats, Floats]:
     """Across and along a fall that leans by ``angle`` to the right of down."""
     return x * np.cos(angle) - y * np.sin(angle), y * np.cos(angle) + x * np.sin(angle)
 
 
-def _tilt_of_fall(clock: Array, x: Array, y: Array, acceleration: float) -> float:
+def _tilt_of_fall(clock: Floats, x: Floats, y: Floats, acceleration: float) -> float:
     """Angle of the fall from the vertical axis: of a straight path, else of the acceleration; 0 where not clear."""
     slope = float(np.polyfit(y, x, 1)[0])
     left = x - slope * y
@@ -145,14 +145,14 @@ def _tilt_of_fall(clock: Array, x: Array, y: Array, acceleration: float) -> floa
 class _Parabolas:
     """Parabolas through each window of consecutive samples."""
 
-    bend: Array  # second derivative
-    span: Array  # time
-    residual: Array  # rms
-    travel: Array  # range
-    compact: Flags  # without a gap
+    bend: Floats  # second derivative
+    span: Floats  # time
+    residual: Floats  # rms
+    travel: Floats  # range
+    compact: Bools  # without a gap
 
 
-def _parabolas(clock: Array, y: Array) -> _Parabolas:
+def _parabolas(clock: Floats, y: Floats) -> _Parabolas:
     t, h = sliding_window_view(clock, _WINDOW), sliding_window_view(y, _WINDOW)
     span = t[:, -1] - t[:, 0]
     s = (t - t.mean(axis=1, keepdims=True)) / span[:, None]
@@ -163,12 +163,12 @@ def _parabolas(clock: Array, y: Array) -> _Parabolas:
     return _Parabolas(2.0 * coefficient[:, 2, 0] / span**2, span, residual, np.ptp(h, axis=1), compact)
 
 
-def _frame_length(clock: Array) -> float:
+def _frame_length(clock: Floats) -> float:
     steps = np.diff(np.unique(clock))
     return float(np.median(steps)) if len(steps) else 1.0
 
 
-def link(frames: Array, x: Array, y: Array) -> list[list[int]]:
+def link(frames: Floats, x: Floats, y: Floats) -> list[list[int]]:
     """Chain points from frame to frame; returns the points' indices of each track.
 
     A point may go on where the track was heading, or anywhere between there and the mirror image of that step: a
@@ -193,7 +193,7 @@ def link(frames: Array, x: Array, y: Array) -> list[list[int]]:
 
 
 def _candidates(
-    live: list[_Open], points: range, places: Array, now: float, spread: float
+    live: list[_Open], points: range, places: Floats, now: float, spread: float
 ) -> list[tuple[float, int, int]]:
     """Tracks and points that may belong together, with how far off each point is."""
     found = []
@@ -213,7 +213,7 @@ def _candidates(
     return found
 
 
-def free_fall(clock: Array, y: Array, spread: float) -> tuple[int, float]:
+def free_fall(clock: Floats, y: Floats, spread: float) -> tuple[int, float]:
     """Number of windows of a track that are free flight, and their common signed acceleration."""
     if len(y) < _WINDOW:
         return 0, 0.0

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from analysis.drop.arrays import Array
 from analysis.drop.thresholds import LEVEL_SIGMAS
+from kernels.arrays import Floats
 
 _LEAST_FOR_HOLD_OUT = 3
 
@@ -22,14 +22,14 @@ class RestitutionFit:
     """``e = e0 - e1 u``, or constant."""
 
     # theta, half_width: (p,) ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval
-    theta: Array
-    half_width: Array
+    theta: Floats
+    half_width: Floats
     scatter: float  # standard deviation of the restitution from bounce to bounce, beyond the measuring error
     # predicted, held_out: (n,) restitution of each bounce from all, and from the other bounces (NaN where there are
     # too few)
-    predicted: Array
-    held_out: Array
-    scores: Array  # (n,) held-out log likelihood of each bounce; 0 where there are too few to hold any out
+    predicted: Floats
+    held_out: Floats
+    scores: Floats  # (n,) held-out log likelihood of each bounce; 0 where there are too few to hold any out
     chi_square: float = 0.0  # of the bounces against nothing but their measuring errors
     freedom: int = 0  # bounces less parameters
 
@@ -44,7 +44,7 @@ class RestitutionFit:
         return float(stats.chi2.sf(self.chi_square, self.freedom)) if self.freedom > 0 else 1.0
 
 
-def fit_restitution(speed: Array, ratio: Array, sigma: Array, with_speed: bool) -> RestitutionFit:
+def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: bool) -> RestitutionFit:
     """Fit ``ratio`` (n,) at impact speeds ``speed`` (n,), each with measuring error ``sigma`` (n,)."""
     n = len(ratio)
     if with_speed and n < 3:
@@ -70,7 +70,7 @@ def fit_restitution(speed: Array, ratio: Array, sigma: Array, with_speed: bool) 
     return RestitutionFit(theta, half, scatter, basis @ theta, held_out, scores, float(left @ left), freedom)
 
 
-def _weighted(basis: Array, ratio: Array, sigma: Array) -> tuple[Array, Array, float]:
+def _weighted(basis: Floats, ratio: Floats, sigma: Floats) -> tuple[Floats, Floats, float]:
     """Weighted least squares with a common extra scatter that brings chi-square to its degrees of freedom."""
     n, p = basis.shape
     floor = max(1e-6, 1e-3 * float(np.median(sigma)))

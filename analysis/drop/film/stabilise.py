@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.arrays import Array, Counts
 from analysis.drop.corrections import Progress
 from analysis.drop.film.video import Film, opencv, smaller
 from analysis.statistics import mad_sigma
+from kernels.arrays import Floats, Integers
 
 Grey = NDArray[np.float32]
 
@@ -45,7 +45,7 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
     The result says whether the picture has edges that would show a motion along its columns.
     """
     cv2 = opencv(film.path)
-    shifts: list[Array] = []
+    shifts: list[Floats] = []
     better: list[float] = []
     left: list[float] = []
     error: list[float] = []
@@ -108,22 +108,22 @@ class _Edges:
 
     row: Grey  # (pixels / 64, 64)
     column: Grey
-    level: Array  # (pixels,)
-    gradient: Array  # (pixels, 2)
-    strip: Counts  # (pixels,) upright strip of the picture: what falls stays in a few of them
+    level: Floats  # (pixels,)
+    gradient: Floats  # (pixels, 2)
+    strip: Integers  # (pixels,) upright strip of the picture: what falls stays in a few of them
     cv2: Any
 
-    def residual(self, grey: Grey, shift: Array) -> Array:
+    def residual(self, grey: Grey, shift: Floats) -> Floats:
         """Brightness of a frame at the edges' places moved by ``shift``, less that of the first frame there."""
         column, row = self.column + np.float32(shift[0]), self.row + np.float32(shift[1])
         seen = self.cv2.remap(grey, column, row, self.cv2.INTER_CUBIC, borderMode=self.cv2.BORDER_REPLICATE)
         return np.asarray(seen.ravel() - self.level, dtype=np.float64)
 
-    def difference(self, grey: Grey, shift: Array) -> float:
+    def difference(self, grey: Grey, shift: Floats) -> float:
         """Median difference of a frame from the first, levels."""
         return float(np.median(np.abs(self.residual(grey, shift))))
 
-    def shift_of(self, grey: Grey, before: Array) -> Array:
+    def shift_of(self, grey: Grey, before: Floats) -> Floats:
         """Shift (across, down) of a frame, px; near that of the frame ``before`` in a direction that no edge shows."""
         shift = before
         for _ in range(_MOST_STEPS):
@@ -139,7 +139,7 @@ class _Edges:
                 break
         return shift
 
-    def error_down(self, grey: Grey, shift: Array) -> float:
+    def error_down(self, grey: Grey, shift: Floats) -> float:
         """Standard error of a frame's shift down, px, from the gradients that it has in common with the first frame.
 
         Noise has none in common, so a bare wall has a large error however steep its noise is.
@@ -152,7 +152,7 @@ class _Edges:
         common = _STRIPS * float(np.median(each))
         return size * float(np.sqrt(_ALIKE / max(common, 1e-9)))
 
-    def share_left(self, grey: Grey, shift: Array) -> float:
+    def share_left(self, grey: Grey, shift: Floats) -> float:
         """Share of a frame's difference that is left after moving it back, in the usual strip of the picture."""
         steep = np.hypot(self.gradient[:, 0], self.gradient[:, 1])
         before, after = (

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from analysis.drop.arrays import Array, Counts, Flags
 from analysis.drop.corrections import NOTHING, Corrections, Progress
 from analysis.drop.film.background import SEARCH_WIDTH, Picture, Still, still_by_order, still_of, still_without
 from analysis.drop.film.linking import Track, ball_of
@@ -22,6 +21,7 @@ from analysis.drop.film.stabilise import stabilised
 from analysis.drop.film.video import Film, Image, open_film, opencv, part_of, smaller
 from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats, Integers
 
 _NOISE_SIGMAS = 6.0
 _LEAST_CONTRAST = 10.0
@@ -41,17 +41,17 @@ class Tracked:
 
     track: Track  # in pixels and frames
     # x_px, y_px: (n,) centre of each of the track's points in the picture
-    x_px: Array
-    y_px: Array
+    x_px: Floats
+    y_px: Floats
     # width_px, tall_px: (n,) size of the moving area of each
-    width_px: Array
-    tall_px: Array
+    width_px: Floats
+    tall_px: Floats
     background: Image  # (rows, columns, 3)
     composite: Image  # (rows, columns, 3) the ball stamped from every few frames onto the background
     fps: float | None  # as the file states
     # n_frames, first: frames that were used, and the number of the first in the file
     n_frames: int
-    lost: Counts  # (m,) frames between the track's first and last in which the ball was not found
+    lost: Integers  # (m,) frames between the track's first and last in which the ball was not found
     remarks: tuple[str, ...] = ()  # what was noticed
     watched: bool = True  # the picture has edges that show whether the camera moved along its columns
     first: int = 0
@@ -96,7 +96,7 @@ class _Attempt:
 
     still: Still
     track: Track
-    size: Array
+    size: Floats
 
     @property
     def unsteady(self) -> float:
@@ -142,7 +142,7 @@ def _attempt(film: Film, still: Still, corrections: Corrections, progress: Progr
     return _Attempt(still, track, table[track.index])
 
 
-def jitter_on(clock: Array, height: Array) -> float:
+def jitter_on(clock: Floats, height: Floats) -> float:
     """Median departure of each sample from the parabola through its four neighbours."""
     near, off = [0, 1, 3, 4], []
     for times, values in zip(sliding_window_view(clock, 5), sliding_window_view(height, 5), strict=True):
@@ -153,7 +153,7 @@ def jitter_on(clock: Array, height: Array) -> float:
 class _Spot(NamedTuple):
     """A connected area of the searched picture."""
 
-    mask: Flags  # of the whole picture
+    mask: Bools  # of the whole picture
     left: int
     top: int
     wide: int
@@ -211,7 +211,7 @@ def _spots(coarse: Picture, limit: float, cv2: Any) -> list[_Spot]:
     return joined
 
 
-def _parts(mask: Flags, brush: Any, cv2: Any) -> list[_Spot]:
+def _parts(mask: Bools, brush: Any, cv2: Any) -> list[_Spot]:
     """Connected parts of a mask, small gaps closed, the largest first."""
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, brush)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.arrays import Array
 from analysis.drop.film.flights import Flight, jitter
 from analysis.drop.laws.flight_law import FlightLaw
 from analysis.statistics import mad_sigma
+from kernels.arrays import Floats
 
 SHAPES: dict[str, tuple[str, ...]] = {
     "parabola": ("g", "c", "d"),
@@ -38,12 +38,12 @@ _ROUNDING = 1e-12  # of a normal matrix
 class Block:
     """Normal equations of one flight: shape parameters, apex time and apex height."""
 
-    normal: Array  # (p + 2, p + 2)
-    rhs: Array  # (p + 2,)
+    normal: Floats  # (p + 2, p + 2)
+    rhs: Floats  # (p + 2,)
     squares: float
     count: int
 
-    def schur(self, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
+    def schur(self, damping: float = 0.0) -> tuple[Floats, Floats, Floats, Floats]:
         """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
         p = len(self.rhs) - 2
         normal = self.normal + damping * np.diag(np.diag(self.normal))
@@ -57,18 +57,18 @@ class Shape:
     """A joint fit."""
 
     name: str  # of `SHAPES`
-    values: Array  # (p,) ``g`` (unit/frame^2), ``f``, ``k`` (1/unit), as the shape has them
+    values: Floats  # (p,) ``g`` (unit/frame^2), ``f``, ``k`` (1/unit), as the shape has them
     # apex_frame, apex_height: (flights,)
-    apex_frame: Array
-    apex_height: Array
-    covariance: Array  # (p, p) of ``values``, scaled by the residuals
+    apex_frame: Floats
+    apex_height: Floats
+    covariance: Floats  # (p, p) of ``values``, scaled by the residuals
     blocks: list[Block]
     noise: float  # by which the blocks' residuals were divided
     sigma: float  # rms residual, unit
-    prior: Array  # (p,) precision of the prior on each value, in the blocks' unit of chi-square
+    prior: Floats  # (p,) precision of the prior on each value, in the blocks' unit of chi-square
     reach: float  # height at which the picture's distortion is none, from the middle
 
-    def seen_at(self, flight: int, frame: Array) -> Array:
+    def seen_at(self, flight: int, frame: Floats) -> Floats:
         """Height at which the ball of one of the flights is seen at ``frame`` (n,)."""
         height = self.apex_height[flight] - self.law.drop_m(frame - self.apex_frame[flight])
         c, d = self.values[-2:]
@@ -81,7 +81,7 @@ class Shape:
         return law_of(self.name, self.values)
 
 
-def law_of(name: str, values: Array) -> FlightLaw:
+def law_of(name: str, values: Floats) -> FlightLaw:
     """Flight law of shape ``name`` at ``values`` (p,), or at each of (draws, p)."""
     named = dict(zip(SHAPES[name], np.moveaxis(values, -1, 0), strict=True))
     drag = np.maximum(named["k"], 1e-8) if "k" in named else 0.0  # 0 to a parabola's last digit, but still a drag
@@ -99,7 +99,7 @@ def fit_shape(
     flights: Sequence[Flight],
     acceleration: float,
     noise: float,
-    near: Array | None = None,
+    near: Floats | None = None,
     unit: float = 1.0,
 ) -> Shape:
     """Fit one shape to all flights: Levenberg-Marquardt, each flight's apex eliminated (Schur complement).
@@ -123,7 +123,7 @@ def fit_shape(
     apex = np.array([_first_apex(f, acceleration) for f in flights])
     ends = np.array([[2 * f.frame[0] - f.frame[-1] - 2.0, 2 * f.frame[-1] - f.frame[0] + 2.0] for f in flights])
 
-    def blocks_at(values: Array, apex: Array) -> tuple[list[Block], float]:
+    def blocks_at(values: Floats, apex: Floats) -> tuple[list[Block], float]:
         blocks = [_block(name, values, a[0], a[1], f, noise) for a, f in zip(apex.tolist(), flights, strict=True)]
         return blocks, sum(b.squares for b in blocks) + float(prior @ values**2)
 
@@ -166,7 +166,7 @@ def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
     return float(flight.frame.mean() + at), float(c[0] + c[1] * at / 2.0)
 
 
-def _block(name: str, values: Array, at: float, top: float, flight: Flight, noise: float) -> Block:
+def _block(name: str, values: Floats, at: float, top: float, flight: Flight, noise: float) -> Block:
     """Normal equations of one flight with its apex at ``(at, top)``; far samples count less (Huber)."""
     since = flight.frame - at
     law = law_of(name, values)
@@ -196,7 +196,7 @@ def _block(name: str, values: Array, at: float, top: float, flight: Flight, nois
     return Block(weighted.T @ jacobian, weighted.T @ residual, float(squares), len(since))
 
 
-def _limits(name: str, reach: float) -> tuple[Array, Array]:
+def _limits(name: str, reach: float) -> tuple[Floats, Floats]:
     """Bounds of the parameters."""
     low, high = np.array([_LIMITS[key] for key in SHAPES[name]]).T
     if "k" in SHAPES[name] and reach > 0.0:
@@ -205,8 +205,8 @@ def _limits(name: str, reach: float) -> tuple[Array, Array]:
 
 
 def _step(
-    values: Array, apex: Array, blocks: list[Block], prior: Array, damping: float, limits: tuple[Array, Array]
-) -> tuple[Array, Array]:
+    values: Floats, apex: Floats, blocks: list[Block], prior: Floats, damping: float, limits: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
     """Values and apexes after one damped step."""
     parts = [b.schur(damping) for b in blocks]
     normal = sum(x[0] for x in parts) + np.diag(prior)
@@ -216,7 +216,7 @@ def _step(
     return moved, apex + np.array([x[2] @ b.rhs[p:] - x[3].T @ change for x, b in zip(parts, blocks, strict=True)])
 
 
-def _solved(normal: Array, right: Array, rcond: float) -> Array:
+def _solved(normal: Floats, right: Floats, rcond: float) -> Floats:
     """Solution of normal equations whose unknowns have different units."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     solution = np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=rcond)[0]
@@ -257,7 +257,7 @@ def _at_apex(shape: Shape, flight: Flight, noise: float) -> Block:
     return block
 
 
-def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 1.0) -> tuple[Array, Array, Array]:
+def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 1.0) -> tuple[Floats, Floats, Floats]:
     """Draws of (values, apex frames, apex heights), shapes (count, p), (count, flights), (count, flights).
 
     The shape's draws have the wider of the fit's covariance and a bootstrap over flights; ``worth`` is how many

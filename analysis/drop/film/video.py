@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.arrays import Array
 from analysis.drop.corrections import Corrections
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 Image = NDArray[np.uint8]
 
@@ -37,7 +37,7 @@ class Film:
     # (left, top, right, bottom) of the part of the picture that is used, pixels
     region: tuple[int, int, int, int] | None = None
     # (n, 2) by which each used frame is off the first, across and down, px; frames are moved back by it
-    shifts: Array | None = None
+    shifts: Floats | None = None
     watched: bool = True  # edges in the picture show whether the camera moved along its columns
 
     def frames(self) -> Iterator[Image]:

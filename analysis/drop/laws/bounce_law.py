@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.arrays import Array
 from analysis.drop.laws.flight_law import FlightLaw
+from kernels.arrays import Floats
 
 BOUNDS: dict[str, tuple[float, float]] = {
     "e0": (0.01, 1.5),
@@ -34,33 +34,33 @@ class BounceModel:
         """Whether ``other`` is this model with parameters left out."""
         return set(other.parameters) < set(self.parameters)
 
-    def law(self, theta: Array, g_mps2: float) -> FlightLaw:
+    def law(self, theta: Floats, g_mps2: float) -> FlightLaw:
         """Flight law at parameters ``theta`` (p,), or at each of (draws, p)."""
         value = self._named(theta)
         drag = np.maximum(value["k_per_m"], 1e-8) if "k_per_m" in value else 0.0  # a parabola to its last digit
         return FlightLaw(g_mps2, value.get("mu", 0.0), drag)
 
-    def _named(self, theta: Array) -> dict[str, Array]:
+    def _named(self, theta: Floats) -> dict[str, Floats]:
         return dict(zip(self.parameters, np.moveaxis(np.asarray(theta), -1, 0), strict=True))
 
-    def rebound_mps(self, theta: Array, impact_mps: Array) -> Array:
+    def rebound_mps(self, theta: Floats, impact_mps: Floats) -> Floats:
         """Speed after an impact at ``impact_mps``."""
         value = self._named(theta)
         e = value["e0"] - value.get("e1_s_per_m", 0.0) * np.asarray(impact_mps)
         return np.maximum(e, 0.01) * impact_mps
 
-    def next_flight_s(self, theta: Array, flight_s: Array, g_mps2: float) -> Array:
+    def next_flight_s(self, theta: Floats, flight_s: Floats, g_mps2: float) -> Floats:
         """Duration of the flight after one of ``flight_s``."""
         law = self.law(theta, g_mps2)
         impact = law.return_speed_mps(law.takeoff_speed_mps(flight_s))
         return np.asarray(law.duration_s(self.rebound_mps(theta, impact)))
 
-    def first_flight_s(self, theta: Array, height_m: Array, g_mps2: float) -> Array:
+    def first_flight_s(self, theta: Floats, height_m: Floats, g_mps2: float) -> Floats:
         """Duration of the flight after a fall from rest through ``height_m``."""
         law = self.law(theta, g_mps2)
         return np.asarray(law.duration_s(self.rebound_mps(theta, law.landing_speed_mps(height_m))))
 
-    def drop_height_m(self, theta: Array, flight_s: Array, g_mps2: float, scatter: Array) -> Array:
+    def drop_height_m(self, theta: Floats, flight_s: Floats, g_mps2: float, scatter: Floats) -> Floats:
         """Height of the drop whose first bounce lasted ``flight_s``; NaN where there is none.
 
         All arguments may be arrays over draws: parameters (draws, p), duration, and how far the restitution of that

@@ -11,9 +11,9 @@ from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from analysis.drop.arrays import Array, Counts
 from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.thresholds import CHANCE_LOSS_NATS, HINT_NATS, LEAST_GAIN_NATS, TIE_NATS
+from kernels.arrays import Floats, Integers
 
 UNEXPLAINED = "unexplained"
 
@@ -23,7 +23,7 @@ class Candidate:
     """A model, fitted to impact times or to a path, and tried on bounces that it was not fitted to."""
 
     model: BounceModel
-    scores: Array  # (units,) held-out log likelihood of each drop, flight or bounce
+    scores: Floats  # (units,) held-out log likelihood of each drop, flight or bounce
     # Root mean square error of flight durations (s or frames), in sample and held out; NaN where there are none.
     rms: float
     held_out_rms: float
@@ -61,7 +61,7 @@ class Verdict(Generic[C]):
     tie_set: tuple[str, ...]  # models that the data cannot distinguish, the best first
     doubts: tuple[str, ...] = ()  # what no model accounts for, in words
     # (drops,) irregular bounces of impact times that were left out
-    left_out: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    left_out: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def best(self) -> str:

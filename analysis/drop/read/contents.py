@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.arrays import Array
 from analysis.drop.read import readings
 from analysis.drop.read.blocks import blocks_of
 from analysis.drop.read.readings import Columns, Points
 from analysis.drop.read.tables import Grid
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
-Item = tuple[str, Array | Points]
+Item = tuple[str, Floats | Points]
 
 _CLOCK_TEXT = 3  # cells like 00:00:01.5 after which a table is taken to hold clock times
 
@@ -87,7 +87,7 @@ def read_tables(grids: list[Grid], where: str) -> Contents:
 
 def _of_times(tables: list[_Table], strong: bool) -> Contents:
     """Tables of times; where some have their intervals or numbers, bare columns count only by their heading."""
-    events: list[tuple[str, Array]] = []
+    events: list[tuple[str, Floats]] = []
     not_read: list[str] = []
     for table in tables:
         if table.times is not None:
@@ -112,6 +112,6 @@ def _of_times(tables: list[_Table], strong: bool) -> Contents:
     return Contents([events[k] for k in sorted(first_of)], not_read)
 
 
-def _is_part_of(times: Array, other: Array) -> bool:
+def _is_part_of(times: Floats, other: Floats) -> bool:
     slack = 1e-6 + 1e-6 * float(np.abs(other).max(initial=0.0))
     return bool(np.all(np.abs(times[:, None] - other[None]).min(axis=1) <= slack))

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.arrays import Array
 from analysis.drop.read.tables import Grid
 from daq.files.text_table import Cell
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 # Words of headings, in the languages that programs and people write.
 _TIME = {
@@ -47,10 +47,10 @@ _LEAST_POSITIONS = 6
 class Points:
     """Tracked positions, one or more at each instant."""
 
-    clock: Array  # (n,) frame number, or seconds
+    clock: Floats  # (n,) frame number, or seconds
     # x, y: (n,) positions in pixels, or in metres where ``metres`` is set
-    x: Array
-    y: Array
+    x: Floats
+    y: Floats
     in_seconds: bool  # whether ``clock`` is in seconds
     metres: bool  # whether positions are metres
 
@@ -60,14 +60,14 @@ class Columns:
     """A table split into headings and numbers."""
 
     names: list[str]
-    values: Array  # (rows, columns) NaN where there is no number
+    values: Floats  # (rows, columns) NaN where there is no number
 
     @property
     def words(self) -> list[set[str]]:
         """Words of each heading."""
         return [_words(name) for name in self.names]
 
-    def numbers(self, j: int) -> Array:
+    def numbers(self, j: int) -> Floats:
         """The numbers of a column."""
         return np.asarray(self.values[np.isfinite(self.values[:, j]), j], dtype=np.float64)
 
@@ -138,7 +138,7 @@ def _pairs(columns: Columns) -> list[tuple[int, int]]:
     return [(a, b) for a in range(width) for b in range(width) if a != b]
 
 
-def event_times(columns: Columns) -> Array | None:
+def event_times(columns: Columns) -> Floats | None:
     """Event times with their own differences, whichever comes first; or with nothing but their numbers."""
     v = columns.values
     for a, b in _pairs(columns):
@@ -162,14 +162,14 @@ def event_times(columns: Columns) -> Array | None:
     return None
 
 
-def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Array]], list[str]]:
+def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Floats]], list[str]]:
     """Columns of times or intervals, each a drop, or rows of times; and what was not taken for one, with the reason."""
     v = columns.values
     if v.shape[1] >= 3 and v.shape[1] > v.shape[0] and not any(columns.names):
         rows = [(k, row[np.isfinite(row)]) for k, row in enumerate(v)]
         times = [(k, row) for k, row in rows if len(row) >= 3 and _is_rising(row) and not _is_even(row)]
         return [(f"{label} row {k + 1}".strip(), row) for k, row in times], []
-    found: list[tuple[str, Array]] = []
+    found: list[tuple[str, Floats]] = []
     not_taken: list[str] = []
     for j, heading in enumerate(columns.names):
         column, words = columns.numbers(j), columns.words[j]
@@ -231,7 +231,7 @@ def wide_tracks(grid: Grid) -> Points | None:
     return Points(clock, x, y, in_seconds=False, metres=False)
 
 
-def paths_of(label: str, columns: Columns) -> list[tuple[str, Array | Points]]:
+def paths_of(label: str, columns: Columns) -> list[tuple[str, Floats | Points]]:
     """Paths of a table: one, or one for each of several heights that are numbered alike."""
     names = columns.names
     stems = [re.sub(r"[\W_]*\d+$", "", re.sub(r"[(\[].*?[)\]]", "", name).strip()) for name in names]
@@ -281,11 +281,11 @@ def _positions(columns: Columns) -> Points | None:
     return Points(time * (columns.second_s(chosen) if in_seconds else 1.0), x, y, in_seconds, unit is not None)
 
 
-def _is_rising(column: Array) -> bool:
+def _is_rising(column: Floats) -> bool:
     return bool(np.all(np.diff(column) > 0.0))
 
 
-def _is_even(column: Array) -> bool:
+def _is_even(column: Floats) -> bool:
     """Whether a column advances by even steps, as a clock does."""
     steps = np.diff(column[np.isfinite(column)])
     if len(steps) < _LEAST_POSITIONS - 1 or not np.all(steps > 0):

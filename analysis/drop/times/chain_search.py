@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop.arrays import Array, Counts
+from kernels.arrays import Floats, Integers
 
 LONGEST_FLIGHT_S = 3.0
 _SHORTEST_FLIGHT_S = 0.008
@@ -22,7 +22,7 @@ _SKIP_COST = 1.5
 _BREAK_COST = 3.0
 
 
-def best_chain(events: Array, strength: Array, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
+def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
     """Dynamic programme over pairs of events and kinds of interval, for all ratios at once.
 
     Parameters
@@ -39,9 +39,9 @@ def best_chain(events: Array, strength: Array, may_break: bool = True) -> tuple[
     """
     break_cost = _BREAK_COST if may_break else np.inf
     skipped = np.concatenate(([0.0], np.cumsum(_SKIP_COST * strength)))
-    score: dict[tuple[int, int], Array] = {}  # by the pair that ends a chain: (kinds, ratios)
-    back: dict[tuple[int, int], Counts] = {}
-    last_flight: dict[tuple[int, int], Array] = {}
+    score: dict[tuple[int, int], Floats] = {}  # by the pair that ends a chain: (kinds, ratios)
+    back: dict[tuple[int, int], Integers] = {}
+    last_flight: dict[tuple[int, int], Floats] = {}
     for j in range(1, len(events)):
         for i in _within_reach(j, skipped):
             interval = events[j] - events[i]
@@ -83,7 +83,7 @@ def best_chain(events: Array, strength: Array, may_break: bool = True) -> tuple[
     return chain[::-1], missed[::-1], [*broken, False][::-1]
 
 
-def _within_reach(j: int, skipped: Array) -> range:
+def _within_reach(j: int, skipped: Floats) -> range:
     """Events before ``j`` with so little of an impact between that they may be its predecessor."""
     low = j - 1
     while low > 0 and j - low < _MOST_LOOK_AHEAD and skipped[j] - skipped[low] <= _SKIP_COST * (_LOOK_AHEAD - 1):

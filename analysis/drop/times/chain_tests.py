@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from analysis.drop.arrays import Array, Flags
 from analysis.drop.thresholds import CHANCE_CHAINS, STRAY_CHANCE
 from analysis.statistics import mad_sigma
+from kernels.arrays import Bools, Floats
 
 _EVEN = 0.988  # of successive flights: no ball rebounds so well
 _LEAST_SCATTER = 0.01  # of the logarithm of a ratio
@@ -34,7 +34,7 @@ _LEAST_HEARD = 4  # other impacts whose loudness is known, for an end to be judg
 
 
 def why_no_drop(
-    before_s: Array, after_s: Array, loudness: Array, impacts_s: Array, others_s: Array, weight: Array
+    before_s: Floats, after_s: Floats, loudness: Floats, impacts_s: Floats, others_s: Floats, weight: Floats
 ) -> tuple[str | None, bool]:
     """Reason why a chain is none of a ball's (None where it may be one), and whether chance makes as good ones.
 
@@ -75,7 +75,7 @@ def why_no_drop(
     return None, False
 
 
-def _uneven(ratio: Array, near: int) -> str | None:
+def _uneven(ratio: Floats, near: int) -> str | None:
     """Reason why intervals with these log ratios are none of a ball's: even, not shrinking, or shrinking unsteadily."""
     if float(np.median(ratio)) > np.log(_EVEN):
         return f"it comes at even intervals (ratio {np.exp(float(np.median(ratio))):.3f}), as a metronome; no ball does"
@@ -90,7 +90,7 @@ def _uneven(ratio: Array, near: int) -> str | None:
     return None
 
 
-def _grows_louder(loudness: Array, impacts_s: Array) -> bool:
+def _grows_louder(loudness: Floats, impacts_s: Floats) -> bool:
     """Whether impacts fail to grow quieter with the flights, beyond two standard errors of the slope."""
     flights = np.diff(impacts_s)
     known = np.isfinite(loudness[:-1]) if len(loudness) == len(impacts_s) else np.zeros(0, dtype=bool)
@@ -106,7 +106,7 @@ def _grows_louder(loudness: Array, impacts_s: Array) -> bool:
     return slope + 2.0 * error < _LEAST_SLOPE
 
 
-def ends_that_stray(impacts_s: Array, single: Flags) -> tuple[bool, bool]:
+def ends_that_stray(impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
     """Whether the first and the last of ``impacts_s`` (n,) belong to something else: a click, a knock.
 
     An end is given up when every simple law of the ratio of successive flights (the same for all, changing with the
@@ -127,7 +127,7 @@ def ends_that_stray(impacts_s: Array, single: Flags) -> tuple[bool, bool]:
     return bool(first), bool(last)
 
 
-def _strays(before: Array, ratio: Array, row: int) -> bool:
+def _strays(before: Floats, ratio: Floats, row: int) -> bool:
     """Whether one row is not what all others predict, by weighted least squares and Student's distribution."""
     others = np.arange(len(ratio)) != row
     scale = before / before.max()
@@ -148,7 +148,7 @@ def _strays(before: Array, ratio: Array, row: int) -> bool:
     return all(excluded for left, excluded in laws if left <= max(most, _LEAST_OFF))
 
 
-def ends_unlike_in_loudness(loudness: Array, impacts_s: Array, single: Flags) -> tuple[bool, bool]:
+def ends_unlike_in_loudness(loudness: Floats, impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
     """Whether the first of a chain is far too quiet, and the last far too loud, for the speeds that the flights say.
 
     Parameters
@@ -164,7 +164,7 @@ def ends_unlike_in_loudness(loudness: Array, impacts_s: Array, single: Flags) ->
     return _far_above(-after[0], -after[1:]), _far_above(before[-1], before[:-1])
 
 
-def _far_above(one: float, others: Array) -> bool:
+def _far_above(one: float, others: Floats) -> bool:
     known = others[np.isfinite(others)]
     if not np.isfinite(one) or len(known) < _LEAST_HEARD:
         return False

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.arrays import Array, Counts, Flags
 from analysis.drop.times.chain_search import LONGEST_FLIGHT_S, best_chain
 from analysis.drop.times.chain_tests import ends_that_stray, ends_unlike_in_loudness, why_no_drop
 from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats, Integers
 
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
 _TRIES = 2  # chains that are none of a ball's and are set aside to look at what is left
@@ -37,25 +37,25 @@ _ECHO_S = 2e-3  # by which the delay of an echo varies
 class Bounces:
     """The impacts of one drop."""
 
-    impacts_s: Array  # (n,) impact times, increasing
-    missed: Counts  # (n - 1,) impacts missing inside each interval (0: the interval is one flight)
-    broken: Flags  # (n,) the bounce at this impact does not follow the pattern and is not used for a model
-    false_s: Array  # (m,) events between the impacts that are none
+    impacts_s: Floats  # (n,) impact times, increasing
+    missed: Integers  # (n - 1,) impacts missing inside each interval (0: the interval is one flight)
+    broken: Bools  # (n,) the bounce at this impact does not follow the pattern and is not used for a model
+    false_s: Floats  # (m,) events between the impacts that are none
     uncertainty_s: float = 0.0  # standard deviation of an impact time as the detector states it; the fit finds its own
 
     @property
-    def intervals_s(self) -> Array:
+    def intervals_s(self) -> Floats:
         """Times between successive impacts, shape (n - 1,)."""
         return np.diff(self.impacts_s)
 
     @property
-    def gaps_s(self) -> Array:
+    def gaps_s(self) -> Floats:
         """Middle of each interval in which impacts are missing."""
         gaps = np.flatnonzero(self.missed)
         return np.asarray(0.5 * (self.impacts_s[gaps] + self.impacts_s[gaps + 1]))
 
     @property
-    def usable(self) -> Counts:
+    def usable(self) -> Integers:
         """Indices ``n`` of impacts with a whole flight before and after: rows of the one-bounce-ahead prediction."""
         single = self.missed == 0
         return np.flatnonzero(single[:-1] & single[1:] & ~self.broken[1:-1]) + 1
@@ -65,14 +65,14 @@ class Bounces:
 class _Events:
     """Event times, increasing, with strength and loudness."""
 
-    times_s: Array
-    strength: Array
-    loudness: Array
+    times_s: Floats
+    strength: Floats
+    loudness: Floats
 
-    def part(self, chosen: Flags | slice) -> _Events:
+    def part(self, chosen: Bools | slice) -> _Events:
         return _Events(self.times_s[chosen], self.strength[chosen], self.loudness[chosen])
 
-    def without(self, times_s: Array) -> _Events:
+    def without(self, times_s: Floats) -> _Events:
         return self.part(~np.isin(self.times_s, times_s))
 
 
@@ -81,16 +81,16 @@ class _Refused:
     """A chain that is no drop: why, its events, and whether chance makes as good ones."""
 
     why: str
-    impacts_s: Array
+    impacts_s: Floats
     by_chance: bool
 
 
 def drops_of(
-    events_s: Array,
+    events_s: Floats,
     where: str,
     uncertainty_s: float = 0.0,
-    strength: Array | None = None,
-    loudness: Array | None = None,
+    strength: Floats | None = None,
+    loudness: Floats | None = None,
 ) -> list[Bounces]:
     """All drops among ``events_s``, in order of time: a ball may be dropped several times in one recording.
 
@@ -145,7 +145,7 @@ def drops_of(
     )
 
 
-def _windows(times: Array) -> list[slice]:
+def _windows(times: Floats) -> list[slice]:
     """Groups of events that no flight joins, cut into overlapping pieces where they are many."""
     edges = np.flatnonzero(np.diff(times) > 2.0 * LONGEST_FLIGHT_S) + 1
     out = []
@@ -230,7 +230,7 @@ def _without_strays(
     )
 
 
-def _other_first(events: Array, chain: list[int], single: Flags) -> int | None:
+def _other_first(events: Floats, chain: list[int], single: Bools) -> int | None:
     """An event near a first impact that strays, and in whose place it does not: an impact rings, or clips."""
     near = np.flatnonzero((np.abs(events - events[chain[0]]) < _RING_S) & (events < events[chain[1]]))
     for other in near:
@@ -240,7 +240,7 @@ def _other_first(events: Array, chain: list[int], single: Flags) -> int | None:
     return None
 
 
-def _a_loop(drops: list[Bounces], events: Array) -> bool:
+def _a_loop(drops: list[Bounces], events: Floats) -> bool:
     """Whether drops are parts of one pattern at even intervals: no two drops of a ball are so alike."""
     impacts = np.concatenate([drop.impacts_s for drop in drops])
     first, length = float(impacts[0]), float(drops[0].impacts_s[-1] - drops[0].impacts_s[0])
@@ -277,7 +277,7 @@ def _two_at_once(drops: list[Bounces], events: _Events) -> bool:
     return bool(together > 0.5 * min(np.ptp(one), np.ptp(other)) and float(np.ptp(shifts)) >= _ECHO_S)
 
 
-def _is_steady(flights: Array) -> bool:
+def _is_steady(flights: Floats) -> bool:
     """Whether flights shrink by one factor, or one that changes evenly, far more closely than chance makes them."""
     ratio = np.log(flights[1:] / flights[:-1])
     basis = np.vander(flights[:-1], 2) if len(ratio) >= _LEAST_OF_FURTHER else np.ones((len(ratio), 1))

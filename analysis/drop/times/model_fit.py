@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
-from analysis.drop.arrays import Array, Counts
 from analysis.drop.laws.bounce_law import BOUNDS, SPEED_DRAG, START, BounceModel
 from analysis.drop.times.one_ahead import Drop, Rows, Widths, noise_of, predict_s, rows_of
 from analysis.statistics import mad_sigma
+from kernels.arrays import Floats, Integers
 
 _OUTLIER_SIGMA = 4.5
 _GROSS = 0.06  # of a flight's duration, within which no bounce is left out before anything is fitted
@@ -35,21 +35,21 @@ class Fit:
 
     model: BounceModel
     # theta, covariance: (p,), (p, p) parameters in the model's order
-    theta: Array
-    covariance: Array
+    theta: Floats
+    covariance: Floats
     widths: Widths  # estimated standard deviations
-    residuals_s: Array  # (drops, longest) measured less predicted duration; NaN where there is no data
-    white: Array  # (rows,) the same, whitened
-    draws: Array  # (m, p) bootstrap over drops, or over flights where there are few drops
+    residuals_s: Floats  # (drops, longest) measured less predicted duration; NaN where there is no data
+    white: Floats  # (rows,) the same, whitened
+    draws: Floats  # (m, p) bootstrap over drops, or over flights where there are few drops
     freedom: int  # rows less parameters
 
-    def half_width(self, level: float = 0.95) -> Array:
+    def half_width(self, level: float = 0.95) -> Floats:
         """Half the interval of each parameter: the wider of the fit's and the bootstrap's."""
         t = float(stats.t.ppf(0.5 + level / 2, max(self.freedom, 1)))
         return np.asarray(t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0)))
 
 
-def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Counts]:
+def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Integers]:
     """The rows to fit, and how many bounces of each drop were left out.
 
     A bounce is left out where not even the richest candidate comes near it, judged by the spread of all the others.
@@ -70,7 +70,7 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Counts]:
     return used, rows.valid.sum(axis=1) - used.valid.sum(axis=1)
 
 
-def _start(model: BounceModel, rows: Rows) -> Array:
+def _start(model: BounceModel, rows: Rows) -> Floats:
     ratios = (rows.after_s / rows.before_s)[rows.flights]
     theta = np.array([START[name] for name in model.parameters])
     if len(ratios):
@@ -97,7 +97,7 @@ def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator)
     return Fit(model, theta, covariance, widths, residuals, last.white, draws, rows.count - len(theta))
 
 
-def wider(covariance: Array, other: Array) -> Array:
+def wider(covariance: Floats, other: Floats) -> Floats:
     """The first covariance, each standard deviation stretched to the other's where that is larger."""
     own, rival = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(other))
     stretch = np.maximum(rival / np.maximum(own, 1e-300), 1.0)
@@ -108,15 +108,15 @@ def wider(covariance: Array, other: Array) -> Array:
 class Step:
     """One Gauss-Newton step: where it leads, and what was measured where it started."""
 
-    theta: Array
-    covariance: Array
+    theta: Floats
+    covariance: Floats
     chi_square: float
-    jacobian: Array  # whitened, (rows, p)
-    white: Array  # whitened residuals, (rows,)
-    owner: Counts  # drop of each row
+    jacobian: Floats  # whitened, (rows, p)
+    white: Floats  # whitened residuals, (rows,)
+    owner: Integers  # drop of each row
 
 
-def step(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: float, damping: float = 0.0) -> Step:
+def step(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mps2: float, damping: float = 0.0) -> Step:
     """One (damped) generalised least-squares step from ``theta``."""
     residual_s = rows.after_s - predict_s(model, theta, rows, g_mps2)
     stack = np.concatenate([sensitivities(model, theta, rows, g_mps2), residual_s[..., None]], axis=-1)
@@ -132,19 +132,19 @@ def step(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: f
     return Step(reached, _inverse(normal), float(residual @ residual), jacobian, residual, owner)
 
 
-def _inverse(normal: Array) -> Array:
+def _inverse(normal: Floats) -> Floats:
     """Inverse of normal equations; a direction that the data do not fix is left where it is."""
     return np.asarray(np.linalg.pinv(normal, rcond=1e-10, hermitian=True), dtype=np.float64)
 
 
-def sensitivities(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Array:
+def sensitivities(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float) -> Floats:
     """Derivatives of the predicted durations by the parameters, shape (drops, longest, p)."""
     base = predict_s(model, theta, rows, g_mps2)
     moved = theta + _NUDGE * np.eye(len(theta))
     return np.stack([(predict_s(model, one, rows, g_mps2) - base) / _NUDGE for one in moved], axis=-1)
 
 
-def converge(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps2: float) -> Array:
+def converge(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mps2: float) -> Floats:
     """Levenberg-Marquardt to the minimum at fixed widths.
 
     The covariance moves with the parameters, but its change is no part of the slopes: a general solver would trade fit
@@ -165,7 +165,7 @@ def converge(model: BounceModel, theta: Array, rows: Rows, widths: Widths, g_mps
     return theta
 
 
-def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: Widths) -> Widths:
+def _widths(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float, start: Widths) -> Widths:
     """Most likely widths at ``theta``, with one degree of freedom given up per parameter.
 
     A weak prior prevents each from vanishing: in a short drop the likelihood by itself puts all on one of them, and a
@@ -175,7 +175,7 @@ def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: 
     residual = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), 0.0)[..., None]
     inflate = rows.count / max(rows.count - len(theta), 1)
 
-    def minus_log(logs: Array) -> float:
+    def minus_log(logs: Floats) -> float:
         lower = noise.lower(Widths(*np.exp(logs)))
         white = np.linalg.solve(lower, residual)
         diagonal = np.diagonal(lower, axis1=1, axis2=2)
@@ -192,7 +192,7 @@ def _widths(model: BounceModel, theta: Array, rows: Rows, g_mps2: float, start: 
     return Widths(*(float(x) for x in np.exp(found.x)))
 
 
-def _bootstrap(theta: Array, last: Step, rng: np.random.Generator) -> Array:
+def _bootstrap(theta: Floats, last: Step, rng: np.random.Generator) -> Floats:
     """Draws of the parameters: resample drops (or flights, where there are few drops)."""
     groups = last.owner if len(np.unique(last.owner)) >= _FEW_DROPS else np.arange(len(last.white))
     names, group = np.unique(groups, return_inverse=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop import lack_of_fit
-from analysis.drop.arrays import Array, Flags
 from analysis.drop.laws.bounce_law import BOUNDS, CONSTANT, FRICTION, MODELS
 from analysis.drop.laws.choice import Candidate, Verdict, choose, stable_choice
 from analysis.drop.times.model_fit import Fit, converge, fit, sensitivities, step, usable_rows, wider
 from analysis.drop.times.one_ahead import Drop, Rows, noise_of, predict_s
+from kernels.arrays import Bools, Floats
 
 ANY_DRAG = (0.0, np.inf)
 _ENOUGH_DROPS = 4  # from which whole drops are held out, not bounces
@@ -143,7 +143,7 @@ def _same_times(constant: Judged) -> Judged:
     return replace(constant, model=FRICTION, fit=same, identifiable=False, drag_limits=ANY_DRAG)
 
 
-def _folds(rows: Rows) -> list[Flags]:
+def _folds(rows: Rows) -> list[Bools]:
     """Rows that each fold holds out: whole drops where there are enough, else every so many-th bounce."""
     with_data = np.flatnonzero(rows.valid.any(axis=1))
     fold_of = np.full(rows.valid.shape, -1)
@@ -154,7 +154,7 @@ def _folds(rows: Rows) -> list[Flags]:
     return [rows.valid & (fold_of == k) for k in range(int(fold_of.max()) + 1)]
 
 
-def _held_out(whole: Fit, rows: Rows, g_mps2: float) -> tuple[Array, float]:
+def _held_out(whole: Fit, rows: Rows, g_mps2: float) -> tuple[Floats, float]:
     """Held-out log likelihood of each unit, and rms error of the flights, s (NaN where nothing is held out)."""
     by_drop = bool(rows.valid.any(axis=1).sum() >= _ENOUGH_DROPS)
     model, widths = whole.model, whole.widths

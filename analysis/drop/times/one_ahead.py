@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.drop.arrays import Array, Counts, Flags
 from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.times.impact_chain import Bounces
+from kernels.arrays import Bools, Floats, Integers
 
 _PAD_S = 0.1  # a flight that was never made, in the rows that pad a drop
 _PAD_M = 0.1  # its height
@@ -36,7 +36,7 @@ class Drop:
     not_read: tuple[str, ...] = ()  # what of the file was not read, with the reason (with the file's first drop)
     remarks: tuple[str, ...] = ()  # what was noticed (with the file's first drop)
     # (n,) all events of the file or table, impacts or not (with its first drop)
-    events_s: Array = field(default_factory=lambda: np.empty(0))
+    events_s: Floats = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,14 @@ class Rows:
     """One-bounce-ahead predictions, by drop: shape (drops, longest)."""
 
     # before_s, after_s: flight before the bounce, and after it
-    before_s: Array
-    after_s: Array
-    edges: Counts  # (drops, longest, 3) impacts that start the flight before, part the two, and end the flight after
-    valid: Flags  # which are data (the others pad, or are held out)
-    from_height: Flags  # the row starts from the stated height, not from a flight
+    before_s: Floats
+    after_s: Floats
+    edges: Integers  # (drops, longest, 3) impacts that start the flight before, part the two, and end the flight after
+    valid: Bools  # which are data (the others pad, or are held out)
+    from_height: Bools  # the row starts from the stated height, not from a flight
     # height_m, height_sigma_m: (drops,) the stated heights (NaN where not used)
-    height_m: Array
-    height_sigma_m: Array
+    height_m: Floats
+    height_sigma_m: Floats
 
     @property
     def count(self) -> int:
@@ -59,11 +59,11 @@ class Rows:
         return int(self.valid.sum())
 
     @property
-    def flights(self) -> Flags:
+    def flights(self) -> Bools:
         """Rows that are data and start from a flight."""
         return self.valid & ~self.from_height
 
-    def keep(self, mask: Flags) -> Rows:
+    def keep(self, mask: Bools) -> Rows:
         """Only these of the rows."""
         return replace(self, valid=self.valid & mask)
 
@@ -86,7 +86,7 @@ def rows_of(drops: Sequence[Drop]) -> Rows:
     return Rows(before, after, edges, valid, from_height, heights[:, 0], heights[:, 1])
 
 
-def predict_s(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Array:
+def predict_s(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float) -> Floats:
     """Predicted duration of each flight after, shape (drops, longest)."""
     out = model.next_flight_s(theta, rows.before_s, g_mps2)
     if rows.from_height.any():
@@ -113,12 +113,12 @@ class Noise:
     of the rebound speed (as a change of the flight's duration, whatever the speed), of a stated height.
     """
 
-    jitter: Array  # (drops, longest, longest)
-    scatter: Array  # (drops, longest), variance
-    fixed: Array
-    valid: Flags
+    jitter: Floats  # (drops, longest, longest)
+    scatter: Floats  # (drops, longest), variance
+    fixed: Floats
+    valid: Bools
 
-    def lower(self, widths: Widths) -> Array:
+    def lower(self, widths: Widths) -> Floats:
         """Batched Cholesky factor; rows that are not data have variance 1 and no correlation."""
         both = self.valid[:, :, None] & self.valid[:, None, :]
         own = widths.scatter**2 * self.scatter + widths.rebound_s**2 + self.fixed
@@ -127,7 +127,7 @@ class Noise:
         return np.asarray(np.linalg.cholesky(total), dtype=np.float64)
 
 
-def noise_of(model: BounceModel, theta: Array, rows: Rows, g_mps2: float) -> Noise:
+def noise_of(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float) -> Noise:
     """Parts of the covariance at ``theta``."""
     up = model.next_flight_s(theta, rows.before_s * (1 + _RELATIVE_STEP), g_mps2)
     down = model.next_flight_s(theta, rows.before_s * (1 - _RELATIVE_STEP), g_mps2)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import linalg, signal
 
-from analysis.drop.arrays import Array
 from analysis.drop.corrections import Progress
 from analysis.statistics import mad_sigma
 from daq.files.wav import open_wav
 from daq.recording import Recording, open_recording
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 _SHORTEST_S = 0.05  # of a sound that may hold a drop
 _LONGEST_PIECE_S = 30.0  # of a sound that is read at once
@@ -50,12 +50,12 @@ _BLOCK = 1 << 20  # samples of a contact channel read at once
 class Onsets(NamedTuple):
     """Onsets in a sound."""
 
-    times_s: Array  # (n,)
-    strength: Array  # (n,) loudness among the neighbours, 0 to 1
-    loudness: Array  # (n,) natural logarithm of the peak; NaN where it is clipped
+    times_s: Floats  # (n,)
+    strength: Floats  # (n,) loudness among the neighbours, 0 to 1
+    loudness: Floats  # (n,) natural logarithm of the peak; NaN where it is clipped
 
 
-def unheard(times_s: Array) -> Onsets:
+def unheard(times_s: Floats) -> Onsets:
     """Events of full strength, of whose loudness nothing is known."""
     return Onsets(times_s, np.ones(len(times_s)), np.full(len(times_s), np.nan))
 
@@ -94,7 +94,7 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets
     return Onsets(*(np.concatenate(parts) for parts in zip(*found, strict=True))), rate
 
 
-def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
+def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
     """Onsets in a sound that fits in memory.
 
     Parameters
@@ -138,13 +138,13 @@ def sound_onsets(samples: Array, rate_hz: float, where: str) -> Onsets:
     return Onsets(times[own], strength[own], loudness)
 
 
-def _peaks(loud: Array, onsets: Array, rate_hz: float) -> Array:
+def _peaks(loud: Floats, onsets: Floats, rate_hz: float) -> Floats:
     """Largest value of ``loud`` just after each onset."""
     reach = int(_LOUDNESS_S * rate_hz)
     return np.array([loud[int(n) : int(n) + reach].max(initial=0.0) for n in onsets])
 
 
-def _without_background(x: Array, rate_hz: float) -> Array:
+def _without_background(x: Floats, rate_hz: float) -> Floats:
     """The sound less its linear prediction from the background: hum, fans and voices mostly go, onsets stay.
 
     The prediction comes from the median spectrum, which taps do not reach; it looks back only, so nothing is heard
@@ -158,7 +158,7 @@ def _without_background(x: Array, rate_hz: float) -> Array:
     return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), [1.0], x), dtype=np.float64)
 
 
-def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
+def _strength(x: Floats, onsets: Floats, rate_hz: float) -> Floats:
     """Loudness (log peak) of each onset between the recording's floor (0) and the loudest within reach (1).
 
     An onset that is hardly louder than what is just before it counts for less.
@@ -175,7 +175,7 @@ def _strength(x: Array, onsets: Array, rate_hz: float) -> Array:
     return np.asarray(among * np.clip(risen, 0.05, 1.0))
 
 
-def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
+def _rise(x: Floats, rate_hz: float) -> tuple[Floats, int]:
     """Mean over bands of the rise of log energy from just before to just after each hop; and the hop in samples."""
     hop, window = max(int(_HOP_S * rate_hz), 1), max(int(_WINDOW_S * rate_hz), 16)
     padded = np.pad(x, ((window // 2, window), (0, 0)))
@@ -196,7 +196,7 @@ def _rise(x: Array, rate_hz: float) -> tuple[Array, int]:
     return np.asarray(rise @ (share / share.sum())), hop
 
 
-def _refine(x: Array, near: int, rate_hz: float) -> tuple[float, float]:
+def _refine(x: Floats, near: int, rate_hz: float) -> tuple[float, float]:
     """Sharpness and place (a sample) of a change of variance: depth and place of the minimum of Maeda's criterion."""
     start = max(near - int(_BEFORE_S * rate_hz), 0)
     part = x[start : near + int(2 * _AFTER_S * rate_hz)]
@@ -214,7 +214,7 @@ def _refine(x: Array, near: int, rate_hz: float) -> tuple[float, float]:
     return undivided - float(criterion[at]), float(start + at + 1)
 
 
-def contact_onsets(path: Path) -> tuple[Array, float]:
+def contact_onsets(path: Path) -> tuple[Floats, float]:
     """Times at which the contact circuit of a recording closes, s, and one sample as their uncertainty.
 
     Raises

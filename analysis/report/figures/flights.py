@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.flights.compare import Comparison, ball_on
 from analysis.flights.table import FlightFlag, Flights
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
     from analysis.loop.result import ClosedLoop
 
-Floats = npt.NDArray[np.float64]
 
 GAMMAS = 500  # points of the model's diagram
 ZONE_GAMMAS = 60  # points of the forbidden zones

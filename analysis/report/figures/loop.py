@@ -10,7 +10,6 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.loop.result import ClosedLoop
 from analysis.report.figures.residuals import draw_landings, draw_plate_residuals, draw_takeoffs, sides
@@ -18,11 +17,11 @@ from analysis.report.figures.style import AFTER, BAND, BEFORE, ERROR_BAR, FLOOR,
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
 from analysis.report.wording import plain
+from kernels.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
-Array = NDArray[np.float64]
 
 MOST_ROWS = 16  # candidates in the figure
 
@@ -51,7 +50,7 @@ def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
     ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def _by_step(loop: ClosedLoop, x: Array, summary: Any) -> Array:
+def _by_step(loop: ClosedLoop, x: Floats, summary: Any) -> Floats:
     """A summary of ``x`` (n,) over the scored flights of each step, in microseconds; NaN where there are none, (m,)."""
     flights = loop.flights
     known = flights.scored & np.isfinite(x)

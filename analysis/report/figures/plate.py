@@ -9,18 +9,17 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
 from analysis.report.figures.measured import Measured
 from analysis.report.gamma import gamma_scale
 from daq.recording import Recording
+from kernels.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 MOST_SAMPLES = 400_000  # folded into one period
 

@@ -10,18 +10,17 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.figures.style import AFTER, BEFORE, FLOOR, clipped_dots
 from analysis.report.gamma import gamma_scale
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_observables import GAIN, KINDS, PHASE
+from kernels.arrays import Bools, Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 LANDINGS = (
     "gamma", "flight_s", "height_m", "takeoff_phase_rad", "launch_mps", "plate_speed_at_takeoff_mps",
@@ -61,8 +60,8 @@ def _draw(
     figure: Figure,
     event: str,
     against: tuple[str, ...],
-    rows: NDArray[np.bool_],
-    residual_of: Callable[[Predictions], Array],
+    rows: Bools,
+    residual_of: Callable[[Predictions], Floats],
     floor_us: float,
 ) -> None:
     """Blocks of three covariates: the row of residuals before over the row after (one where nothing was added)."""
@@ -98,7 +97,7 @@ def _draw(
     axes[0, 0].set_title(f"{event}: measured minus predicted", loc="left", fontsize=10)
 
 
-def _panel(ax: Any, x: Array, residual_us: Array, flights: NDArray[np.int64], colour: str, floor_us: float) -> None:
+def _panel(ax: Any, x: Floats, residual_us: Floats, flights: Integers, colour: str, floor_us: float) -> None:
     """One covariate: residuals (triangles: beyond the axis), medians of equal shares, the noise floor."""
     known = np.isfinite(x) & np.isfinite(residual_us)
     x, y = x[known], residual_us[known]
@@ -117,7 +116,7 @@ def _panel(ax: Any, x: Array, residual_us: Array, flights: NDArray[np.int64], co
     ax.set_ylim(-limit, limit)
 
 
-def medians(x: Array, y: Array) -> tuple[Array, Array]:
+def medians(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Medians of ``x`` and ``y`` in bins of about equal count, ordered; bins of one value are one point."""
     cuts = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
     place = np.clip(np.searchsorted(cuts, x, side="right") - 1, 0, max(len(cuts) - 2, 0))
@@ -152,7 +151,7 @@ def draw_plate_residuals(loop: ClosedLoop, figure: Figure) -> None:
     axes[0].legend(frameon=False, fontsize=8)
 
 
-def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Array, str]]) -> None:
+def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Floats, str]]) -> None:
     """Every plate datum in standard deviations, one row for each kind."""
     data = loop.plate
     present = [k for k in range(len(KINDS)) if np.any(data.kind == k)]

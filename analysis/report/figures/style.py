@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.files.whole_file import whole
 from daq.recording import Recording
 from daq.setup.errors import InputError
+from kernels.arrays import Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
-Floats = npt.NDArray[np.float64]
 
 INK = "#12355b"
 MEASURED, MODEL = INK, "#e07a5f"
@@ -183,14 +182,12 @@ def plain_number(value: float) -> str:
     return f"{sign}{abs(value):g}"
 
 
-def name_flights(line: Any, rows: npt.NDArray[np.int64]) -> None:
+def name_flights(line: Any, rows: Integers) -> None:
     """Say which flight is behind each point of a drawn line: ``rows`` (n,) of the table of flights."""
     setattr(line, FLIGHT_ROWS, np.asarray(rows, np.int64))
 
 
-def clipped_dots(
-    ax: Any, x: Floats, y: Floats, limit: float, flights: npt.NDArray[np.int64] | None = None, **style: Any
-) -> int:
+def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, flights: Integers | None = None, **style: Any) -> int:
     """Dots within ``+-limit``; points beyond are triangles at the edge that point outwards.
 
     ``flights`` (n,) are the rows of the flights behind the points, where there are any.

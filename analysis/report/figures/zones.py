@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.report.figures.style import ZONE
+from kernels.arrays import Floats
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.tones import Forcing
-
-Floats = NDArray[np.float64]
 
 HALVINGS = 5  # of a step of gamma, for a zone's ends
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.setup.errors import InputError
+from kernels.arrays import Integers
 
 ROLES = ("time", "continuity", "accelerometer", "drive", "frequency", "level")
 SET_ROLES = ("frequency", "level")
@@ -52,7 +53,7 @@ class Piece:
     """Some rows: one array a column, and how to name a row of them to a person."""
 
     columns: Mapping[str, NDArray[Any]]
-    rows: Sequence[int] | NDArray[np.int64]
+    rows: Sequence[int] | Integers
     row_word: str = "row"
 
     def place(self, index: int) -> str:

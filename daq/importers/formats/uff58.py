@@ -11,17 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.importers.formats.arrays import MOST_OBJECTS, HeldSource
 from daq.importers.formats.columns import listed, with_unit
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 MOST_BYTES = 512 << 20  # of a file; in memory it is several times as large
 HALF_DIGIT = 5.5e-6  # relative rounding of a number of six digits
 _EXACT = re.compile(r"rate_hz=(\S+) first_sample=(\d+) time_ns=(-?\d+)")
-
-Floats = NDArray[np.float64]
 
 
 class UffSource(HeldSource):

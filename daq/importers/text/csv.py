@@ -15,17 +15,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.importers.background import ahead
 from daq.importers.formats.columns import Piece, listed, split_name
 from daq.importers.text.csv_kernel import parse_rows
 from daq.importers.text.text_file import LONGEST_LINE, LongLineError, TextFile
 from daq.setup.errors import InputError
+from kernels.arrays import Floats, Integers
 
-Floats = NDArray[np.float64]
-
-# comma before semicolon: a decimal comma is believed only where nothing reads with a point
 _DIALECTS = ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, "."))
 _SNIFFED_LINES = 200
 _LISTED = 64
@@ -124,7 +121,7 @@ class CsvSource:
         if over:
             raise InputError(f"{self.path}: wanted as many rows of each --channel, but these have more: {over}.")
 
-    def _joined(self, heads: Mapping[str, tuple[Floats, NDArray[np.int64]]], shared: Sequence[str]) -> Piece:
+    def _joined(self, heads: Mapping[str, tuple[Floats, Integers]], shared: Sequence[str]) -> Piece:
         """One piece of the equally many rows of each selected value: shared columns and readings."""
         table, rows = next(iter(heads.values()))
         columns = dict(zip(shared, table, strict=False))
@@ -232,7 +229,7 @@ class CsvSource:
 
     def _parsed(
         self, block: bytes | memoryview, names: Sequence[str], numbers: Sequence[int]
-    ) -> tuple[Floats, NDArray[np.int64]]:
+    ) -> tuple[Floats, Integers]:
         """Columns (k, n) in the order of ``names``, and the number of each row's line, of the block's ``numbers``."""
         place = np.full(self._width, -1, np.int64)
         place[[self._base.index(n) for n in names]] = np.arange(len(names))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels import njit
+from kernels.arrays import Floats, Integers
 
 _FIRST_POWER, _LAST_POWER = -64, 64  # of ten, by table; what lies beyond is left to Python
 _EXACT = np.uint64(1 << 53)
@@ -58,14 +59,14 @@ class Rows(NamedTuple):
         Line, from 0, of another width; -1 where there is none.
     """
 
-    table: NDArray[np.float64]
-    lines: NDArray[np.int64]
-    left: NDArray[np.int64]
+    table: Floats
+    lines: Integers
+    left: Integers
     wrong: int
 
 
 def parse_rows(
-    block: NDArray[np.uint8], delimiter: str | None, decimal: str, role_of: NDArray[np.int64], shape: tuple[int, int]
+    block: NDArray[np.uint8], delimiter: str | None, decimal: str, role_of: Integers, shape: tuple[int, int]
 ) -> Rows:
     """Numbers of a block of whole lines.
 

@@ -8,7 +8,6 @@ from typing import cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.chance import ChanceGains
@@ -17,6 +16,7 @@ from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener
+from kernels.arrays import Floats
 
 STEPS = 16
 RATE = ("viscous_damping", "rate_per_s")
@@ -40,9 +40,7 @@ def fit_of(fly_ramp: Callable[..., ForwardModel]) -> Callable[..., Fitted]:
 def explanation(fit_of: Callable[..., Fitted]) -> Callable[..., Hypothesis]:
     """A candidate with given losses by step; ``sized``: its damping differs from none."""
 
-    def made(
-        name: str, events: NDArray[np.float64], plate: NDArray[np.float64] | None = None, **how: float
-    ) -> Hypothesis:
+    def made(name: str, events: Floats, plate: Floats | None = None, **how: float) -> Hypothesis:
         losses = {"events": events, "plate": np.zeros(STEPS) if plate is None else plate}
         fitted = fit_of(**how)
         return Hypothesis((Candidate((name,), (RATE,)),), fitted, fitted.state.whitener, losses)

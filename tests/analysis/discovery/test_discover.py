@@ -6,17 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.discovery.describe import describe
 from analysis.discovery.spline_basis import basis_of, hat_functions, knots_of, penalty_of
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, Curve, event_term
-
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
 
 
 @pytest.mark.parametrize("basis", [hat_functions, basis_of])
-def test_a_basis_reproduces_every_straight_line_between_its_knots(basis: Callable[[Array, Array], Array]) -> None:
+def test_a_basis_reproduces_every_straight_line_between_its_knots(basis: Callable[[Floats, Floats], Floats]) -> None:
     """Interpolation of whatever kind: a line's values at the knots give the line, constant beyond them."""
     knots = np.array([0.0, 0.3, 1.0, 2.0])
     x = np.linspace(0.0, 2.0, 41)

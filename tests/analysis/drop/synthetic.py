@@ -10,9 +10,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from kernels.arrays import Floats
+
 G_MPS2 = 9.80665
 
 __all__ = ["Camera", "Room", "Truth", "film", "path", "replace", "sound", "taps"]
@@ -67,11 +67,11 @@ class Room:
 
 def path(
     truth: Truth,
-    times: Array,
+    times: Floats,
     step_s: float = 1e-5,
     settle_mps: float = 0.02,
     rng: np.random.Generator | None = None,
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Heights (m) at ``times`` (s, increasing), and the impact times; ``rng`` for the scatter of restitution."""
     heights, impacts = np.empty(len(times)), []
     y, v, now = truth.height_m, 0.0, 0.0
@@ -108,7 +108,7 @@ def path(
 
 def film(
     target: Path, truth: Truth, camera: Camera, seconds: float, rng: np.random.Generator, codec: str = "MJPG"
-) -> Array:
+) -> Floats:
     """Film a drop to ``target``; returns the block's true centre row in each frame (mid exposure)."""
     count, sub = int(seconds * camera.fps), 8
     offsets = (np.arange(sub) + 0.5) / sub - 0.5
@@ -142,7 +142,7 @@ def film(
     return 0.5 * (tops + bottoms).mean(axis=1) - 0.5  # pixel centres count from 0
 
 
-def _row_of(heights: Array, camera: Camera) -> Array:
+def _row_of(heights: Floats, camera: Camera) -> Floats:
     """Rows at which points at these heights above the floor are seen by a tilted pinhole camera."""
     up = heights / camera.scale_m
     return camera.floor_row - up / (1.0 + camera.perspective * up / (2.0 * camera.rows))
@@ -150,7 +150,7 @@ def _row_of(heights: Array, camera: Camera) -> Array:
 
 def taps(
     truth: Truth, seconds: float, rate_hz: float, rng: np.random.Generator, noise: float = 2e-3
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Sound of a drop: ringing taps of falling loudness in noise; and the true impact times on the sample grid."""
     _, impacts = path(truth, np.array([seconds]), settle_mps=0.15)
     impacts = impacts[impacts < seconds - 0.1]
@@ -165,7 +165,7 @@ def taps(
     return sound, impacts
 
 
-def sound(truth: Truth, room: Room, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def sound(truth: Truth, room: Room, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
     """A microphone recording (samples, channels) of a drop, its impact times, and the loudness of each (peak, or 0)."""
     _, impacts = path(truth, np.array([20.0]), 1e-4, settle_mps=0.05, rng=rng)
     impacts = impacts + room.start_s
@@ -190,7 +190,7 @@ def sound(truth: Truth, room: Room, rng: np.random.Generator) -> tuple[Array, Ar
 
 
 def _add_tap(
-    out: Array, when: float, peak: float, room: Room, modes: tuple[Array, Array, Array], rng: np.random.Generator
+    out: Floats, when: float, peak: float, room: Room, modes: tuple[Floats, Floats, Floats], rng: np.random.Generator
 ) -> None:
     first = int(np.ceil(when * room.rate_hz))
     since = np.arange(int(0.15 * room.rate_hz)) / room.rate_hz + (first / room.rate_hz - when)
@@ -204,7 +204,7 @@ def _add_tap(
     stretch += peak * tap[: len(stretch)]
 
 
-def _talk(clock: Array, rng: np.random.Generator) -> Array:
+def _talk(clock: Floats, rng: np.random.Generator) -> Floats:
     """Harmonics of a voice that comes and goes a few times a second, of unit rms while it speaks."""
     pitch = 2 * np.pi * np.cumsum(120.0 + 25.0 * np.sin(2 * np.pi * 0.7 * clock + rng.uniform(0, 6))) * clock[1]
     voice = sum(np.sin(k * pitch + rng.uniform(0, 6)) / k**0.8 for k in range(1, 20))

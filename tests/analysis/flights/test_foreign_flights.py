@@ -5,7 +5,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.flights.assemble import flights_of
 from analysis.flights.table import Flights
@@ -15,11 +14,12 @@ from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, import_recording
 from daq.recording import open_recording
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 
 RATE_HZ = 20000.0
 GAMMAS = (0.4, 0.8, 1.1, 0.6, 1.4, 0.95)
-Columns = dict[str, NDArray[np.float64]]
-Seen = tuple[Flights, NDArray[np.float64]]
+Columns = dict[str, Floats]
+Seen = tuple[Flights, Floats]
 
 
 def setup(**changes: object) -> Setup:

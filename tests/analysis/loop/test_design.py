@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.attribution.fit import Fitter
 from analysis.attribution.priors import priors_of
@@ -14,6 +13,7 @@ from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, SECOND, PlateData
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
+from kernels.arrays import Bools
 from model.integrator.one_step import Measured, PlateSteps
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"): 0.2}
@@ -40,7 +40,7 @@ def seen_evidence() -> Observations:
         np.array([[True] + 7 * [False]]),
     )
     one = np.full(3, 1e-5)
-    yes: NDArray[np.bool_] = np.ones(3, dtype=bool)
+    yes: Bools = np.ones(3, dtype=bool)
     return Observations(
         Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes),
         one,

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.forward_model import ForwardModel
@@ -16,6 +15,7 @@ from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.plate_observables import HUM, MODULATION, PlateData
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import FROZEN
+from kernels.arrays import Complexes, Floats
 from model.effects.registry import row
 from model.integrator.one_step import Measured, PlateSteps, one_ahead
 
@@ -29,14 +29,14 @@ OTHERS_HZ = (*(FORCING_HZ * m for m in (3, 4, 5, 6)), LINE_HZ)
 DEEP: tuple[ParameterId, ParameterId] = (("amplitude_modulation", "depth"), ("amplitude_modulation", "frequency_hz"))
 
 
-def swelling(t: NDArray[np.float64], phase: float = PHASE) -> NDArray[np.float64]:
+def swelling(t: Floats, phase: float = PHASE) -> Floats:
     """Acceleration of the plate that swells, m/s^2."""
     w = 2.0 * np.pi * FORCING_HZ
     carrier = np.sum(CARRIERS[:, None] * np.exp(1j * w * np.outer([1, 2], t)), axis=0).real
     return np.asarray((1.0 + DEPTH * np.sin(2.0 * np.pi * HZ * t + phase)) * carrier)
 
 
-def fitted(t: NDArray[np.float64], x: NDArray[np.float64], hz: NDArray[np.float64]) -> NDArray[np.complex128]:
+def fitted(t: Floats, x: Floats, hz: Floats) -> Complexes:
     """Amplitudes of tones by least squares with a constant, on a fine grid."""
     turns = 2.0 * np.pi * np.outer(t, hz)
     design = np.column_stack([np.ones(len(t)), np.cos(turns), -np.sin(turns)])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.plate_mode import IntervalSums, Ringing, driven
 from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
+from kernels.arrays import Floats
 from model.integrator.one_step import PlateSteps, Predicted
 
-Array = NDArray[np.float64]
 FORCING_HZ, RING_HZ, DECAY_PER_S = 25.37, 9.1, 6.0
 CYCLES, POINTS, WINDOWS = 20, 20_000, 9
 STEP_S = CYCLES / FORCING_HZ / POINTS
@@ -25,19 +24,19 @@ window = np.where(np.arange(POINTS) < WINDOWS * 2_100, np.arange(POINTS) // 2_10
 ring = np.exp(-DECAY_PER_S * t) * np.cos(2.0 * np.pi * RING_HZ * t + 0.3) + 0.4 * contact * (1.0 + np.sin(9.0 * t))
 
 
-def fitted(columns: Array, x: Array) -> Array:
+def fitted(columns: Floats, x: Floats) -> Floats:
     """Least squares on the grid."""
     return np.asarray(np.linalg.lstsq(columns, x, rcond=None)[0])
 
 
-def waves(hz: Array) -> Array:
+def waves(hz: Floats) -> Floats:
     """Constant, then cosine and minus sine of each tone, on the grid."""
     turns = 2.0 * np.pi * np.outer(t, hz)
     pairs = np.stack([np.cos(turns), -np.sin(turns)], axis=2).reshape(len(t), -1)
     return np.column_stack([np.ones(len(t)), pairs])
 
 
-def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Array:
+def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Floats:
     """What the mode is said to add to data of (kind, multiple of the forcing); ``part`` of it has been followed."""
     x = np.real(FORCED * np.exp(2j * np.pi * FORCING_HZ * t)) + ring
     z = fitted(waves(TONES_HZ)[keep], x[keep])

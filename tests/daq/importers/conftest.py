@@ -6,15 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+
+from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
 LEVELS = [0.2, 0.5, 0.3]
-Columns = dict[str, NDArray[np.float64]]
+Columns = dict[str, Floats]
 
 
 @pytest.fixture
-def columns(ramp: Callable[..., NDArray[np.float64]]) -> Columns:
+def columns(ramp: Callable[..., Floats]) -> Columns:
     """Three steps of drive, the acceleration that goes with it (2 g/V at 0.1 V/g), and a contact circuit."""
     drive = ramp(LEVELS, [25.37] * 3)
     time = np.arange(len(drive)) / RATE_HZ

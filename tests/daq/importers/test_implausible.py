@@ -9,7 +9,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from daq.importers.formats.columns import parse_map
 from daq.importers.formats.open import open_source
@@ -20,10 +19,11 @@ from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
 from daq.setup.setup import Forcing, Frozen, Setup
 from daq.setup.strict_toml import load_toml
+from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
 LEVELS = [0.2, 0.5, 0.3]
-Columns = dict[str, NDArray[np.float64]]
+Columns = dict[str, Floats]
 
 
 def write_csv(path: Path, columns: Columns, delimiter: str = ",") -> Path:
@@ -60,7 +60,7 @@ def test_a_rate_that_is_none(tmp_path: Path, setup: Setup, columns: Columns, rat
     ],
 )
 def test_times_that_cannot_be(
-    tmp_path: Path, setup: Setup, columns: Columns, change: Callable[..., NDArray[np.float64]], says: str
+    tmp_path: Path, setup: Setup, columns: Columns, change: Callable[..., Floats], says: str
 ) -> None:
     """Constant times, another unit, more than a lifetime and mixed rates are refused with what to do."""
     columns["time_s"] = change(columns["time_s"])

@@ -10,7 +10,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
 from daq.export.export import export
@@ -20,10 +19,11 @@ from daq.importers.import_recording import ImportOptions, ImportSummary, import_
 from daq.recording import open_recording, verify
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
 LEVELS = [0.2, 0.5, 0.3]
-Columns = dict[str, NDArray[np.float64]]
+Columns = dict[str, Floats]
 
 
 def write_csv(path: Path, columns: Columns, delimiter: str = ",", formats: str | list[str] = "%.9g") -> Path:
@@ -171,7 +171,7 @@ def test_steps_without_a_drive(tmp_path: Path, setup: Setup, columns: Columns) -
     [(lambda v: 5.0 - v, "exchange"), (lambda v: 0.0 * v, "no flight can be seen"), (lambda v: 0.6 * v + 1.0, "")],
 )
 def test_a_doubtful_contact_circuit_is_remarked(
-    tmp_path: Path, setup: Setup, columns: Columns, circuit: Callable[..., NDArray[np.float64]], says: str
+    tmp_path: Path, setup: Setup, columns: Columns, circuit: Callable[..., Floats], says: str
 ) -> None:
     """Exchanged levels and a dead circuit are said in words; levels that are merely other ones are not."""
     columns["continuity_v"] = circuit(columns["continuity_v"])

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from daq.importers.formats.columns import parse_map
 from daq.importers.formats.open import open_source
@@ -15,6 +14,7 @@ from daq.importers.import_recording import ImportOptions, import_recording
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 
 LVM = (
     "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t9\t9\t\n"
@@ -22,7 +22,7 @@ LVM = (
 )
 BY_NUMBER = ("accelerometer=1", "drive=2")
 NAMED = "time,accelerometer_v,drive_v\n"
-Columns = dict[str, NDArray[np.float64]]
+Columns = dict[str, Floats]
 
 
 def test_an_empty_comment_above_columns_that_blanks_separate(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.plants import other_plant
 from daq.importers.formats.open import open_source
@@ -18,9 +17,10 @@ from daq.instrument.instrument import Instrument
 from daq.instrument.stored import instrument_of, refuse_doubtful
 from daq.recording import open_recording
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 from rig.profile import parse_profile
 
-Volts = dict[str, NDArray[np.float64]]
+Volts = dict[str, Floats]
 Spoil = Callable[[Volts], None]
 GAMMAS = {1: (0.6, 2.4), 2: (0.3, 1.4), 3: (0.15, 0.75)}
 STRONG = (

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, resample_poly
 
 from daq.instrument.noise import described, interpolation_hz, spectrum, window_samples
+from kernels.arrays import Floats
 
-Floats = NDArray[np.float64]
 RATE_HZ = 20000.0
 
 

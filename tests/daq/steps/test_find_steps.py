@@ -6,17 +6,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from daq.setup.setup import Forcing
 from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
+from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
 LEVELS = [0.2, 0.25, 0.3, 0.5, 0.45, 1.0]
-Ramp = Callable[..., NDArray[np.float64]]
+Ramp = Callable[..., Floats]
 
 
-def steps_in(x: NDArray[np.float64], forcing: Forcing, rate_hz: float = RATE_HZ) -> list[FoundStep]:
+def steps_in(x: Floats, forcing: Forcing, rate_hz: float = RATE_HZ) -> list[FoundStep]:
     """Steps in an array."""
     return find_steps(lambda a, b: x[a:b], 0, len(x), rate_hz, forcing)
 
