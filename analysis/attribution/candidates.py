@@ -29,20 +29,20 @@ class Candidate:
     starts: tuple[Mapping[ParameterId, float], ...] = ()
 
 
-def candidates_of(world: ForwardModel) -> list[Candidate]:
+def candidates_of(model: ForwardModel) -> list[Candidate]:
     """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations."""
     out = []
-    declared = {name for name, _ in world.base}
+    declared = {name for name, _ in model.base}
     for entry in registry():
         e = entry.effect
         if e.nuisance or not e.library or not entry.hooks or e.name in declared:
             continue
         for variant in e.variants or (tuple(q.name for q in e.parameters if not q.covariate),):
             keys = tuple((e.name, q) for q in variant)
-            out.append(Candidate((e.name,), keys, tuple(_starts(world.evidence, e, variant))))
+            out.append(Candidate((e.name,), keys, tuple(_starts(model.observations, e, variant))))
     drifting = [(r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.drifts]
     out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
-    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in world.base if not _follows(name, q)]
+    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in model.base if not _follows(name, q)]
     return out
 
 

@@ -136,9 +136,9 @@ class ScoreSpace:
         return self.best_gains(rng.choice((-1.0, 1.0), (draws, m)) @ parts)
 
 
-def generator_of(world: ForwardModel) -> np.random.Generator:
+def generator_of(model: ForwardModel) -> np.random.Generator:
     """Random numbers that the recording's content fixes: landings to the nanosecond."""
-    landing = np.nan_to_num(1e9 * world.evidence.measured.landing_s).round().astype("<i8")
+    landing = np.nan_to_num(1e9 * model.observations.measured.landing_s).round().astype("<i8")
     return np.random.default_rng(np.frombuffer(hashlib.sha256(landing.tobytes()).digest(), dtype="<u4"))
 
 

@@ -94,7 +94,7 @@ class Judge:
         """
         if channel != "plate" or loss.gain > self.limits.tolerated_plate_loss * gain.gain:
             return False
-        return plate_rms_standardised(x.fitted.fitter.world, x.fitted.values) < self.limits.noise_like_ratio
+        return plate_rms_standardised(x.fitted.fitter.model, x.fitted.values) < self.limits.noise_like_ratio
 
     def choose(
         self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, chance: ChanceGains | None = None

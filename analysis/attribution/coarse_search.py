@@ -51,9 +51,9 @@ def _tied_with(key: ParameterId) -> tuple[ParameterId, ...]:
     return next((tuple((name, x) for x in group) for group in groups if q in group), (key,))
 
 
-def subsample(world: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> ForwardModel:
-    """The same world with at most about ``most`` scored events, spread over the steps in ``train``."""
-    ev = world.evidence
+def subsample(model: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> ForwardModel:
+    """The same model with at most about ``most`` scored events, spread over the steps in ``train``."""
+    ev = model.observations
     scored = ev.scored & train[ev.measured.step]
     counts = np.bincount(ev.measured.step[scored], minlength=len(ev.steps))
     share = max(most // max(int(np.sum(counts > 0)), 1), LEAST_A_STEP)
@@ -61,7 +61,7 @@ def subsample(world: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> For
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
     scored &= before - first[ev.measured.step] < share
     few = replace(ev, scored=scored, measured=replace(ev.measured, wanted=scored))
-    return ForwardModel(few, world.declared, like=world)
+    return ForwardModel(few, model.declared, like=model)
 
 
 class CoarseSearch:
@@ -69,7 +69,7 @@ class CoarseSearch:
 
     Parameters
     ----------
-    world
+    model
         A subsample.
     values
         The rest of the parameters, and where uncertainties are taken.
@@ -77,14 +77,14 @@ class CoarseSearch:
         Steps that may be used, shape (m,).
     """
 
-    def __init__(self, world: ForwardModel, values: Mapping[ParameterId, float], train: Bools) -> None:
-        self.world, self.values, self.train = world, dict(values), train
-        self.whitener = Whitener.of(world, values)
-        self.plate_noise = world.evidence.plate.noise(train)
+    def __init__(self, model: ForwardModel, values: Mapping[ParameterId, float], train: Bools) -> None:
+        self.model, self.values, self.train = model, dict(values), train
+        self.whitener = Whitener.of(model, values)
+        self.plate_noise = model.observations.plate.noise(train)
 
     def loss(self, point: Mapping[ParameterId, float]) -> float:
         """Loss at the common values overridden by ``point``."""
-        r = self.world.residuals({**self.values, **point})
+        r = self.model.residuals({**self.values, **point})
         return self.whitener.profile_loss(r, self.train, self.plate_noise)
 
     def best_of(self, points: Sequence[Point]) -> tuple[float, Point]:

@@ -43,7 +43,7 @@ class Detectability:
         self._z = self._whitener.white_all(best.raw)
         self._weight = np.where(self._state.mask, robust_weight(self._z, self._whitener.odds), 0.0)
         opening = self._whitener.order < len(self._whitener.opening)
-        self._channel = np.concatenate([opening.astype(np.int64), 2 + best.fitter.world.evidence.plate.kind])
+        self._channel = np.concatenate([opening.astype(np.int64), 2 + best.fitter.model.observations.plate.kind])
         self._loss = robust_loss(self._z, self._whitener.odds)
         self._beside = self._whitener.white_slopes(best.bare, best.raw)
         folds = np.array([fold[self._state.step] for fold in best.fitter.folds])
@@ -86,7 +86,7 @@ class Detectability:
         """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted, (q,)."""
         fitter, raw = self.best.fitter, self.best.raw
         values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), np.array([x]))}
-        change = self._whitener.stacked(fitter.world.residuals(values)) - raw
+        change = self._whitener.stacked(fitter.model.residuals(values)) - raw
         events = np.arange(len(change)) < len(self._whitener.step)
         change[(events & (np.abs(change) > LEAP_S)) | ~np.isfinite(change)] = 0.0
         return np.asarray(self._whitener.white_slopes(change[:, None], raw)[:, 0])

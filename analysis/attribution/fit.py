@@ -37,19 +37,19 @@ FOLDS = 3  # of the cross-validation
 
 
 class Fitter:
-    """Fits sets of parameters to one world.
+    """Fits sets of parameters to one model.
 
     Parameters
     ----------
-    world
+    model
     priors
         Of everything that is always free.
     train
         True for the steps that fits and selection may see, shape (m,).
     """
 
-    def __init__(self, world: ForwardModel, priors: Mapping[ParameterId, Prior], train: Bools) -> None:
-        self.world, self.priors, self.train = world, dict(priors), train
+    def __init__(self, model: ForwardModel, priors: Mapping[ParameterId, Prior], train: Bools) -> None:
+        self.model, self.priors, self.train = model, dict(priors), train
         spread = np.flatnonzero(train)
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
 
@@ -191,7 +191,7 @@ class _State:
     ) -> None:
         self.fitter, self.whitener, self.keys = fitter, whitener, list(keys)
         self.mean, self.inverse = mean, inverse
-        self.step = np.concatenate([whitener.step, fitter.world.evidence.plate.step])
+        self.step = np.concatenate([whitener.step, fitter.model.observations.plate.step])
         self.mask = fitter.train[self.step]
         bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
         self.low, self.high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
@@ -201,7 +201,7 @@ class _State:
 
     def raw(self, x: Floats) -> Floats:
         """Bare residuals at ``x``, stacked."""
-        return self.whitener.stacked(self.fitter.world.residuals(self.point(x)))
+        return self.whitener.stacked(self.fitter.model.residuals(self.point(x)))
 
     def loss(self, raw: Floats, x: Floats) -> float:
         """Robust loss of the training steps, priors included; infinite where a prediction is."""
@@ -216,14 +216,14 @@ class _State:
 
     def fill(self, bare: Floats, x: Floats, raw: Floats, columns: Iterable[int], *, kept: bool = False) -> None:
         """Derivatives of the bare residuals, one column a parameter; ``kept`` where they will be asked for again."""
-        world = self.fitter.world
+        model = self.fitter.model
         point = self.point(x) if kept else {}
-        here = tuple(sorted((k, v) for k, v in point.items() if k in world.base or v != null_value_of(k)))
+        here = tuple(sorted((k, v) for k, v in point.items() if k in model.base or v != null_value_of(k)))
         for j in columns:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             if kept:
                 key = (here, self.keys[j], h)
-                bare[:, j] = world.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
+                bare[:, j] = model.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
             else:
                 bare[:, j] = self._difference(x, raw, j, h)
 
@@ -328,13 +328,13 @@ class Fitted:
 
         Each fold's fit is one step from the common one, on the other folds' steps; its residuals are then exact.
         """
-        world = self.fitter.world
+        model = self.fitter.model
         out: dict[str, Floats] = {}
         for fold in self.fitter.folds:
             mask = self.state.mask & ~fold[self.state.step]
             normal, gradient = self._normal(mask)
             x = self.x + _solve(normal, gradient, 1e-6, self.state.low - self.x, self.state.high - self.x)
-            losses = step_losses(world, whitener, world.residuals(self.state.point(x)))
+            losses = step_losses(model, whitener, model.residuals(self.state.point(x)))
             for channel, values in losses.items():
                 out[channel] = out.get(channel, np.zeros_like(values)) + np.where(fold, values, 0.0)
         return out

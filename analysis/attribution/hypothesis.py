@@ -70,21 +70,21 @@ class Hypothesis:
 
         ``plate_ratio`` is that of plate data where it is another.
         """
-        world, values = self.fitted.fitter.world, self.fitted.values
-        flights = rms_standardised(world, values, world.uncertainty(values))
-        return flights < ratio and plate_rms_standardised(world, values) < (plate_ratio or ratio)
+        model, values = self.fitted.fitter.model, self.fitted.values
+        flights = rms_standardised(model, values, model.uncertainty(values))
+        return flights < ratio and plate_rms_standardised(model, values) < (plate_ratio or ratio)
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether what it leaves passes the verdict's tests of flights, plate data and landings, on all steps."""
         if self.noise_like(limits.lack_ratio, limits.plate_rms_z):
             return True
-        world, values = self.fitted.fitter.world, self.fitted.values
-        left = goodness_of_fit(world, values, limits)
+        model, values = self.fitted.fitter.model, self.fitted.values
+        left = goodness_of_fit(model, values, limits)
         if not (left.flights_pass(limits) and left.plate_passes(limits)):
             return False
-        rows, excluded = scored_rows(world, values, np.ones(len(world.evidence.steps), dtype=np.bool_))
-        missed = held_out_errors(world, values, rows, excluded).landing_rms_us
-        return missed <= limits.most_rms_us(noise_floors_us(world, values, rows)[0])
+        rows, excluded = scored_rows(model, values, np.ones(len(model.observations.steps), dtype=np.bool_))
+        missed = held_out_errors(model, values, rows, excluded).landing_rms_us
+        return missed <= limits.most_rms_us(noise_floors_us(model, values, rows)[0])
 
 
 class Refits:
@@ -93,7 +93,7 @@ class Refits:
     Parameters
     ----------
     fitter
-        Of the world, its priors and its training steps.
+        Of the model, its priors and its training steps.
 
     Attributes
     ----------
@@ -102,8 +102,8 @@ class Refits:
     """
 
     def __init__(self, fitter: Fitter) -> None:
-        self.fitter, self.world, self.train = fitter, fitter.world, fitter.train
-        self.plate_noise = self.world.evidence.plate.noise(self.train)
+        self.fitter, self.model, self.train = fitter, fitter.model, fitter.train
+        self.plate_noise = self.model.observations.plate.noise(self.train)
         self.failed: dict[tuple[str, ...], str] = {}
 
     def attempted(
@@ -119,17 +119,17 @@ class Refits:
 
     def profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
         """Loss at ``values`` on the training steps, each channel's excess noise at its best."""
-        return whitener.profile_loss(self.world.residuals(values), self.train, self.plate_noise)
+        return whitener.profile_loss(self.model.residuals(values), self.train, self.plate_noise)
 
     def scored(self, candidates: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
         """The hypothesis with its held-out loss, at the weights of its own fit."""
-        whitener = Whitener.of(self.world, fitted.values)
+        whitener = Whitener.of(self.model, fitted.values)
         return Hypothesis(candidates, fitted, whitener, fitted.held_out(whitener))
 
     def reweighted(self, fitted: Fitted) -> Fitted:
         """The fit repeated with the weights of the point found, until they converge."""
         for _ in range(MOST_REWEIGHTINGS):
-            before, after = fitted.state.whitener, Whitener.of(self.world, fitted.values)
+            before, after = fitted.state.whitener, Whitener.of(self.model, fitted.values)
             if after.near(before):
                 break
             fitted = self.fitter.fit(after, fitted.free, fitted.values)

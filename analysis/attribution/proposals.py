@@ -240,20 +240,20 @@ class Proposals:
 
     def _fitted_sharply(self, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
         """Fit from a start with its own weights: what lies far off is followed farther, if it is there."""
-        return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.world, start), free, start))
+        return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.model, start), free, start))
 
     def _fitted_at(
         self, chosen: tuple[Candidate, ...], free: Sequence[ParameterId], start: Mapping[ParameterId, float]
     ) -> Hypothesis:
         """The candidates ``chosen``, fitted from a start with its own weights until they converge."""
-        return self.refits.converged(chosen, Whitener.of(self.refits.world, start), free, start)
+        return self.refits.converged(chosen, Whitener.of(self.refits.model, start), free, start)
 
     def _from_afar(
         self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried
     ) -> list[Hypothesis]:
         """The most promising options where landings are lost, each from its minimum on a subsample."""
         values, train = best.fitted.values, self.refits.train
-        search = CoarseSearch(subsample(self.refits.world, train), values, train)
+        search = CoarseSearch(subsample(self.refits.model, train), values, train)
 
         def on_grid(candidate: Candidate) -> tuple[float, Point, Candidate]:
             free = tuple(k for k in candidate.free if k not in best.free)

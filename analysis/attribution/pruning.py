@@ -90,7 +90,7 @@ class Pruning:
         A fit's own misses count as excess and widen its weights. Only the last fit is made so: while candidates are
         compared, all are fitted alike.
         """
-        lean = Whitener.of(self.refits.world, x.fitted.values, lean=True)
+        lean = Whitener.of(self.refits.model, x.fitted.values, lean=True)
         fitted = self.refits.fitter.fit(lean, x.free, x.fitted.values)
         before, after = (self.refits.profile_loss(x.whitener, f.values) for f in (x.fitted, fitted))
         return self.refits.scored(x.candidates, fitted) if after < before - self.limits.negligible_nats else x

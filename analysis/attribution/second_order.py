@@ -31,7 +31,7 @@ ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
 
 
 def slopes_of(
-    world: ForwardModel,
+    model: ForwardModel,
     fitter: Fitter,
     whitener: Whitener,
     at: Values,
@@ -43,31 +43,31 @@ def slopes_of(
     ``step`` is that of the finite differences.
     """
     base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
-    raw = whitener.stacked(world.residuals(base))
+    raw = whitener.stacked(model.residuals(base))
     out = np.zeros((len(raw), len(keys)))
     for j, key in enumerate(keys):
         x = fitter.to_x(key, base[key])
         low, high = fitter.bounds(key, released=True)
         h = step if x + step <= high or x - step < low else -step
-        change = whitener.stacked(world.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
+        change = whitener.stacked(model.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
         out[:, j] = of_same_events(change, whitener) / h
     return raw, out
 
 
 def slopes_at(
-    world: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place]
+    model: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place]
 ) -> tuple[Floats, Floats]:
     """As `slopes_of`, each derivative at ``at`` with the shapes of its own place."""
-    raw = whitener.stacked(world.residuals(dict(at)))
+    raw = whitener.stacked(model.residuals(dict(at)))
     out = np.zeros((len(raw), len(places)))
     for shapes in dict.fromkeys(shapes for _, shapes in places):
         rows = [j for j, place in enumerate(places) if place[1] == shapes]
-        out[:, rows] = slopes_of(world, fitter, whitener, {**at, **dict(shapes)}, [places[j][0] for j in rows])[1]
+        out[:, rows] = slopes_of(model, fitter, whitener, {**at, **dict(shapes)}, [places[j][0] for j in rows])[1]
     return raw, out
 
 
 def secants_at(
-    world: ForwardModel,
+    model: ForwardModel,
     fitter: Fitter,
     whitener: Whitener,
     at: Values,
@@ -88,7 +88,7 @@ def secants_at(
             continue
         known = float(np.sum(whitener.white_slopes(slopes[:, [j]], raw) ** 2))
         step = min(max(known**-0.5, STEP), LARGEST_STEP) if known > 0.0 else LARGEST_STEP
-        out[:, [j]] = slopes_of(world, fitter, whitener, {**at, **dict(shapes)}, [key], step)[1]
+        out[:, [j]] = slopes_of(model, fitter, whitener, {**at, **dict(shapes)}, [key], step)[1]
     return out
 
 

@@ -36,28 +36,28 @@ class StepwiseSelection:
 
     Parameters
     ----------
-    world, fitter
+    model, fitter
         The observations and their fits.
     limits
         Thresholds of the verdict.
     progress
         Called with what is being tried and the fraction done.
     library
-        Candidates to choose from; `candidates_of` the world where not given.
+        Candidates to choose from; `candidates_of` the model where not given.
     """
 
     def __init__(
         self,
-        world: ForwardModel,
+        model: ForwardModel,
         fitter: Fitter,
         limits: Thresholds = FROZEN,
         progress: Progress | None = None,
         library: Sequence[Candidate] | None = None,
     ) -> None:
-        self.world, self.fitter, self.limits = world, fitter, limits
+        self.model, self.fitter, self.limits = model, fitter, limits
         self.progress = progress or (lambda what, part: None)
         self.train = fitter.train
-        self.library = candidates_of(world) if library is None else list(library)
+        self.library = candidates_of(model) if library is None else list(library)
         self.judge = Judge(fitter.train, limits)
         self.refits = Refits(fitter)
         self.proposals = Proposals(self.refits, limits)
@@ -65,7 +65,7 @@ class StepwiseSelection:
 
     def declared(self) -> Hypothesis:
         """The declared model alone."""
-        return self.refits.converged((), Whitener.of(self.world, {}), (), {})
+        return self.refits.converged((), Whitener.of(self.model, {}), (), {})
 
     def run(self) -> SelectionResult:
         """The result of all rounds; what could not be fitted is left out of it, by name."""
@@ -103,7 +103,7 @@ class StepwiseSelection:
         refused: list[Rejected] = []
         chance: list[ChanceTest] = []
         first: tuple[str, ...] = ()
-        rng = generator_of(self.world)
+        rng = generator_of(self.model)
         chain = [before]
         for depth in range(self.limits.most_effects):
             if depth and best.noise_like(self.limits.noise_like_ratio):
@@ -206,13 +206,13 @@ class StepwiseSelection:
         if best is before:
             return ()
         out = [best]
-        z_best, _ = best.whitener.white(self.world.residuals(best.fitted.values))
+        z_best, _ = best.whitener.white(self.model.residuals(best.fitted.values))
         for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
             if x is best or x.names in [t.names for t in out] or not self.judge.tied(best, x):
                 continue
             if self.judge.refuted(x, best):
                 continue
-            z, _ = best.whitener.white(self.world.residuals(x.fitted.values))
+            z, _ = best.whitener.white(self.model.residuals(x.fitted.values))
             same = float(np.sqrt(np.median((z - z_best) ** 2))) < self.limits.idle_rms
             if len(x.free) > len(best.free) and same and set(best.names) <= contained_in(x.names):
                 continue

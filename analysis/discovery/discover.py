@@ -103,13 +103,13 @@ class Discovery:
 
 
 def discover(
-    world: ForwardModel, fitter: Fitter, explanation: Hypothesis, limits: Thresholds = FROZEN
+    model: ForwardModel, fitter: Fitter, explanation: Hypothesis, limits: Thresholds = FROZEN
 ) -> Discovery | None:
     """Search for a smooth term that explains what the named effects do not.
 
     Parameters
     ----------
-    world, fitter
+    model, fitter
         The forward model and its fits; the fitter's steps may be used.
     explanation
         The best set of named effects.
@@ -122,19 +122,19 @@ def discover(
         None where no term gains on held-out steps over the named effects and its constant. Of terms within chance of
         the best it is the one of least curvature.
     """
-    train, tables = fitter.train, covariates(world, explanation.fitted.values)
+    train, tables = fitter.train, covariates(model, explanation.fitted.values)
     found: list[RefinedTerm] = []
     for kept in _bases(explanation):
-        found += _finalists(TermSearch(world, fitter, explanation, kept, tables), limits)
+        found += _finalists(TermSearch(model, fitter, explanation, kept, tables), limits)
         best = _least_curved(found, limits)
         if best.scatter < limits.base_rms:
             break
-    gain = LogScoreDifference.of(named_loss(world, explanation, train), best.per_step, train)
+    gain = LogScoreDifference.of(named_loss(model, explanation, train), best.per_step, train)
     if gain.gain < limits.gain_nats:  # the goodness-of-fit tests have refused the named effects already
         return None
     kept = best.explanation.candidates
-    level = TermSearch(world, fitter, explanation, kept, tables).refine(
-        best.curve.without_covariate(len(world.evidence))
+    level = TermSearch(model, fitter, explanation, kept, tables).refine(
+        best.curve.without_covariate(len(model.observations))
     )
     constant = LogScoreDifference.of(level.per_step, best.per_step, train)
     if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
@@ -183,17 +183,17 @@ def _discovery(
     limits: Thresholds,
 ) -> Discovery:
     """The chosen term as numbers and names."""
-    curve, world, fitted = best.curve, best.world, best.explanation.fitted
+    curve, model, fitted = best.curve, best.model, best.explanation.fitted
     words, unit, scale = label(curve.term)
     seen = tables[curve.term.of if curve.term.columns else REACHES.get(curve.term.of, curve.term.of)]
-    seen = seen[world.evidence.scored]
+    seen = seen[model.observations.scored]
     values, half = curve.at(curve.points), best.band
     low, high = np.clip(values - half, curve.term.low, None), np.clip(values + half, None, curve.term.high)
     if curve.term.name == "force" and curve.term.columns:  # fitted as a pull; a force points up
         values, low, high = -values, -high, -low
     names = dict.fromkeys(label(p.curve.term)[0] for p in tied)
     names.pop(words, None)
-    rows, left_out = scored_rows(world, fitted.values, ~fitted.fitter.train)
+    rows, left_out = scored_rows(model, fitted.values, ~fitted.fitter.train)
     return Discovery(
         curve.term.name,
         words,
@@ -210,8 +210,8 @@ def _discovery(
         constant,
         _similar_effects(best, limits.similar_correlation),
         tuple(names),
-        held_out_errors(world, fitted.values, rows, left_out),
-        noise_floors_us(world, fitted.values, rows)[0],
+        held_out_errors(model, fitted.values, rows, left_out),
+        noise_floors_us(model, fitted.values, rows)[0],
         curve.term.of,
         not curve.term.columns,
         *search_forms(best, tables, limits),
@@ -220,16 +220,16 @@ def _discovery(
 
 def _similar_effects(best: RefinedTerm, least: float) -> tuple[tuple[str, float], ...]:
     """Named effects whose shift of landings and openings correlates with the term's, most similar first."""
-    values, plain = best.explanation.fitted.values, best.world.without
+    values, plain = best.explanation.fitted.values, best.model.without
     base = plain.predict(values)
 
     def shift(p: Predicted) -> Floats:
         both = np.concatenate(
-            [(p.landing_s - base.landing_s)[plain.evidence.scored], (p.opening_s - base.opening_s)[plain.from_rest]]
+            [(p.landing_s - base.landing_s)[plain.observations.scored], (p.opening_s - base.opening_s)[plain.from_rest]]
         )
         return np.asarray(np.where(np.abs(both) < FARTHEST_S, np.nan_to_num(both), 0.0))
 
-    ours, out = shift(best.world.predict(values)), dict[str, float]()
+    ours, out = shift(best.model.predict(values)), dict[str, float]()
     for entry in registry():
         e = entry.effect
         if not e.library or e.nuisance or e.name in plate_effects() or e.name in best.explanation.names:

@@ -39,13 +39,13 @@ class ScreenedTerm:
     loss: float
 
 
-def residual_table(world: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Floats:
+def residual_table(model: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Floats:
     """Residuals (g, k) at each constant value of ``EVENT_GRIDS[name]``."""
-    n = len(world.evidence)
+    n = len(model.observations)
     one, term = np.ones((n, 1)), event_term(name, "")
     still = np.zeros(n)
     rows = [
-        stack.residuals(AugmentedModel(world, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
+        stack.residuals(AugmentedModel(model, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
         for x in EVENT_GRIDS[name]
     ]
     return np.array(rows)
@@ -136,7 +136,7 @@ def _penalised(curve: Curve, stack: StackedResiduals, r: Floats, width: Floats) 
     return data + 0.5 * penalty_weight(curve) * float(roughness)
 
 
-def best_start(world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
+def best_start(model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
     """``curve`` or a plain shape of some size in its place, whichever predicts best.
 
     A strong term sends flights to other landings than a weak one, so that a descent from zero ends in a local minimum.
@@ -144,32 +144,32 @@ def best_start(world: ForwardModel, values: Values, stack: StackedResiduals, cur
     """
     x = curve.knots / float(np.max(np.abs(curve.knots)))
     falls = (curve.knots[-1] - curve.knots) / (curve.knots[-1] - curve.knots[0])
-    unit = world.gravity if curve.term.against_motion else 1.0
+    unit = model.gravity if curve.term.against_motion else 1.0
     sizes = unit * START_SIZES[curve.term.name]
     shapes = (np.ones_like(x), x, x * np.abs(x), falls)
     starts = [curve, *(curve.moved(size * shape) for shape in shapes for size in sizes)]
-    losses = [stack.loss(stack.residuals(AugmentedModel(world, [c], dwell_s), values)) for c in starts]
+    losses = [stack.loss(stack.residuals(AugmentedModel(model, [c], dwell_s), values)) for c in starts]
     return starts[int(np.argmin(losses))]
 
 
 def fit_in_flight(
-    world: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Floats, tails: Sequence[float]
+    model: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Floats, tails: Sequence[float]
 ) -> ScreenedTerm:
     """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew after a step of large gain.
 
     The fit ends early where a step gains nothing and the quantile stays the same.
     """
     curve, jacobian, gained = start, np.zeros((0, 0)), np.inf
-    r = stack.residuals(AugmentedModel(world, [curve], dwell_s), values)
+    r = stack.residuals(AugmentedModel(model, [curve], dwell_s), values)
     for i, tail in enumerate(tails):
         fresh = gained > FAR_NATS
         if fresh:
-            jacobian = jacobian_of(world, values, stack, curve, dwell_s, r)
+            jacobian = jacobian_of(model, values, stack, curve, dwell_s, r)
         step, width = newton_step(curve, stack, r, jacobian, tail), stack.widths(r, tail)
         now, gained = _penalised(curve, stack, r, width), 0.0
         for half in range(HALVINGS):
             moved = curve.moved(curve.values + 0.5**half * step)
-            r_moved = stack.residuals(AugmentedModel(world, [moved], dwell_s), values)
+            r_moved = stack.residuals(AugmentedModel(model, [moved], dwell_s), values)
             gained = now - _penalised(moved, stack, r_moved, width)
             if gained > 0.0:
                 curve, r = moved, r_moved
@@ -182,20 +182,20 @@ def fit_in_flight(
 
 
 def jacobian_of(
-    world: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats, r: Floats
+    model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats, r: Floats
 ) -> Floats:
     """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction if each flight has one."""
     nudge = curve.term.nudge
     if curve.term.columns:
         moved = replace(curve, values=curve.values + nudge)
-        along = (stack.residuals(AugmentedModel(world, [moved], dwell_s), values) - r) / nudge
+        along = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
         return np.asarray(along[:, None] * curve.basis[stack.event])
     out = np.empty((len(r), len(curve.values)))
     for i in range(len(curve.values)):
         values_moved = curve.values.copy()
         values_moved[i] += nudge
         moved = replace(curve, values=values_moved)
-        out[:, i] = (stack.residuals(AugmentedModel(world, [moved], dwell_s), values) - r) / nudge
+        out[:, i] = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
     return out
 
 

@@ -66,7 +66,7 @@ class RefinedTerm:
         Its values without some of the steps, (f, k).
     scatter
         Root mean square of the landings over their uncertainty, each step's with the curve that the others give.
-    world, explanation
+    model, explanation
         The forward model with the term, the fit there, and its held-out losses.
     """
 
@@ -74,7 +74,7 @@ class RefinedTerm:
     covariance: Floats
     folds: Floats
     scatter: float
-    world: AugmentedModel
+    model: AugmentedModel
     explanation: Hypothesis
 
     @property
@@ -104,13 +104,13 @@ class TermSearch:
 
     def __init__(
         self,
-        world: ForwardModel,
+        model: ForwardModel,
         fitter: Fitter,
         explanation: Hypothesis,
         kept: tuple[Candidate, ...],
         tables: Mapping[str, Floats],
     ) -> None:
-        self.world, self.fitter, self.train, self.tables, self.kept = world, fitter, fitter.train, tables, kept
+        self.model, self.fitter, self.train, self.tables, self.kept = model, fitter, fitter.train, tables, kept
         self.free: tuple[ParameterId, ...] = tuple(k for c in kept for k in c.free)
         # calibrations may be biased by the missing term: all but the contact's own start from their priors
         self.values = {
@@ -123,7 +123,7 @@ class TermSearch:
 
         Where openings depend on the contact's gap, which a wrong model bends, terms are screened without them as well.
         """
-        both = StackedResiduals.of(self.world, self.values, self.train)
+        both = StackedResiduals.of(self.model, self.values, self.train)
         found = self._screened(both)
         if self._gap_matters(both):
             seen = {(t.curve.term.name, t.curve.term.of) for t in found[:FINALISTS]}
@@ -134,17 +134,17 @@ class TermSearch:
     def _gap_matters(self, stack: StackedResiduals) -> bool:
         """Whether the contact's own imperfections move openings by more than these are known."""
         rest = {k: v for k, v in self.values.items() if not effect(k[0]).effect.nuisance}
-        r = stack.residuals(self.world, self.values) - stack.residuals(self.world, rest)
+        r = stack.residuals(self.model, self.values) - stack.residuals(self.model, rest)
         return bool(stack.first.any() and np.median(np.abs(r / stack.sigma_s)[stack.first]) > GAP_SIGMAS)
 
     def _screened(self, stack: StackedResiduals) -> list[ScreenedTerm]:
-        ahead = stack.loss(stack.residuals(self.world, self.values))
-        judged = self.world.evidence.scored
+        ahead = stack.loss(stack.residuals(self.model, self.values))
+        judged = self.model.observations.scored
         tried: list[ScreenedTerm] = []
         constants: dict[str, float] = {}
         known: dict[tuple[str, str], Curve] = {}
         for name in EVENT_GRIDS:
-            table = residual_table(self.world, self.values, stack, name)
+            table = residual_table(self.model, self.values, stack, name)
             constants[name] = best_constant(table, stack, name)[0]
             for term in event_terms(name):
                 x = self.tables[term.of]
@@ -173,16 +173,16 @@ class TermSearch:
         start = known.get((term.name, NEAREST_COVARIATE.get(term.of, "")))
         if term.name != "force":
             values = np.full_like(curve.values, max(constant, LEAST_START)) if start is None else start.at(curve.knots)
-            curve = curve.moved(values * (self.world.gravity if term.against_motion else 1.0))
+            curve = curve.moved(values * (self.model.gravity if term.against_motion else 1.0))
         curve = best_start(*self._subsampled(stack, START_EVENTS), curve, self.dwell)
         curve = fit_in_flight(*self._subsampled(stack, FIRST_EVENTS), curve, self.dwell, SCREENING_TAILS).curve
         return ScreenedTerm(
-            curve, stack.loss(stack.residuals(AugmentedModel(self.world, [curve], self.dwell), self.values))
+            curve, stack.loss(stack.residuals(AugmentedModel(self.model, [curve], self.dwell), self.values))
         )
 
     def _subsampled(self, stack: StackedResiduals, most: int) -> tuple[ForwardModel, Values, StackedResiduals]:
         """Model, values and stack of at most so many events; landings alone where ``stack`` has no openings."""
-        few = subsample(self.world, self.train, most)
+        few = subsample(self.model, self.train, most)
         seen = StackedResiduals.of(few, self.values, self.train)
         return few, self.values, seen if stack.first.any() else seen.landings()
 
@@ -191,20 +191,20 @@ class TermSearch:
         values, slopes = dict(self.values), dict[ParameterId, Floats]()
         passes = SHARP if not curve.term.columns else SHARP[:2]
         for first in (True, False):
-            stack = StackedResiduals.of(AugmentedModel(self.world, [curve], self.dwell), values, self.train)
+            stack = StackedResiduals.of(AugmentedModel(self.model, [curve], self.dwell), values, self.train)
             if first and curve.term.name != "threshold" and self._gap_matters(stack):
                 stack = stack.landings()
             tails = (TAILS[-1], *passes) if first else passes
-            curve = fit_in_flight(self.world, values, stack, curve, self.dwell, tails).curve
+            curve = fit_in_flight(self.model, values, stack, curve, self.dwell, tails).curve
             if first:
                 curve = self._cross_validated_roughness(curve, values, stack)
-            augmented = AugmentedModel(self.world, [curve], self.dwell)
+            augmented = AugmentedModel(self.model, [curve], self.dwell)
             twin = Fitter(augmented, self.fitter.priors, self.train)
             fitted = twin.fit(Whitener.of(augmented, values), self.free, values, slopes)
             values, slopes = fitted.values, fitted.slopes
         stack = StackedResiduals.of(augmented, values, self.train)
         r = stack.residuals(augmented, values)
-        jacobian = jacobian_of(self.world, values, stack, curve, self.dwell, r)
+        jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
         opening_s, landing_s, folds = self._held_out(curve, values, stack, r, jacobian)
         held = stack.cut(opening_s, landing_s)
         losses = {"events": self._by_step(stack, held), "plate": plate_loss(augmented, values)}
@@ -214,25 +214,25 @@ class TermSearch:
 
     def _scatter(self, augmented: AugmentedModel, values: Values, landing_s: Floats) -> float:
         """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
-        ev = self.world.evidence
+        ev = self.model.observations
         rows = ev.scored & self.train[ev.measured.step]
         z = (landing_s / np.hypot(augmented.uncertainty(values).landing_total_s, LEAST_SIGMA_S))[rows]
         return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:
-        ev = self.world.evidence
+        ev = self.model.observations
         return stack.by_step(r, ev.measured.step, len(ev.steps))
 
     def _folds(self) -> Iterator[Bools]:
         """Folds of the cross-validation over the steps of the fit: masks of flights, (n,)."""
-        apart, step = np.flatnonzero(self.train), self.world.evidence.measured.step
+        apart, step = np.flatnonzero(self.train), self.model.observations.measured.step
         for i in range(CURVE_FOLDS):
             yield np.isin(step, apart[i::CURVE_FOLDS])
 
     def _cross_validated_roughness(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:
         """The curve with the smoothing parameter of least loss in 8-fold cross-validation over steps (linearised)."""
-        r = stack.residuals(AugmentedModel(self.world, [curve], self.dwell), values)
-        jacobian = jacobian_of(self.world, values, stack, curve, self.dwell, r)
+        r = stack.residuals(AugmentedModel(self.model, [curve], self.dwell), values)
+        jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
         folds = [f[stack.event] for f in self._folds()]
 
         def unseen(roughness: float) -> float:
@@ -247,29 +247,29 @@ class TermSearch:
         self, curve: Curve, values: Values, stack: StackedResiduals, r: Floats, jacobian: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Residuals of openings and landings (n,), each step's with the curve that the others give; these curves."""
-        measured, curves = self.world.evidence.measured, []
-        p = AugmentedModel(self.world, [curve], self.dwell).predict(values)
+        measured, curves = self.model.observations.measured, []
+        p = AugmentedModel(self.model, [curve], self.dwell).predict(values)
         opening, landing = measured.opening_s - p.opening_s, measured.landing_s - p.landing_s
         for fold in self._folds():
             step = newton_step(curve, stack.without(fold[stack.event]), r, jacobian)
             other = curve.moved(curve.values + step)
             curves.append(other.values)
-            p = AugmentedModel(self.world, [other], self.dwell).predict(values)
+            p = AugmentedModel(self.model, [other], self.dwell).predict(values)
             opening = np.where(fold, measured.opening_s - p.opening_s, opening)
             landing = np.where(fold, measured.landing_s - p.landing_s, landing)
         return opening, landing, np.array(curves)
 
 
-def plate_loss(world: ForwardModel, values: Values) -> Floats:
+def plate_loss(model: ForwardModel, values: Values) -> Floats:
     """Loss of the plate data by step."""
-    data = world.evidence.plate
-    loss = robust_loss(world.residuals(values).plate / data.sigma)
-    return np.asarray(np.bincount(data.step, loss, minlength=len(world.evidence.steps)), dtype=np.float64)
+    data = model.observations.plate
+    loss = robust_loss(model.residuals(values).plate / data.sigma)
+    return np.asarray(np.bincount(data.step, loss, minlength=len(model.observations.steps)), dtype=np.float64)
 
 
-def named_loss(world: ForwardModel, explanation: Hypothesis, train: Bools) -> Floats:
+def named_loss(model: ForwardModel, explanation: Hypothesis, train: Bools) -> Floats:
     """Loss of a named hypothesis by step, computed as in `TermSearch.refine`."""
-    values, ev = explanation.fitted.values, world.evidence
-    stack = StackedResiduals.of(world, values, train)
-    events = stack.by_step(stack.residuals(world, values), ev.measured.step, len(ev.steps))
-    return np.asarray(events + plate_loss(world, values))
+    values, ev = explanation.fitted.values, model.observations
+    stack = StackedResiduals.of(model, values, train)
+    events = stack.by_step(stack.residuals(model, values), ev.measured.step, len(ev.steps))
+    return np.asarray(events + plate_loss(model, values))

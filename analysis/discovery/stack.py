@@ -37,10 +37,10 @@ class StackedResiduals:
     train: Bools
 
     @classmethod
-    def of(cls, world: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
+    def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
         """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,)."""
-        ev, u = world.evidence, world.uncertainty(values)
-        opening, landing = np.flatnonzero(world.from_rest), np.flatnonzero(ev.scored)
+        ev, u = model.observations, model.uncertainty(values)
+        opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(ev.scored)
         event = np.concatenate([opening, landing])
         step = ev.measured.step[event]
         sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
@@ -57,9 +57,9 @@ class StackedResiduals:
         """The same with a fit that may not look at ``rows`` (k,)."""
         return replace(self, train=self.train & ~rows)
 
-    def residuals(self, world: ForwardModel, values: Values) -> Floats:
+    def residuals(self, model: ForwardModel, values: Values) -> Floats:
         """Residuals of this stack at ``values``, clipped at `FARTHEST_PERIODS`."""
-        p, measured = world.predict(values), world.evidence.measured
+        p, measured = model.predict(values), model.observations.measured
         return self.cut(measured.opening_s - p.opening_s, measured.landing_s - p.landing_s)
 
     def widths(self, r: Floats, tail: float = 0.5) -> Floats:

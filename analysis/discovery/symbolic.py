@@ -131,9 +131,9 @@ class _FormFits:
     """Fits of forms in place of one curve."""
 
     def __init__(self, best: RefinedTerm, tables: Mapping[str, Floats]) -> None:
-        self.curve, self.band, self.augmented = best.curve, best.band, best.world
+        self.curve, self.band, self.augmented = best.curve, best.band, best.model
         self.train, self.values = best.explanation.fitted.fitter.train, best.explanation.fitted.values
-        self.stack = StackedResiduals.of(best.world, self.values, self.train)
+        self.stack = StackedResiduals.of(best.model, self.values, self.train)
         self.span = (float(best.curve.knots[0]), float(best.curve.knots[-1]))
         inside = np.linspace(*self.span, KNOTS)
         self.x = tables[best.curve.term.of] if best.curve.term.columns else inside
@@ -223,7 +223,7 @@ class _FormFits:
 
     def held_out(self, p: _Fit) -> Floats:
         """Loss of the events by step, each step's with the values that the others give, (m,)."""
-        ev = self.augmented.evidence
+        ev = self.augmented.observations
         apart, held = np.flatnonzero(self.train), p.r.copy()
         for i in range(CURVE_FOLDS):
             fold = np.isin(ev.measured.step, apart[i::CURVE_FOLDS])[self.stack.event]

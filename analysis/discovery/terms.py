@@ -238,7 +238,7 @@ class AugmentedModel(ForwardModel):
 
     Parameters
     ----------
-    world
+    model
         The forward model without them.
     curves
         The terms.
@@ -251,16 +251,16 @@ class AugmentedModel(ForwardModel):
         The forward model without the terms.
     """
 
-    def __init__(self, world: ForwardModel, curves: Sequence[Curve], dwell_s: Floats) -> None:
-        super().__init__(world.evidence, world.declared, like=world)
-        self.without, self.covariates = world, world.covariates
+    def __init__(self, model: ForwardModel, curves: Sequence[Curve], dwell_s: Floats) -> None:
+        super().__init__(model.observations, model.declared, like=model)
+        self.without, self.covariates = model, model.covariates
         self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
 
     def rows(self, values: Values) -> Floats:
         """Parameters of each event with the terms in, (P + 1,) where they are the same for all, else (n, P + 1)."""
         out = super().rows(values)
         if out.ndim == 1 and any(c.term.columns or c.term.of == "since_impact_s" for c in self.curves):
-            out = np.repeat(out[None, :], len(self.evidence), axis=0)
+            out = np.repeat(out[None, :], len(self.observations), axis=0)
         for curve in self.curves:
             _put(out, curve, self.dwell_s)
         return out

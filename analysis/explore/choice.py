@@ -110,23 +110,26 @@ class Pool:
     flight_s: Floats
 
     @classmethod
-    def of(cls, option: Option, world: ForwardModel, fitter: Fitter, known: Weighed) -> Pool:
+    def of(cls, option: Option, model: ForwardModel, fitter: Fitter, known: Weighed) -> Pool:
         """Simulate the option's steps under the most probable explanation, and predict them by every other."""
         some = known.explanations[:MOST_EXPLANATIONS]
         truth = some[0].values
         made = ForwardModel(
-            simulate_steps(option.setup, np.array(option.gammas), world, truth, carried=True), world.declared
+            simulate_steps(option.setup, np.array(option.gammas), model, truth, carried=True), model.declared
         )
         whitener = Whitener.of(made, truth)
         raw, slopes = slopes_of(made, fitter, whitener, truth, known.keys)
         columns = [whitener.white_slopes(slopes, raw)]
         columns += [apart(whitener, raw, whitener.stacked(made.residuals(x.values)))[:, None] for x in some]
         every = np.nan_to_num(np.column_stack(columns))
-        rows = np.concatenate([whitener.step, made.evidence.plate.step])
+        rows = np.concatenate([whitener.step, made.observations.plate.step])
         events = np.arange(len(rows)) < len(whitener.step)  # as many as are simulated; plate data are a step's already
         every *= np.sqrt(np.where(events, option.hold_cycles / HOLD_CYCLES, 1.0))[:, None]
         products = [every[rows == i].T @ every[rows == i] for i in range(len(option.gammas))]
-        flown, step = made.evidence.measured.landing_s - made.evidence.measured.opening_s, made.evidence.measured.step
+        flown, step = (
+            made.observations.measured.landing_s - made.observations.measured.opening_s,
+            made.observations.measured.step,
+        )
         means = [float(np.mean(flown[step == i])) if np.any(step == i) else np.nan for i in range(len(option.gammas))]
         return cls(option, np.array(products), np.array(means))
 

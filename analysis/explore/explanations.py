@@ -6,7 +6,7 @@ derivatives. What is fitted beside a size goes with it: an explanation contradic
 
 References
 ----------
-D. J. C. MacKay, Neural Comput. 4, 415 (1992): evidence of linear models with normal priors.
+D. J. C. MacKay, Neural Comput. 4, 415 (1992): observations of linear models with normal priors.
 """
 
 from __future__ import annotations
@@ -86,24 +86,24 @@ class Weighed:
         return replace(self, explanations=tuple(replace(x, probability=x.probability / total) for x in some))
 
 
-def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequence[Hypothesis] = ()) -> Weighed:
-    """Explanations of the observations of ``world``, weighed.
+def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequence[Hypothesis] = ()) -> Weighed:
+    """Explanations of the observations of ``model``, weighed.
 
     Parameters
     ----------
-    world, fitter
+    model, fitter
         The observations and their fits.
     best
         The best set so far (the declared model alone where nothing was found).
     ties
         Other sets that the data do not distinguish from it; they share its probability.
     """
-    library = [c for c in candidates_of(world) if not set(c.names) & set(best.names) and len(c.names) == 1]
+    library = [c for c in candidates_of(model) if not set(c.names) & set(best.names) and len(c.names) == 1]
     at = {**_shapes(library), **best.fitted.values}
     sizes = [tuple(k for k in c.free if not parameter_of(k).is_shape) for c in library]
     shared = tuple(dict.fromkeys((*fitter.priors, *best.free)))
     keys = tuple(dict.fromkeys((*shared, *(k for own in sizes for k in own))))
-    raw, slopes = slopes_of(world, fitter, best.whitener, at, keys)
+    raw, slopes = slopes_of(model, fitter, best.whitener, at, keys)
     gradient, information = gradient_and_information(best.whitener, raw, slopes)
     stiffness = _prior_widths(fitter, keys)
     fit = _Fit(
@@ -118,7 +118,7 @@ def weighed(world: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
         nulls = np.array([fitter.to_x(k, null_value_of(k)) for k in own])
         x = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in own])
         places = np.array([keys.index(k) for k in own], dtype=np.int64)
-        log, mean, deviation = fit.evidence(places, x - nulls)
+        log, mean, deviation = fit.observations(places, x - nulls)
         moved = _within(fitter, own, x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation)
         rest = [k for k in shared if k not in own]
         beside = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in rest])
@@ -195,7 +195,7 @@ class _Fit:
         inner = self.information[np.ix_(shared, shared)] + np.diag(self.stiffness[shared])
         return np.asarray(lstsq(inner, self.information[np.ix_(shared, own)], rcond=1e-12)[0])
 
-    def evidence(self, own: Integers, at: Floats) -> tuple[float, Floats, Floats]:
+    def observations(self, own: Integers, at: Floats) -> tuple[float, Floats, Floats]:
         """Log evidence of freeing ``own`` over not freeing it, and how far its coordinates then move, and deviations.
 
         Each has a normal prior of one unit, the size that matters, around nothing; the fit has it ``at`` so much. A

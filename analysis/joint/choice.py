@@ -61,17 +61,17 @@ class Candidates:
 
     Parameters
     ----------
-    world, found
+    model, found
         The runs, and their fit.
     limits
         Thresholds of the verdict.
     """
 
-    def __init__(self, world: Aligned, found: Population, limits: Thresholds) -> None:
-        self.world, self.found, self.limits = world, found, limits
+    def __init__(self, model: Aligned, found: Population, limits: Thresholds) -> None:
+        self.model, self.found, self.limits = model, found, limits
         self.every = np.ones(len(found.runs), dtype=np.bool_)
-        self.before = left_out_losses(world, found, found.free)
-        self._places = np.arange(world.named, len(world.columns), dtype=np.int64)
+        self.before = left_out_losses(model, found, found.free)
+        self._places = np.arange(model.named, len(model.columns), dtype=np.int64)
         total = np.sum([run.information for run in found.runs], axis=0)
         free, tried = found.free, self._places
         self._follow = found.covariance @ total[np.ix_(free, tried)]
@@ -80,7 +80,7 @@ class Candidates:
         own, whole = np.diag(self._information), np.diag(bare)
         self._shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * whole)
         self._scale = np.where(self._shown, 1.0 / np.sqrt(np.where(self._shown, own, 1.0)), 0.0)
-        self._signs = (world.low[tried] >= 0.0).astype(np.int64) - (world.high[tried] <= 0.0).astype(np.int64)
+        self._signs = (model.low[tried] >= 0.0).astype(np.int64) - (model.high[tried] <= 0.0).astype(np.int64)
 
     def tested(self, depth: int) -> list[Tested]:
         """Every candidate that gains anything, the one of greatest held-out gain first.
@@ -91,17 +91,17 @@ class Candidates:
             Number of effects named before.
         """
         out: dict[tuple[str, ...], Tested] = {}
-        for option in self.world.options:
-            rows = self.world.places_of(option)
-            shown = rows[self._shown[rows - self.world.named]]
+        for option in self.model.options:
+            rows = self.model.places_of(option)
+            shown = rows[self._shown[rows - self.model.named]]
             if len(shown) == 0:
                 continue
             free = np.concatenate([self.found.free, shown])
-            x = bounded_fit(self.found.runs, self.found.x, self.world, free)
+            x = bounded_fit(self.found.runs, self.found.x, self.model, free)
             gain = self._loss(self.found.x) - self._loss(x)
             if gain < self.limits.reported_nats:
                 continue
-            losses = left_out_losses(self.world, self.found, free)
+            losses = left_out_losses(self.model, self.found, free)
             held_out = LogScoreDifference.of(self.before, losses, self.every)
             p = self._p(gain, x)
             one = Tested(option, x[rows], gain, losses, held_out, p, self._refusal(held_out, p, depth))
@@ -127,8 +127,8 @@ class Candidates:
         several settings of its shapes the one that shows least. What no run shows is left out.
         """
         out: dict[str, float] = {}
-        for j, (key, _) in enumerate(self.world.columns[self.world.named :]):
-            if self._shown[j] and key not in self.world.point.own:
+        for j, (key, _) in enumerate(self.model.columns[self.model.named :]):
+            if self._shown[j] and key not in self.model.point.own:
                 width = np.sqrt(2.0 * self.limits.gain_nats) * self._scale[j] * scale_of(key)
                 name = f"{key[0]}.{key[1]}"
                 out[name] = max(out.get(name, 0.0), float(width ** parameter_of(key).power))
@@ -151,7 +151,7 @@ class Candidates:
             Number of effects named before.
         """
         x = self.found.x.copy()
-        x[self.world.places_of(first.option)] = first.sizes
+        x[self.model.places_of(first.option)] = first.sizes
         both = 0.5 * (self.before - first.losses + gains)
         held_out = LogScoreDifference.of(both, np.zeros_like(both), self.every)
         mean = 0.5 * (first.gain + gain)
@@ -192,49 +192,49 @@ class Candidates:
         return ""
 
     def _loss(self, x: Floats) -> float:
-        return loss_of(self.world, self.found, x)
+        return loss_of(self.model, self.found, x)
 
     def _space(self, x: Floats) -> ScoreSpace:
         """Scores of each run at ``x``, less what calibrations follow, in units of their deviation."""
-        prior, free, tried = self.world.prior, self.found.free, self._places
+        prior, free, tried = self.model.prior, self.found.free, self._places
         share = (prior.precision * (x - prior.mean))[free] / len(self.every)
         parts = np.empty((len(self.every), len(tried)))
         for i, run in enumerate(self.found.runs):
             slope = run.slope_at(x)
             parts[i] = slope[tried] - self._follow.T @ (slope[free] - share)
-        first = self.world.named
-        groups = [tuple(int(j) - first for j in self.world.places_of(o)) for o in self.world.options]
+        first = self.model.named
+        groups = [tuple(int(j) - first for j in self.model.places_of(o)) for o in self.model.options]
         kept = tuple(group for g in groups if (group := tuple(j for j in g if self._shown[j])))
         information = self._scale[:, None] * self._information * self._scale
         return ScoreSpace(parts * self._scale, 0.5 * (information + information.T), kept, self._signs)
 
 
-def loss_of(world: Aligned, found: Population, x: Floats) -> float:
+def loss_of(model: Aligned, found: Population, x: Floats) -> float:
     """Loss of all runs and of the priors at a point, nats."""
-    away = x - world.prior.mean
-    return sum(run.loss_at(x) for run in found.runs) + 0.5 * float(world.prior.precision @ away**2)
+    away = x - model.prior.mean
+    return sum(run.loss_at(x) for run in found.runs) + 0.5 * float(model.prior.precision @ away**2)
 
 
-def bounded_fit(runs: Sequence[Quadratic], start: Floats, world: Aligned, free: Integers) -> Floats:
+def bounded_fit(runs: Sequence[Quadratic], start: Floats, model: Aligned, free: Integers) -> Floats:
     """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
     loose, x = free, start.copy()
-    own = len(world.point.own)
+    own = len(model.point.own)
     for _ in range(len(free)):
-        normal, push = normal_equations(runs, x, world.prior, loose)
+        normal, push = normal_equations(runs, x, model.prior, loose)
         trial = x.copy()
         trial[loose] += pinv(normal, rcond=1e-13, hermitian=True) @ push
-        beyond = loose[(loose >= own) & ((trial[loose] < world.low[loose]) | (trial[loose] > world.high[loose]))]
+        beyond = loose[(loose >= own) & ((trial[loose] < model.low[loose]) | (trial[loose] > model.high[loose]))]
         if len(beyond) == 0:
             return trial
-        x[beyond] = np.clip(trial[beyond], world.low[beyond], world.high[beyond])
+        x[beyond] = np.clip(trial[beyond], model.low[beyond], model.high[beyond])
         loose = np.setdiff1d(loose, beyond)
     return x
 
 
-def left_out_losses(world: Aligned, found: Population, free: Integers) -> Floats:
+def left_out_losses(model: Aligned, found: Population, free: Integers) -> Floats:
     """Loss of each run at the fit of all others, (R,)."""
     out = np.empty(len(found.runs))
     for i, run in enumerate(found.runs):
         others = [*found.runs[:i], *found.runs[i + 1 :]]
-        out[i] = run.loss_at(bounded_fit(others, found.x, world, free))
+        out[i] = run.loss_at(bounded_fit(others, found.x, model, free))
     return out

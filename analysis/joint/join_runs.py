@@ -144,7 +144,7 @@ class _State:
     point: Point
     named: tuple[tuple[str, ...], ...]  # candidates accepted, in order
     summaries: list[RunSummary]
-    world: Aligned
+    model: Aligned
     found: Population
 
     @property
@@ -173,7 +173,7 @@ class _Search:
         first: list[Tested] = []
         ties: tuple[tuple[str, ...], ...] = (state.names,) if state.named else ()
         for depth in range(len(state.named), self.limits.most_effects):
-            candidates = Candidates(state.world, state.found, self.limits)
+            candidates = Candidates(state.model, state.found, self.limits)
             tested = candidates.tested(depth)
             first = first or tested
             judged = self._judged_again(state, candidates, tested, depth)
@@ -197,18 +197,18 @@ class _Search:
         )
         times, dated = _days(state.summaries)
         return outcome_of(
-            state.summaries, state.world, state.found, self.limits, times, self.declared,
+            state.summaries, state.model, state.found, self.limits, times, self.declared,
             names=state.names, ties=ties, candidates=tried, rounds=tuple(self.rounds), passes=self.passes.done,
-            dated=dated, detection=Candidates(state.world, state.found, self.limits).detection_limits(),
+            dated=dated, detection=Candidates(state.model, state.found, self.limits).detection_limits(),
         )  # fmt: skip
 
     def _at(self, point: Point, named: tuple[tuple[str, ...], ...]) -> _State:
         """All runs linearised at a point, and their fit."""
         summaries = self.passes.at(point)
-        world = aligned(summaries, point, frozenset(n for names in named for n in names))
-        start = world.runs[0].origin.copy()
-        found = fit_population(world.runs, start, world.width, world.prior, np.arange(world.named, dtype=np.int64))
-        return _State(point, named, summaries, world, _within_bounds(world, found))
+        model = aligned(summaries, point, frozenset(n for names in named for n in names))
+        start = model.runs[0].origin.copy()
+        found = fit_population(model.runs, start, model.width, model.prior, np.arange(model.named, dtype=np.int64))
+        return _State(point, named, summaries, model, _within_bounds(model, found))
 
     def _begun_alone(self, state: _State) -> _State:
         """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
@@ -235,9 +235,9 @@ class _Search:
         without = _without(there, frozenset(key for key, _ in tested[0].option.sizes))
         if without is None:
             return tested
-        gain = loss_of(there.world, there.found, without.x) - loss_of(there.world, there.found, there.found.x)
-        gains = left_out_losses(there.world, without, without.free)
-        gains = gains - left_out_losses(there.world, there.found, there.found.free)
+        gain = loss_of(there.model, there.found, without.x) - loss_of(there.model, there.found, there.found.x)
+        gains = left_out_losses(there.model, without, without.free)
+        gains = gains - left_out_losses(there.model, there.found, there.found.free)
         return [candidates.judged_again(tested[0], gain, gains, depth), *tested[1:]]
 
     def _with(self, state: _State, chosen: Tested) -> _State:
@@ -258,7 +258,7 @@ class _Search:
             population = _population(state)
             here = {**state.point.shared, **{k: p.mean for k, p in state.point.population.items()}}
             there = {**values, **{k: p.mean for k, p in population.items()}}
-            places = {k: i for i, (k, _) in enumerate(state.world.columns[: state.world.named])}
+            places = {k: i for i, (k, _) in enumerate(state.model.columns[: state.model.named])}
             if here.keys() == there.keys() and all(
                 abs(coordinate_of(k, v) - coordinate_of(k, here[k])) < SETTLED_SIGMAS * state.found.sigma(places[k])
                 for k, v in there.items()
@@ -270,12 +270,12 @@ class _Search:
 
     def _without_idle(self, state: _State) -> _State:
         """Step back: the named effect that runs left out do not need is dropped, the least needed first."""
-        full = left_out_losses(state.world, state.found, state.found.free)
+        full = left_out_losses(state.model, state.found, state.found.free)
         gains = {}
         for names in state.named:
             without = _without(state, frozenset(k for k in state.point.shared if k[0] in names))
             if without is not None:
-                gains[names] = float((left_out_losses(state.world, without, without.free) - full).sum())
+                gains[names] = float((left_out_losses(state.model, without, without.free) - full).sum())
         least = min(gains, key=lambda n: gains[n], default=None)
         if least is None or gains[least] > self.limits.first_effect_nats:
             return state
@@ -288,7 +288,7 @@ class _Search:
     def _own_where_they_differ(self, state: _State) -> _State:
         """Shared parameters that differ between runs become the runs' own, about a mean."""
         times, _ = _days(state.summaries)
-        now = outcome_of(state.summaries, state.world, state.found, self.limits, times, self.declared)
+        now = outcome_of(state.summaries, state.model, state.found, self.limits, times, self.declared)
         differing = now.differing
         keys = {(x.effect, x.parameter): x for x in differing if (x.effect, x.parameter) in state.point.shared}
         if not keys:
@@ -296,7 +296,7 @@ class _Search:
         priors = dict(state.point.priors)
         for key in keys:
             place = len(state.point.own) + sorted(state.point.shared).index(key)
-            values, sigmas = alone(state.world.runs, state.found, place)
+            values, sigmas = alone(state.model.runs, state.found, place)
             width = WIDER * max(float(np.std(values[np.isfinite(sigmas)])), LEAST_WIDTH) * scale_of(key)
             priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
@@ -309,14 +309,14 @@ def _population(state: _State) -> dict[ParameterId, Prior]:
     out = {}
     for key in state.point.bent:
         i = state.point.own.index(key)
-        spread = max(float(state.found.spread[i]), LEAST_SPREAD * float(state.world.width[i])) * scale_of(key)
+        spread = max(float(state.found.spread[i]), LEAST_SPREAD * float(state.model.width[i])) * scale_of(key)
         out[key] = Prior(value_at(key, float(state.found.x[i])), float(spread ** parameter_of(key).power))
     return out
 
 
-def _within_bounds(world: Aligned, found: Population) -> Population:
+def _within_bounds(model: Aligned, found: Population) -> Population:
     """The fit with shared parameters inside what is possible."""
-    return dataclasses.replace(found, x=bounded_fit(found.runs, found.x, world, found.free))
+    return dataclasses.replace(found, x=bounded_fit(found.runs, found.x, model, found.free))
 
 
 def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:
@@ -328,7 +328,7 @@ def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:
     x, rows = state.found.x.copy(), np.array(list(places), dtype=np.int64)
     x[rows] = [coordinate_of(k, null_value_of(k)) for k in places.values()]
     free = np.setdiff1d(state.found.free, rows)
-    return dataclasses.replace(state.found, x=bounded_fit(state.found.runs, x, state.world, free), free=free)
+    return dataclasses.replace(state.found, x=bounded_fit(state.found.runs, x, state.model, free), free=free)
 
 
 def _moved(point: Point, values: dict[ParameterId, float]) -> Point:

@@ -25,7 +25,7 @@ LEAST_SHOWN = 1.0  # a calibration counts as seen where a run's own sigma is bel
 
 def outcome_of(
     summaries: Sequence[RunSummary],
-    world: Aligned,
+    model: Aligned,
     found: Population,
     limits: Thresholds,
     days: Floats,
@@ -39,7 +39,7 @@ def outcome_of(
 
     Parameters
     ----------
-    summaries, world, found
+    summaries, model, found
         Of the last pass.
     limits
         Thresholds of the verdict.
@@ -52,28 +52,28 @@ def outcome_of(
     course
         ``detection``, ``candidates``, ``rounds``, ``passes`` and ``dated`` of the result.
     """
-    columns = world.columns[: world.named - len(PLACES)]
+    columns = model.columns[: model.named - len(PLACES)]
     level = limits.best_of_all_p / max(len(columns), 1)
     parameters = tuple(
-        _over_runs(world, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
+        _over_runs(model, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
     )
     runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
-    shared = tuple(_systematic(world, found, name, len(columns) + i) for i, name in enumerate(NAMES))
+    shared = tuple(_systematic(model, found, name, len(columns) + i) for i, name in enumerate(NAMES))
     told = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
     verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
     first = tuple(sorted(parameters, key=lambda x: x.kind != "effect"))
     return JointVerdict(verdict, names, ties, first, shared, runs, **told)
 
 
-def _systematic(world: Aligned, found: Population, name: str, place: int) -> Systematic:
+def _systematic(model: Aligned, found: Population, name: str, place: int) -> Systematic:
     """A shared systematic error, in microseconds."""
     us = 1e6 * UNIT_S
-    prior = float(world.prior.precision[place] ** -0.5)
+    prior = float(model.prior.precision[place] ** -0.5)
     return Systematic(name, us * float(found.x[place]), us * found.sigma(place), us * prior)
 
 
 def _over_runs(
-    world: Aligned,
+    model: Aligned,
     found: Population,
     place: int,
     key: ParameterId,
@@ -82,12 +82,12 @@ def _over_runs(
     declared: Prior | None,
 ) -> OverRuns:
     """One parameter over the runs."""
-    values, sigmas = alone(world.runs, found, place)
-    own = place < len(world.width)
+    values, sigmas = alone(model.runs, found, place)
+    own = place < len(model.width)
     if own:
-        sigmas = np.where(sigmas < LEAST_SHOWN * world.width[place], sigmas, np.inf)
+        sigmas = np.where(sigmas < LEAST_SHOWN * model.width[place], sigmas, np.inf)
     test = constancy(values, sigmas, days)
-    effect = not own or world.prior.precision[place] == 0.0
+    effect = not own or model.prior.precision[place] == 0.0
     x, sigma = float(found.x[place]), found.sigma(place)
     spread = float(found.spread[place]) if own else test.spread
     inside = [(value_at(key, float(v)), _in_unit(key, float(v), float(s))) for v, s in zip(values, sigmas, strict=True)]

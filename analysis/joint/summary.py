@@ -177,17 +177,17 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
             f"{path}: wanted at least {LEAST_STEPS} steps whose plate motion can be measured, found {len(seen.steps)}; "
             "leave this recording out"
         )
-    world = ForwardModel(seen, _with_shared(seen, point))
-    fitter = Fitter(world, {**point.priors, **point.population}, np.ones(len(seen.steps), dtype=np.bool_))
-    fitted = Refits(fitter).converged((), Whitener.of(world, {}), (), {})
-    options = _options(world, fitted)
+    model = ForwardModel(seen, _with_shared(seen, point))
+    fitter = Fitter(model, {**point.priors, **point.population}, np.ones(len(seen.steps), dtype=np.bool_))
+    fitted = Refits(fitter).converged((), Whitener.of(model, {}), (), {})
+    options = _options(model, fitted)
     named = (*((key, ()) for key in (*point.own, *sorted(point.shared))), *PLACES)
     columns = (*named, *dict.fromkeys(place for option in options for place in option.sizes))
     values = fitted.fitted.values
-    quadratic, systematic_sigma = _to_second_order(world, fitter, fitted, columns)
-    left = goodness_of_fit(world, values, limits)
-    rows, left_out = scored_rows(world, values, np.ones(len(seen.steps), dtype=np.bool_))
-    after, floors = held_out_errors(world, values, rows, left_out), noise_floors_us(world, values, rows)
+    quadratic, systematic_sigma = _to_second_order(model, fitter, fitted, columns)
+    left = goodness_of_fit(model, values, limits)
+    rows, left_out = scored_rows(model, values, np.ones(len(seen.steps), dtype=np.bool_))
+    after, floors = held_out_errors(model, values, rows, left_out), noise_floors_us(model, values, rows)
     return RunSummary(
         str(path), started, columns, options, quadratic, systematic_sigma, len(seen), len(seen.steps), left.ratio,
         left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us), float(floors[0]),
@@ -215,10 +215,10 @@ def _with_shared(seen: Observations, point: Point) -> dict[str, dict[str, float]
     return {**declared, **{name: {**declared.get(name, {}), **own} for name, own in resolve(found).items()}}
 
 
-def _options(world: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
+def _options(model: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
     """Candidates beside what is named; a drift within a run belongs to that run and is left to `close_loop`."""
     out: dict[tuple[Place, ...], Option] = {}
-    for candidate in candidates_of(world):
+    for candidate in candidates_of(model):
         if any(q.endswith(TREND) for _, q in candidate.free):
             continue
         for sizes in places([candidate], fitted):
@@ -227,17 +227,17 @@ def _options(world: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
 
 
 def _to_second_order(
-    world: ForwardModel, fitter: Fitter, fitted: Hypothesis, columns: Sequence[Place]
+    model: ForwardModel, fitter: Fitter, fitted: Hypothesis, columns: Sequence[Place]
 ) -> tuple[Quadratic, tuple[float, ...]]:
     """The run's log likelihood about its own fit, origin in coordinates; and the priors of shared systematic errors."""
-    at, whitener = {**world.base, **fitted.fitted.values}, fitted.whitener
-    errors = Systematics.of(world, whitener, at)
+    at, whitener = {**model.base, **fitted.fitted.values}, fitted.whitener
+    errors = Systematics.of(model, whitener, at)
     ours = np.array([place in PLACES for place in columns])
-    raw, slopes = slopes_at(world, fitter, whitener, at, [p for p in columns if p not in PLACES])
+    raw, slopes = slopes_at(model, fitter, whitener, at, [p for p in columns if p not in PLACES])
     sizes = len(columns) - int(np.flatnonzero(ours)[-1]) - 1  # of candidates, last of all
     if sizes:
         tried = columns[-sizes:]
-        slopes[:, -sizes:] = secants_at(world, fitter, whitener, at, tried, raw, slopes[:, -sizes:])
+        slopes[:, -sizes:] = secants_at(model, fitter, whitener, at, tried, raw, slopes[:, -sizes:])
     both = np.empty((len(raw), len(columns)))
     both[:, ours], both[:, ~ours] = errors.slopes, slopes
     origin = np.zeros(len(columns))

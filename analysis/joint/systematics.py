@@ -46,25 +46,25 @@ class Systematics:
     sigma: tuple[float, ...]
 
     @classmethod
-    def of(cls, world: ForwardModel, whitener: Whitener, at: Values) -> Systematics:
+    def of(cls, model: ForwardModel, whitener: Whitener, at: Values) -> Systematics:
         """From one run at the parameter values ``at``."""
-        seen = world.evidence
+        seen = model.observations
         brief = np.append(seen.measured.relaunched[1:] & seen.measured.linked[1:], False)
-        now = world.residuals(at)
+        now = model.residuals(at)
         raw, columns = whitener.stacked(now), []
         for closings, openings in ((np.zeros_like(brief), 1.0), (brief, 0.0)):
             late_s = np.where(closings, EDGE_STEP_S, 0.0)
-            earlier = world.predict(at, landing_shift_s=-late_s, near=now.predicted)
+            earlier = model.predict(at, landing_shift_s=-late_s, near=now.predicted)
             there = replace(
                 now,
                 landing_s=np.where(seen.scored, seen.measured.landing_s - late_s - earlier.landing_s, np.nan),
                 opening_s=np.where(
-                    world.from_rest, seen.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s, np.nan
+                    model.from_rest, seen.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s, np.nan
                 ),
             )
             change = of_same_events(whitener.stacked(there) - raw, whitener)
             columns.append(change * UNIT_S / EDGE_STEP_S)
-        opening_s, closing_s = _typical(seen.opening_sigma_s, world.from_rest), _typical(seen.landing_sigma_s, brief)
+        opening_s, closing_s = _typical(seen.opening_sigma_s, model.from_rest), _typical(seen.landing_sigma_s, brief)
         sigma_s = (SHARED_PART * opening_s, min(0.5 * seen.closure_s, closing_s))
         return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
 

@@ -199,9 +199,9 @@ def refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:
 
     An effect may move landings as far (a restitution does), but no take-off of a resting ball.
     """
-    left, measured = model.residuals({}), model.evidence.measured
-    period_s = model.evidence.steps.plate.period_s[measured.step]
-    rows = model.evidence.scored & model.from_rest
+    left, measured = model.residuals({}), model.observations.measured
+    period_s = model.observations.steps.plate.period_s[measured.step]
+    rows = model.observations.scored & model.from_rest
     if rows.sum() < FEWEST_TAKEOFFS:
         return
     opening, landing = (

@@ -114,8 +114,8 @@ def rank(fitted: FittedLoop, designs: Sequence[Design]) -> list[Ranked]:
     out = []
     for design in designs:
         made = ForwardModel(simulate_design(design, model, best.fitted.values), model.declared)
-        priors = _priors(model.evidence.setup, design, best)
-        fitter = Fitter(made, priors, np.ones(len(made.evidence.steps), dtype=bool))
+        priors = _priors(model.observations.setup, design, best)
+        fitter = Fitter(made, priors, np.ones(len(made.observations.steps), dtype=bool))
         whitener = Whitener.of(made, best.fitted.values)
         losses = [(_loss(fitter, whitener, rival), rival.names) for rival in rivals]
         nats, names = min(losses)
@@ -136,32 +136,32 @@ def _priors(setup: Setup, design: Design, best: Hypothesis) -> dict[ParameterId,
     return priors
 
 
-def simulate_design(design: Design, world: ForwardModel, fitted: Values) -> Observations:
-    """Noise-free observations of the design under the parameters ``fitted``, with the uncertainties of ``world``."""
+def simulate_design(design: Design, model: ForwardModel, fitted: Values) -> Observations:
+    """Noise-free observations of the design under the parameters ``fitted``, with the uncertainties of ``model``."""
     gammas = np.array(design.gammas)
     if design.order == "shuffled":
         gammas = np.random.default_rng(1).permutation(gammas)
-    return simulate_steps(replace_ratio(world.evidence.setup, design.ratio), gammas, world, fitted)
+    return simulate_steps(replace_ratio(model.observations.setup, design.ratio), gammas, model, fitted)
 
 
 def simulate_steps(
-    setup: Setup, gammas: Floats, world: ForwardModel, fitted: Values, *, carried: bool = False
+    setup: Setup, gammas: Floats, model: ForwardModel, fitted: Values, *, carried: bool = False
 ) -> Observations:
-    """Noise-free observations of steps one after another, with the uncertainties of ``world``.
+    """Noise-free observations of steps one after another, with the uncertainties of ``model``.
 
     Parameters
     ----------
     setup
-        That of ``world``, with the forcing of these steps.
+        That of ``model``, with the forcing of these steps.
     gammas
         In the order of the run, (m,).
-    world, fitted
+    model, fitted
         Observations that tell how uncertain everything is, and the parameters that act.
     carried
         Whether the motion at the end of a step is the start of the next one, as on a rig; else each starts from rest.
     """
-    ev = world.evidence
-    values = world.start(fitted)
+    ev = model.observations
+    values = model.start(fitted)
     omega = 2 * math.pi * setup.forcing.frequency_hz
     tones = setup.forcing.displacement_tones()
     m, k = len(gammas), len(tones)
@@ -197,7 +197,7 @@ def simulate_steps(
         modulation=None,
         run_part=part[measured.step],
     )
-    truth = ForwardModel(made, world.declared)
+    truth = ForwardModel(made, model.declared)
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(fitted))))
 
 

@@ -31,13 +31,13 @@ Effects = Mapping[str, Mapping[str, float]]
 
 def step_table(model: ForwardModel, train: Bools) -> StepTable:
     """Steps of the observations; those outside ``train`` (m,) are held out."""
-    steps = model.evidence.steps
+    steps = model.observations.steps
     return StepTable(steps.recording, steps.number, steps.gamma, steps.ratio, steps.plate.period_s, ~train)
 
 
 def flight_table(model: ForwardModel, before: Values, after: Values) -> FlightTable:
     """Flights with the predictions at the fitted values ``before`` and ``after``."""
-    ev = model.evidence
+    ev = model.observations
     first = _predictions(model, before)
     return FlightTable(
         ev.measured.step,
@@ -65,7 +65,7 @@ def _predictions(model: ForwardModel, values: Values) -> Predictions:
 
 def plate_table(model: ForwardModel, before: Values, after: Values) -> PlateTable:
     """Plate data with the residuals at the fitted values ``before`` and ``after``."""
-    data = model.evidence.plate
+    data = model.observations.plate
     residuals = (model.residuals(values).plate for values in (before, after))
     return PlateTable(data.kind, data.step, data.value, data.sigma, *residuals)
 

@@ -70,12 +70,12 @@ COVARIATES: Mapping[str, Covariate] = {
 }
 
 
-def covariates(world: ForwardModel, values: Values) -> dict[str, Floats]:
+def covariates(model: ForwardModel, values: Values) -> dict[str, Floats]:
     """Covariates of every flight of the observations.
 
     Parameters
     ----------
-    world
+    model
         The observations.
     values
         Fitted values, of which only the contact circuit's delay and the accelerometer's response are used.
@@ -85,16 +85,16 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Floats]:
     dict of arrays (n,)
         By the names of `COVARIATES`, SI units; NaN where the flight before is not known.
     """
-    ev = world.evidence
+    ev = model.observations
     events, step = ev.measured, ev.measured.step
-    shift = world.per_step(values, "contact_delay_s")[step]
-    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / world.reading(values))
+    shift = model.per_step(values, "contact_delay_s")[step]
+    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / model.reading(values))
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked
     land, opening = events.landing_s - shift, events.opening_s - shift
     start = np.where(events.relaunched & linked, land[before], opening)
     lasts = land - start
-    launch, impact = _ends(world.gravity, plate, step, start, lasts, events.relaunched & linked)
+    launch, impact = _ends(model.gravity, plate, step, start, lasts, events.relaunched & linked)
     _, at_land, a_land = _plate(plate, step, land)
     _, at_start, _ = _plate(plate, step, start)
 
@@ -121,7 +121,7 @@ def covariates(world: ForwardModel, values: Values) -> dict[str, Floats]:
         "flight_s": lasts,
         "impact_mps": impact,
         "landing_phase_rad": _phase(plate, step, land),
-        "height_m": _height(world.gravity, plate, step, start, lasts, launch),
+        "height_m": _height(model.gravity, plate, step, start, lasts, launch),
         "plate_speed_at_landing_mps": at_land,
     }
 

@@ -56,7 +56,7 @@ class ForwardModel:
 
     Parameters
     ----------
-    evidence
+    observations
         The observations.
     base
         Declared effects, by effect and parameter: the model before anything is added.
@@ -71,27 +71,29 @@ class ForwardModel:
 
     def __init__(
         self,
-        evidence: Observations,
+        observations: Observations,
         base: Mapping[str, Mapping[str, float]],
         like: ForwardModel | None = None,
     ) -> None:
-        self.evidence, self.declared = evidence, base
+        self.observations, self.declared = observations, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}
-        self.gravity = evidence.setup.g_mps2.value
+        self.gravity = observations.setup.g_mps2.value
         if like is None:
-            known = evidence.modulation
-            self.ringing = None if known is None else Ringing.of(known, evidence.steps.plate)
-            at_work = (evidence.plate, evidence.steps.plate, self.gravity)
+            known = observations.modulation
+            self.ringing = None if known is None else Ringing.of(known, observations.steps.plate)
+            at_work = (observations.plate, observations.steps.plate, self.gravity)
             self.loading = None if self.ringing is None else self.ringing.loading(*at_work)
             self._plate_memory = Memory(MOST_KEPT["plate"])
         else:
             self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
         self.memory, self.slope_memory = Memory(MOST_KEPT["flights"]), Memory(MOST_KEPT["slopes"])
         self._nothing = row({}, self.gravity)
-        self.from_rest = evidence.scored & ~evidence.measured.relaunched  # take-offs after a rest, as the circuit saw
+        self.from_rest = (
+            observations.scored & ~observations.measured.relaunched
+        )  # take-offs after a rest, as the circuit saw
         self.covariates: dict[str, Floats] = {}  # computed where an effect follows one
-        of_steps = evidence.steps.run_part[evidence.measured.step]
-        self._run_part_events = of_steps if evidence.run_part is None else evidence.run_part
+        of_steps = observations.steps.run_part[observations.measured.step]
+        self._run_part_events = of_steps if observations.run_part is None else observations.run_part
 
     def start(self, values: Values) -> AllValues:
         """All parameters that are set: the base, overridden by ``values``."""
@@ -108,7 +110,7 @@ class ForwardModel:
         followed = [x for x in _followed() if any(name == x[0] for name, _ in point)]
         if not drifting and not followed:
             return out
-        out = np.repeat(out[None, :], len(self.evidence), axis=0)
+        out = np.repeat(out[None, :], len(self.observations), axis=0)
         for _, column, covariate in followed:
             out[:, column] = self._covariate(covariate)
         for (name, key), value in drifting:
@@ -131,7 +133,7 @@ class ForwardModel:
 
     def _in_steps(self, name: str, own: Own) -> dict[str, Floats]:
         """Parameters of one effect in each step."""
-        m, run_part = len(self.evidence.steps), self.evidence.steps.run_part
+        m, run_part = len(self.observations.steps), self.observations.steps.run_part
         table = {q.name: np.full(m, q.null_value) for q in effect(name).effect.parameters}
         table |= {key: np.full(m, value) for (_, key), value in own if not key.endswith(TREND)}
         for (_, key), value in own:
@@ -148,7 +150,7 @@ class ForwardModel:
                 rows = zip(*table.values(), strict=True)
                 return np.array([entry.hooks[hook](dict(zip(table, row, strict=True))) for row in rows])
             once = np.asarray(entry.hooks[hook]({q: float(x[0]) for q, x in table.items()}))
-            return np.tile(once, (len(self.evidence.steps), *([1] * once.ndim)))
+            return np.tile(once, (len(self.observations.steps), *([1] * once.ndim)))
 
         return self._plate_memory.recall((hook, entry.effect.name, own), made)
 
@@ -161,14 +163,14 @@ class ForwardModel:
 
     def per_step(self, values: Values, hook: str) -> Floats:
         """Sum of a plain hook over the effects, (m,)."""
-        total = np.zeros(len(self.evidence.steps))
+        total = np.zeros(len(self.observations.steps))
         for entry, own in self._with_hook(values, hook):
             total = total + self._hook_in_steps(entry, hook, own)
         return total
 
     def reading(self, values: Values) -> Complexes | Floats:
         """What the accelerometer shows of each tone of the plate, relative to it, (m, k)."""
-        total: Complexes | Floats = np.ones(self.evidence.steps.plate.omega_radps.shape)
+        total: Complexes | Floats = np.ones(self.observations.steps.plate.omega_radps.shape)
         for entry, own in self._with_hook(values, "accelerometer_response"):
             key = ("reading", entry.effect.name, own)
             total = total * self._plate_memory.recall(key, functools.partial(self._reading_of, entry, own))
@@ -176,7 +178,7 @@ class ForwardModel:
 
     def _reading_of(self, entry: Registered, own: Own) -> Complexes | Floats:
         """What one effect makes the accelerometer show of each tone, (m, k)."""
-        omega, table = self.evidence.steps.plate.omega_radps, self._in_steps(entry.effect.name, own)
+        omega, table = self.observations.steps.plate.omega_radps, self._in_steps(entry.effect.name, own)
         hook = entry.hooks["accelerometer_response"]
         points = [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
         if any(key.endswith(TREND) for (_, key), _ in own):
@@ -185,7 +187,7 @@ class ForwardModel:
 
     def _expected(self, values: Values) -> Floats:
         """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""
-        total = np.zeros(len(self.evidence.plate))
+        total = np.zeros(len(self.observations.plate))
         for name, own in self.start(values).own.items():
             if PLATE_HOOKS & effect(name).hooks.keys():
                 total = total + self._expected_of(name, own)
@@ -194,8 +196,8 @@ class ForwardModel:
     def _expected_of(self, name: str, own: Own) -> Floats:
         def made() -> Floats:
             if any(key.endswith(TREND) for (_, key), _ in own):
-                return expected(self.evidence.plate, {name: self._in_steps(name, own)})
-            return share(self.evidence.plate, name, effect(name).effect.null_values | {q: v for (_, q), v in own})
+                return expected(self.observations.plate, {name: self._in_steps(name, own)})
+            return share(self.observations.plate, name, effect(name).effect.null_values | {q: v for (_, q), v in own})
 
         return self._plate_memory.recall((name, own), made)
 
@@ -211,7 +213,7 @@ class ForwardModel:
 
     def _calibrated(self, values: Values, tones: Complexes | None) -> tuple[PlateSteps, Floats, Floats]:
         """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
-        ev = self.evidence
+        ev = self.observations
         step = ev.measured.step
         loaded = self.per_step(values, "flight_gain")
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
@@ -250,12 +252,12 @@ class ForwardModel:
 
     def measured_at(self, x: Inputs, wanted: Bools | None = None) -> Measured:
         """The flights as they were, less the circuit's delay."""
-        seen = self.evidence.measured
+        seen = self.observations.measured
         of = seen.wanted if wanted is None else wanted & seen.wanted
         return replace(seen, opening_s=seen.opening_s - x.delay_s, landing_s=seen.landing_s - x.delay_s, wanted=of)
 
     def detection_at(self, x: Inputs) -> Detection:
-        ev = self.evidence
+        ev = self.observations
         return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
 
     def slopes(self, values: Values) -> tuple[Inputs, Slopes]:
@@ -270,12 +272,12 @@ class ForwardModel:
 
     def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Floats, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
-        if self.evidence.modulation is None:
+        if self.observations.modulation is None:
             return None
         for entry, own in self._with_hook(values, "modulation"):
             depth, omega = self._hook_in_steps(entry, "modulation", own).T
             if np.any(depth):
-                return self.evidence.modulation, depth, float(omega[0]) / (2.0 * np.pi)
+                return self.observations.modulation, depth, float(omega[0]) / (2.0 * np.pi)
         return None
 
     def kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
@@ -286,7 +288,7 @@ class ForwardModel:
             return ()
         row = rows[int(np.argmax(np.abs(rows[:, place[0]])))]  # where it is struck most: it may drift
         omega, _, ratio = plate_mode(row)
-        speed = KICK * ratio * self.gravity * float(np.median(self.evidence.steps.plate.period_s))
+        speed = KICK * ratio * self.gravity * float(np.median(self.observations.steps.plate.period_s))
         return (speed / omega, 0.0), (0.0, speed)
 
     def moved_landings(
@@ -301,7 +303,7 @@ class ForwardModel:
         tuple of bool arrays, shape (n,)
             Events whose own landing, the one before, and the one two before has been moved.
         """
-        index, near = np.arange(len(self.evidence)), self.predicted(values)
+        index, near = np.arange(len(self.observations)), self.predicted(values)
         for colour in range(3):
             own = np.where(index % 3 == colour, shift_s, 0.0)
             moved = self.predict(values, landing_shift_s=own, near=near, wanted=wanted)
@@ -309,7 +311,7 @@ class ForwardModel:
 
     def residuals(self, values: Values, rows: Floats | None = None) -> Residuals:
         """Measured minus predicted at ``values``."""
-        ev, values = self.evidence, self.start(values)
+        ev, values = self.observations, self.start(values)
         p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
@@ -326,7 +328,7 @@ class ForwardModel:
 
     def _plate_residuals(self, values: Values, mode: Floats | float = 0.0, mode_sigma: Floats | float = 0.0) -> Floats:
         """Measured minus expected plate data at ``values``, (r,), scaled where what is expected is uncertain."""
-        ev = self.evidence
+        ev = self.observations
         predicted, inexact = self._expected(values) + mode, np.zeros(len(ev.plate)) + mode_sigma
         if self.loading is not None:
             predicted = predicted + self.loading.added(self.per_step(values, "flight_gain")[ev.plate.step])

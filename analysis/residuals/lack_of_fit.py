@@ -91,29 +91,29 @@ class Innovations:
     step: Integers
 
 
-def goodness_of_fit(world: ForwardModel, values: Values, limits: Thresholds = FROZEN) -> GoodnessOfFit:
+def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FROZEN) -> GoodnessOfFit:
     """Tests of the residuals at ``values``, on all steps.
 
     Parameters
     ----------
-    world
+    model
         The observations and their model.
     values
         Fitted values of any hypothesis, the declared model alone included.
     limits
         Thresholds of the verdict: the covariate is named where its probability is below ``lack_p``.
     """
-    u = world.uncertainty(values)
-    found = innovations(world, values, u)
-    tables = covariates(world, values)
+    u = model.uncertainty(values)
+    found = innovations(model, values, u)
+    tables = covariates(model, values)
     logs = {name: _log_p_of_covariate(found, x) for name, x in tables.items()}
     first = min(logs, key=lambda name: logs[name])
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
     between, scatter, serial = _p_between(found), _p_scatter(found.z), _p_serial(found)
     return GoodnessOfFit(
         min(1.0, 4.0 * min(p_first, between, scatter, serial)),
-        rms_standardised(world, values, u),
-        plate_rms_standardised(world, values),
+        rms_standardised(model, values, u),
+        plate_rms_standardised(model, values),
         first if p_first < limits.lack_p else None,
         {k: math.exp(v) for k, v in logs.items()},
         between,
@@ -122,37 +122,37 @@ def goodness_of_fit(world: ForwardModel, values: Values, limits: Thresholds = FR
     )
 
 
-def rms_standardised(world: ForwardModel, values: Values, u: Uncertainty) -> float:
+def rms_standardised(model: ForwardModel, values: Values, u: Uncertainty) -> float:
     """Rms of residuals over uncertainty, clipped at `FARTHEST_SIGMAS`; the larger of openings and landings."""
-    r = world.residuals(values)
-    out, firm = [0.0], ~near_grazing(world, values)  # the others may or may not happen
+    r = model.residuals(values)
+    out, firm = [0.0], ~near_grazing(model, values)  # the others may or may not happen
     for residual, sigma, rows in (
-        (r.opening_s, u.opening_total_s, world.from_rest & firm),
-        (r.landing_s, u.landing_total_s, world.evidence.scored & firm),
+        (r.opening_s, u.opening_total_s, model.from_rest & firm),
+        (r.landing_s, u.landing_total_s, model.observations.scored & firm),
     ):
         if rows.any():
             out.append(float(np.sqrt(np.mean(_unit(residual, sigma)[rows] ** 2))))
     return max(out)
 
 
-def plate_rms_standardised(world: ForwardModel, values: Values) -> float:
+def plate_rms_standardised(model: ForwardModel, values: Values) -> float:
     """Root mean square of normalised plate residuals of the kind that fits worst, shrunk to 1 where few."""
     few = LEAST_OF_KIND
-    squares = _plate_squares(world, values)
+    squares = _plate_squares(model, values)
     return max((float(np.sqrt((np.sum(q) + few) / (len(q) + few))) for q in squares), default=0.0)
 
 
-def plate_probability(world: ForwardModel, values: Values) -> float:
+def plate_probability(model: ForwardModel, values: Values) -> float:
     """Probability of so large plate residuals from noise alone: of the worst kind, times the number of kinds."""
-    squares = _plate_squares(world, values)
+    squares = _plate_squares(model, values)
     p = [float(chdtrc(len(q), float(np.sum(q)) / (1.0 + SCALE_KNOWN) ** 2)) for q in squares]
     return min(1.0, len(p) * min(p, default=1.0))
 
 
-def _plate_squares(world: ForwardModel, values: Values) -> list[Floats]:
+def _plate_squares(model: ForwardModel, values: Values) -> list[Floats]:
     """Squares of the normalised plate residuals, clipped, an array for each kind of which there are enough."""
-    data = world.evidence.plate
-    z = np.clip(world.residuals(values).plate / data.sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
+    data = model.observations.plate
+    z = np.clip(model.residuals(values).plate / data.sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
     kinds, counts = np.unique(data.kind, return_counts=True)
     return [z[data.kind == k] ** 2 for k in kinds[counts >= LEAST_OF_KIND]]
 
@@ -165,18 +165,18 @@ def _unit(residual: Floats, sigma: Floats) -> Floats:
     )
 
 
-def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovations:
+def innovations(model: ForwardModel, values: Values, u: Uncertainty) -> Innovations:
     """Standardised innovations of each step: residuals over the Cholesky factor of their covariance."""
-    ev = world.evidence
-    r = world.residuals(values)
-    carried = _carried(world, values)
-    firm = ev.scored & ~near_grazing(world, values)
+    ev = model.observations
+    r = model.residuals(values)
+    carried = _carried(model, values)
+    firm = ev.scored & ~near_grazing(model, values)
     parts = []
     for s in range(len(ev.steps)):
         rows = np.flatnonzero(firm & (ev.measured.step == s))
         if len(rows) == 0:
             continue
-        event = np.concatenate([rows[world.from_rest[rows]], rows])
+        event = np.concatenate([rows[model.from_rest[rows]], rows])
         landing = np.arange(len(event)) >= len(event) - len(rows)
         order = np.lexsort((landing, event))
         event, landing = event[order], landing[order]
@@ -192,11 +192,11 @@ def innovations(world: ForwardModel, values: Values, u: Uncertainty) -> Innovati
     return Innovations(np.clip(z, -INNOVATION_SIGMAS, INNOVATION_SIGMAS), event, landing, step)
 
 
-def _carried(world: ForwardModel, values: Values) -> tuple[Floats, Floats]:
+def _carried(model: ForwardModel, values: Values) -> tuple[Floats, Floats]:
     """Derivatives of predicted openings and landings by the landing one and two flights before, (n, 2) each."""
-    base, n = world.predict(values), len(world.evidence)
+    base, n = model.predict(values), len(model.observations)
     opening, landing = np.zeros((n, 2)), np.zeros((n, 2))
-    for moved, rows in world.moved_landings(values, np.full(n, EDGE_STEP_S)):
+    for moved, rows in model.moved_landings(values, np.full(n, EDGE_STEP_S)):
         for back in (1, 2):
             opening[rows[back], back - 1] = edge_slope(moved.opening_s - base.opening_s)[rows[back]]
             landing[rows[back], back - 1] = edge_slope(moved.landing_s - base.landing_s)[rows[back]]

@@ -66,39 +66,39 @@ class Errors:
     landing_rms_us_without_lost: float = float("nan")
 
 
-def scored_rows(world: ForwardModel, values: Mapping[ParameterId, float], steps: Bools) -> tuple[Integers, float]:
+def scored_rows(model: ForwardModel, values: Mapping[ParameterId, float], steps: Bools) -> tuple[Integers, float]:
     """Flights of ``steps`` (m,) that count at ``values``, and the fraction excluded as near-grazing."""
-    ev = world.evidence
+    ev = model.observations
     rows = np.flatnonzero(ev.scored & steps[ev.measured.step])
     if len(rows) == 0:
         return rows, 0.0
-    keep = ~near_grazing(world, values)[rows]
+    keep = ~near_grazing(model, values)[rows]
     return rows[keep], 1.0 - float(keep.mean())
 
 
-def near_grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
+def near_grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
     """Flights whose landing cannot be predicted from the measured numbers, (n,), whatever the residuals.
 
     Either the uncertainty is `GRAZING_RATIO` times the median one, or the prediction jumps by `GRAZING_SIGMAS` of that
     when an earlier landing or a tone of the plate is off by `GRAZING_SIGMAS`: the graze is met or missed.
     """
-    return world.memory.recall(("grazing", world.start(values).flying), lambda: _grazing(world, values))
+    return model.memory.recall(("grazing", model.start(values).flying), lambda: _grazing(model, values))
 
 
-def _grazing(world: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
-    ev = world.evidence
-    total = world.uncertainty(values).landing_total_s
+def _grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
+    ev = model.observations
+    total = model.uncertainty(values).landing_total_s
     usual = GRAZING_RATIO * float(np.median(total[ev.scored])) if ev.scored.any() else np.inf
-    base = world.predicted(values)
+    base = model.predicted(values)
     out = total >= usual
     for sign in (-GRAZING_SIGMAS, GRAZING_SIGMAS):
-        for moved, rows in world.moved_landings(values, sign * ev.landing_sigma_s):
+        for moved, rows in model.moved_landings(values, sign * ev.landing_sigma_s):
             out |= ~rows[0] & _jumps(base, moved, GRAZING_SIGMAS * usual)
         for k in np.flatnonzero(ev.steps.forcing.any(axis=0)):
             for unit in (1.0, 1j):
                 z = ev.steps.plate.acceleration_mps2.copy()
                 z[:, k] += sign * unit * ev.steps.sigma_mps2[:, k]
-                out |= _jumps(base, world.predict(values, tones=z, near=base), GRAZING_SIGMAS * usual)
+                out |= _jumps(base, model.predict(values, tones=z, near=base), GRAZING_SIGMAS * usual)
     return np.asarray(out)
 
 
@@ -109,26 +109,26 @@ def _jumps(base: Predicted, moved: Predicted, far_s: float) -> Bools:
 
 
 def held_out_errors(
-    world: ForwardModel,
+    model: ForwardModel,
     values: Mapping[ParameterId, float],
     rows: Integers,
     excluded_fraction: float,
     seed: int = 0,
 ) -> Errors:
     """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
-    ev = world.evidence
+    ev = model.observations
     if len(rows) == 0:
         nan = float("nan")
         return Errors(nan, nan, nan, nan, nan, nan, nan, 0, excluded_fraction)
-    r = world.residuals(values)
+    r = model.residuals(values)
     half = 0.5 * ev.steps.plate.period_s[ev.measured.step[rows]]
     landing = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
-    seen = world.from_rest[rows]
+    seen = model.from_rest[rows]
     opening = np.where(np.isfinite(r.opening_s[rows]), r.opening_s[rows], half)[seen]
     measured = (ev.measured.landing_s - ev.measured.opening_s)[rows]
     predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
     relative = np.abs(np.where(np.isfinite(predicted), predicted, 0.0) - measured) / measured
-    lost = _lost(world, values, landing, rows)
+    lost = _lost(model, values, landing, rows)
     low, high = _interval(landing, ev.measured.step[rows], np.random.default_rng(seed))
     return Errors(
         _rms_us(landing),
@@ -145,10 +145,10 @@ def held_out_errors(
     )
 
 
-def _lost(world: ForwardModel, values: Mapping[ParameterId, float], landing_s: Floats, rows: Integers) -> Bools:
+def _lost(model: ForwardModel, values: Mapping[ParameterId, float], landing_s: Floats, rows: Integers) -> Bools:
     """Which landings (k,) are likelier to be outliers than missed by noise, in the likelihood of the fits."""
-    sigma = np.hypot(world.uncertainty(values).landing_total_s[rows], SHARED_S)
-    odds = log_odds(sigma, world.evidence.steps.plate.period_s[world.evidence.measured.step[rows]])
+    sigma = np.hypot(model.uncertainty(values).landing_total_s[rows], SHARED_S)
+    odds = log_odds(sigma, model.observations.steps.plate.period_s[model.observations.measured.step[rows]])
     return np.asarray(robust_loss(landing_s / sigma) > -odds)
 
 
@@ -161,7 +161,7 @@ def _interval(residual: Floats, step: Integers, rng: np.random.Generator) -> tup
     return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
 
 
-def noise_floors_us(world: ForwardModel, values: Mapping[ParameterId, float], rows: Integers) -> tuple[float, float]:
+def noise_floors_us(model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers) -> tuple[float, float]:
     """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
 
     Returns
@@ -169,13 +169,13 @@ def noise_floors_us(world: ForwardModel, values: Mapping[ParameterId, float], ro
     tuple of float
         Of landings, and of the take-offs that were seen; NaN where there are none.
     """
-    u, from_rest = world.uncertainty(values), rows[world.from_rest[rows]]
+    u, from_rest = model.uncertainty(values), rows[model.from_rest[rows]]
     landing, opening = u.landing_total_s[rows], u.opening_total_s[from_rest]
     return _rms_us(landing), _rms_us(opening)
 
 
 def noise_quantiles_us(
-    world: ForwardModel,
+    model: ForwardModel,
     values: Mapping[ParameterId, float],
     rows: Integers,
     chance_p: float = FROZEN.chance_p,
@@ -190,8 +190,8 @@ def noise_quantiles_us(
     tuple of float
         Of landings, and of the take-offs that were seen; 0 where there are none.
     """
-    u, from_rest, rng = world.uncertainty(values), rows[world.from_rest[rows]], np.random.default_rng(seed)
-    step = world.evidence.measured.step
+    u, from_rest, rng = model.uncertainty(values), rows[model.from_rest[rows]], np.random.default_rng(seed)
+    step = model.observations.measured.step
 
     def quantile(events: Integers, sigma: Floats, by_tone: Floats) -> float:
         if len(events) == 0:
@@ -211,15 +211,15 @@ def noise_quantiles_us(
 
 
 def landing_probability(
-    world: ForwardModel, values: Mapping[ParameterId, float], rows: Integers
+    model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers
 ) -> tuple[float, float]:
     """Probability that noise alone misses the landings of the flights ``rows`` (k,) by so much, and their rms, us.
 
     The sum of their squares is that of correlated normal errors. The largest `OUTLIER_FRACTION` of the errors may be
     other events than those predicted, and is left out of both.
     """
-    u, r, step = world.uncertainty(values), world.residuals(values), world.evidence.measured.step
-    half = 0.5 * world.evidence.steps.plate.period_s[step[rows]]
+    u, r, step = model.uncertainty(values), model.residuals(values), model.observations.measured.step
+    half = 0.5 * model.observations.steps.plate.period_s[step[rows]]
     missed = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
     order = np.argsort(np.abs(missed) / u.landing_total_s[rows])
     kept = np.sort(order[: len(rows) - math.ceil(OUTLIER_FRACTION * len(rows))])
@@ -256,7 +256,7 @@ class GivenOpenings:
 
 
 def given_openings(
-    world: ForwardModel,
+    model: ForwardModel,
     values: Mapping[ParameterId, float],
     rows: Integers,
     chance_p: float = FROZEN.chance_p,
@@ -267,12 +267,12 @@ def given_openings(
     A tone's error shifts all openings and landings of a step together. Where few steps are held out, one whose tones
     are two standard deviations off would decide; its openings tell that error, within its stated uncertainty.
     """
-    u, r, step = world.uncertainty(values), world.residuals(values), world.evidence.measured.step
-    half = 0.5 * world.evidence.steps.plate.period_s
+    u, r, step = model.uncertainty(values), model.residuals(values), model.observations.measured.step
+    half = 0.5 * model.observations.steps.plate.period_s
     rng, squares, noise, drawn = np.random.default_rng(seed), 0.0, 0.0, np.zeros(DRAWS)
     for s in np.unique(step[rows]):
         mine = rows[step[rows] == s]
-        seen = np.flatnonzero(world.from_rest & (step == s))
+        seen = np.flatnonzero(model.from_rest & (step == s))
         seen = seen[np.abs(r.opening_s[seen]) < COMMON_MODE_SIGMAS * np.hypot(u.opening_total_s[seen], SHARED_S)]
         shift, root = _tones_given(r.opening_s[seen], u.opening_sigma_s[seen], u.opening_by_tone[seen])
         tones = u.landing_by_tone[mine]

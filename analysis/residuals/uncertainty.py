@@ -66,7 +66,7 @@ class Uncertainty:
 
 def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
     """Uncertainty of the residuals of ``model`` at ``values``."""
-    ev, base = model.evidence, model.predicted(values)
+    ev, base = model.observations, model.predicted(values)
     tones, kicks = _tone_changes(model, values), model.kicks(values)
     own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
     again = ev.measured.wanted & (base.kind >= 0)
@@ -141,7 +141,7 @@ def _doubtful(slopes: Slopes, changes: Floats, bent: Floats, own: Floats, lasts_
 
 def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
     """One sigma of each number that the plate's measured tones depend on, as changes of the tones (m, k)."""
-    steps, base = model.evidence.steps, model.predicted(values)
+    steps, base = model.observations.steps, model.predicted(values)
     sigma = steps.sigma_mps2
     inexact = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
     if (swings := model.modulation_at(values)) is not None:
@@ -165,7 +165,7 @@ class _FlownAgain:
 
     def one_by_one(self, tones: list[Complexes], kicks: Kicks) -> tuple[Floats, Floats, Floats]:
         """Each move a prediction of its own: a plate mode rings on from flight to flight."""
-        model, z = self.model, self.model.evidence.steps.plate.acceleration_mps2
+        model, z = self.model, self.model.observations.steps.plate.acceleration_mps2
         base = model.predicted(self.values)
         edges = np.zeros((2, int(self.again.sum()), 2))
         for moved, rows in model.moved_landings(self.values, np.full(len(self.again), EDGE_STEP_S), self.again):
@@ -247,7 +247,7 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) ->
     A ball that leaves as it lands is predicted from the measured landing. Its rounding shifts what follows by the
     slopes ``edges`` (2, n, 2), and with it an edge's place between two samples.
     """
-    ev, predicted = model.evidence, np.stack([base.opening_s, base.landing_s], axis=1)
+    ev, predicted = model.observations, np.stack([base.opening_s, base.landing_s], axis=1)
     out, sampling_s = predicted, ev.scatters[1].sampling_s
     for _ in range(IN_TURN):
         error = np.clip(np.nan_to_num(ev.measured.landing_s - out[:, 1]), -sampling_s, sampling_s)

@@ -68,16 +68,16 @@ class Whitener:
     lost: bool  # whether landings are so far off that a fit may begin on the wrong branch
 
     @classmethod
-    def of(cls, world: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
+    def of(cls, model: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
         """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
-        point = world.start(values)
-        return world.memory.recall(("whitener", lean, point.ordered), lambda: cls._made(world, point, lean))
+        point = model.start(values)
+        return model.memory.recall(("whitener", lean, point.ordered), lambda: cls._made(model, point, lean))
 
     @classmethod
-    def _made(cls, world: ForwardModel, values: Values, lean: bool) -> Whitener:
-        ev = world.evidence
-        u, r = world.uncertainty(values), world.residuals(values)
-        opening, landing = np.flatnonzero(world.from_rest), np.flatnonzero(ev.scored)
+    def _made(cls, model: ForwardModel, values: Values, lean: bool) -> Whitener:
+        ev = model.observations
+        u, r = model.uncertainty(values), model.residuals(values)
+        opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(ev.scored)
         step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
         period = ev.steps.plate.period_s[step]
         first = np.arange(len(step)) < len(opening)
@@ -283,7 +283,7 @@ def _unshare(y: Floats, limited: Floats, bounds: Integers, shared: Floats, shrin
                     y[j, c] += total * shared[j, q]
 
 
-def step_losses(world: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Floats]:
+def step_losses(model: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Floats]:
     """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,).
 
     Raises
@@ -293,11 +293,11 @@ def step_losses(world: ForwardModel, whitener: Whitener, r: Residuals) -> dict[s
     """
     if not np.isfinite(r.plate).all():
         raise NotFiniteError("what it predicts for steps that it was not fitted to is not finite")
-    m, n = len(world.evidence.steps), len(whitener.step)
+    m, n = len(model.observations.steps), len(whitener.step)
     events, plate = whitener.white(r)
     by_event = robust_loss(events, whitener.odds[:n]) + whitener.log_sigma
     by_datum = robust_loss(plate) + whitener.plate_log
     return {
         "events": np.asarray(np.bincount(whitener.step, by_event, minlength=m), dtype=np.float64),
-        "plate": np.asarray(np.bincount(world.evidence.plate.step, by_datum, minlength=m), dtype=np.float64),
+        "plate": np.asarray(np.bincount(model.observations.plate.step, by_datum, minlength=m), dtype=np.float64),
     }

@@ -163,7 +163,7 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> tuple[list[Path], int
 class _Judged:
     """The best set on all blocks so far, what it is a fit of, and the verdict; ``loop`` is None with too few steps."""
 
-    world: ForwardModel
+    model: ForwardModel
     best: Hypothesis
     ties: Sequence[Hypothesis]
     loop: ClosedLoop | None = None
@@ -196,10 +196,10 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: boo
         refuse_doubtful([path for path in made if path not in known])
     observations = observations_from(made, known=known)
     if len(observations.steps) < 2 * FROZEN.reserve_every:
-        world = ForwardModel(observations, resolve(observations.setup.declared_values()))
-        fitter = Fitter(world, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
-        found = StepwiseSelection(world, fitter).run()
-        return _Judged(world, found.best, found.ties)
+        model = ForwardModel(observations, resolve(observations.setup.declared_values()))
+        fitter = Fitter(model, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
+        found = StepwiseSelection(model, fitter).run()
+        return _Judged(model, found.best, found.ties)
     loop, fitted = judge_loop(made, known=known, anyway=anyway)
     return _Judged(fitted.model, fitted.selection.best, fitted.selection.ties, loop, fitted)
 
@@ -220,17 +220,17 @@ def _next(
     options = offered(aims.hold_cycles)
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
-    loop, world, best, fitter = judged.loop, judged.world, judged.best, judged.best.fitted.fitter
+    loop, model, best, fitter = judged.loop, judged.model, judged.best, judged.best.fitted.fitter
     if loop is None:
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
-    known = weighed(world, fitter, best, judged.ties)
+    known = weighed(model, fitter, best, judged.ties)
     hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
     if why := _reached(loop, best, aims, hidden):
         return None, why
     if loop.verdict == "explained":  # only what explains as much is left to be distinguished
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
-    pools = [Pool.of(option, world, fitter, known) for option in options]
+    pools = [Pool.of(option, model, fitter, known) for option in options]
     left_s = aims.budget_s - sum(block.seconds for block in blocks)
     if hidden:
         wanted = _can_be_shown(hidden, pools, known, left_s)

@@ -78,16 +78,16 @@ def compare(recording: Path, log: Path) -> None:
     with np.load(log) as plant, open_recording(recording) as rec:
         frames, codes = plant["frame"], plant["codes"]
         at = (frames - frames[0]) % 2**32
-        world = np.full((int(at[-1]) + codes.shape[1], 3), -32768, np.int16)
+        model = np.full((int(at[-1]) + codes.shape[1], 3), -32768, np.int16)
         for first, piece in zip(at, codes, strict=True):
-            world[first : first + len(piece)] = piece
+            model[first : first + len(piece)] = piece
         heard = np.column_stack([rec.codes(name, 0, rec.n_samples) for name in rec.channels])
         key = heard[:64, 1]
-        starts = [k for k in np.flatnonzero(world[:, 1] == key[0]) if np.array_equal(world[k : k + 64, 1], key)]
+        starts = [k for k in np.flatnonzero(model[:, 1] == key[0]) if np.array_equal(model[k : k + 64, 1], key)]
         place = np.arange(rec.n_samples) + starts[0]
         for sample, lost in rec.gaps:
             place[sample:] += lost
-        same = np.all(world[place] == heard, axis=1)
+        same = np.all(model[place] == heard, axis=1)
         filled = np.zeros(rec.n_samples, np.bool_)
         claimed = 0
         for block in rec.blocks:

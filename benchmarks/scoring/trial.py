@@ -68,8 +68,8 @@ def run(job: Job) -> dict[str, Any]:
         seconds = time.process_time() - start
         found = json.loads(json.dumps(loop_json(loop)))
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    world, best = fitted.model, fitted.selection.best.fitted.values
-    rows, _ = scored_rows(world, best, loop.steps.held_out)
+    model, best = fitted.model, fitted.selection.best.fitted.values
+    rows, _ = scored_rows(model, best, loop.steps.held_out)
     discovered = None
     if loop.discovered is not None:
         d = loop.discovered
@@ -85,8 +85,8 @@ def run(job: Job) -> dict[str, Any]:
         "job": job.key, "kind": job.kind, "plant": job.plant, "hidden": list(job.effects), "c": conditions(job)["c"],
         "conditions": conditions(job) if job.varied else None,
         "seconds": seconds, "flights": len(loop.flights), "steps": len(loop.steps),
-        "size": size_of(world, {k: x for k, x in declared.items() if effect(k[0]).effect.nuisance}),
-        "size_left": size_of(world, declared),
+        "size": size_of(model, {k: x for k, x in declared.items() if effect(k[0]).effect.nuisance}),
+        "size_left": size_of(model, declared),
         "truth": truth, "discovered": discovered, "after_z": floor_z,
         **{k: found[k] for k in kept},
     }  # fmt: skip
@@ -98,15 +98,15 @@ def _unit_landings(p: Predictions) -> Floats:
     return np.asarray(np.clip(np.where(np.isfinite(p.landing_residual_s), z, 6.0), -6.0, 6.0))
 
 
-def size_of(world: Any, values: Any) -> dict[str, float]:
+def size_of(model: Any, values: Any) -> dict[str, float]:
     """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out."""
     from analysis.residuals.prediction_errors import near_grazing
 
-    u, r, ev = world.uncertainty(values), world.residuals(values), world.evidence
-    firm, out = ~near_grazing(world, values), {}
+    u, r, ev = model.uncertainty(values), model.residuals(values), model.observations
+    firm, out = ~near_grazing(model, values), {}
     for name, residual, sigma, rows in (
         ("landing", r.landing_s, u.landing_total_s, ev.scored & firm),
-        ("opening", r.opening_s, u.opening_total_s, world.from_rest & firm),
+        ("opening", r.opening_s, u.opening_total_s, model.from_rest & firm),
     ):  # fmt: skip
         if rows.any():
             z = np.where(np.isfinite(residual), residual / sigma, 1e3)[rows]

@@ -143,7 +143,7 @@ EDGE_S, TONE_MPS2, PLATE = 8e-6, 0.004, 4e-4  # one sigma of edges, of each quad
 RampFlyer = Callable[..., ForwardModel]
 
 
-def bare_evidence() -> Observations:
+def bare_observations() -> Observations:
     """A run of a single step: what its instruments are worth, to be copied by `simulate_design`."""
     setup = Setup(
         name="t",
@@ -171,16 +171,16 @@ def bare_evidence() -> Observations:
     return Observations(flights, edges, edges, yes, np.ones(3), np.full(3, 0.03), steps, plate, setup, 2e-4)
 
 
-def blurred(evidence: Observations, rng: np.random.Generator) -> Observations:
-    """The same with errors of the size that the evidence itself claims."""
-    m, plate, steps = evidence.measured, evidence.plate, evidence.steps
+def blurred(observations: Observations, rng: np.random.Generator) -> Observations:
+    """The same with errors of the size that the observations claim."""
+    m, plate, steps = observations.measured, observations.plate, observations.steps
     z = steps.plate.acceleration_mps2
     noise = (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape)) * steps.sigma_mps2 * steps.forcing
-    landing = m.landing_s + evidence.landing_sigma_s * rng.standard_normal(len(evidence))
-    opening = m.opening_s + evidence.opening_sigma_s * rng.standard_normal(len(evidence))
+    landing = m.landing_s + observations.landing_sigma_s * rng.standard_normal(len(observations))
+    opening = m.opening_s + observations.opening_sigma_s * rng.standard_normal(len(observations))
     again = np.concatenate([[np.nan], landing[:-1]])  # a ball that leaves at once opens where it has landed
     return replace(
-        evidence,
+        observations,
         measured=replace(m, landing_s=landing, opening_s=np.where(m.relaunched & m.linked, again, opening)),
         plate=replace(plate, value=plate.value + plate.sigma * rng.standard_normal(len(plate))),
         steps=replace(steps, plate=replace(steps.plate, acceleration_mps2=z + noise)),
@@ -189,7 +189,7 @@ def blurred(evidence: Observations, rng: np.random.Generator) -> Observations:
 
 @pytest.fixture(scope="session")
 def fly_ramp() -> RampFlyer:
-    """``fly_ramp(truth, seed, gammas=..., declared=...)``: the world of a c = 2 ramp flown under ``truth``."""
+    """``fly_ramp(truth, seed, gammas=..., declared=...)``: the model of a c = 2 ramp flown under ``truth``."""
 
     def made(
         truth: Mapping[ParameterId, float],
@@ -197,8 +197,8 @@ def fly_ramp() -> RampFlyer:
         gammas: tuple[float, ...] = GAMMAS,
         declared: Mapping[str, Mapping[str, float]] | None = None,
     ) -> ForwardModel:
-        world = ForwardModel(bare_evidence(), declared or {})
-        exact = simulate_design(Design("test", "a ramp", 2, gammas), world, dict(truth))
+        model = ForwardModel(bare_observations(), declared or {})
+        exact = simulate_design(Design("test", "a ramp", 2, gammas), model, dict(truth))
         run = exact.measured.step * 2.0 + exact.measured.landing_s
         read = ForwardModel(exact, {}).reading(truth) * exact.steps.plate.acceleration_mps2
         steps = replace(exact.steps, plate=replace(exact.steps.plate, acceleration_mps2=read))
@@ -210,10 +210,10 @@ def fly_ramp() -> RampFlyer:
 
 @pytest.fixture(scope="session")
 def fitter_of() -> Callable[[ForwardModel], Fitter]:
-    """The fits of a world, every fourth step held back as in the loop itself."""
-    return lambda world: Fitter(world, priors_of(world.evidence.setup), trained(world))
+    """The fits of a model, every fourth step held back as in the loop itself."""
+    return lambda model: Fitter(model, priors_of(model.observations.setup), trained(model))
 
 
-def trained(world: ForwardModel) -> Bools:
+def trained(model: ForwardModel) -> Bools:
     """Steps that a fit may see."""
-    return np.asarray(np.arange(len(world.evidence.steps)) % 4 != 2)
+    return np.asarray(np.arange(len(model.observations.steps)) % 4 != 2)

@@ -71,6 +71,6 @@ def test_the_effect_of_a_laboratory_s_own_package_flies(written: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     ideal, pushed, lighter = map(float, done.stdout.split())
-    # take-off is the same in all but the lighter world, whose ball leaves a little earlier
+    # take-off is the same in all but the lighter model, whose ball leaves a little earlier
     assert pushed > ideal + 1e-4
     assert abs((pushed - ideal) / (lighter - ideal) - 1.0) < 0.5

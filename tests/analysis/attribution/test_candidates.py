@@ -41,8 +41,8 @@ UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
 
 def test_tied_parameters_begin_equal_and_drift_together(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Both directions of friction start from one number, are searched as one, and have a trend in common."""
-    world = fly_ramp({}, 0, gammas=(0.4, 0.8))
-    friction = next(c for c in candidates_of(world) if c.names == ("coulomb_friction",))
+    model = fly_ramp({}, 0, gammas=(0.4, 0.8))
+    friction = next(c for c in candidates_of(model) if c.names == ("coulomb_friction",))
     assert friction.starts and all(start[UP] == start[DOWN] for start in friction.starts)
     points = joint_points(({},), (UP, DOWN), ())
     assert any(p for p in points) and all(p[UP] == p[DOWN] for p in points if p)
@@ -58,8 +58,8 @@ def test_a_spring_and_a_magnet_may_act_together(fly_ramp: Callable[..., ForwardM
 
 def test_slow_lines_of_the_plate_are_starts_of_a_resonance(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A line at 6.66 Hz that several steps show is one of the frequencies to begin with."""
-    world = fly_ramp({}, 0, gammas=(0.4, 0.8))
-    seen = ForwardModel(replace(world.evidence, hints_hz=(6.66,)), {})
+    model = fly_ramp({}, 0, gammas=(0.4, 0.8))
+    seen = ForwardModel(replace(model.observations, hints_hz=(6.66,)), {})
     resonance = next(c for c in candidates_of(seen) if c.names == ("table_resonance",))
     assert 6.66 in {start[HZ] for start in resonance.starts}
 

@@ -74,10 +74,10 @@ def test_steps_that_scatter_more_than_stated_gain_more_by_chance() -> None:
 
 def test_the_recording_fixes_the_draws(fly_ramp: Callable[..., ForwardModel]) -> None:
     """The same flights draw the same numbers, others draw others."""
-    world = fly_ramp({}, 1, gammas=(0.5, 0.9))
-    measured = world.evidence.measured
-    moved = replace(world.evidence, measured=replace(measured, landing_s=measured.landing_s + 1e-6))
-    first, again, other = (generator_of(w).random() for w in (world, world, ForwardModel(moved, {})))
+    model = fly_ramp({}, 1, gammas=(0.5, 0.9))
+    measured = model.observations.measured
+    moved = replace(model.observations, measured=replace(measured, landing_s=measured.landing_s + 1e-6))
+    first, again, other = (generator_of(w).random() for w in (model, model, ForwardModel(moved, {})))
     assert first == again != other
 
 
@@ -85,9 +85,9 @@ def test_places_are_distinct_settings_of_shapes_without_what_is_free(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Sizes once for each setting of a candidate's shapes; nothing of what the hypothesis frees already."""
-    world = fly_ramp({}, 1, gammas=(0.5, 0.9))
-    selection = StepwiseSelection(world, fitter_of(world))
-    stribeck = next(c for c in candidates_of(world) if c.names == ("stribeck_friction",))
+    model = fly_ramp({}, 1, gammas=(0.5, 0.9))
+    selection = StepwiseSelection(model, fitter_of(model))
+    stribeck = next(c for c in candidates_of(model) if c.names == ("stribeck_friction",))
     found = places([stribeck], selection.declared())
     assert len(found) == len(set(found)) == 6
     assert all(len(group) == 2 for group in found)
@@ -99,12 +99,12 @@ def test_a_cause_stands_against_chance_and_noise_does_not(
 ) -> None:
     """Friction of 0.05 gains what no draw does; on a clean run friction gains what the best of all often does."""
     truth = {("coulomb_friction", "mu_up"): mu, ("coulomb_friction", "mu_down"): mu}
-    world = fly_ramp(truth, 2, gammas=(0.5, 1.1, 0.8, 1.3, 0.65, 0.95))
-    selection = StepwiseSelection(world, fitter_of(world))
+    model = fly_ramp(truth, 2, gammas=(0.5, 1.1, 0.8, 1.3, 0.65, 0.95))
+    selection = StepwiseSelection(model, fitter_of(model))
     before, friction = selection.declared(), next(c for c in selection.library if c.names == ("coulomb_friction",))
     free = (*before.free, *friction.free)
     x = selection.refits.converged((friction,), before.whitener, free, dict.fromkeys(friction.free, mu))
-    null = ChanceGains(before, selection.library, generator_of(world), draws=1999)
+    null = ChanceGains(before, selection.library, generator_of(model), draws=1999)
     test = null.test(x, [x], FROZEN.best_of_all_p)
     assert test is not None and test.gain == fitted_gain(before, x) and test.p == null.p(x)
     assert (test.p > 0.05) if chance else (test.p == 1.0 / 2000.0)

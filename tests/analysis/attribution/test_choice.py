@@ -27,11 +27,11 @@ def fit_of(fly_ramp: Callable[..., ForwardModel]) -> Callable[..., Fitted]:
     """A fit of damping to a run of four steps: with damping or without, and with plate data scattered more or less."""
 
     def made(*, sized: bool = True, scatter: float = 1.0) -> Fitted:
-        world = fly_ramp({RATE: 2.0 * sized}, 2, gammas=(0.5, 0.6, 0.7, 0.8))
-        data = world.evidence.plate
-        world = ForwardModel(replace(world.evidence, plate=replace(data, sigma=data.sigma / scatter)), {})
-        whitener = Whitener.of(world, {RATE: 2.0 * sized})
-        return Fitter(world, {}, np.ones(4, dtype=bool)).fit(whitener, (RATE,), {RATE: 2.0 * sized})
+        model = fly_ramp({RATE: 2.0 * sized}, 2, gammas=(0.5, 0.6, 0.7, 0.8))
+        data = model.observations.plate
+        model = ForwardModel(replace(model.observations, plate=replace(data, sigma=data.sigma / scatter)), {})
+        whitener = Whitener.of(model, {RATE: 2.0 * sized})
+        return Fitter(model, {}, np.ones(4, dtype=bool)).fit(whitener, (RATE,), {RATE: 2.0 * sized})
 
     return made
 

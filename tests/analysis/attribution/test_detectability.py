@@ -21,10 +21,10 @@ from benchmarks.analysis.joint import short_runs
 RATE, PULL = ("viscous_damping", "rate_per_s"), ("adhesion", "a_mps2")
 
 
-def detectability(world: ForwardModel) -> Detectability:
+def detectability(model: ForwardModel) -> Detectability:
     """Beside the fit of calibrations alone, all steps seen."""
-    fitter = Fitter(world, priors_of(world.evidence.setup), np.ones(len(world.evidence.steps), dtype=bool))
-    return Detectability(fitter.fit(Whitener.of(world, {}), (), {}), FROZEN)
+    fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
+    return Detectability(fitter.fit(Whitener.of(model, {}), (), {}), FROZEN)
 
 
 @pytest.mark.parametrize(("part", "seen"), [(0.4, False), (2.5, True)])
@@ -34,9 +34,9 @@ def test_what_lies_beyond_the_limit_gains_the_threshold(
     """A damping of 2.5 times the limit is worth the 12 nats that a name needs, one of 0.4 times it is not."""
     limit = detectability(fly_ramp({}, 5)).limit(RATE)
     assert 0.0 < limit < 1.0
-    world = fly_ramp({RATE: part * limit}, 6)
-    fitter = detectability(world).best.fitter
-    whitener = Whitener.of(world, {RATE: part * limit})
+    model = fly_ramp({RATE: part * limit}, 6)
+    fitter = detectability(model).best.fitter
+    whitener = Whitener.of(model, {RATE: part * limit})
     gain = fitter.fit(whitener, (), {}).loss - fitter.fit(whitener, (RATE,), {}).loss
     assert (gain > 12.0) == seen
 

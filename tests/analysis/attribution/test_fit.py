@@ -30,9 +30,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., F
     pulls, scale = [], ("accelerometer_gain", "relative")
     for seed in range(16):
         off = 0.005 * np.random.default_rng(100 + seed).standard_normal()
-        world = fly_ramp({**TRUTH, scale: off}, seed, gammas=(0.5, 0.9, 0.7, 1.2))
-        fitter = Fitter(world, priors_of(world.evidence.setup), np.ones(4, dtype=bool))
-        whitener = Whitener.of(world, {**TRUTH, scale: off})
+        model = fly_ramp({**TRUTH, scale: off}, seed, gammas=(0.5, 0.9, 0.7, 1.2))
+        fitter = Fitter(model, priors_of(model.observations.setup), np.ones(4, dtype=bool))
+        whitener = Whitener.of(model, {**TRUTH, scale: off})
         fitted = fitter.fit(whitener, (UP, DOWN), fitter.fit(whitener, (UP, DOWN), {UP: 0.15, DOWN: 0.15}).values)
         pulls += [(fitted.values[k] - TRUTH[k]) / fitted.sigma(k) for k in TRUTH]
     low, high = stats.chi2.ppf((0.002, 0.998), len(pulls))
@@ -43,9 +43,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., F
 def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Gravity 3 % off where 0.1 % is claimed: it stays within bounds, and the loss says that something is wrong."""
     gravity = ("local_gravity", "excess_mps2")
-    world = fly_ramp({gravity: 0.3}, 0)
-    fitter = Fitter(world, {gravity: Prior(0.0, 0.01)}, np.ones(len(world.evidence.steps), dtype=bool))
-    whitener = Whitener.of(world, {gravity: 0.3})
+    model = fly_ramp({gravity: 0.3}, 0)
+    fitter = Fitter(model, {gravity: Prior(0.0, 0.01)}, np.ones(len(model.observations.steps), dtype=bool))
+    whitener = Whitener.of(model, {gravity: 0.3})
     bound, free = fitter.fit(whitener, (), {}), fitter.fit(whitener, (gravity,), {})
     assert bound.values[gravity] == pytest.approx(CALIBRATION_SIGMAS * 0.01, rel=1e-6)
     assert free.values[gravity] == pytest.approx(0.3, abs=4 * free.sigma(gravity))
@@ -54,15 +54,17 @@ def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Ca
 
 def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Flights of the other steps may be anything: the values stay, their held-out loss does not."""
-    world = fly_ramp(TRUTH, 1)
-    m = len(world.evidence.steps)
+    model = fly_ramp(TRUTH, 1)
+    m = len(model.observations.steps)
     train = np.arange(m) % 4 != 2
-    whitener = Whitener.of(world, TRUTH)
-    fitted = Fitter(world, {}, train).fit(whitener, (UP, DOWN), TRUTH)
+    whitener = Whitener.of(model, TRUTH)
+    fitted = Fitter(model, {}, train).fit(whitener, (UP, DOWN), TRUTH)
     spoilt = {UP: 0.0, DOWN: 0.0}
-    other = ~train[world.evidence.measured.step]
-    landing = world.evidence.measured.landing_s + np.where(other, 1e-3, 0.0)
-    shifted = ForwardModel(replace(world.evidence, measured=replace(world.evidence.measured, landing_s=landing)), {})
+    other = ~train[model.observations.measured.step]
+    landing = model.observations.measured.landing_s + np.where(other, 1e-3, 0.0)
+    shifted = ForwardModel(
+        replace(model.observations, measured=replace(model.observations.measured, landing_s=landing)), {}
+    )
     again = Fitter(shifted, {}, train).fit(whitener, (UP, DOWN), TRUTH)
     assert again.values == pytest.approx(fitted.values, rel=1e-6)
     assert spoilt.keys() == fitted.values.keys()
@@ -70,9 +72,9 @@ def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., ForwardModel
 
 def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., ForwardModel]) -> None:
     """The gain that `linear_step` foretells for a weak damping is what the fit then finds, within a third."""
-    world = fly_ramp({RATE: 0.05}, 2)
-    fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
-    whitener = Whitener.of(world, {RATE: 0.05})
+    model = fly_ramp({RATE: 0.05}, 2)
+    fitter = Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
+    whitener = Whitener.of(model, {RATE: 0.05})
     nothing, something = fitter.fit(whitener, (), {}), fitter.fit(whitener, (RATE,), {})
     promised, point = fitter.linear_step(nothing, (RATE,))
     assert promised == pytest.approx(nothing.loss - something.loss, rel=0.33)
@@ -81,9 +83,9 @@ def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., Fo
 
 def test_a_promise_leaves_out_what_the_fit_itself_would_still_gain(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A fit that stopped 20 % short of its damping promises nothing by friction, of which there is none."""
-    world = fly_ramp({RATE: 1.0}, 2)
-    fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
-    fitted = fitter.fit(Whitener.of(world, {RATE: 1.0}), (RATE,), {RATE: 1.0})
+    model = fly_ramp({RATE: 1.0}, 2)
+    fitter = Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
+    fitted = fitter.fit(Whitener.of(model, {RATE: 1.0}), (RATE,), {RATE: 1.0})
     x = 0.8 * fitted.x
     short = replace(fitted, x=x, raw=fitted.state.raw(x))
     assert fitted.state.loss(short.raw, x) - fitted.loss > 20.0
@@ -93,19 +95,19 @@ def test_a_promise_leaves_out_what_the_fit_itself_would_still_gain(fly_ramp: Cal
 
 def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Friction of 0.12 differs from none, a damping that is not there does not, and a shape never counts."""
-    world = fly_ramp(TRUTH, 3)
-    fitter = Fitter(world, {}, np.ones(len(world.evidence.steps), dtype=bool))
-    fitted = fitter.fit(Whitener.of(world, TRUTH), (UP, DOWN, RATE), TRUTH)
+    model = fly_ramp(TRUTH, 3)
+    fitter = Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
+    fitted = fitter.fit(Whitener.of(model, TRUTH), (UP, DOWN, RATE), TRUTH)
     assert fitted.differs((UP, DOWN)) and fitted.differs((UP, RATE))
     assert not fitted.differs((RATE,))
 
 
 def test_a_search_survives_a_singular_matrix(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Gravity, drive and accelerometer wrong by one factor are one: the fit of all three ends, with finite values."""
-    world = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
+    model = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
     keys = (("local_gravity", "excess_mps2"), ("drive_gain", "relative"), ("accelerometer_gain", "relative"), RATE)
-    fitter = Fitter(world, {}, np.ones(3, dtype=bool))
-    fitted = fitter.fit(Whitener.of(world, {RATE: 0.5}), keys, {})
+    fitter = Fitter(model, {}, np.ones(3, dtype=bool))
+    fitted = fitter.fit(Whitener.of(model, {RATE: 0.5}), keys, {})
     assert np.isfinite(fitted.x).all() and np.isfinite(fitted.loss)
     assert fitted.values[RATE] == pytest.approx(0.5, abs=0.2)
     step = _solve(np.ones((3, 3)), np.ones(3), 0.0, np.full(3, -5.0), np.full(3, 5.0))
@@ -117,14 +119,14 @@ def test_a_point_without_a_number_has_no_slope(
     fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A plate datum that is no number a step away, as where a mode is the whole tone: the fit goes on without it."""
-    world = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
-    exact, whitener, calls = world.residuals, Whitener.of(world, {RATE: 0.5}), itertools.count()
+    model = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
+    exact, whitener, calls = model.residuals, Whitener.of(model, {RATE: 0.5}), itertools.count()
 
     def broken(values: Mapping[ParameterId, float]) -> Residuals:
         found = exact(values)
         lost = next(calls) == 1  # the first point a step away from the start
         return replace(found, plate=np.where(lost & (np.arange(len(found.plate)) == 0), np.nan, found.plate))
 
-    monkeypatch.setattr(world, "residuals", broken)
-    fitted = Fitter(world, {}, np.ones(3, dtype=bool)).fit(whitener, (RATE,), {RATE: 0.3})
+    monkeypatch.setattr(model, "residuals", broken)
+    fitted = Fitter(model, {}, np.ones(3, dtype=bool)).fit(whitener, (RATE,), {RATE: 0.3})
     assert fitted.values[RATE] == pytest.approx(0.5, abs=0.1)

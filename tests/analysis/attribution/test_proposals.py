@@ -22,8 +22,8 @@ def test_a_drift_of_a_resonance_is_tried_like_any_other(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """A resonance in place of friction: its drift leaves more than noise, and is itself no mode to look for."""
-    world = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
-    selection = StepwiseSelection(world, fitter_of(world))
+    model = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
+    selection = StepwiseSelection(model, fitter_of(model))
     resonance, nothing = Candidate(("table_resonance",), (RATIO,)), selection.declared()
     best = selection.refits.converged((resonance,), nothing.whitener, (RATIO,), {RATIO: 0.02})
     tried = list[str]()
@@ -41,8 +41,8 @@ def test_a_mode_is_looked_for_farther_off_only_where_the_verdict_lets_nothing_pa
     names: set[str],
 ) -> None:
     """Residuals of 1.5 times their noise: a mode is sought, but not once friction, the cause, passes the verdict."""
-    world = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
-    selection = StepwiseSelection(world, fitter_of(world))
+    model = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
+    selection = StepwiseSelection(model, fitter_of(model))
     monkeypatch.setattr("analysis.attribution.hypothesis.rms_standardised", lambda *_: 1.5)
     monkeypatch.setattr("analysis.residuals.lack_of_fit.rms_standardised", lambda *_: 1.5)
     farther, follow = list[str](), selection.proposals._followed_farther
@@ -52,7 +52,7 @@ def test_a_mode_is_looked_for_farther_off_only_where_the_verdict_lets_nothing_pa
         return follow(best, candidate)
 
     monkeypatch.setattr(selection.proposals, "_followed_farther", followed)
-    options = [c for c in candidates_of(world) if set(c.names) <= names]
+    options = [c for c in candidates_of(model) if set(c.names) <= names]
     found = selection.proposals.round(selection.declared(), options, lambda *_: None)
     assert {n for x in found for n in x.names} >= names
     assert bool(farther) == ("coulomb_friction" not in names)

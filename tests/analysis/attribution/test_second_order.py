@@ -56,12 +56,12 @@ def test_one_step_is_neither_short_nor_surer_than_it_is(freedom: float) -> None:
 def test_a_pull_at_takeoff_is_told_by_its_secant(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Where the contact opens late, no pull shows to first order: a secant tells what a real one does."""
     pull, gap = ("adhesion", "a_mps2"), ("contact_gap", "gap_m")
-    world, at = fly_ramp({}, 3), {gap: 1e-12}
-    fitter = Fitter(world, {gap: Prior(0.0, 2e-6)}, np.ones(len(world.evidence.steps), dtype=bool))
-    whitener = Whitener.of(world, at)
-    raw, slopes = slopes_at(world, fitter, whitener, at, [(pull, ())])
-    secants = secants_at(world, fitter, whitener, at, [(pull, ())], raw, slopes)
+    model, at = fly_ramp({}, 3), {gap: 1e-12}
+    fitter = Fitter(model, {gap: Prior(0.0, 2e-6)}, np.ones(len(model.observations.steps), dtype=bool))
+    whitener = Whitener.of(model, at)
+    raw, slopes = slopes_at(model, fitter, whitener, at, [(pull, ())])
+    secants = secants_at(model, fitter, whitener, at, [(pull, ())], raw, slopes)
     assert np.linalg.norm(secants) > 3.0 * np.linalg.norm(slopes)
     known = 1.0 / np.linalg.norm(whitener.white_slopes(slopes, raw))
-    after = whitener.stacked(world.residuals({**at, pull: known * scale_of(pull)}))
+    after = whitener.stacked(model.residuals({**at, pull: known * scale_of(pull)}))
     np.testing.assert_allclose(secants[:, 0] * known, after - raw, atol=1e-9)

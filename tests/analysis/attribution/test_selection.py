@@ -31,9 +31,9 @@ def explain(fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardM
     """Explanation of a short run by a library of six."""
 
     def explained(truth: dict[ParameterId, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> SelectionResult:
-        world = fly_ramp(truth, seed, gammas=gammas)
-        few = [c for c in candidates_of(world) if set(c.names) <= set(SOME)]
-        return StepwiseSelection(world, fitter_of(world), library=few).run()
+        model = fly_ramp(truth, seed, gammas=gammas)
+        few = [c for c in candidates_of(model) if set(c.names) <= set(SOME)]
+        return StepwiseSelection(model, fitter_of(model), library=few).run()
 
     return explained
 
@@ -45,8 +45,8 @@ def selection_of(
     """The whole selection on a short run."""
 
     def made(truth: dict[ParameterId, float], seed: int, gammas: tuple[float, ...] = GAMMAS) -> StepwiseSelection:
-        world = fly_ramp(truth, seed, gammas=gammas)
-        return StepwiseSelection(world, fitter_of(world))
+        model = fly_ramp(truth, seed, gammas=gammas)
+        return StepwiseSelection(model, fitter_of(model))
 
     return made
 
@@ -92,9 +92,9 @@ def test_a_first_choice_that_leaves_more_than_noise_gives_way_to_another(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A choice misled to damping, with one effect allowed: friction is followed as well, and what is taken says so."""
-    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 1, gammas=GAMMAS)
-    few = [c for c in candidates_of(world) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
-    selection = StepwiseSelection(world, fitter_of(world), replace(FROZEN, most_effects=1), library=few)
+    model = fly_ramp({UP: 0.05, DOWN: 0.05}, 1, gammas=GAMMAS)
+    few = [c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
+    selection = StepwiseSelection(model, fitter_of(model), replace(FROZEN, most_effects=1), library=few)
     choose = selection.judge.choose
 
     def misled(best: Hypothesis, found: Sequence[Hypothesis], *rest: Any) -> Hypothesis | None:
@@ -111,9 +111,9 @@ def test_a_first_choice_that_the_verdict_lets_pass_is_followed_alone(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Uncertainties said too small, as a quiet rig's are: scatter without structure sends nobody another way."""
-    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 1, gammas=GAMMAS)
-    few = [c for c in candidates_of(world) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
-    selection = StepwiseSelection(world, fitter_of(world), library=few)
+    model = fly_ramp({UP: 0.05, DOWN: 0.05}, 1, gammas=GAMMAS)
+    few = [c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
+    selection = StepwiseSelection(model, fitter_of(model), library=few)
     monkeypatch.setattr("analysis.attribution.hypothesis.rms_standardised", lambda *_: 1.5)
     monkeypatch.setattr("analysis.residuals.lack_of_fit.rms_standardised", lambda *_: 1.5)
     ways, follow = list[SelectionResult](), selection._followed
@@ -163,7 +163,7 @@ def test_an_idle_companion_is_left_out_again(selection_of: Callable[..., Stepwis
     drag = Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),), ({("quadratic_drag", "k_per_m"): 0.5},))
     friction = Candidate(("coulomb_friction",), (UP, DOWN), ({UP: 0.05, DOWN: 0.05},))
     free, start = (*drag.free, *friction.free), {**drag.starts[0], **friction.starts[0]}
-    both = selection.refits.converged((drag, friction), Whitener.of(selection.world, start), free, start)
+    both = selection.refits.converged((drag, friction), Whitener.of(selection.model, start), free, start)
     rounds: list[str] = []
     assert selection.pruning.without_idle(both, rounds).names == ("coulomb_friction",)
     assert rounds == ["step back: quadratic_drag is no longer needed"]
@@ -175,7 +175,7 @@ def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Calla
     selection = selection_of(start, 6, tuple(np.linspace(0.35, 1.35, 14)))
     stribeck = {("stribeck_friction", k): v for k, v in STRIBECK.items()} | {("adhesion", "a_mps2"): 1.5}
     candidates = tuple(named(selection, name) for name in ("stribeck_friction", "adhesion"))
-    both = selection.refits.converged(candidates, Whitener.of(selection.world, stribeck), tuple(stribeck), stribeck)
+    both = selection.refits.converged(candidates, Whitener.of(selection.model, stribeck), tuple(stribeck), stribeck)
     rounds: list[str] = []
     assert selection.pruning.simplified(both, selection.library, rounds).names == ("coulomb_friction", "adhesion")
     assert rounds == ["step back: a simpler coulomb_friction does as well"]
@@ -188,7 +188,7 @@ def test_a_special_case_drifts_as_the_fuller_form_did(selection_of: Callable[...
     stribeck, kinetic = named(selection, "stribeck_friction"), ("stribeck_friction", "mu_kinetic")
     trend = Candidate((kinetic[0], "parameter_drift"), ((kinetic[0], kinetic[1] + TREND),), ({},))
     start = {("stribeck_friction", k): v for k, v in STRIBECK.items()} | {kinetic: 0.1, trend.free[0]: 0.06}
-    both = selection.refits.converged((stribeck, trend), Whitener.of(selection.world, start), tuple(start), start)
+    both = selection.refits.converged((stribeck, trend), Whitener.of(selection.model, start), tuple(start), start)
     plain = selection.pruning.simplified(both, selection.library, [])
     assert plain.names == ("coulomb_friction", "parameter_drift")
     assert set(plain.free) == {UP, DOWN, *drift}
@@ -335,7 +335,7 @@ def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """A model that diverges under one candidate costs that candidate alone: the cause is named, the other noted."""
-    world = fly_ramp({UP: 0.05, DOWN: 0.05}, 0, gammas=GAMMAS)
+    model = fly_ramp({UP: 0.05, DOWN: 0.05}, 0, gammas=GAMMAS)
     residuals = ForwardModel.residuals
 
     def diverging(self: ForwardModel, values: Any, rows: Any = None) -> Any:
@@ -344,9 +344,9 @@ def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
         return replace(r, plate=np.full_like(r.plate, np.nan)) if off else r
 
     monkeypatch.setattr(ForwardModel, "residuals", diverging)
-    few = [c for c in candidates_of(world) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
+    few = [c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "viscous_damping"}]
     starting = [replace(c, starts=({RATE: 1.0},)) if c.names == ("viscous_damping",) else c for c in few]
-    found = StepwiseSelection(world, fitter_of(world), library=starting).run()
+    found = StepwiseSelection(model, fitter_of(model), library=starting).run()
     assert found.best.names == ("coulomb_friction",)
     assert "viscous_damping left out: what it predicts is not finite" in found.rounds
     assert capfd.readouterr() == ("", "")

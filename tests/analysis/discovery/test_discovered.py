@@ -42,18 +42,18 @@ def latch() -> dict[ParameterId, float]:
     return out | {("smooth_force", f"c{i}"): -float(x) for i, x in enumerate(pull_mps2(HEIGHTS))}
 
 
-def unexplained(world: ForwardModel, fitter: Fitter) -> Hypothesis:
+def unexplained(model: ForwardModel, fitter: Fitter) -> Hypothesis:
     """The declared model alone, fitted."""
-    whitener = Whitener.of(world, {})
+    whitener = Whitener.of(model, {})
     fitted = fitter.fit(whitener, (), {})
     return Hypothesis((), fitted, whitener, fitted.held_out(whitener))
 
 
-def search_of(world: ForwardModel, fitter: Fitter) -> TermSearch:
+def search_of(model: ForwardModel, fitter: Fitter) -> TermSearch:
     """A search beside nothing."""
-    explanation = unexplained(world, fitter)
-    tables = covariates(world, explanation.fitted.values)
-    return TermSearch(world, fitter, explanation, (), tables)
+    explanation = unexplained(model, fitter)
+    tables = covariates(model, explanation.fitted.values)
+    return TermSearch(model, fitter, explanation, (), tables)
 
 
 @pytest.mark.slow
@@ -61,9 +61,9 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Covariate, direction, size, words; held-out landings at the floor; more than any constant pull."""
-    world = fly_ramp(latch(), 1)
-    fitter = fitter_of(world)
-    found = discover(world, fitter, unexplained(world, fitter))
+    model = fly_ramp(latch(), 1)
+    fitter = fitter_of(model)
+    found = discover(model, fitter, unexplained(model, fitter))
     assert found is not None
     assert (found.term, found.covariate) == ("force", "height")
     assert found.description.startswith("a downward pull rises from")
@@ -72,7 +72,7 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
     assert found.over_constant.gain > 12.0
     assert found.after.landing_rms_us < 1.3 * found.noise_floor_us
-    before = held_out_errors(world, {}, *scored_rows(world, {}, ~fitter.train))
+    before = held_out_errors(model, {}, *scored_rows(model, {}, ~fitter.train))
     assert before.landing_rms_us > 5.0 * found.noise_floor_us
 
 
@@ -81,9 +81,9 @@ def test_nothing_is_discovered_in_noise(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """A clean run has no missing term, however many covariates are asked."""
-    world = fly_ramp({}, 2)
-    fitter = fitter_of(world)
-    assert discover(world, fitter, unexplained(world, fitter)) is None
+    model = fly_ramp({}, 2)
+    fitter = fitter_of(model)
+    assert discover(model, fitter, unexplained(model, fitter)) is None
 
 
 def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
@@ -91,13 +91,13 @@ def test_a_threshold_that_grows_with_the_dwell_time_is_followed(
 ) -> None:
     """The take-off threshold at long and at short rests, each within its band or a tenth."""
     a, tau = 2.0, 4e-3
-    world = fly_ramp({("adhesion", "a_mps2"): a, ("adhesion", "dwell_s"): tau}, 3)
-    search = search_of(world, fitter_of(world))
+    model = fly_ramp({("adhesion", "a_mps2"): a, ("adhesion", "dwell_s"): tau}, 3)
+    search = search_of(model, fitter_of(model))
     x = search.tables["dwell_s"]
-    knots = knots_of(x[world.evidence.scored])
+    knots = knots_of(x[model.observations.scored])
     start = Curve(event_term("threshold", "dwell_s"), knots, np.full(len(knots), 1.5), basis_of(x, knots))
     found = search.refine(start)
-    at = np.quantile(x[np.isfinite(x) & world.from_rest], [0.15, 0.5, 0.85])
+    at = np.quantile(x[np.isfinite(x) & model.from_rest], [0.15, 0.5, 0.85])
     true = a * (1.0 - np.exp(-at / tau))
     half = np.interp(at, found.curve.points, found.band)
     assert (np.abs(found.curve.at(at) - true) < np.maximum(2.0 * half, 0.1 * true)).all()
@@ -107,15 +107,15 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """e = 0.12 - 0.3 v, found without a formula, to a hundredth where rebounds are long enough to be seen."""
-    world = fly_ramp({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
-    search = search_of(world, fitter_of(world))
+    model = fly_ramp({("restitution", "e0"): 0.12, ("restitution", "e1_s_per_m"): 0.3}, 4)
+    search = search_of(model, fitter_of(model))
     term = next(t for t in IN_FLIGHT if t.name == "restitution")
-    span = ranges_of(search.tables, world.evidence.scored)[term.of]
-    stack = StackedResiduals.of(world, search.values, search.train)
-    start = best_start(world, search.values, stack, Curve.even(term, span), search.dwell)
-    look = fit_in_flight(world, search.values, stack, start, search.dwell, SCREENING_TAILS)
+    span = ranges_of(search.tables, model.observations.scored)[term.of]
+    stack = StackedResiduals.of(model, search.values, search.train)
+    start = best_start(model, search.values, stack, Curve.even(term, span), search.dwell)
+    look = fit_in_flight(model, search.values, stack, start, search.dwell, SCREENING_TAILS)
     found = search.refine(look.curve)
-    speeds = np.quantile(search.tables["impact_mps"][world.evidence.scored], [0.3, 0.4, 0.5])
+    speeds = np.quantile(search.tables["impact_mps"][model.observations.scored], [0.3, 0.4, 0.5])
     assert found.curve.at(speeds) == pytest.approx(0.12 - 0.3 * speeds, abs=0.012)
 
 
@@ -126,10 +126,10 @@ def test_the_band_of_a_smooth_force_holds_the_truth(
     """A pull that grows evenly with height: in five runs the truth lies within the band where 95 % says so."""
     spring, inside = 40.0, []
     for seed in range(5, 10):
-        world = fly_ramp({("position_force", "spring_per_s2"): spring}, seed)
-        search = search_of(world, fitter_of(world))
+        model = fly_ramp({("position_force", "spring_per_s2"): spring}, seed)
+        search = search_of(model, fitter_of(model))
         term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
-        found = search.refine(Curve.even(term, ranges_of(search.tables, world.evidence.scored)[term.of]))
+        found = search.refine(Curve.even(term, ranges_of(search.tables, model.observations.scored)[term.of]))
         x, half = found.curve.points, found.band
         inside.append(np.abs(found.curve.at(x) + spring * x) <= half)
         assert np.median(half) < 0.1 * spring * x[-1]  # and it says something
@@ -140,13 +140,13 @@ def test_the_scatter_of_a_term_does_not_use_the_reserved_steps(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Landings of reserved steps moved by half a millisecond: the scatter by which terms are chosen is the same."""
-    world = fly_ramp({("position_force", "spring_per_s2"): 40.0}, 5)
-    ev, reserved = world.evidence, ~fitter_of(world).train
+    model = fly_ramp({("position_force", "spring_per_s2"): 40.0}, 5)
+    ev, reserved = model.observations, ~fitter_of(model).train
     late = np.where(reserved[ev.measured.step], 5e-4, 0.0)
     moved = replace(ev, measured=replace(ev.measured, landing_s=ev.measured.landing_s + late))
     term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
     curve = Curve.even(term, (0.0, DEEPEST_M), 5)
-    found = [search_of(w, fitter_of(w)).refine(curve) for w in (world, ForwardModel(moved, {}))]
+    found = [search_of(w, fitter_of(w)).refine(curve) for w in (model, ForwardModel(moved, {}))]
     assert found[0].scatter == pytest.approx(found[1].scatter, rel=1e-9)
     assert 0.7 < found[0].scatter < 1.3
 
@@ -155,9 +155,9 @@ def test_a_quantity_that_never_varies_carries_no_term(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """Flights of no height, rests that are known of none: terms of other quantities are screened alone."""
-    world = fly_ramp({}, 0, gammas=(0.8, 1.1))
-    search = search_of(world, fitter_of(world))
-    n = len(world.evidence)
+    model = fly_ramp({}, 0, gammas=(0.8, 1.1))
+    search = search_of(model, fitter_of(model))
+    n = len(model.observations)
     search.tables = search.tables | {"height_m": np.zeros(n), "dwell_s": np.full(n, np.nan)}
     named = {t.curve.term.of for t in search.screen()}
     assert named and not named & {"dwell_s", "height_m", "since_impact_s"}

@@ -21,15 +21,15 @@ def test_the_law_of_a_spring_is_recovered(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
     """A force of height that is a spring's: among the forms the one in proportion, its stiffness within three sigma."""
-    world = fly_ramp({("position_force", "spring_per_s2"): SPRING}, 5)
-    fitter = fitter_of(world)
-    whitener = Whitener.of(world, {})
+    model = fly_ramp({("position_force", "spring_per_s2"): SPRING}, 5)
+    fitter = fitter_of(model)
+    whitener = Whitener.of(model, {})
     fitted = fitter.fit(whitener, (), {})
     nothing = Hypothesis((), fitted, whitener, fitted.held_out(whitener))
-    tables = covariates(world, fitted.values)
-    search = TermSearch(world, fitter, nothing, (), tables)
+    tables = covariates(model, fitted.values)
+    search = TermSearch(model, fitter, nothing, (), tables)
     term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
-    found = search.refine(Curve.even(term, ranges_of(tables, world.evidence.scored)[term.of], 5))
+    found = search.refine(Curve.even(term, ranges_of(tables, model.observations.scored)[term.of], 5))
     forms, suggested = search_forms(found, tables, FROZEN)
     assert suggested == "proportional"
     form = next(f for f in forms if f.name == suggested)

@@ -122,7 +122,7 @@ def test_calibrations_go_with_a_size():
     stiffness = np.array([4.0, 0.0])
     fit = _Fit(data, np.zeros(2), stiffness, np.zeros(2), 1)
     own = np.array([1])
-    _, _, deviation = fit.evidence(own, np.zeros(1))
+    _, _, deviation = fit.observations(own, np.zeros(1))
     size = float(deviation[0])
     moved = np.array([-float(fit.follow(own)[0, 0]) * size, size])
     prior = np.diag([4.0, 1.0])  # of the gain; of the size, one unit
@@ -138,7 +138,7 @@ def test_a_fit_that_stopped_short_is_no_evidence():
     jacobian = np.column_stack([shared, own])
     left = jacobian.T @ (shared @ [0.3, 0.2])  # the gradient of a fit that is off by so much, and of nothing else
     fit = _Fit(1e6 * jacobian.T @ jacobian, 1e6 * left, np.zeros(3), np.zeros(3), 2)
-    log, mean, _ = fit.evidence(np.array([2]), np.zeros(1))
+    log, mean, _ = fit.observations(np.array([2]), np.zeros(1))
     assert log < 0.5 and abs(mean[0]) < 0.1
 
 
@@ -146,10 +146,10 @@ def test_a_calibration_that_data_know_better_is_no_explanation():
     """Freeing a calibration that the recordings themselves tell moves nothing; one that is strained is freed."""
     stated, data = np.array([100.0]), np.array([[1e6]])  # one over variances: known to 0.1, and to 0.001 from the data
     fit = _Fit(data, np.array([100.0 * 0.01]), stated, np.array([0.01]), 1)
-    log, mean, deviation = fit.evidence(np.array([0]), np.array([0.01]))
+    log, mean, deviation = fit.observations(np.array([0]), np.array([0.01]))
     assert log < 0.0 and abs(mean[0]) < 2e-5 and deviation[0] == pytest.approx(1e-3, rel=1e-3)
     strained = _Fit(data, np.array([100.0 * 0.9]), stated, np.array([0.9]), 1)
-    assert strained.evidence(np.array([0]), np.array([0.9]))[0] > 30.0
+    assert strained.observations(np.array([0]), np.array([0.9]))[0] > 30.0
 
 
 def test_a_rival_that_holds_to_a_calibration_is_told_from_one_that_frees_it():

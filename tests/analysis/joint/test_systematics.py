@@ -18,22 +18,22 @@ LATE_S = 2e-6
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def model(tmp_path_factory):
     """One short run of the other plant, in whose highest steps the ball leaves at once."""
     return ForwardModel(observations_from(short_runs(tmp_path_factory.mktemp("run"), 1, 541, {})), {})
 
 
-def test_derivatives_are_what_later_edges_do(world):
+def test_derivatives_are_what_later_edges_do(model):
     """Edges that are dated later change the residuals as the derivatives say, against their sign: later is measured."""
-    whitener = Whitener.of(world, {})
-    found = Systematics.of(world, whitener, {})
-    seen = world.evidence
+    whitener = Whitener.of(model, {})
+    found = Systematics.of(model, whitener, {})
+    seen = model.observations
     brief = np.append(seen.measured.relaunched[1:] & seen.measured.linked[1:], False)
     assert 3 < brief.sum() < len(seen) / 2
-    before = whitener.stacked(world.residuals({}))
+    before = whitener.stacked(model.residuals({}))
     for column, late in ((0, {"opening_s": seen.measured.opening_s + LATE_S}),
                          (1, {"landing_s": seen.measured.landing_s + np.where(brief, LATE_S, 0.0)})):  # fmt: skip
-        moved = ForwardModel(replace(seen, measured=replace(seen.measured, **late)), {}, like=world)
+        moved = ForwardModel(replace(seen, measured=replace(seen.measured, **late)), {}, like=model)
         change = whitener.stacked(moved.residuals({})) - before
         same = np.abs(change) < 1e-4
         assert same.mean() > 0.95
@@ -42,12 +42,12 @@ def test_derivatives_are_what_later_edges_do(world):
         assert np.any(change[same] != 0.0)
 
 
-def test_priors_are_parts_of_an_edge(world):
+def test_priors_are_parts_of_an_edge(model):
     """Openings may be off by a tenth of an edge's uncertainty, brief contacts by no more than an edge's own."""
-    fitter = Fitter(world, priors_of(world.evidence.setup), np.ones(len(world.evidence.steps), dtype=bool))
-    whitener = Refits(fitter).converged((), Whitener.of(world, {}), (), {}).whitener
-    found = Systematics.of(world, whitener, {})
+    fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
+    whitener = Refits(fitter).converged((), Whitener.of(model, {}), (), {}).whitener
+    found = Systematics.of(model, whitener, {})
     assert len(found.sigma) == len(NAMES)
-    edge_us = 1e6 * float(np.median(world.evidence.landing_sigma_s))
+    edge_us = 1e6 * float(np.median(model.observations.landing_sigma_s))
     assert 0.05 * edge_us < found.sigma[0] < 0.2 * edge_us
     assert found.sigma[1] <= 1.1 * edge_us

@@ -42,7 +42,7 @@ def test_what_the_reserved_steps_confirm_stands(fits: tuple[Fitter, Hypothesis, 
     """Friction on a ramp that has it: the selection stays as it is; so does one that found nothing."""
     fitter, nothing, friction, _ = fits
     for found in (SelectionResult(nothing, friction, (friction,), ()), SelectionResult(nothing, nothing, (), ())):
-        assert withdraw_unconfirmed(fitter.world, found, fitter.train, FROZEN) is found
+        assert withdraw_unconfirmed(fitter.model, found, fitter.train, FROZEN) is found
 
 
 def test_what_the_reserved_steps_contradict_is_withdrawn(
@@ -51,7 +51,7 @@ def test_what_the_reserved_steps_contradict_is_withdrawn(
     """Drag in the place of a friction that fits better: friction stands again, drag is the rejected candidate."""
     fitter, nothing, friction, drag = fits
     found = SelectionResult(nothing, drag, (drag,), (), ("round 1",), earlier=(nothing, friction))
-    left = withdraw_unconfirmed(fitter.world, found, fitter.train, FROZEN)
+    left = withdraw_unconfirmed(fitter.model, found, fitter.train, FROZEN)
     assert left.best is friction and left.ties == (friction,) and left.earlier == (nothing,)
     assert left.rounds[-1] == "the steps held out of the fit do not improve with quadratic_drag: withdrawn"
     assert left.rejected is not None and left.rejected.names == ("quadratic_drag",) and left.rejected.gain < 0.0
@@ -60,7 +60,7 @@ def test_what_the_reserved_steps_contradict_is_withdrawn(
 def test_take_offs_and_landings_far_off_are_refused(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Events a quarter of a cycle off stop the search with what to check; restitution moves landings alone."""
     refuse_far_off(fly_ramp({("restitution", "e0"): 0.5}, 6), [Path("run.h5")])
-    right = fly_ramp({}, 6).evidence
+    right = fly_ramp({}, 6).observations
     late = replace(right.measured, opening_s=right.measured.opening_s + 0.01, landing_s=right.measured.landing_s + 0.01)
     with pytest.raises(InputError, match=r"run\.h5: .* misses take-offs by \d+ ms and landings by \d+ ms.*check sign"):
         refuse_far_off(ForwardModel(replace(right, measured=late), {}), [Path("run.h5")])

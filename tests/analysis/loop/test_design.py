@@ -19,8 +19,8 @@ from model.integrator.one_step import Measured, PlateSteps
 FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"): 0.2}
 
 
-def seen_evidence() -> Observations:
-    """As little evidence as a simulation needs of the run that was made: one step, its uncertainties, no plate data."""
+def seen_observations() -> Observations:
+    """The least that a simulation needs of the run that was made: one step, its uncertainties, no plate data."""
     setup = Setup(
         name="t",
         forcing=Forcing(frequency_hz=25.37),
@@ -58,21 +58,21 @@ def seen_evidence() -> Observations:
 @pytest.fixture(scope="module")
 def simulated() -> ForwardModel:
     """A simulation of a c = 2 ramp under friction 0.2."""
-    world = ForwardModel(seen_evidence(), {})
-    return ForwardModel(simulate_design(Design("test", "c = 2", 2, (0.3, 0.5, 0.8, 1.1)), world, FRICTION), {})
+    model = ForwardModel(seen_observations(), {})
+    return ForwardModel(simulate_design(Design("test", "c = 2", 2, (0.3, 0.5, 0.8, 1.1)), model, FRICTION), {})
 
 
 def test_plate_data_of_a_run_are_as_sharp_as_its_amplitudes_allow() -> None:
     """Noise stays what it was seen to be, so the second tone, four times as large, is known four times as well; a
     harmonic on which a tone of the forcing falls is none."""
-    seen = seen_evidence()
+    seen = seen_observations()
     kind, step, one = np.array([GAIN, SECOND]), np.zeros(2, dtype=np.int64), np.ones(2)
     data = PlateData(
         kind, step, 0.0 * one, 1e-3 * one, 159.4 * np.array([1.0, 2.0]), one, 9.81 * one, np.array([1, 2]), step + 1,
         one + 0j,
     )  # fmt: skip
-    world = ForwardModel(replace(seen, plate=data), {})
-    made = simulate_design(Design("test", "c = 2", 2, (0.5, 1.0)), world, {}).plate
+    model = ForwardModel(replace(seen, plate=data), {})
+    made = simulate_design(Design("test", "c = 2", 2, (0.5, 1.0)), model, {}).plate
     assert made.kind.tolist() == [GAIN] * 4
     assert made.sigma == pytest.approx(1e-3 * 9.81 / 9.80665 / np.array([0.5, 2.0, 1.0, 4.0]), rel=1e-9)
     assert abs(made.share) == pytest.approx([4.0] * 4)
@@ -81,7 +81,7 @@ def test_plate_data_of_a_run_are_as_sharp_as_its_amplitudes_allow() -> None:
 def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> None:
     """Under the effects of which it was made, a simulated run leaves nothing; without them, milliseconds."""
     true, ideal = simulated.residuals(FRICTION), simulated.residuals({})
-    rows = simulated.evidence.scored
+    rows = simulated.observations.scored
     assert rows.sum() > 40
     assert np.nanmax(np.abs(true.landing_s[rows])) < 1e-7
     assert np.nanmedian(np.abs(ideal.landing_s[rows])) > 1e-4
@@ -89,7 +89,7 @@ def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> No
 
 def test_a_rival_loses_on_the_simulation(simulated: ForwardModel) -> None:
     """Viscous damping, fitted to a run simulated under friction, keeps a loss that friction does not have."""
-    fitter = Fitter(simulated, priors_of(simulated.evidence.setup), np.ones(4, dtype=bool))
+    fitter = Fitter(simulated, priors_of(simulated.observations.setup), np.ones(4, dtype=bool))
     whitener = Whitener.of(simulated, FRICTION)
     right = fitter.fit(whitener, tuple(FRICTION), FRICTION).loss
     wrong = fitter.fit(whitener, (("viscous_damping", "rate_per_s"),), {("viscous_damping", "rate_per_s"): 1.0}).loss

@@ -20,7 +20,7 @@ def test_a_recording_without_a_flight_to_compare_is_refused(
     fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Contact and accelerometer exchanged leave no landing that could be predicted."""
-    made = fly_ramp({}, 0).evidence
+    made = fly_ramp({}, 0).observations
     none = np.zeros(len(made), dtype=bool)
     bare = replace(made, scored=none, measured=replace(made.measured, wanted=none))
     monkeypatch.setattr(close_loop, "observations_from", lambda *args, **options: bare)
@@ -36,7 +36,7 @@ def test_a_declared_model_that_cannot_be_fitted_names_the_recording(
     def failing(*args: object) -> None:
         raise NotFiniteError("its equations are not finite")
 
-    made = fly_ramp({}, 0).evidence
+    made = fly_ramp({}, 0).observations
     monkeypatch.setattr(close_loop, "observations_from", lambda *args, **options: made)
     monkeypatch.setattr(close_loop.StepwiseSelection, "run", failing)
     with pytest.raises(InputError, match=r"run\.h5: the declared model cannot be fitted.*bench info.*profile"):

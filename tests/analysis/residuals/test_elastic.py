@@ -101,13 +101,13 @@ def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., ForwardModel]) -
     """Elastic runs of nothing but noise: what is missed by far was near grazing, the rest by the floor."""
     ratios, far, left = [], 0, []
     for seed in range(3):
-        world = fly_ramp(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
-        rows, out = scored_rows(world, REBOUNDS, np.ones(len(world.evidence.steps), dtype=bool))
+        model = fly_ramp(REBOUNDS, seed, gammas=tuple(np.linspace(0.5, 2.4, 14)))
+        rows, out = scored_rows(model, REBOUNDS, np.ones(len(model.observations.steps), dtype=bool))
         ratios.append(
-            held_out_errors(world, REBOUNDS, rows, out).landing_rms_us / noise_floors_us(world, REBOUNDS, rows)[0]
+            held_out_errors(model, REBOUNDS, rows, out).landing_rms_us / noise_floors_us(model, REBOUNDS, rows)[0]
         )
         left.append(out)
-        missed = np.abs(world.residuals(REBOUNDS).landing_s) > 1e-3
+        missed = np.abs(model.residuals(REBOUNDS).landing_s) > 1e-3
         far += int(missed.sum())
         assert not np.any(missed[rows])
     assert far > 0
@@ -117,12 +117,12 @@ def test_grazes_alone_are_missed_by_far(fly_ramp: Callable[..., ForwardModel]) -
 
 def test_whether_a_flight_is_fragile_does_not_hang_on_its_own_landing(fly_ramp: Callable[..., ForwardModel]) -> None:
     """The last flight of each step, moved by a tenth of a millisecond, is as near_grazing as before."""
-    world = fly_ramp(REBOUNDS, 0)
-    ev = world.evidence
+    model = fly_ramp(REBOUNDS, 0)
+    ev = model.observations
     last = np.append(ev.measured.step[1:] != ev.measured.step[:-1], True)
     landing = ev.measured.landing_s + 1e-4 * last
     moved = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=landing)), {})
-    assert np.array_equal(near_grazing(world, REBOUNDS)[last], near_grazing(moved, REBOUNDS)[last])
+    assert np.array_equal(near_grazing(model, REBOUNDS)[last], near_grazing(moved, REBOUNDS)[last])
 
 
 def test_an_impact_passed_over_keeps_the_circuit_closed() -> None:

@@ -22,9 +22,9 @@ def test_residuals_at_the_truth_are_unit_normal_once_whitened(fly_ramp: Callable
     """Edges, carried errors and tones together: Kolmogorov-Smirnov on four runs, and the plate data likewise."""
     events, plate = [], []
     for seed in SEEDS:
-        world = fly_ramp(FRICTION, seed)
-        whitener = Whitener.of(world, FRICTION)
-        z, p = whitener.white(world.residuals(FRICTION))
+        model = fly_ramp(FRICTION, seed)
+        whitener = Whitener.of(model, FRICTION)
+        z, p = whitener.white(model.residuals(FRICTION))
         events.append(z)
         plate.append(p)
         assert max(whitener.excess_s) < 2e-6
@@ -37,16 +37,16 @@ def test_residuals_at_the_truth_are_unit_normal_once_whitened(fly_ramp: Callable
 @pytest.mark.parametrize("times", [3.0, 8.0])
 def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., ForwardModel], times: float) -> None:
     """Tones err for a whole step, some by far more than edges: bare residuals of steps differ, whitened ones do not."""
-    world = fly_ramp(FRICTION, 3)
-    sigma = times * world.evidence.steps.sigma_mps2
+    model = fly_ramp(FRICTION, 3)
+    sigma = times * model.observations.steps.sigma_mps2
     rng = np.random.default_rng(0)
-    steps = world.evidence.steps
+    steps = model.observations.steps
     noise = (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) * sigma * steps.forcing
     shaken = replace(steps.plate, acceleration_mps2=steps.plate.acceleration_mps2 + noise)
     steps = replace(steps, plate=shaken, spread_mps2=times * steps.spread_mps2)
-    world = ForwardModel(replace(world.evidence, steps=steps), {})
-    whitener = Whitener.of(world, FRICTION)
-    r = world.residuals(FRICTION)
+    model = ForwardModel(replace(model.observations, steps=steps), {})
+    whitener = Whitener.of(model, FRICTION)
+    r = model.residuals(FRICTION)
     z, _ = whitener.white(r)
     bare = whitener.stacked(r)[: len(z)] / whitener.sd
 
@@ -66,10 +66,10 @@ def test_weights_are_near_only_with_those_of_the_plate(fly_ramp: Callable[..., F
 
 def test_a_microsecond_that_a_step_shares_is_no_evidence(fly_ramp: Callable[..., ForwardModel]) -> None:
     """However sharp the edges: all landings of a step off by what the circuit may do count as one unit, not as many."""
-    made = fly_ramp(FRICTION, 1).evidence
+    made = fly_ramp(FRICTION, 1).observations
     sharp = np.full(len(made), 5e-8)
-    world = ForwardModel(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
-    whitener, r = Whitener.of(world, FRICTION, lean=True), world.residuals(FRICTION)
+    model = ForwardModel(replace(made, landing_sigma_s=sharp, opening_sigma_s=sharp), {})
+    whitener, r = Whitener.of(model, FRICTION, lean=True), model.residuals(FRICTION)
     off = replace(r, opening_s=np.zeros(len(made)), landing_s=np.full(len(made), SHARED_S), plate=0.0 * r.plate)
     z, _ = whitener.white(off)
     assert np.all(np.bincount(whitener.step, z**2) < 2.5)
@@ -77,65 +77,65 @@ def test_a_microsecond_that_a_step_shares_is_no_evidence(fly_ramp: Callable[...,
 
 def test_the_truth_loses_least(fly_ramp: Callable[..., ForwardModel]) -> None:
     """By step and in sum, friction's own size beats a tenth less and a tenth more on the same weights."""
-    world = fly_ramp(FRICTION, 1)
-    whitener = Whitener.of(world, FRICTION)
+    model = fly_ramp(FRICTION, 1)
+    whitener = Whitener.of(model, FRICTION)
 
     def loss(part: float) -> float:
         values = {k: part * v for k, v in FRICTION.items()}
-        return float(sum(x.sum() for x in step_losses(world, whitener, world.residuals(values)).values()))
+        return float(sum(x.sum() for x in step_losses(model, whitener, model.residuals(values)).values()))
 
     assert loss(1.0) < min(loss(0.9), loss(1.1)) - 20.0
 
 
 def test_a_drifting_parameter_has_its_value_in_the_middle_of_the_run(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A trend moves rows in proportion to the place in the run, and never beyond the parameter's bounds."""
-    world = fly_ramp({}, 0)
+    model = fly_ramp({}, 0)
     mu = ("coulomb_friction", "mu_up")
-    plain, trend = world.rows({mu: 0.1}), world.rows({mu: 0.1, ("coulomb_friction", "mu_up@drift"): 0.6})
+    plain, trend = model.rows({mu: 0.1}), model.rows({mu: 0.1, ("coulomb_friction", "mu_up@drift"): 0.6})
     change = (trend - plain).sum(axis=1)
-    part = world.evidence.steps.run_part[world.evidence.measured.step]
+    part = model.observations.steps.run_part[model.observations.measured.step]
     assert change == pytest.approx(np.maximum(0.6 * part, -0.1))
 
 
 def test_a_plate_mode_that_only_drifts_rings(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A resonance that is nothing amid the run and something at its ends has uncertainties like any other."""
     mode = {("table_resonance", "frequency_hz"): 7.5, ("table_resonance", "damping"): 0.04}
-    world = fly_ramp({}, 1)
+    model = fly_ramp({}, 1)
     drifting = mode | {("table_resonance", "mass_ratio"): 0.0, ("table_resonance", "mass_ratio" + TREND): 0.02}
     steady = mode | {("table_resonance", "mass_ratio"): 0.01}
-    assert np.array(world.kicks(drifting)) == pytest.approx(np.array(world.kicks(steady)), rel=0.3)
-    assert np.all(np.isfinite(world.uncertainty(drifting).landing_total_s))
-    assert world.kicks(mode) == ()
+    assert np.array(model.kicks(drifting)) == pytest.approx(np.array(model.kicks(steady)), rel=0.3)
+    assert np.all(np.isfinite(model.uncertainty(drifting).landing_total_s))
+    assert model.kicks(mode) == ()
 
 
 def test_tones_are_taken_back_to_the_plates_own(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Beside a lag and a gain of the accelerometer each tone of the plate is earlier and smaller than it is shown."""
-    world = fly_ramp({}, 0)
-    plate = world.evidence.steps.plate
+    model = fly_ramp({}, 0)
+    plate = model.observations.steps.plate
     values = {("accelerometer_lag", "delay_s"): 4e-4, ("accelerometer_gain", "relative"): 0.1}
     own = plate.acceleration_mps2 / (1.1 * np.exp(-4e-4j * plate.omega_radps))
-    assert world.inputs(values).plate.acceleration_mps2 == pytest.approx(own)
+    assert model.inputs(values).plate.acceleration_mps2 == pytest.approx(own)
     drifting = values | {("accelerometer_gain", "relative" + TREND): 0.02}
-    gain = 1.1 + 0.02 * world.evidence.steps.run_part[:, None]
-    assert world.inputs(drifting).plate.acceleration_mps2 == pytest.approx(own * 1.1 / gain)
+    gain = 1.1 + 0.02 * model.observations.steps.run_part[:, None]
+    assert model.inputs(drifting).plate.acceleration_mps2 == pytest.approx(own * 1.1 / gain)
 
 
 def test_a_mains_line_that_a_cable_picked_up_is_no_motion(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Beside mains in the cable the plate has no line at 50 Hz nor at 150 Hz, and every other tone as it was shown."""
-    world = fly_ramp({}, 0)
-    steps = world.evidence.steps
+    model = fly_ramp({}, 0)
+    steps = model.observations.steps
     omega, shown = steps.plate.omega_radps.copy(), steps.plate.acceleration_mps2.copy()
     omega[:, -2:], shown[:, -2:] = 2.0 * np.pi * 49.97 * np.array([3.0, 1.0]), (0.1 + 0.2j, 0.4 + 0.3j)
     heard = replace(steps, plate=replace(steps.plate, omega_radps=omega, acceleration_mps2=shown))
-    world = ForwardModel(replace(world.evidence, steps=heard), {})
-    moved = world.inputs({("mains_pickup", "amplitude_mps2"): 0.5}).plate.acceleration_mps2
+    model = ForwardModel(replace(model.observations, steps=heard), {})
+    moved = model.inputs({("mains_pickup", "amplitude_mps2"): 0.5}).plate.acceleration_mps2
     assert np.abs(moved[:, -2:]).max() < 1e-6
     assert np.array_equal(moved[:, :-2], shown[:, :-2])
 
 
 def test_a_parameter_drifts_within_a_step_too(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A trend is followed from flight to flight: a change within a long step is no scatter."""
-    made = fly_ramp({}, 0).evidence
+    made = fly_ramp({}, 0).observations
     part = np.linspace(-0.5, 0.5, len(made))
     mu = ("coulomb_friction", "mu_up")
     rows = ForwardModel(replace(made, run_part=part), {}).rows({mu: 0.3, (mu[0], mu[1] + TREND): 0.2})

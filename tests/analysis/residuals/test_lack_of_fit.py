@@ -21,8 +21,8 @@ def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., Forwa
     """Eight runs of noise: none improbable, each test's p spread out, the covariates' like uniform ones."""
     every, scatter, serial = [], [], []
     for seed in range(8):
-        world = fly_ramp(MU, seed)
-        left = goodness_of_fit(world, MU)
+        model = fly_ramp(MU, seed)
+        left = goodness_of_fit(model, MU)
         assert left.p_lack_of_fit > 1e-3
         assert left.covariate is None
         assert left.ratio < 1.15
@@ -36,8 +36,8 @@ def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., Forwa
 
 def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., ForwardModel]) -> None:
     """An edge enters the next predictions: neighbours are correlated before, not after."""
-    world = fly_ramp(MU, 2)
-    found = innovations(world, MU, world.uncertainty(MU))
+    model = fly_ramp(MU, 2)
+    found = innovations(model, MU, model.uncertainty(MU))
     assert np.std(found.z) == pytest.approx(1.0, abs=0.1)
     together = found.step[1:] == found.step[:-1]
     lagged = np.corrcoef(found.z[:-1][together], found.z[1:][together])[0, 1]
@@ -46,9 +46,9 @@ def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., Fo
 
 def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Landings late in proportion to the time in the run, half an uncertainty at its ends: so much is seen."""
-    world = fly_ramp(MU, 3)
-    ev, total = world.evidence, world.uncertainty(MU).landing_total_s
-    time = covariates(world, MU)["time_in_run_s"]
+    model = fly_ramp(MU, 3)
+    ev, total = model.observations, model.uncertainty(MU).landing_total_s
+    time = covariates(model, MU)["time_in_run_s"]
     part = (time - time.mean()) / np.ptp(time)
     late = ev.measured.landing_s + 2.5 * total * part
     slanted = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=late)), {})
@@ -59,8 +59,8 @@ def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel
 
 def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Friction 0.1 left out: improbable beyond doubt, and many times the floor."""
-    world = fly_ramp(MU, 4)
-    left = goodness_of_fit(world, {})
+    model = fly_ramp(MU, 4)
+    left = goodness_of_fit(model, {})
     assert left.p_lack_of_fit < 1e-12
     assert left.ratio > 3.0
     assert left.covariate in COVARIATES
@@ -68,8 +68,8 @@ def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., ForwardModel]
 
 def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Two landings of hundreds that are milliseconds off raise no alarm by themselves."""
-    world = fly_ramp(MU, 5)
-    ev = world.evidence
+    model = fly_ramp(MU, 5)
+    ev = model.observations
     rows = np.flatnonzero(ev.scored)[[50, 200]]
     landing = np.array(ev.measured.landing_s)
     landing[rows] += 3e-3
@@ -81,6 +81,6 @@ def test_a_rare_graze_is_no_law(fly_ramp: Callable[..., ForwardModel]) -> None:
 
 def test_the_threshold_of_a_named_covariate_is_the_callers(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A covariate that carries what is left is named at the usual threshold, and not where nothing is improbable."""
-    world = fly_ramp(MU, 4, gammas=(0.5, 0.9, 0.7, 1.2))
-    assert goodness_of_fit(world, {}).covariate is not None
-    assert goodness_of_fit(world, {}, replace(FROZEN, lack_p=0.0)).covariate is None
+    model = fly_ramp(MU, 4, gammas=(0.5, 0.9, 0.7, 1.2))
+    assert goodness_of_fit(model, {}).covariate is not None
+    assert goodness_of_fit(model, {}, replace(FROZEN, lack_p=0.0)).covariate is None

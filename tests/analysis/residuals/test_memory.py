@@ -63,38 +63,38 @@ def test_what_one_thread_makes_the_others_wait_for() -> None:
 
 def test_no_flight_is_flown_for_what_touches_the_plate_alone(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A drive's gain or lag leaves prediction and uncertainty the very objects they were, a friction does not."""
-    world = fly_ramp(FRICTION, 1)
-    assert world.predicted({**FRICTION, **PLATE}) is world.predicted(FRICTION)
-    assert world.uncertainty({**FRICTION, **PLATE}) is world.uncertainty(FRICTION)
-    assert world.predicted({}) is not world.predicted(FRICTION)
+    model = fly_ramp(FRICTION, 1)
+    assert model.predicted({**FRICTION, **PLATE}) is model.predicted(FRICTION)
+    assert model.uncertainty({**FRICTION, **PLATE}) is model.uncertainty(FRICTION)
+    assert model.predicted({}) is not model.predicted(FRICTION)
 
 
 def test_no_flight_is_flown_for_how_a_light_table_was_driven(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Whether the drive's scale is that of the loaded plate shows in plate data alone; a new frequency is flown."""
-    world = fly_ramp(FRICTION, 1)
+    model = fly_ramp(FRICTION, 1)
     mode = {("table_resonance", "mass_ratio"): 0.02, ("table_resonance", "frequency_hz"): 9.0}
     loaded = {**mode, ("table_resonance", "loaded"): 1.0}
-    assert world.predicted(loaded) is world.predicted(mode)
-    assert np.any(world.residuals(loaded).plate != world.residuals(mode).plate)
-    assert world.predicted({**mode, ("table_resonance", "frequency_hz"): 11.0}) is not world.predicted(mode)
+    assert model.predicted(loaded) is model.predicted(mode)
+    assert np.any(model.residuals(loaded).plate != model.residuals(mode).plate)
+    assert model.predicted({**mode, ("table_resonance", "frequency_hz"): 11.0}) is not model.predicted(mode)
 
 
 def test_shares_of_the_effects_add_up_to_the_expected_data(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Plate residuals from kept shares are those of all effects at once, a trend among them."""
-    world = fly_ramp({}, 1)
-    data = world.evidence.plate
-    at_once = data.value - expected(data, world.by_step(PLATE))
+    model = fly_ramp({}, 1)
+    data = model.observations.plate
+    at_once = data.value - expected(data, model.by_step(PLATE))
     for _ in range(2):
-        assert world.residuals(PLATE).plate == pytest.approx(at_once, rel=1e-12, abs=1e-12)
+        assert model.residuals(PLATE).plate == pytest.approx(at_once, rel=1e-12, abs=1e-12)
 
 
 def test_a_model_like_another_shares_its_plate_and_not_its_flights(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A model of the same plate predicts the same with a memory of flights of its own."""
-    world = fly_ramp(FRICTION, 1)
-    other = ForwardModel(world.evidence, world.declared, like=world)
-    assert other.predicted(FRICTION) is not world.predicted(FRICTION)
-    assert np.array_equal(other.residuals(FRICTION).landing_s, world.residuals(FRICTION).landing_s, equal_nan=True)
-    assert np.array_equal(other.residuals(FRICTION).plate, world.residuals(FRICTION).plate)
+    model = fly_ramp(FRICTION, 1)
+    other = ForwardModel(model.observations, model.declared, like=model)
+    assert other.predicted(FRICTION) is not model.predicted(FRICTION)
+    assert np.array_equal(other.residuals(FRICTION).landing_s, model.residuals(FRICTION).landing_s, equal_nan=True)
+    assert np.array_equal(other.residuals(FRICTION).plate, model.residuals(FRICTION).plate)
 
 
 def test_the_excess_is_that_of_the_robust_loss() -> None:

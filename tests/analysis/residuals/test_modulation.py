@@ -185,16 +185,16 @@ def recorded(make, effects: dict[str, dict[str, float]]) -> Observations:  # typ
 @pytest.mark.parametrize("hz", [0.2, 4.6])
 def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> None:  # type: ignore[no-untyped-def]
     """Slower and faster than a step: what the plate shows of it brings plate data and landings to their noise."""
-    evidence = recorded(make, {"amplitude_modulation": {"depth": 0.03, "frequency_hz": hz}})
-    hints = evidence.modulation.hints() if evidence.modulation is not None else ()
-    world, rows = ForwardModel(evidence, {}), evidence.plate.kind == MODULATION
+    observations = recorded(make, {"amplitude_modulation": {"depth": 0.03, "frequency_hz": hz}})
+    hints = observations.modulation.hints() if observations.modulation is not None else ()
+    model, rows = ForwardModel(observations, {}), observations.plate.kind == MODULATION
     found = min(hints, key=lambda hint: abs(hint[0] - hz))
     assert found[0] == pytest.approx(hz, abs=0.02)
     assert found[1] == pytest.approx(0.03, rel=0.05)
     values = dict(zip(DEEP, (found[1], hz), strict=True))
-    before, after, sigma = world.residuals({}), world.residuals(values), world.uncertainty(values).landing_total_s
-    assert np.sqrt(np.mean((after.plate[rows] / evidence.plate.sigma[rows]) ** 2)) < 1.25
-    judged = evidence.scored & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
+    before, after, sigma = model.residuals({}), model.residuals(values), model.uncertainty(values).landing_total_s
+    assert np.sqrt(np.mean((after.plate[rows] / observations.plate.sigma[rows]) ** 2)) < 1.25
+    judged = observations.scored & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
     miss = [np.median(np.abs(r.landing_s[judged] / sigma[judged])) for r in (before, after)]
     assert miss[0] > 3.0 * miss[1]
     assert miss[1] < 1.2
@@ -202,16 +202,16 @@ def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> Non
 
 def test_a_steady_plate_swells_by_no_more_than_its_noise(make) -> None:  # type: ignore[no-untyped-def]
     """With impacts that ring in the accelerometer, a steady plate's windows scatter as stated, and swell by nothing."""
-    evidence = recorded(make, {})
-    rows = evidence.plate.kind == MODULATION
-    z = evidence.plate.value[rows] / evidence.plate.sigma[rows]
+    observations = recorded(make, {})
+    rows = observations.plate.kind == MODULATION
+    z = observations.plate.value[rows] / observations.plate.sigma[rows]
     assert rows.sum() > 60
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
-    assert evidence.modulation is not None
-    world = ForwardModel(evidence, {})
-    for hz, depth in evidence.modulation.hints():
+    assert observations.modulation is not None
+    model = ForwardModel(observations, {})
+    for hz, depth in observations.modulation.hints():
         squares = [
-            np.sum((world.residuals(values).plate / evidence.plate.sigma) ** 2)
+            np.sum((model.residuals(values).plate / observations.plate.sigma) ** 2)
             for values in ({}, dict(zip(DEEP, (depth, hz), strict=True)))
         ]
         assert 0.5 * (squares[0] - squares[1]) < FROZEN.gain_nats  # of hundreds of frequencies the best one

@@ -18,7 +18,7 @@ QUIET = (0.22, 0.23, 0.24, 0.25)
 
 def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Two runs in one table: flights of the second point at its own steps, and predict as they did alone."""
-    one, two = (fly_ramp(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
+    one, two = (fly_ramp(FRICTION, seed, gammas=QUIET).observations for seed in (1, 2))
     both = join([one, two])
     assert len(both) == len(one) + len(two)
     assert both.measured.step[len(one)] == len(one.steps) + two.measured.step[0]
@@ -31,7 +31,7 @@ def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardM
 
 def test_a_short_recording_has_the_jitter_of_all(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Edges of a recording in which too few steps repeat are as uncertain as the steps of all recordings tell."""
-    short, long = (fly_ramp(FRICTION, seed, gammas=QUIET).evidence for seed in (1, 2))
+    short, long = (fly_ramp(FRICTION, seed, gammas=QUIET).observations for seed in (1, 2))
     short = replace(short, scatters=(Scatter(np.full(1, 9e-12)), Scatter()))
     long = replace(long, scatters=(Scatter(np.full(3, 9e-12)), Scatter(np.full(4, 16e-12))))
     both, n = join([short, long]), len(short)

@@ -45,10 +45,10 @@ def test_edges_known_within_a_sample_share_nothing() -> None:
     assert not np.any(rounding_errors(time_s, rounded, SAMPLING_S, np.inf))
 
 
-def with_landings(evidence: Observations, landing_s: np.ndarray) -> Observations:
+def with_landings(observations: Observations, landing_s: np.ndarray) -> Observations:
     """Landings replaced where they are known."""
-    known = np.where(np.isfinite(landing_s), landing_s, evidence.measured.landing_s)
-    return replace(evidence, measured=replace(evidence.measured, landing_s=known))
+    known = np.where(np.isfinite(landing_s), landing_s, observations.measured.landing_s)
+    return replace(observations, measured=replace(observations.measured, landing_s=known))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -57,12 +57,12 @@ def test_rounding_that_repeats_is_no_lack_of_fit(fly_ramp: Callable[..., Forward
     """Exact landings rounded to samples, whose error returns every cycle or every third: told of the samples, it is
     noise, also in what is predicted from them where the ball leaves as it lands."""
     sampling_s = 1.0 / 25.37 / (500.0 + (1.0 / 3.0 + 0.002 if places == 3 else 0.0))
-    evidence = fly_ramp({}, seed).evidence
-    evidence = replace(evidence, landing_sigma_s=np.full(len(evidence), sampling_s / np.sqrt(12.0)))
+    observations = fly_ramp({}, seed).observations
+    observations = replace(observations, landing_sigma_s=np.full(len(observations), sampling_s / np.sqrt(12.0)))
     for _ in range(IN_A_ROW):  # a ball that leaves as it lands is predicted from the landing before
-        evidence = with_landings(evidence, ForwardModel(evidence, {}).predict({}).landing_s)
-    read = sampling_s * (np.floor(evidence.measured.landing_s / sampling_s) + 0.5)
-    rounded = with_landings(evidence, read)
+        observations = with_landings(observations, ForwardModel(observations, {}).predict({}).landing_s)
+    read = sampling_s * (np.floor(observations.measured.landing_s / sampling_s) + 0.5)
+    rounded = with_landings(observations, read)
     seen = Scatter(repeated_s2=np.zeros(MIN_STEPS), freedom=np.ones(MIN_STEPS, dtype=int), sampling_s=sampling_s)
     told = goodness_of_fit(ForwardModel(replace(rounded, scatters=(Scatter(), seen)), {}), {})
     untold = goodness_of_fit(ForwardModel(rounded, {}), {})
