@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="adhesion",
@@ -44,7 +43,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def takeoff_threshold(dwell_s: float, p: Floats, k: int) -> float:
+def takeoff_threshold(dwell_s: float, p: Row, k: int) -> float:
     """Acceleration to be overcome at take-off, m/s^2."""
     if p[k] <= 0.0 or p[k + 1] <= 0.0:
         return float(p[k])

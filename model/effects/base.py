@@ -44,6 +44,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from kernels.arrays import Floats
+
+Row = Floats
 """The row of all parameters, the local g last."""
 
 COMPILED_HOOKS = ("gravity", "force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")

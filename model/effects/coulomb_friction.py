@@ -6,8 +6,7 @@ Static equals kinetic, so the ball leaves when ``-a_p > g (1 + mu_up)``.
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 COARSE = (0.05, 0.12, 0.2, 0.3, 0.45)
 
@@ -45,6 +44,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry_friction(h: float, speed: float, direction: float, p: Floats, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     return float(p[-1] * (p[k] if direction > 0.0 else p[k + 1]))

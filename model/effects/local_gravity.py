@@ -6,8 +6,7 @@ The place's g is known to 1e-4 unless the profile says otherwise.
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="local_gravity",
@@ -34,6 +33,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def gravity(p: Floats, k: int) -> float:
+def gravity(p: Row, k: int) -> float:
     """Constant downward acceleration of the ball beside the local g, m/s^2."""
     return float(p[k])

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="position_force",
@@ -38,7 +37,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     pull = p[k] * h
     if p[k + 1] != 0.0:

@@ -6,8 +6,7 @@ The air is at rest in the laboratory.
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="quadratic_drag",
@@ -19,6 +18,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     return float(-p[k] * abs(u) * u)

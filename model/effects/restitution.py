@@ -6,8 +6,7 @@ E is never below 0.
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="restitution",
@@ -36,6 +35,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def rebound(v: float, p: Floats, k: int) -> float:
+def rebound(v: float, p: Row, k: int) -> float:
     """Contribution to the coefficient of restitution."""
     return float(max(p[k] - p[k + 1] * v, 0.0) if p[k] > 0.0 else 0.0)

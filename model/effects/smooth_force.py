@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import CurveOf, Effect, Parameter
+from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
 TURNS_MPS = 0.01  # speed over which a force against the motion changes its sign, so that the integrator can follow
@@ -46,7 +45,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     of = p[k]
     if of == 0.0:

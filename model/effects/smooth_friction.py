@@ -6,8 +6,7 @@ Piecewise linear between knots, constant beyond them, never negative; not part o
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import CurveOf, Effect, Parameter
+from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
 
@@ -27,7 +26,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry_friction(h: float, speed: float, direction: float, p: Floats, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k] == 0.0:
         return 0.0

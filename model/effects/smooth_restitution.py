@@ -6,8 +6,7 @@ Piecewise linear between knots, constant beyond them; never part of the named li
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import CurveOf, Effect, Parameter
+from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
 
@@ -26,7 +25,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def rebound(v: float, p: Floats, k: int) -> float:
+def rebound(v: float, p: Row, k: int) -> float:
     """Contribution to the coefficient of restitution."""
     place = min(max((v - p[k]) / p[k + 1], 0.0), KNOTS - 1.0)
     i = min(int(place), KNOTS - 2)

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="stribeck_friction",
@@ -49,7 +48,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def dry_friction(h: float, speed: float, direction: float, p: Floats, k: int) -> float:
+def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> float:
     """Friction as an acceleration, m/s^2."""
     if p[k + 1] == 0.0:
         return float(p[-1] * p[k])

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 UNDAMPED = 1e-6  # a mode that nothing damps has no steady answer at its own frequency
 
@@ -66,7 +65,7 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def plate_mode(p: Floats, k: int) -> tuple[float, float, float]:
+def plate_mode(p: Row, k: int) -> tuple[float, float, float]:
     """``(omega_radps, damping_ratio, mass_ratio)``."""
     return 2.0 * math.pi * p[k + 1], p[k + 2], p[k]
 

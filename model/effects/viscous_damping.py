@@ -6,8 +6,7 @@ It acts on the velocity relative to the plate, since the rod moves with it.
 from __future__ import annotations
 
 from kernels import njit
-from kernels.arrays import Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import Effect, Parameter, Row
 
 EFFECT = Effect(
     name="viscous_damping",
@@ -19,6 +18,6 @@ EFFECT = Effect(
 
 
 @njit(error_model="numpy")
-def force(s: float, h: float, v: float, u: float, p: Floats, k: int) -> float:
+def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     """Acceleration of the ball, m/s^2."""
     return float(-p[k] * v)
