@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.runs import query as queries
-from bench.runs.database import Opened, open_database
+from bench.runs.database import Opened, open_database, replace
 from bench.runs.folder import Found, files_below
 from bench.runs.loops import Loop, saved_loops
 from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
@@ -34,7 +34,8 @@ class Catalogue(Closing):
     folder
         The runs' folder.
     anew
-        Make the database anew from the files.
+        Make the database anew from the files: it is empty here until `update`, which puts it in place of the old one
+        in one transaction.
 
     Attributes
     ----------
@@ -93,6 +94,8 @@ class Catalogue(Closing):
                 if known.get(file.path) != (file.size, file.mtime_ns) or (all_bytes and file.path in unchecked)
             ]
             self._read(changed, all_bytes=all_bytes, progress=progress)
+            with self._writing():
+                replace(self._connection)
         return len(changed)
 
     def runs(self, query: queries.Query | None = None) -> list[Row]:

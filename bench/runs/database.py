@@ -47,6 +47,8 @@ CREATE INDEX quantities_path ON quantities (path);
 CREATE INDEX quantities_identity ON quantities (identity);
 """
 
+STATEMENTS = tuple(statement for statement in SCHEMA.split(";\n") if statement.strip())
+
 
 @dataclass(frozen=True)
 class Opened:
@@ -65,7 +67,8 @@ def open_database(folder: Path, *, anew: bool = False) -> Opened:
     folder
         The runs' folder.
     anew
-        Make it anew, whatever is there; one of a newer version stays all the same.
+        Make it anew, whatever is there; one of a newer version stays all the same. The connection has empty tables of
+        its own until `replace`, and other processes have the old ones until then.
     """
     path = folder / PLACE / NAME
     try:
@@ -94,8 +97,11 @@ def _opened(path: Path, *, anew: bool) -> Opened:
         _write_ahead(connection)
         connection.execute("PRAGMA synchronous = NORMAL")
         connection.execute("BEGIN IMMEDIATE")  # tells whether it can be written
-        if anew or connection.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+        if connection.execute("PRAGMA user_version").fetchone()[0] != VERSION:
             _make(connection)
+        elif anew:
+            for statement in STATEMENTS:  # temporary tables hide those of the file from this connection
+                connection.execute(statement.replace("CREATE TABLE", "CREATE TEMP TABLE"))
         connection.execute("COMMIT")
         connection.execute("SELECT count(*) FROM files, runs LIMIT 1").fetchone()
     except BaseException:
@@ -117,15 +123,27 @@ def _write_ahead(connection: sqlite3.Connection) -> None:
             time.sleep(0.02)
 
 
+def replace(connection: sqlite3.Connection) -> None:
+    """Put the temporary tables of a connection in place of those in its file, within the transaction that is open."""
+    names = [row[0] for row in connection.execute("SELECT name FROM sqlite_temp_master WHERE type = 'table'")]
+    rows = {name: connection.execute(f"SELECT * FROM temp.{name}").fetchall() for name in names}
+    for name in reversed(names):  # what refers to a table goes before it
+        connection.execute(f"DROP TABLE temp.{name}")
+    if names:
+        _make(connection)
+    for name, found in rows.items():
+        if found:
+            connection.executemany(f"INSERT INTO {name} VALUES ({', '.join('?' * len(found[0]))})", found)
+
+
 def _make(connection: sqlite3.Connection) -> None:
     """Empty tables in place of whatever is there, within the transaction that is open."""
     names = [row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
     for name in reversed(names):
         quoted = name.replace('"', '""')
         connection.execute(f'DROP TABLE IF EXISTS "{quoted}"')
-    for statement in SCHEMA.split(";\n"):
-        if statement.strip():
-            connection.execute(statement)
+    for statement in STATEMENTS:
+        connection.execute(statement)
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 

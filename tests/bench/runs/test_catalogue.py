@@ -63,6 +63,18 @@ def test_only_what_has_changed_is_read(folder: Path, monkeypatch: pytest.MonkeyP
         assert catalogue.update() == 3
 
 
+def test_a_rescan_shows_the_old_state_until_it_is_done(folder: Path) -> None:
+    """While one catalogue is made anew from the files, another finds every run; afterwards both have the new state."""
+    with Catalogue(folder) as other:
+        other.update()
+        with Catalogue(folder, anew=True) as rescan:
+            record(folder / "new.h5")
+            assert names(rescan) == [] and sorted(names(other)) == ["a.h5", "b.h5", "c.h5"]
+            assert rescan.update() == 4
+            assert sorted(names(rescan)) == sorted(names(other)) == ["a.h5", "b.h5", "c.h5", "new.h5"]
+            assert rescan.update() == other.update() == 0
+
+
 @pytest.mark.parametrize(
     ("conditions", "found"),
     [
