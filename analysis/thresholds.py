@@ -113,6 +113,7 @@ FAR_CYCLES = 0.1  # median error of take-offs from rest and landings, in cycles,
 FEWEST_TAKEOFFS = 8  # from rest, for that test
 LEAST_EXCESS_S = 3e-7  # error of the integration and of the edge's own physics
 SHARED_S = 1e-6  # common error of all edges of one kind in a step: the contact circuit's own physics
+ANOTHER_EVENT_S = 1e-3  # change of a predicted event beyond which it is another event: no derivative follows it
 FARTHEST_PERIODS = 0.5  # cap of a residual, in periods: beyond, another event was met
 COMMON_MODE_SIGMAS = 6.0  # residuals beyond (tone covariance included) are excluded from the step's common mode
 LOST_RATIO = 20.0  # excess over uncertainty beyond which landings count as lost
@@ -124,6 +125,13 @@ NULL_P = 0.05  # probability of Wald's test under which parameters differ from t
 
 # gain by step
 MOST_OF_A_STEP_NATS = 12.0  # clip of one step's contribution to a gain
+
+# the search for candidates: what is followed farther
+DRIFTING_NATS = 100.0  # gain above which a candidate is tried with a drift as well
+NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
+LEADING_P = 0.05  # chance of so large a gain below which a refused candidate of many runs is worth a pass of its own
+IMPROBABLE = 1e-4  # explanations of less probability are left out
+LEAST_INFORMATION = 1e-9  # of a size of unit scale, and of its part beyond the nuisances: below, it changes nothing
 
 # a run that still goes on
 RUN_P = 1e-3  # probability that a rig that does as declared is accused at any look of a run

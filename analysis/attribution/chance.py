@@ -28,13 +28,13 @@ from analysis.linear_algebra import eigh, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
+from analysis.thresholds import LEAST_INFORMATION
 from kernels.arrays import Floats, Integers
 
 Columns = tuple[int, ...]
 Place = tuple[ParameterId, tuple[tuple[ParameterId, float], ...]]  # a size, with the shapes it is tried at
 
 DRAWS = 4999
-LEAST_INFORMATION = 1e-9  # of a column of unit scale, and of its part beyond the nuisances: below, it changes nothing
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.attribution.fit import LEAP_S, Fitted
+from analysis.attribution.fit import Fitted, of_same_events
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.linear_algebra import pinv
 from analysis.residuals.noise_model import robust_loss, robust_weight
@@ -86,9 +86,7 @@ class Detectability:
         """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted, (q,)."""
         fitter, raw = self.best.fitter, self.best.raw
         values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), np.array([x]))}
-        change = self._whitener.stacked(fitter.model.residuals(values)) - raw
-        events = np.arange(len(change)) < len(self._whitener.step)
-        change[(events & (np.abs(change) > LEAP_S)) | ~np.isfinite(change)] = 0.0
+        change = of_same_events(self._whitener.stacked(fitter.model.residuals(values)) - raw, self._whitener)
         return np.asarray(self._whitener.white_slopes(change[:, None], raw)[:, 0])
 
     def _multiple(self, key: ParameterId, others: Bools, slope: Floats, tried: float, reach: float) -> float:

@@ -25,13 +25,12 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener, step_losses
-from analysis.thresholds import CALIBRATION_SIGMAS, NULL_P
+from analysis.thresholds import ANOTHER_EVENT_S, CALIBRATION_SIGMAS, NULL_P
 from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
 MOST_ITERATIONS = 12
-LEAP_S = 1e-3  # a larger change means the prediction jumped to a different event; its derivative is set to zero
 ENOUGH_NATS = 0.1  # gain of a step below which the fit ends
 FOLDS = 3  # of the cross-validation
 
@@ -231,11 +230,7 @@ class _State:
         """Finite difference of the bare residuals by one coordinate."""
         moved = x.copy()
         moved[j] += h
-        change = self.raw(moved) - raw
-        n = len(self.whitener.step)
-        change[:n][np.abs(change[:n]) > LEAP_S] = 0.0
-        change[~np.isfinite(change)] = 0.0
-        return np.asarray(change / h)
+        return of_same_events(self.raw(moved) - raw, self.whitener) / h
 
     def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
@@ -244,6 +239,12 @@ class _State:
         weighted = jacobian * weight[:, None]
         pull = self.inverse**2
         return weighted.T @ jacobian + np.diag(pull), -(weighted.T @ z) - pull * (x - self.mean)
+
+
+def of_same_events(change: Floats, whitener: Whitener) -> Floats:
+    """Changes of stacked bare residuals, (r,); 0 where a flight became another one or is not predicted."""
+    events = np.arange(len(change)) < len(whitener.step)
+    return np.where((events & (np.abs(change) > ANOTHER_EVENT_S)) | ~np.isfinite(change), 0.0, change)
 
 
 def _solve(normal: Floats, gradient: Floats, damping: float, below: Floats, above: Floats) -> Floats:

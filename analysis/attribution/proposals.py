@@ -19,18 +19,17 @@ from analysis.linear_algebra import NotFiniteError
 from analysis.parallel import THREADS
 from analysis.residuals.values import TREND, ParameterId, plate_effects
 from analysis.residuals.whitening import Whitener
-from analysis.thresholds import Thresholds
+from analysis.thresholds import DRIFTING_NATS, NEAR_NATS, NEAR_PART, Thresholds
 from model.effects.registry import effect, trend_name
 
 Tried = Callable[[Candidate], None]
 
-MOST_DRIFTING, DRIFTING_NATS = 4, 100.0  # strong candidates of a round that are tried with a drift; their least gain
+MOST_DRIFTING = 4  # strong candidates of a round that are tried with a drift
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
 LONGER = (4.0, 2.0)  # the same of a mode of the plate: its linear steps are too short while another cause is missing
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
-NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
 
 
 def is_plate_mode(candidate: Candidate) -> bool:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.attribution.chance import Place
-from analysis.attribution.fit import Fitter
+from analysis.attribution.fit import Fitter, of_same_events
 from analysis.attribution.priors import null_value_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_curvature, robust_weight
@@ -27,7 +27,6 @@ STEP = 0.01  # finite difference of a coordinate
 LARGEST_STEP = 1.0  # secant of a coordinate
 LEAST_GROUP, LEAST_CURVATURE = 20, 0.25  # residuals that tell of their own scatter; of their mean curvature
 STUDENT = 0.75  # mean square slope of the robust loss, and mean curvature, where residuals are Student's own
-ANOTHER_EVENT_S = 1e-3  # a larger change of an event is no derivative
 
 
 def slopes_of(
@@ -90,12 +89,6 @@ def secants_at(
         step = min(max(known**-0.5, STEP), LARGEST_STEP) if known > 0.0 else LARGEST_STEP
         out[:, [j]] = slopes_of(model, fitter, whitener, {**at, **dict(shapes)}, [key], step)[1]
     return out
-
-
-def of_same_events(change: Floats, whitener: Whitener) -> Floats:
-    """Changes of bare residuals, those without which a flight became another one, (r,)."""
-    events = np.arange(len(change)) < len(whitener.step)
-    return np.where(events & (np.abs(change) > ANOTHER_EVENT_S), 0.0, change)
 
 
 def gradient_and_information(whitener: Whitener, raw: Floats, slopes: Floats) -> tuple[Floats, Floats]:

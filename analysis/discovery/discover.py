@@ -25,7 +25,7 @@ from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import plate_effects
-from analysis.thresholds import FROZEN, Thresholds
+from analysis.thresholds import ANOTHER_EVENT_S, FROZEN, Thresholds
 from kernels.arrays import Bools, Floats
 from model.effects.registry import registry
 from model.integrator.one_step import Predicted
@@ -38,7 +38,6 @@ REACHES = {  # covariate of a whole flight that gives the range of a quantity wi
     "since_impact_s": "flight_s",
 }
 REFINED_FINALISTS = 2  # finalists that may be fitted again with finer knots
-FARTHEST_S = 2e-3  # change of an event beyond which it has become another event
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ def _similar_effects(best: RefinedTerm, least: float) -> tuple[tuple[str, float]
         both = np.concatenate(
             [(p.landing_s - base.landing_s)[plain.observations.scored], (p.opening_s - base.opening_s)[plain.from_rest]]
         )
-        return np.asarray(np.where(np.abs(both) < FARTHEST_S, np.nan_to_num(both), 0.0))
+        return np.asarray(np.where(np.abs(both) < ANOTHER_EVENT_S, np.nan_to_num(both), 0.0))
 
     ours, out = shift(best.model.predict(values)), dict[str, float]()
     for entry in registry():

@@ -6,24 +6,24 @@ depends on its own value alone, so that every covariate can use the same table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analysis.discovery.descent import Penalty, Problem, descend, normal_equations
 from analysis.discovery.spline_basis import basis_of, hat_functions
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
-from analysis.linear_algebra import lstsq, pinv
+from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
+from analysis.residuals.noise_model import log_odds, robust_loss
 from analysis.residuals.values import Values
 from kernels.arrays import Floats
 
 TAILS = (0.9, 0.8, 0.65)  # quantiles of the residuals that set the robust width in the first passes
 SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # the same in the last passes: the median
-HALVINGS = 4  # of a step that does not lower the loss
-FAR_NATS, ENOUGH_NATS = 5.0, 0.2  # gain of a step after which slopes are taken anew, and below which the fit ends
+FAR_NATS = 5.0  # gain of a step after which slopes are taken anew
 START_SIZES: dict[str, Floats] = {
     "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
     "friction": np.geomspace(0.005, 2.0, 6),
@@ -78,8 +78,15 @@ def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floa
         width = stack.widths(r, tail)
         by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
         values = grid[np.argmin(by_value, axis=0)]
-    curve = Curve(term, knots, values, basis)
-    return _descend(curve, stack, lambda c: _interpolated(table, grid, c.table[stack.event]), basis[stack.event])
+    rows = basis[stack.event]
+    problem = Problem[Curve](
+        lambda c: _interpolated(table, grid, c.table[stack.event])[0],
+        lambda c, _: _interpolated(table, grid, c.table[stack.event])[1][:, None] * rows,
+        _moved,
+        penalty_of_curve,
+    )
+    curve, r = descend(problem, Curve(term, knots, values, basis), stack, (*TAILS[1:], *SHARP))
+    return ScreenedTerm(curve, stack.loss(r))
 
 
 def _interpolated(table: Floats, grid: Floats, value: Floats) -> tuple[Floats, Floats]:
@@ -90,50 +97,16 @@ def _interpolated(table: Floats, grid: Floats, value: Floats) -> tuple[Floats, F
     return table[i, k] + slope * (value - grid[i]), slope
 
 
-def _descend(
-    curve: Curve, stack: StackedResiduals, look: Callable[[Curve], tuple[Floats, Floats]], near: Floats
-) -> ScreenedTerm:
-    """Gauss-Newton on the penalised robust loss; ``look`` gives residuals and their slope along each event's value."""
-    r, slope = look(curve)
-    for tail in (*TAILS[1:], *SHARP):
-        step = newton_step(curve, stack, r, slope[:, None] * near, tail)
-        width = stack.widths(r, tail)
-        now, gained = _penalised(curve, stack, r, width), 0.0
-        for half in range(HALVINGS):
-            moved = curve.moved(curve.values + 0.5**half * step)
-            r_moved, slope_moved = look(moved)
-            gained = now - _penalised(moved, stack, r_moved, width)
-            if gained > 0.0:
-                curve, r, slope = moved, r_moved, slope_moved
-                break
-        if gained < ENOUGH_NATS and tail == SHARP[0]:
-            break
-    return ScreenedTerm(curve, stack.loss(r))
+def _moved(curve: Curve, step: Floats) -> Curve:
+    return curve.moved(curve.values + step)
 
 
-def penalty_weight(curve: Curve) -> float:
-    """Weight of the penalty for a curve of this spread; with more knots than usual each may bend less."""
+def penalty_of_curve(curve: Curve) -> Penalty:
+    """Penalty of bending, weighted for a curve of this spread; with more knots than usual each may bend less."""
     values, least = curve.values, 10.0 * curve.term.nudge
     rough = curve.roughness * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
-    return 1.0 / (rough * max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)) ** 2
-
-
-def newton_step(curve: Curve, stack: StackedResiduals, r: Floats, jacobian: Floats, tail: float = 0.5) -> Floats:
-    """Step of the curve's values that lowers the penalised robust loss, to second order."""
-    width = stack.widths(r, tail)
-    z, j = r / width, jacobian / width[:, None]
-    weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
-    pull = penalty_weight(curve) * curve.penalty
-    normal = (j * weight[:, None]).T @ j + pull
-    normal += 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(normal))
-    return np.asarray(lstsq(normal, -(j.T @ (weight * z)) - pull @ curve.values, rcond=1e-10)[0])
-
-
-def _penalised(curve: Curve, stack: StackedResiduals, r: Floats, width: Floats) -> float:
-    z, odds = r / width, log_odds(width, stack.period_s)
-    roughness = curve.values @ curve.penalty @ curve.values
-    data = float(np.sum(robust_loss(z, odds)[stack.train]))
-    return data + 0.5 * penalty_weight(curve) * float(roughness)
+    size = max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)
+    return curve.penalty / (rough * size) ** 2, values
 
 
 def best_start(model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
@@ -155,29 +128,14 @@ def best_start(model: ForwardModel, values: Values, stack: StackedResiduals, cur
 def fit_in_flight(
     model: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Floats, tails: Sequence[float]
 ) -> ScreenedTerm:
-    """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew after a step of large gain.
-
-    The fit ends early where a step gains nothing and the quantile stays the same.
-    """
-    curve, jacobian, gained = start, np.zeros((0, 0)), np.inf
-    r = stack.residuals(AugmentedModel(model, [curve], dwell_s), values)
-    for i, tail in enumerate(tails):
-        fresh = gained > FAR_NATS
-        if fresh:
-            jacobian = jacobian_of(model, values, stack, curve, dwell_s, r)
-        step, width = newton_step(curve, stack, r, jacobian, tail), stack.widths(r, tail)
-        now, gained = _penalised(curve, stack, r, width), 0.0
-        for half in range(HALVINGS):
-            moved = curve.moved(curve.values + 0.5**half * step)
-            r_moved = stack.residuals(AugmentedModel(model, [moved], dwell_s), values)
-            gained = now - _penalised(moved, stack, r_moved, width)
-            if gained > 0.0:
-                curve, r = moved, r_moved
-                break
-        if gained < ENOUGH_NATS:
-            if fresh and set(tails[i:]) == {tail}:
-                break
-            gained = np.inf
+    """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew after a step of large gain."""
+    problem = Problem[Curve](
+        lambda c: stack.residuals(AugmentedModel(model, [c], dwell_s), values),
+        lambda c, r: jacobian_of(model, values, stack, c, dwell_s, r),
+        _moved,
+        penalty_of_curve,
+    )
+    curve, r = descend(problem, start, stack, tails, FAR_NATS)
     return ScreenedTerm(curve, stack.loss(r))
 
 
@@ -201,7 +159,5 @@ def jacobian_of(
 
 def covariance_of(curve: Curve, stack: StackedResiduals, r: Floats, jacobian: Floats) -> Floats:
     """Covariance of the curve's values at its knots, (k, k)."""
-    width = stack.widths(r)
-    weight = np.where(stack.train, robust_weight(r / width, log_odds(width, stack.period_s)), 0.0) / width**2
-    normal = (jacobian * weight[:, None]).T @ jacobian + penalty_weight(curve) * curve.penalty
+    normal, _ = normal_equations(stack, r, jacobian, penalty=penalty_of_curve(curve))
     return np.asarray(pinv(normal, rcond=1e-14))

@@ -15,6 +15,7 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.coarse_search import subsample
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.discovery.descent import newton_step
 from analysis.discovery.penalised_fit import (
     SHARP,
     TAILS,
@@ -24,7 +25,7 @@ from analysis.discovery.penalised_fit import (
     covariance_of,
     fit_in_flight,
     jacobian_of,
-    newton_step,
+    penalty_of_curve,
     residual_table,
     screen_covariate,
 )
@@ -238,7 +239,9 @@ class TermSearch:
         def unseen(roughness: float) -> float:
             bent, held = replace(curve, roughness=roughness), r.copy()
             for fold in folds:
-                held[fold] += jacobian[fold] @ newton_step(bent, stack.without(fold), r, jacobian)
+                held[fold] += jacobian[fold] @ newton_step(
+                    stack.without(fold), r, jacobian, penalty=penalty_of_curve(bent)
+                )
             return float(self._by_step(stack, held)[self.train].sum())
 
         return replace(curve, roughness=min(ROUGHNESS, key=unseen))
@@ -251,7 +254,7 @@ class TermSearch:
         p = AugmentedModel(self.model, [curve], self.dwell).predict(values)
         opening, landing = measured.opening_s - p.opening_s, measured.landing_s - p.landing_s
         for fold in self._folds():
-            step = newton_step(curve, stack.without(fold[stack.event]), r, jacobian)
+            step = newton_step(stack.without(fold[stack.event]), r, jacobian, penalty=penalty_of_curve(curve))
             other = curve.moved(curve.values + step)
             curves.append(other.values)
             p = AugmentedModel(self.model, [other], self.dwell).predict(values)

@@ -17,24 +17,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.discovery.descent import Problem, descend, newton_step, normal_equations
 from analysis.discovery.forms import SIZES, Form, forms_for
 from analysis.discovery.search import CURVE_FOLDS, RefinedTerm
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import AugmentedModel, Curve
 from analysis.linear_algebra import lstsq, pinv
-from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
-from analysis.thresholds import Thresholds
+from analysis.thresholds import ANOTHER_EVENT_S, Thresholds
 from kernels.arrays import Floats
 from model.effects.smooth_force import KNOTS
 
 FITTED = 8  # forms nearest to the curve that are fitted to the events, and with them all of one parameter
 JUDGED = 6  # of these, how many are judged on held-out steps
 TAILS = (0.8, 0.65, 0.5, 0.5, 0.5)  # quantiles of the residuals that set the robust width, a pass each
-HALVINGS, ENOUGH_NATS = 4, 0.2  # of a step that does not lower the loss; gain of a pass below which the fit ends
-LEAP_S = 1e-3  # a larger change means another event: its derivative is set to zero
 NUDGE = 1e-3  # finite difference, of a parameter's unit
 LEAST_BAND = 0.02  # of the curve's spread: the least width of its band where a form is started
-PARAMETER_NATS = 4.0  # what a parameter costs, as among named effects
 
 
 @dataclass(frozen=True)
@@ -66,11 +63,6 @@ class FittedForm:
     error: float
     as_good: bool
 
-    @property
-    def penalised(self) -> float:
-        """Loss over the curve with the cost of the parameters, nats."""
-        return self.loss + PARAMETER_NATS * len(self.values)
-
 
 def search_forms(
     best: RefinedTerm, tables: Mapping[str, Floats], limits: Thresholds
@@ -93,10 +85,14 @@ def search_forms(
     str
         Of those as good as the curve, the name of the one of least penalised loss; empty where there is none.
     """
+
+    def penalised(x: _Fit | FittedForm) -> float:  # a parameter costs what it costs among named effects
+        return x.loss + limits.tie_nats * len(x.values)
+
     fits = _FormFits(best, tables)
     near = sorted(((form, *fits.nearest(form)) for form in forms_for(best.curve.term, fits.span)), key=lambda p: p[2])
     chosen = [p for i, p in enumerate(near) if i < FITTED or len(p[0].parameters) == 1]
-    fitted = sorted((fits.fit(form, start) for form, start, _ in chosen), key=lambda p: p.penalised)[:JUDGED]
+    fitted = sorted((fits.fit(form, start) for form, start, _ in chosen), key=penalised)[:JUDGED]
     judged = [(p, fits.held_out(p)) for p in fitted]
     spline = best.explanation.losses["events"]
     leads = [LogScoreDifference.of(loss, spline, fits.train) for _, loss in judged]
@@ -107,9 +103,9 @@ def search_forms(
     suggested = ""
     if able:
         top = min(losses, key=lambda loss: float(loss[fits.train].sum()))
-        costs = [PARAMETER_NATS * len(form.values) for form in able]
+        costs = [limits.tie_nats * len(form.values) for form in able]
         suggested = able[penalised_best(top, losses, costs, fits.train)].name
-    return tuple(sorted(forms, key=lambda form: form.penalised)), suggested
+    return tuple(sorted(forms, key=penalised)), suggested
 
 
 @dataclass(frozen=True)
@@ -121,10 +117,6 @@ class _Fit:
     r: Floats
     slopes: Floats
     loss: float
-
-    @property
-    def penalised(self) -> float:
-        return self.loss + PARAMETER_NATS * len(self.values)
 
 
 class _FormFits:
@@ -170,7 +162,7 @@ class _FormFits:
         unit = {"value": y, "slope": y / reach, "curvature": y / reach**2, "width": wide, "place": wide, "power": 1.0}
         return np.array([unit[kind] for _, kind in form.parameters])
 
-    def _kept(self, form: Form, values: Floats) -> Floats:
+    def _within(self, form: Form, values: Floats) -> Floats:
         """Values within what their kinds allow."""
         low, high = self.span
         wide = high - low
@@ -195,31 +187,20 @@ class _FormFits:
             moved = values.copy()
             moved[i] += NUDGE * unit
             change = self.residuals(form, moved) - r
-            change[np.abs(change) > LEAP_S] = 0.0
+            change[np.abs(change) > ANOTHER_EVENT_S] = 0.0
             out[:, i] = change / NUDGE
         return out
 
     def fit(self, form: Form, start: Floats) -> _Fit:
         """Gauss-Newton on the robust loss of the training steps."""
-        stack, unit = self.stack, self._units(form)
-        values = self._kept(form, start)
-        r = self.residuals(form, values)
-        slopes = self._slopes(form, values, r)
-        for tail in TAILS:
-            width = stack.widths(r, tail)
-            now, gained = _loss(stack, r, width), 0.0
-            step = _step(stack, r, slopes, width)
-            for half in range(HALVINGS):
-                moved = self._kept(form, values + 0.5**half * step * unit)
-                r_moved = self.residuals(form, moved)
-                gained = now - _loss(stack, r_moved, width)
-                if gained > 0.0:
-                    values, r = moved, r_moved
-                    slopes = self._slopes(form, values, r)
-                    break
-            if gained < ENOUGH_NATS and tail == TAILS[-1]:
-                break
-        return _Fit(form, values, r, slopes, stack.loss(r))
+        unit = self._units(form)
+        problem = Problem[Floats](
+            lambda values: self.residuals(form, values),
+            lambda values, r: self._slopes(form, values, r),
+            lambda values, step: self._within(form, values + step * unit),
+        )
+        values, r = descend(problem, self._within(form, start), self.stack, TAILS)
+        return _Fit(form, values, r, self._slopes(form, values, r), self.stack.loss(r))
 
     def held_out(self, p: _Fit) -> Floats:
         """Loss of the events by step, each step's with the values that the others give, (m,)."""
@@ -228,14 +209,14 @@ class _FormFits:
         for i in range(CURVE_FOLDS):
             fold = np.isin(ev.measured.step, apart[i::CURVE_FOLDS])[self.stack.event]
             rest = self.stack.without(fold)
-            step = _step(rest, p.r, p.slopes, rest.widths(p.r))
-            other = self._kept(p.form, p.values + step * self._units(p.form))
+            step = newton_step(rest, p.r, p.slopes)
+            other = self._within(p.form, p.values + step * self._units(p.form))
             held[fold] = self.residuals(p.form, other)[fold]
         return self.stack.by_step(held, ev.measured.step, len(ev.steps))
 
     def result(self, p: _Fit, loss: float, error: float, as_good: bool) -> FittedForm:
         """A fitted form as names and numbers."""
-        covariance = pinv(_normal(self.stack, p.r, p.slopes, self.stack.widths(p.r))[0], rcond=1e-14)
+        covariance = pinv(normal_equations(self.stack, p.r, p.slopes)[0], rcond=1e-14)
         sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self._units(p.form)
         up = -1.0 if self.curve.term.name == "force" and self.curve.term.columns else 1.0  # fitted as a pull
         sign = np.array([up if kind in SIZES else 1.0 for _, kind in p.form.parameters])
@@ -252,21 +233,3 @@ class _FormFits:
             error,
             as_good,
         )
-
-
-def _normal(stack: StackedResiduals, r: Floats, slopes: Floats, width: Floats) -> tuple[Floats, Floats]:
-    """Normal equations of a weighted step."""
-    z, j = r / width, slopes / width[:, None]
-    weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
-    return (j * weight[:, None]).T @ j, -(j.T @ (weight * z))
-
-
-def _step(stack: StackedResiduals, r: Floats, slopes: Floats, width: Floats) -> Floats:
-    """Step of the parameters in their units."""
-    normal, pull = _normal(stack, r, slopes, width)
-    normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(pull))
-    return np.asarray(lstsq(normal, pull, rcond=1e-10)[0])
-
-
-def _loss(stack: StackedResiduals, r: Floats, width: Floats) -> float:
-    return float(np.sum(robust_loss(r / width, log_odds(width, stack.period_s))[stack.train]))

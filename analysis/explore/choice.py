@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.attribution.fit import LEAP_S, Fitter
+from analysis.attribution.fit import Fitter, of_same_events
 from analysis.attribution.second_order import slopes_of
 from analysis.explore.explanations import Explanation, Weighed
 from analysis.linear_algebra import inv, lstsq
@@ -139,9 +139,7 @@ def apart(whitener: Whitener, raw: Floats, other: Floats) -> Floats:
 
     A fit cannot follow a flight that becomes another one, and near an edge chance decides which it is.
     """
-    moved, events = other - raw, np.arange(len(raw)) < len(whitener.step)
-    moved[events & (np.abs(moved) > LEAP_S)] = 0.0
-    change = whitener.white_all(raw + moved) - whitener.white_all(raw)
+    change = whitener.white_all(raw + of_same_events(other - raw, whitener)) - whitener.white_all(raw)
     return np.clip(change, -CLIP_SIGMAS, CLIP_SIGMAS)
 
 

@@ -24,9 +24,8 @@ from analysis.attribution.second_order import gradient_and_information, slopes_o
 from analysis.linear_algebra import inv, lstsq, slogdet
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values
+from analysis.thresholds import IMPROBABLE
 from kernels.arrays import Floats, Integers
-
-IMPROBABLE = 1e-4  # explanations of less probability are left out
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,8 @@ from analysis.joint.alignment import Aligned
 from analysis.joint.population import Population, Quadratic, normal_equations
 from analysis.joint.summary import Option
 from analysis.linear_algebra import pinv
-from analysis.thresholds import Thresholds
+from analysis.thresholds import LEAST_INFORMATION, Thresholds
 from kernels.arrays import Floats, Integers
-
-LEAST_INFORMATION = 1e-9  # of a column beyond what calibrations can follow, relative
 
 
 @dataclass(frozen=True)

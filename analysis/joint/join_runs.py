@@ -25,7 +25,7 @@ from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
 from analysis.residuals.values import TREND, ParameterId
-from analysis.thresholds import FROZEN, Thresholds
+from analysis.thresholds import FROZEN, LEADING_P, Thresholds
 from daq.files.whole_file import Journal
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated
@@ -38,7 +38,6 @@ from model.effects.registry import registry
 Progress = Callable[[str, float], None]
 
 LEAST_RUNS = 3  # fewer tell nothing of how runs differ
-LEADING_P = 0.05  # chance of so large a gain below which a refused candidate is worth a pass of its own
 MOST_PASSES = 4  # for one set of named effects
 SETTLED_SIGMAS = 0.3  # move of a shared parameter below which a set has converged
 LEAST_WIDTH = 1e-3  # of a parameter that differs, in its scale

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.attribution.chance import Place
-from analysis.attribution.second_order import of_same_events
+from analysis.attribution.fit import of_same_events
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.uncertainty import EDGE_STEP_S
 from analysis.residuals.values import Values

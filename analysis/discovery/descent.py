@@ -1,0 +1,110 @@
+"""Gauss-Newton on the robust loss of stacked residuals: the one solver of curves and of formulas.
+
+`scipy.optimize.least_squares` cannot do it: the widths of the residuals are found anew in each pass, from a quantile
+that falls from pass to pass, so that a fit that begins among other events is drawn to the right ones; and slopes, each
+a prediction of all flights, are taken anew only after a step that gained much. Decision 369.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from analysis.discovery.stack import StackedResiduals
+from analysis.linear_algebra import lstsq
+from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
+from kernels.arrays import Floats
+
+X = TypeVar("X")
+Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) that it is taken of
+
+HALVINGS = 4  # of a step that does not lower the loss
+ENOUGH_NATS = 0.2  # gain of a step below which the fit ends
+
+
+@dataclass(frozen=True)
+class Problem(Generic[X]):
+    """What is fitted: a point of some kind with p parameters, and k stacked residuals.
+
+    Attributes
+    ----------
+    residuals, slopes
+        Residuals at a point, (k,); their derivatives there, (k, p), from the point and its residuals.
+    moved
+        The point after a step (p,), within its bounds.
+    penalty
+        A quadratic form of the parameters; none where not given.
+    """
+
+    residuals: Callable[[X], Floats]
+    slopes: Callable[[X, Floats], Floats]
+    moved: Callable[[X, Floats], X]
+    penalty: Callable[[X], Penalty] | None = None
+
+    def loss(self, x: X, stack: StackedResiduals, r: Floats, width: Floats) -> float:
+        """Robust loss of the training steps at fixed widths, with the penalty."""
+        data = float(np.sum(robust_loss(r / width, log_odds(width, stack.period_s))[stack.train]))
+        if self.penalty is None:
+            return data
+        form, values = self.penalty(x)
+        return data + 0.5 * float(values @ form @ values)
+
+
+def normal_equations(
+    stack: StackedResiduals, r: Floats, slopes: Floats, tail: float = 0.5, penalty: Penalty | None = None
+) -> tuple[Floats, Floats]:
+    """Normal equations of a weighted step, (p, p) and (p,), with widths by the quantile ``tail`` of the residuals."""
+    width = stack.widths(r, tail)
+    z, j = r / width, slopes / width[:, None]
+    weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
+    normal, push = (j * weight[:, None]).T @ j, -(j.T @ (weight * z))
+    return (normal, push) if penalty is None else (normal + penalty[0], push - penalty[0] @ penalty[1])
+
+
+def newton_step(
+    stack: StackedResiduals, r: Floats, slopes: Floats, tail: float = 0.5, penalty: Penalty | None = None
+) -> Floats:
+    """Step (p,) that lowers the penalised robust loss, to second order."""
+    normal, push = normal_equations(stack, r, slopes, tail, penalty)
+    normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(push))
+    return np.asarray(lstsq(normal, push, rcond=1e-10)[0])
+
+
+def descend(
+    problem: Problem[X], start: X, stack: StackedResiduals, tails: Sequence[float], far_nats: float = 0.0
+) -> tuple[X, Floats]:
+    """The fitted point and its residuals.
+
+    Parameters
+    ----------
+    problem, start, stack
+    tails
+        Quantiles of the residuals that set the robust width, a pass each. The fit ends early where a step with slopes
+        of its own point gains nothing and the quantile stays the same.
+    far_nats
+        Gain of a step after which slopes are taken anew.
+    """
+    x, r = start, problem.residuals(start)
+    slopes, here, gained = np.zeros((0, 0)), False, np.inf
+    for i, tail in enumerate(tails):
+        if not here and gained > far_nats:
+            slopes, here = problem.slopes(x, r), True
+        own = here  # whether the slopes are those of this point
+        step = newton_step(stack, r, slopes, tail, None if problem.penalty is None else problem.penalty(x))
+        width = stack.widths(r, tail)
+        now, gained = problem.loss(x, stack, r, width), 0.0
+        for half in range(HALVINGS):
+            trial = problem.moved(x, 0.5**half * step)
+            r_trial = problem.residuals(trial)
+            gained = now - problem.loss(trial, stack, r_trial, width)
+            if gained > 0.0:
+                x, r, here = trial, r_trial, False
+                break
+        if gained < ENOUGH_NATS:
+            if own and set(tails[i:]) == {tail}:
+                break
+            gained = np.inf
+    return x, r
