@@ -6,14 +6,12 @@ from pathlib import Path
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from bench.drops.desk import DropDesk
-from bench.web.html import Html
 from bench.web.hub import socket_route
-from bench.web.page import page
-from bench.web.section import Place, Section
+from bench.web.section import Place, Section, templates_of
 from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
 
@@ -25,11 +23,10 @@ def section(place: Place) -> Section:
     """The section; ``place.options["drop"]`` has ``request`` and ``target`` of `bench.drops.desk.DropDesk`."""
     options = place.options.get("drop", {})
     desk = DropDesk(place.folder, options.get("request"), options.get("target"))
-    body = Html((HERE / "page.html").read_text(encoding="utf-8"))
+    templates = templates_of(HERE)
 
     async def show(request: Request) -> Response:
-        scripts, styles = ["/static/drop/drop.js"], ["/static/drop/drop.css"]
-        return HTMLResponse(page(request, "drop test", body, scripts=scripts, styles=styles, name="drop"))
+        return templates.TemplateResponse(request, "page.html")
 
     def wave(request: Request) -> Response:
         return JSONResponse(_envelope(desk, request))

@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from bench.live.desk import Desk
-from bench.web.html import Html
 from bench.web.hub import socket_route
-from bench.web.page import page
-from bench.web.section import Place, Section
+from bench.web.section import Place, Section, templates_of
 
 HERE = Path(__file__).parent
 
@@ -21,11 +19,10 @@ def section(place: Place) -> Section:
     """The section; ``place.options["live"]`` has ``offered`` and ``watched`` of `bench.live.desk.Desk`."""
     options = place.options.get("live", {})
     desk = Desk(place.folder, options.get("offered", ()), options.get("watched"))
-    body = Html((HERE / "page.html").read_text(encoding="utf-8"))
+    templates = templates_of(HERE / "templates")
 
     async def show(request: Request) -> Response:
-        scripts, styles = ["/static/live/live.js"], ["/static/live/live.css"]
-        return HTMLResponse(page(request, "live", body, scripts=scripts, styles=styles, name="live"))
+        return templates.TemplateResponse(request, "live.html")
 
     routes = [Route("/live", show), socket_route("/live/socket", desk.talk)]
     return Section("live", "Live", "/live", routes, HERE / "static", desk.running)

@@ -17,7 +17,7 @@ from typing import Any
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from analysis.loop.verdicts import short_verdict
@@ -26,9 +26,7 @@ from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
 from bench.runs.query import ENDS, WITH_NONE, Query
 from bench.runs.scope import Scope
-from bench.web.html import fill, join
-from bench.web.page import page
-from bench.web.section import Place, Section
+from bench.web.section import Place, Section, templates_of
 from daq.files.json_values import json_values
 from daq.recording.notebook import with_note, with_tags
 from daq.setup.errors import InputError
@@ -38,7 +36,6 @@ STATIC, TEMPLATES = (Path(__file__).parent / name for name in ("static", "templa
 FRESH_S = 1.0  # within which the folder is not looked through again
 MOST_RUNS = 24  # laid over each other
 ID = re.compile(r"[0-9a-f]{12}")
-STYLES = [f"/static/{NAME}/runs.css"]
 
 
 def section(place: Place) -> Section:
@@ -70,6 +67,7 @@ class Pages:
         self._scopes: dict[str, Scope] = {}
         self._updated_s = -FRESH_S
         self._lock = threading.Lock()
+        self._templates = templates_of(TEMPLATES)
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -104,22 +102,14 @@ class Pages:
 
     def table(self, request: Request) -> Response:
         """The page with the table."""
-        choices = {
-            "ends": join(fill("<option>{}</option>", one) for one in ENDS),
-            "verdicts": join(fill('<option value="{}">{}</option>', v, short_verdict(v)) for v in WITH_NONE),
-            "folder": self.folder,
-        }
-        body = fill((TEMPLATES / "table.html").read_text(encoding="utf-8"), **choices)
-        return HTMLResponse(
-            page(request, "Runs", body, scripts=[f"/static/{NAME}/table.js"], styles=STYLES, name="wide")
-        )
+        verdicts = {verdict: short_verdict(verdict) for verdict in WITH_NONE}
+        values = {"ends": ENDS, "verdicts": verdicts, "folder": self.folder}
+        return self._templates.TemplateResponse(request, "table.html", values)
 
     def run(self, request: Request) -> Response:
         """The page of one run."""
         row = self._row(request)
-        body = fill((TEMPLATES / "run.html").read_text(encoding="utf-8"), id=row["id"], path=row["path"])
-        scripts = [f"/static/{NAME}/run.js"]
-        return HTMLResponse(page(request, row["path"], body, scripts=scripts, styles=STYLES, name="wide"))
+        return self._templates.TemplateResponse(request, "run.html", {"id": row["id"], "path": row["path"]})
 
     def named(self, request: Request) -> Response:
         """The page of the run whose file the address names, by its path below the folder."""
@@ -127,9 +117,7 @@ class Pages:
 
     def compare(self, request: Request) -> Response:
         """The page of runs laid over each other."""
-        body = fill((TEMPLATES / "compare.html").read_text(encoding="utf-8"), ids=",".join(self._ids(request)))
-        scripts = [f"/static/{NAME}/compare.js"]
-        return HTMLResponse(page(request, "Runs compared", body, scripts=scripts, styles=STYLES, name="wide"))
+        return self._templates.TemplateResponse(request, "compare.html", {"ids": ",".join(self._ids(request))})
 
     def rows(self, request: Request) -> Response:
         """Rows of the table for the query in the address."""

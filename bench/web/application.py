@@ -10,14 +10,12 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bench.web.access import Access, Guard
-from bench.web.html import fill
-from bench.web.page import page
-from bench.web.section import Section
+from bench.web.section import FRAME, Section, templates_of
 
 STATIC = Path(__file__).parent / "static"
 
@@ -39,21 +37,22 @@ def make_app(access: Access, sections: Sequence[Section]) -> Starlette:
     async def first(request: Request) -> Response:
         return RedirectResponse(sections[0].href)
 
+    templates = templates_of(FRAME)
+
+    async def refusal(request: Request, error: Exception) -> Response:
+        """A page, or JSON where a script asked."""
+        if not isinstance(error, HTTPException):
+            raise error
+        status = error.status_code
+        if "text/html" not in request.headers.get("accept", ""):
+            return JSONResponse({"error": error.detail}, status)
+        return templates.TemplateResponse(request, "error.html", {"status": status, "detail": error.detail}, status)
+
     app = Starlette(
         routes=[Route("/", first), *folders, *(route for section in sections for route in section.routes)],
         middleware=[Middleware(Guard, access=access)],
-        exception_handlers={HTTPException: _error},
+        exception_handlers={HTTPException: refusal},
         lifespan=running,
     )
     app.state.sections = tuple(sections)
     return app
-
-
-async def _error(request: Request, error: Exception) -> Response:
-    """A refusal as a page, or as JSON where a script asked."""
-    if not isinstance(error, HTTPException):
-        raise error
-    if "text/html" not in request.headers.get("accept", ""):
-        return JSONResponse({"error": error.detail}, error.status_code)
-    body = fill("<h1>{}</h1><p>{}</p>", error.status_code, error.detail)
-    return HTMLResponse(page(request, str(error.status_code), body), error.status_code)

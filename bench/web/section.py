@@ -9,7 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.routing import BaseRoute
+from starlette.templating import Jinja2Templates
+
+FRAME = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True)
@@ -57,3 +61,11 @@ class Section:
 def load_sections(modules: Sequence[str], place: Place) -> list[Section]:
     """The sections of ``modules`` (dotted names), each made by its function ``section(place)``."""
     return [importlib.import_module(name).section(place) for name in modules]
+
+
+def templates_of(folder: Path) -> Jinja2Templates:
+    """The pages in a section's folder, Jinja2 templates that extend ``frame.html``; every value is escaped."""
+    loader = FileSystemLoader([folder, FRAME])
+    return Jinja2Templates(
+        env=Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    )

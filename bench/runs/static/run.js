@@ -31,7 +31,7 @@ function verdicts(loops) {
   const said = loops.map((loop) => make("p", `${loop.summary}\nlandings: ${us(loop.before_us)} before, ${us(loop.after_us)} after; `
     + `noise alone ${us(loop.floor_us)}${loop.together > 1 ? `; with ${loop.together - 1} other recording(s)` : ""} (${loop.path})`));
   byId("verdict").replaceChildren(...(said.length ? said
-    : [make("p", "None yet. bench close-loop REC.h5 --json REC.verdict.json, beside the recording, gives one.", { class: "faint" })]));
+    : [make("p", "None yet. bench close-loop RECORDING gives one.", { class: "faint" })]));
 }
 
 function remarks(told) {
