@@ -18,7 +18,7 @@ export class Scope extends EventTarget {
     });
     this.axes = this.axes.map(([canvas], k) => {
       const last = k === told.channels.length - 1;
-      return new Axes(canvas, { x: last ? "time (s)" : "", top: 6, bottom: last ? 34 : 6, left: 58, right: 24 });
+      return new Axes(canvas, { x: last ? "time (s)" : "", top: 20, bottom: last ? 34 : 6, left: 58, right: 24 });
     });
     new ResizeObserver(() => { if (this.axes.map((one) => one.fit()).some(Boolean)) this.ask(); this.draw(); }).observe(place);
     addEventListener("themechange", () => this.draw());
@@ -100,17 +100,22 @@ export class Scope extends EventTarget {
       if (k < this.axes.length - 1) this.blank(axes);
       if (!seen) return;
       const t = this.seen.time_s, style = c[lanes[k % lanes.length]];
+      let labels = [];
       axes.inside(() => {
-        const labels = this.marks(axes), noted = this.noted(axes);
+        labels = this.marks(axes);
+        const noted = this.noted(axes);
         if (seen.high) axes.envelope(t, low, high, style);
         else {
           this.pieces(axes, t, low, style);
           if ((this.at[1] - this.at[0]) * this.told.rate_hz < axes.width / (3 * axes.unit)) axes.dots(t, low, style, 4);
         }
-        for (const [words, x] of labels) this.words(axes, words, x, axes.top + 3 * axes.unit);
         for (const [words, x] of noted) this.words(axes, words, x, axes.top + axes.height - 20 * axes.unit);
-        this.name(axes, channel.name);
       });
+      // names stand above the lane, where they hide no signal; a step's name gives way to the channel's
+      const above = axes.top - (axes.font + 6) * axes.scale, right = axes.left + axes.width;
+      const own = right - axes.pen.measureText(channel.name).width - 12 * axes.unit;
+      for (const [words, x] of labels) if (x + axes.pen.measureText(words).width < own) this.words(axes, words, x, above);
+      this.words(axes, channel.name, right, above, "right");
     });
   }
 
@@ -130,10 +135,6 @@ export class Scope extends EventTarget {
     pen.fillStyle = c.ink; pen.textAlign = "left"; pen.textBaseline = "top";
     pen.fillText(words, left, y + 2 * axes.scale);
     return left + width + room;
-  }
-
-  name(axes, name) {
-    this.words(axes, name, axes.left + axes.width - 6 * axes.unit, axes.top + 3 * axes.unit, "right");
   }
 
   // A line through samples that is broken where some were lost.
