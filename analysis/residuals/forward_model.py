@@ -22,10 +22,10 @@ from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from analysis.residuals.values import TREND, AllValues, Own, Values, calibrating_effects, driving_effects
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
-from model.integrator.event_slopes import Slopes, slopes_of
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead
 from model.integrator.problem import columns_of
+from model.integrator.slopes import Slopes, slopes_of
 
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
 MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kept: of predictions, plate data and hooks
@@ -261,7 +261,7 @@ class ForwardModel:
         return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
 
     def slopes(self, values: Values) -> tuple[Inputs, Slopes]:
-        """Inputs of a prediction, and its derivatives: `model.integrator.event_slopes.slopes_of`."""
+        """Inputs of a prediction, and its derivatives: `model.integrator.slopes.slopes_of`."""
         x, found = self.inputs(values), self.predicted(values)
         return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found)
 

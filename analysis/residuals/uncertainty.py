@@ -16,8 +16,8 @@ import numpy as np
 from analysis.residuals.plate_mode import INEXACT
 from analysis.residuals.sample_rounding import rounding_errors
 from kernels.arrays import Bools, Complexes, Floats, Integers
-from model.integrator.event_slopes import Slopes
 from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
+from model.integrator.slopes import Slopes
 
 if TYPE_CHECKING:
     from analysis.residuals.forward_model import ForwardModel, Inputs

@@ -7,7 +7,6 @@ forces and friction add. Impacts and standstills are found on Hermite polynomial
 from __future__ import annotations
 
 from kernels.arrays import Floats
-from model.integrator.hermite import crossing, first_standstill, first_touch, hermite5
 from model.integrator.hooks import dry_friction, force, gravity, takeoff_threshold
 from model.integrator.plate import STEPS_PER_PERIOD, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Law, Mode, Plate, Start, StepEnds, compiled, inlined
@@ -16,7 +15,116 @@ FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the ope
 WAIT_PARTS = 3  # parts of a step at which a ball at rest is looked at: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0
 MOST_SECANTS = 40
+# columns of a noted step: time since take-off, its `StepEnds`, direction of friction, whether forces and friction are
+# constant in the segment, the part of the step that is flown, and how that ends
+NODE_S, STEP_S, H0, V0, A0, H1, V1, A1, DIRECTION, CONSTANT, FLOWN, ENDED = range(12)
+NODE_COLUMNS = 12
+GOES_ON, LANDS, STANDS = 0, 1, 2  # values of ENDED
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
+MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
+Coefficients = tuple[float, float, float, float, float, float]
+CLOSE = 1e-13  # part of a step to which a root is found
+
+
+@inlined
+def _coefficients(ends: StepEnds) -> Coefficients:
+    """Coefficients of the quintic in the part z of the step."""
+    d, h0, v0, a0, h1, v1, a1 = ends
+    c0, c1, c2 = h0, v0 * d, 0.5 * a0 * d * d
+    e = h1 - c0 - c1 - c2
+    f = v1 * d - c1 - 2.0 * c2
+    k = a1 * d * d - 2.0 * c2
+    return c0, c1, c2, 10.0 * e - 4.0 * f + 0.5 * k, -15.0 * e + 7.0 * f - k, 6.0 * e - 3.0 * f + 0.5 * k
+
+
+@compiled
+def hermite5(z: float, ends: StepEnds) -> tuple[float, float]:
+    """Height and velocity of the quintic at the part z in [0, 1] of the step."""
+    c0, c1, c2, c3, c4, c5 = _coefficients(ends)
+    h = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
+    v = (c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))) / ends.d
+    return h, v
+
+
+@compiled
+def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
+    """Where in [lo, hi] the quintic crosses ``level``; its value minus level must differ in sign at the ends.
+
+    Newton's method from where the chord crosses it, by bisection wherever it would leave the bracket.
+    """
+    c0, c1, c2, c3, c4, c5 = _coefficients(ends)
+    c0 -= level
+    below = c0 + lo * (c1 + lo * (c2 + lo * (c3 + lo * (c4 + lo * c5))))
+    above = c0 + hi * (c1 + hi * (c2 + hi * (c3 + hi * (c4 + hi * c5))))
+    at = lo + (hi - lo) * below / (below - above) if below != above else lo
+    return _root((c0, c1, c2, c3, c4, c5), lo, hi, at, below > 0.0)
+
+
+@compiled
+def standstill(ends: StepEnds, hi: float) -> float:
+    """Where in [0, hi] the quintic's velocity vanishes; the velocities at 0 and hi differ in sign."""
+    _, c1, c2, c3, c4, c5 = _coefficients(ends)
+    return _root((c1, 2.0 * c2, 3.0 * c3, 4.0 * c4, 5.0 * c5, 0.0), 0.0, hi, 0.5 * hi, ends.v0 > 0.0)
+
+
+@compiled
+def slowest(ends: StepEnds) -> float:
+    """Where in [0, 1] the quintic's acceleration vanishes; the accelerations at the ends differ in sign."""
+    _, _, c2, c3, c4, c5 = _coefficients(ends)
+    return _root((2.0 * c2, 6.0 * c3, 12.0 * c4, 20.0 * c5, 0.0, 0.0), 0.0, 1.0, 0.5, ends.a0 > 0.0)
+
+
+@compiled
+def _root(polynomial: Coefficients, lo: float, hi: float, guess: float, positive: bool) -> float:
+    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton from a guess, or bisection."""
+    c0, c1, c2, c3, c4, c5 = polynomial
+    z = guess if lo < guess < hi else 0.5 * (lo + hi)
+    for _ in range(MOST_STEPS):
+        f = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
+        slope = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))
+        if (f > 0.0) == positive:
+            lo = z
+        else:
+            hi = z
+        on = z - f / slope if slope != 0.0 else lo
+        if not lo < on < hi:
+            on = 0.5 * (lo + hi)
+        if abs(on - z) < CLOSE:
+            return on
+        z = on
+    return z
+
+
+@compiled
+def first_standstill(ends: StepEnds, direction: float) -> float:
+    """First place in (0, 1] of a step at which a motion in ``direction`` ends, or -1.
+
+    A motion that turns and turns back inside the step counts, too: the velocities at both ends do not show it.
+    """
+    if ends.v1 * direction < 0.0:
+        return standstill(ends, 1.0) if ends.v0 * direction > 0.0 else 1.0
+    if ends.v0 * direction > 0.0 and ends.a0 * direction < 0.0 < ends.a1 * direction:
+        z = slowest(ends)
+        if hermite5(z, ends)[1] * direction < 0.0:
+            return standstill(ends, z)
+    return -1.0
+
+
+@compiled
+def first_touch(ends: StepEnds) -> float:
+    """First place in (0, 1] of a step where the height falls below zero, or -1; a dip inside the step counts, too."""
+    if ends.h1 <= 0.0:
+        lo = 0.0
+        if ends.h0 <= 0.0:  # the flight starts in this step: leave the plate first
+            lo = 0.5
+            while lo > 1e-9 and hermite5(lo, ends)[0] <= 0.0:
+                lo *= 0.5
+        return crossing(0.0, lo, 1.0, ends)
+    if ends.v0 < 0.0 < ends.v1:
+        z = standstill(ends, 1.0)
+        if hermite5(z, ends)[0] < 0.0:
+            return crossing(0.0, 0.0, z, ends)
+    return -1.0
 
 
 @compiled
@@ -152,19 +260,21 @@ def _runge_kutta(
 
 @compiled
 def note(nodes: Floats, s: float, ends: StepEnds, direction: float, closed: bool) -> None:
-    """Append a step of the integration, s after take-off, to ``nodes``, whose first number counts them.
-
-    A row holds the time, the `StepEnds`, the direction of friction, whether forces and friction are constant in the
-    segment, the part of the step that is flown, and how it ends: 0 it goes on, 1 impact, 2 standstill.
-    """
+    """Append a step of the integration, s after take-off, to ``nodes``, whose first number counts them."""
     k = int(nodes[0, 0]) + 1
     nodes[0, 0] = k
     if k >= nodes.shape[0]:
         return
-    nodes[k, 0] = s
-    nodes[k, 1], nodes[k, 2], nodes[k, 3], nodes[k, 4] = ends.d, ends.h0, ends.v0, ends.a0
-    nodes[k, 5], nodes[k, 6], nodes[k, 7] = ends.h1, ends.v1, ends.a1
-    nodes[k, 8], nodes[k, 9], nodes[k, 10], nodes[k, 11] = direction, 1.0 if closed else 0.0, 1.0, 0.0
+    nodes[k, NODE_S] = s
+    nodes[k, STEP_S], nodes[k, H0], nodes[k, V0], nodes[k, A0] = ends.d, ends.h0, ends.v0, ends.a0
+    nodes[k, H1], nodes[k, V1], nodes[k, A1] = ends.h1, ends.v1, ends.a1
+    nodes[k, DIRECTION], nodes[k, CONSTANT], nodes[k, FLOWN], nodes[k, ENDED] = direction, closed, 1.0, GOES_ON
+
+
+@inlined
+def ends_of(node: Floats) -> StepEnds:
+    """The two ends of a noted step."""
+    return StepEnds(node[STEP_S], node[H0], node[V0], node[A0], node[H1], node[V1], node[A1])
 
 
 @compiled
@@ -172,7 +282,7 @@ def note_end(nodes: Floats, z: float, ended: int) -> None:
     """Mark the last step in ``nodes`` as the last of its segment."""
     k = int(nodes[0, 0])
     if k < nodes.shape[0]:
-        nodes[k, 10], nodes[k, 11] = z, ended
+        nodes[k, FLOWN], nodes[k, ENDED] = z, ended
 
 
 @inlined
@@ -181,8 +291,9 @@ def segment(
 ) -> tuple[int, float, float, float, float]:
     """Fly until impact or, with dry friction, standstill.
 
-    ``s0`` is the time since take-off (and since the mode's state). Returns (ended, s, h, v, opened):
-    ended 1 impact, 2 standstill, 0 never; ``opened`` the time since take-off at which the height passed ``gap``, or -1.
+    ``s0`` is the time since take-off (and since the mode's state). Returns (ended, s, h, v, opened): ended is `LANDS`,
+    `STANDS`, or `GOES_ON` where neither comes; ``opened`` the time since take-off at which the height passed ``gap``,
+    or -1.
     """
     p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
     g = gravity(p)
@@ -232,17 +343,17 @@ def segment(
             z = first_standstill(ends, direction)
             if z >= 0.0 and (touch < 0.0 or z < touch):
                 if noted:
-                    note_end(law.nodes, z, 2)
-                return 2, s0 + s + z * step, max(hermite5(z, ends)[0], 0.0), 0.0, opened
+                    note_end(law.nodes, z, STANDS)
+                return STANDS, s0 + s + z * step, max(hermite5(z, ends)[0], 0.0), 0.0, opened
         if touch >= 0.0:
             if noted:
-                note_end(law.nodes, touch, 1)
-            return 1, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened
+                note_end(law.nodes, touch, LANDS)
+            return LANDS, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened
         s, h, v, a, f0 = se, h1, v1, a1, f1
         if step < law.step_s:  # by halves of it, exactly
             step *= 2.0
             turn_twice_as_far(moving, turning)
-    return 0, s0 + s, h, v, opened
+    return GOES_ON, s0 + s, h, v, opened
 
 
 @compiled
@@ -256,9 +367,9 @@ def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float) -> tuple[fl
         ended, s, h, v, o = segment(t0 + s, s, h, v, direction, plate, law, gap)
         if opened < 0.0:
             opened = o
-        if ended == 1:
+        if ended == LANDS:
             return s, -v, opened
-        if ended == 0:
+        if ended == GOES_ON:
             break
         stay, direction = wait(t0 + s, max(h, 1e-12), s, 0.0, plate, law)
         if direction == 0.0:

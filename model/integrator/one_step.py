@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 import model.tones
 from kernels.arrays import Bools, Complexes, Floats, Integers
@@ -14,8 +15,8 @@ from model.effects.registry import row
 from model.integrator import predict
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
-from model.integrator.problem import Problem, active, columns_of, driven, for_kernel, tones_for_kernel
-from model.integrator.records import Law, Mode, Plate, Probe
+from model.integrator.problem import active, columns_of, for_kernel, tones_for_kernel
+from model.integrator.records import Events, Law, Mode, Plate, Probe, Steps, Visibility
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -188,6 +189,67 @@ class ContinuousProbe:
         return np.asarray(2.0 * projection / np.where(observed_s > 0.0, observed_s, 1.0)[:, None])
 
 
+def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
+    """One value, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
+    one = np.asarray(value)
+    values = np.empty(n, dtype=one.dtype if one.dtype == np.bool_ else np.float64)
+    values[:] = one
+    values.flags.writeable = False
+    return values
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Measured flights, plate and parameters as the kernel takes them."""
+
+    measured: Measured
+    plate: PlateSteps
+    rows: Floats
+    detection: Detection
+    kick: tuple[float, float]
+
+    def predicted(self, tones: Complexes, wanted: Bools, probe: Probe) -> Floats:
+        """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
+        out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
+        seen = Visibility(0.0, self.detection.unseen_s, self.detection.passable_s, self.detection.closure_s)
+        predict.one_ahead(self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out)
+        return out
+
+    @property
+    def acting(self) -> tuple[bool, bool]:
+        """Whether there are forces, and dry friction."""
+        return active(self.rows, "force"), active(self.rows, "dry_friction")
+
+    def steps(self, tones: Complexes) -> Steps:
+        return Steps(for_kernel(self.plate.period_s), tones_for_kernel(self.plate.omega_radps, tones))
+
+    def events(self, wanted: Bools) -> Events:
+        m, n = self.measured, len(self.measured.landing_s)
+        return Events(
+            for_kernel(m.opening_s),
+            for_kernel(m.landing_s),
+            for_kernel(m.relaunched),
+            for_kernel(m.linked),
+            for_kernel(wanted),
+            for_kernel(m.step),
+            _of_each(np.any(self.rows[:, columns_of("rebound")] > 0.0, axis=1), n),
+            _of_each(self.detection.gap_m, n),
+            _of_each(self.detection.weak_mps, n),
+            for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
+            for_kernel(np.zeros(n) if m.share is None else m.share),
+            for_kernel(np.full(n, np.nan) if m.gained_mps is None else m.gained_mps),
+            for_kernel(np.full(n, np.nan) if m.pressed_mps is None else m.pressed_mps),
+            for_kernel(np.full(n, np.nan) if m.pressed_at is None else m.pressed_at),
+        )
+
+
+def driven(plate: PlateSteps, amplitudes: Complexes) -> Complexes:
+    """Tones (m, k) less what a plate mode adds to them: the measured ones contain it, only the rest is driven."""
+    tones, own = plate.acceleration_mps2, amplitudes.shape[1]
+    driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)
+    return np.concatenate([driven, tones[:, own:]], axis=1)
+
+
 def one_ahead(
     measured: Measured,
     plate: PlateSteps,
@@ -244,10 +306,21 @@ def one_ahead(
     unused = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
     silent = Probe(nothing, span_s, np.zeros((len(tones), 0)), *unused)
     out = problem.predicted(tones, measured.wanted, silent)
-    out[out[:, 6] < 0, :6] = np.nan
-    takeoff, _, landing, _, *others = out[:, :10].T
-    columns: tuple[Any, ...] = (takeoff, landing, *others, amplitudes, projection, observed_s, out)
-    return Predicted(*columns)
+    out[out[:, predict.KIND] < 0, : predict.KIND] = np.nan
+    return Predicted(
+        takeoff_s=out[:, predict.TAKEOFF],
+        landing_s=out[:, predict.LANDING],
+        opening_s=out[:, predict.OPENING],
+        hidden=out[:, predict.HIDDEN],
+        kind=out[:, predict.KIND],
+        launch_mps=out[:, predict.OWN_LAUNCH],
+        impact_mps=out[:, predict.OWN_IMPACT],
+        ambiguity_s=out[:, predict.AMBIGUITY],
+        mode_amplitudes=amplitudes,
+        projection=projection,
+        observed_s=observed_s,
+        table=out,
+    )
 
 
 def _carried(omega_radps: Floats, tones: Complexes, row: Floats) -> Complexes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Floats
 from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import (
@@ -22,10 +22,13 @@ from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak
 
 OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
 FOLLOWED = 0.2  # part of a kick where the chain begins after a contact whose push was measured
+# columns of the table of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over
+# and kind (-1 none) as predicted; of the measured flight itself launch velocity and impact speed
+TAKEOFF, LAUNCH, LANDING, IMPACT, OPENING, HIDDEN, KIND, OWN_LAUNCH, OWN_IMPACT = range(9)
+# by how much later the landing may be seen; the measured flight's start; how its impact speed was found; weak impacts
+AMBIGUITY, OWN_START, WAY, PASSED = range(9, 13)
 OUT_COLUMNS = 13
-"""Of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over, kind (-1 none) as
-predicted; launch velocity and impact speed of the measured flight; by how much later the landing may be seen; start of
-the measured flight, and how its impact speed was found (`FROM_REST` ...); weak impacts passed."""
+# values of WAY
 FROM_REST, TWO_POINTS, AS_PREDICTED, MEASURED = 1.0, 2.0, 3.0, 4.0
 
 
@@ -63,9 +66,9 @@ def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility,
     if found.kind >= 0 and (hit < event.weak_mps or (event.bounces and seen.closure_s == 0.0)):
         q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
         struck = with_state(bare, q, qd)
-        land, hit, passed, out[9] = weak_rebounds((land, hit), event.landing, event.weak_mps, seen, struck, law)
-    out[0], out[1], out[2], out[3] = found.takeoff, found.launch, land, hit
-    out[4], out[5], out[6] = found.opening, found.hidden, found.kind
+        land, hit, passed, out[AMBIGUITY] = weak_rebounds((land, hit), event.landing, event.weak_mps, seen, struck, law)
+    out[TAKEOFF], out[LAUNCH], out[LANDING], out[IMPACT] = found.takeoff, found.launch, land, hit
+    out[OPENING], out[HIDDEN], out[KIND] = found.opening, found.hidden, found.kind
     return passed
 
 
@@ -74,7 +77,7 @@ def _measured(
     event: Event, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
 ) -> tuple[float, float, float, float, float]:
     """Start, launch velocity and impact speed of a measured flight itself, and the mode's state at the start."""
-    out[11] = FROM_REST
+    out[WAY] = FROM_REST
     opening, landing, bounces, p = event.opening, event.landing, event.bounces, law.p
     pressed = (event.pressed_mps if event.linked else np.nan, event.pressed_at)  # else it has acted
     direct, start, lasts, v0, hit = event.relaunched and event.linked, last.t, -1.0, 0.0, 0.0
@@ -87,9 +90,9 @@ def _measured(
     if lasts < 0.0 or abs(start + lasts - landing) > OFF_PERIODS * period:
         if direct:
             start, q, qd = last.t, last.q, last.qd
-        near = out[1] if passed == 0 and out[6] == 1.0 and event.relaunched else -1.0
-        out[11] = TWO_POINTS
-        v0, hit = launch_of(start, landing, near, out[2], with_state(bare, q, qd), law)
+        near = out[LAUNCH] if passed == 0 and out[KIND] == 1.0 and event.relaunched else -1.0
+        out[WAY] = TWO_POINTS
+        v0, hit = launch_of(start, landing, near, out[LANDING], with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
 
@@ -107,13 +110,6 @@ def _event(i: int, events: Events) -> Event:
         events.pressed_mps[i],
         events.pressed_at[i],
     )
-
-
-@compiled
-def _wanted_soon(i: int, wanted: Bools) -> bool:
-    """Whether one of the two events after i is wanted."""
-    n = len(wanted)
-    return bool((i + 1 < n and wanted[i + 1]) or (i + 2 < n and wanted[i + 2]))
 
 
 @compiled
@@ -140,15 +136,17 @@ def one_ahead(
     for j in range(len(lengths)):
         lengths[j] = step_length(steps.period[j], steps.tones[j])
     om, ze, ratio = plate_mode(rows[0])
-    for i in range(events.landing.shape[0]):
+    n = events.landing.shape[0]
+    for i in range(n):
         p = rows[i if len(rows) > 1 else 0]
         m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
         if len(rows) > 1:
             om, ze, ratio = plate_mode(p)
-        # a predicted flight leans on the flight before, and to tell which landing that was, on its prediction
-        needed = ratio != 0.0 or (bounces and _wanted_soon(i, events.wanted))
-        if not (events.wanted[i] or needed):  # nothing leans on it but its landing
-            out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
+        out[i, KIND], out[i, AMBIGUITY], out[i, WAY], out[i, PASSED] = -1.0, 0.0, 0.0, 0.0
+        # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
+        soon = (i + 1 < n and events.wanted[i + 1]) or (i + 2 < n and events.wanted[i + 2])
+        needed = ratio != 0.0 or (bounces and soon)
+        if not (events.wanted[i] or needed):  # nothing needs more of it than its landing
             last = Chain(landing, last.impact, 0.0, 0.0, True, 0)
             continue
         tones, length = steps.tones[m], lengths[m]
@@ -157,7 +155,6 @@ def one_ahead(
             length = step_length(steps.period[m], tones)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
         law = Law(p, length, forced, rubbed, turning, nodes)
-        out[i, 6], out[i, 9], out[i, 11], out[i, 12] = -1.0, 0.0, 0.0, 0.0
         event = _event(i, events)
         passed, chained = 0, last.chained + 1
         if not event.linked:
@@ -167,18 +164,19 @@ def one_ahead(
             last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(event, last, bare, law, seen, out[i])
-        out[i, 12] = passed
+        out[i, PASSED] = passed
         if not (needed or (bounces and events.wanted[i])):
             last = Chain(landing, last.impact, last.q, last.qd, True, 0)
             continue
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
-        if passed > 0 and chained > 1 and abs(out[i, 2] - landing) < seen.passable_s:
-            hit, out[i, 11] = out[i, 3], AS_PREDICTED  # the flight as measured is several: only that knows its end
+        if passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < seen.passable_s:
+            # the flight as measured is several: only the prediction knows its end
+            hit, out[i, WAY] = out[i, IMPACT], AS_PREDICTED
         if ratio != 0.0 and not np.isnan(events.gained_mps[i]):
             hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
-            out[i, 11] = MEASURED
+            out[i, WAY] = MEASURED
         hit = max(hit, 0.0)
-        out[i, 7], out[i, 8], out[i, 10] = v0, hit, start
+        out[i, OWN_LAUNCH], out[i, OWN_IMPACT], out[i, OWN_START] = v0, hit, start
         flying = with_state(bare, q, qd)
         if ratio != 0.0 and events.linked[i]:
             project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)

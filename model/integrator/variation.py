@@ -18,8 +18,21 @@ from typing import NamedTuple
 import numpy as np
 
 from kernels.arrays import Floats
-from model.integrator.flight import _effects
-from model.integrator.hermite import hermite5, standstill
+from model.integrator.flight import (
+    A0,
+    CONSTANT,
+    DIRECTION,
+    ENDED,
+    FLOWN,
+    GOES_ON,
+    LANDS,
+    NODE_S,
+    STEP_S,
+    _effects,
+    ends_of,
+    hermite5,
+    standstill,
+)
 from model.integrator.hooks import gravity
 from model.integrator.records import Law, StepEnds, clear, clear_rows, compiled
 
@@ -158,18 +171,18 @@ def _carry(tau: float, weight: float, by: tuple[float, float, float, float], wal
 @compiled
 def _walk_part(row: Floats, ends: StepEnds, z0: float, z1: float, began: float, walk: Walk) -> None:
     """One part of a step by Simpson's rule: `_carry` at both ends and in the middle, ``phi`` carried along."""
-    d, law = (z1 - z0) * row[1], walk.law
-    direction = row[8]
+    d, law = (z1 - z0) * row[STEP_S], walk.law
+    direction = row[DIRECTION]
     if not law.rubbed:  # friction would act against the motion of this part
         direction = 1.0 if hermite5(0.5 * (z0 + z1), ends)[1] > 0.0 else -1.0
     by = (0.0, 0.0, 0.0, 0.0)
     for i in range(3):
         z = z0 + 0.5 * i * (z1 - z0)
         h, v = hermite5(z, ends)
-        s = row[0] + z * row[1]
+        s = row[NODE_S] + z * row[STEP_S]
         velocity, _ = plate_response(walk.t0 + s, walk.tones, walk.room.now)
         before = by
-        if row[9] == 0.0:
+        if row[CONSTANT] == 0.0:
             by = partials(s, h, v, v + velocity, direction, law)
         if i > 0:
             _turn(walk.phi, 0.5 * d, 0.5 * (before[1] + by[1]), 0.5 * (before[2] + before[3] + by[2] + by[3]))
@@ -199,13 +212,14 @@ def _opening(tau: float, opened: float, walk: Walk) -> None:
 
 @compiled
 def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
-    """Carry the variations over one step, see `flight.note`; the velocity at the opening where it lies inside, else 0.
+    """Carry the variations over one step, see `model.integrator.flight.note`.
 
-    Where forces are constant nothing has to be integrated.
+    Returns the velocity at the opening where that lies inside the step, else 0. Where forces are constant nothing has
+    to be integrated.
     """
-    ends = StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7])
-    until, opens = row[10], (opened - row[0]) / row[1] if opened > 0.0 else 2.0
-    if row[9] == 1.0:
+    ends = ends_of(row)
+    until, opens = row[FLOWN], (opened - row[NODE_S]) / row[STEP_S] if opened > 0.0 else 2.0
+    if row[CONSTANT] == 1.0:
         if 0.0 < opens < until:
             _opening(opened - began, opened, walk)
             return hermite5(opens, ends)[1]
@@ -225,23 +239,15 @@ def _walk_step(row: Floats, began: float, opened: float, walk: Walk) -> float:
 @compiled
 def _end(row: Floats, began: float, walk: Walk, height: Floats, speed: Floats) -> tuple[float, float, float]:
     """Fill the changes at the end of a segment; the time since take-off, velocity and relative acceleration there."""
-    law, s = walk.law, row[0] + row[10] * row[1]
+    law, s = walk.law, row[NODE_S] + row[FLOWN] * row[STEP_S]
     velocity, acceleration = plate_response(walk.t0 + s, walk.tones, walk.room.now)
     _coasting_variations(s - began, walk.room, height, speed)
     _add_carried(walk.phi, walk.room, height, speed)
-    h, v = hermite5(row[10], StepEnds(row[1], row[2], row[3], row[4], row[5], row[6], row[7]))
+    h, v = hermite5(row[FLOWN], ends_of(row))
     net = -gravity(law.p) - acceleration
     if law.forced or law.rubbed:
-        net += _effects(s, h, v, v + velocity, row[8], law.p, (law.forced, law.rubbed))
+        net += _effects(s, h, v, v + velocity, row[DIRECTION], law.p, (law.forced, law.rubbed))
     return s, v, net
-
-
-@compiled
-def _begin_segment(walk: Walk) -> None:
-    """Nothing is carried yet, and the fundamental matrix is the unit matrix."""
-    clear_rows(walk.phi)
-    walk.phi[0, 0], walk.phi[1, 1] = 1.0, 1.0
-    clear_rows(walk.room.carried)
 
 
 @compiled
@@ -254,32 +260,35 @@ def flight_variations(
     Returns whether they can be used, and acceleration and velocity at the end.
     """
     nodes, count = law.nodes, int(law.nodes[0, 0])
-    if count == 0 or count >= nodes.shape[0] or nodes[count, 11] != 1.0:
+    if count == 0 or count >= nodes.shape[0] or nodes[count, ENDED] != LANDS:
         return False, 0.0, 0.0
     clear(room.height)
     clear(room.speed)
     clear_rows(room.start)
     clear_rows(room.now)
-    room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, 4], 1.0
+    room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, A0], 1.0
     walk = Walk(t0, tones, law, room, np.empty((2, 2)))
     height, speed = np.empty(len(room.height)), np.empty(len(room.height))
     opening_speed, began, begins = 0.0, 0.0, True
     for r in range(1, count + 1):
         row = nodes[r]
         if begins:
-            began = row[0]
+            began = row[NODE_S]
             plate_response(t0 + began, tones, room.start)
-            _begin_segment(walk)
+            clear_rows(walk.phi)
+            walk.phi[0, 0], walk.phi[1, 1] = 1.0, 1.0
+            clear_rows(room.carried)
         opening_speed += _walk_step(row, began, opened, walk)
-        begins = row[11] != 0.0
+        begins = row[ENDED] != GOES_ON
         if not begins:
             continue
         s, v, net = _end(row, began, walk, height, speed)
-        if row[11] == 1.0:
+        if row[ENDED] == LANDS:
             return v < 0.0 and _landed(height, speed, v, net, opening_speed, room, out), net, v
         if abs(net) < STEEP_MPS2:
             return False, net, v
-        left = nodes[r + 1, 4] / net if nodes[r + 1, 0] - s <= HANGS_S else 0.0  # held, it leaves when forces let it
+        # a ball that was held leaves when forces let it: the variation of its speed is gone
+        left = nodes[r + 1, A0] / net if nodes[r + 1, NODE_S] - s <= HANGS_S else 0.0
         for e in range(len(height)):
             room.height[e], room.speed[e] = height[e], left * speed[e]
     return False, 0.0, 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.integrator.hermite import crossing, first_standstill, first_touch, hermite5, standstill
+from model.integrator.flight import crossing, first_standstill, first_touch, hermite5, standstill
 from model.integrator.records import StepEnds
 
 

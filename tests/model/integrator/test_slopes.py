@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from model.effects.registry import row
-from model.integrator.event_slopes import Slopes, slopes_of
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead, simulate
+from model.integrator.slopes import Slopes, slopes_of
 from model.tones import Plate
 
 G_MPS2 = 9.80665
