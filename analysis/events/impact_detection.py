@@ -22,6 +22,7 @@ Volts = npt.NDArray[np.float32]
 
 TILE = 256  # outputs of the filter computed together
 TAPS = 8  # of the filter, applied in one pass over a tile; the filter's length is a multiple of it
+APART = LEAD // 2  # samples between two candidates, at least: less than a period of the ringing
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
 ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
@@ -179,7 +180,8 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
                 total[i] += first + t4 * own[i + 4] + t5 * own[i + 5] + t6 * own[i + 6] + t7 * own[i + 7]
     n, last, i = 0, -length, first_beyond(out, 0, limit, True)
     while i < count:
-        if i - last >= LEAD:
+        # on the flank of a maximum that was left out there is no other: a candidate there hides the next impact
+        if i - last >= APART and (i == 0 or out[i] >= out[i - 1]):
             found[n] = pad + i
             n += 1
             last = i

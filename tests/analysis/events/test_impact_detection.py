@@ -61,6 +61,19 @@ def test_a_weak_impact_is_not_found_a_period_of_its_ringing_late(waveform: Impac
     assert np.all((late < 3.0) | (late > 290.0))
 
 
+def test_every_candidate_is_a_maximum_of_the_filters_output(waveform: ImpactTemplate) -> None:
+    """Among impacts at any distance none begins on the flank of a maximum that was left out, which hid the next one."""
+    rng = np.random.default_rng(3)
+    volts = ringing(20_000, np.cumsum(rng.uniform(4.0, 60.0, 500)), rng)
+    count = volts.size - 2 * PAD
+    out, found = np.empty(count, np.float32), np.empty(count, np.int64)
+    total = _match(volts, PAD, count, waveform.taps, np.float32(6.0), out, found)
+    places = found[:total] - PAD
+    inner = places[(places > 0) & (places < count - 1)]
+    assert inner.size > 500
+    assert np.all((out[inner] >= out[inner - 1]) & (out[inner] >= out[inner + 1]))
+
+
 def test_the_filter_is_the_correlation_with_its_taps(waveform: ImpactTemplate) -> None:
     """What the filter gives at every sample, over tiles whole and broken, is NumPy's correlation."""
     rng = np.random.default_rng(8)
