@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from daq.setup.setup import Frozen, Setup
+from daq.setup.setup import Setup
 from daq.setup.strict_toml import load_toml, parse_toml
+from daq.setup.values import Frozen
 from rig.backends.kinds.find import OptionsByKind
 from rig.backends.kinds.simulated import SimulatedOptions
 

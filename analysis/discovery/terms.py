@@ -15,7 +15,7 @@ from analysis.discovery.spline_basis import basis_of, penalty_of
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values
-from daq.setup.setup import STANDARD_GRAVITY_MPS2
+from daq.setup.values import STANDARD_GRAVITY_MPS2
 from kernels.arrays import Bools, Floats
 from model.effects.registry import offsets, registry
 from model.effects.smooth_force import KNOTS

@@ -21,7 +21,8 @@ from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIRD, PlateData, expected, second_share
 from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.residuals.whitening import Whitener
-from daq.setup.setup import STANDARD_GRAVITY_MPS2, Setup
+from daq.setup.setup import Setup
+from daq.setup.values import STANDARD_GRAVITY_MPS2
 from kernels.arrays import Floats
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, registry

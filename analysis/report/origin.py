@@ -9,6 +9,7 @@ import datetime
 
 import numpy as np
 
+from daq.channels.registry import CHANNELS
 from daq.files.tables import BlockFlag
 from daq.instrument.stored import instrument_of
 from daq.recording import Recording
@@ -101,8 +102,8 @@ def rig_rows(recording: Recording) -> Rows:
         ("ball", f"{setup.ball.mass_kg:g} kg; g = {setup.g_mps2.value:g} m/s^2"),
         ("declared effects", "; ".join(declared) or "none: the ideal ball"),
     ]
-    for name in ("continuity", "accelerometer", "drive"):
-        channel = getattr(channels, name)
+    for name in dict.fromkeys((*CHANNELS, *channels.recorded())):
+        channel = channels.get(name)
         if channel is None:
             rows.append((name, "not recorded"))
             continue

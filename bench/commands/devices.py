@@ -65,7 +65,7 @@ def fits(profile: Profile, card: Card) -> bool:
     table = profile.backend
     if not isinstance(table, CardOptions) or table.device.lower() not in card.name.lower():
         return False
-    inputs = table.inputs.model_dump().values() if table.kind == "soundcard" else [0]
+    inputs = table.inputs.wired(profile.channels).values() if table.kind == "soundcard" else [0]
     return card.outputs >= table.output and card.inputs >= max(inputs)
 
 

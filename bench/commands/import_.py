@@ -87,15 +87,15 @@ def command(
 
 def _selection(channel: list[str]) -> dict[str, str]:
     """``--channel`` as ``{"": value}`` or ``{role: value}``."""
-    from daq.importers.formats.columns import CHANNEL_ROLES
+    from daq.channels.registry import KINDS
     from daq.setup.errors import InputError
 
-    if len(channel) == 1 and channel[0].partition("=")[0] not in CHANNEL_ROLES:
+    if len(channel) == 1 and channel[0].partition("=")[0] not in KINDS:
         return {"": channel[0]}
     chosen = {role: value for role, _, value in (item.partition("=") for item in channel)}
-    if len(chosen) != len(channel) or not set(chosen) <= set(CHANNEL_ROLES):
+    if len(chosen) != len(channel) or not set(chosen) <= set(KINDS):
         raise InputError(
-            f"--channel {' '.join(channel)}: wanted one value, or role=value for each of {', '.join(CHANNEL_ROLES)}."
+            f"--channel {' '.join(channel)}: wanted one value, or role=value for each of {', '.join(KINDS)}."
         )
     return chosen
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.drop.corrections import NOTHING, Corrections
 from daq.setup.errors import InputError
-from daq.setup.setup import STANDARD_GRAVITY_MPS2
+from daq.setup.values import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from analysis.drop.corrections import Progress

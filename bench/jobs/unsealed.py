@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from analysis.loop.result import ClosedLoop
-from daq.setup.setup import STANDARD_GRAVITY_MPS2
+from daq.setup.values import STANDARD_GRAVITY_MPS2
 
 LIBRARY_UNITS: Mapping[tuple[str, str], tuple[str, float]] = {
     ("adhesion", "pull_g"): ("a_mps2", STANDARD_GRAVITY_MPS2),

@@ -170,19 +170,12 @@ class Watch:
     def _traces(self, event: Message) -> list[Message]:
         """Name, volts and SI of each trace of the scope: ``value = code * scale + offset``."""
         profile, out = self.profile, []
-        contact = profile.channels.continuity
         for name in event["channels"]:
             scale, offset = event["scales"][name]
             si = {"scale": scale, "offset": offset, "unit": "V"}
-            if name == "accelerometer":
-                per = profile.channels.accelerometer
-                rest_v = per.offset_v.value if per.offset_v is not None else 0.0
-                mps2_per_v = 1.0 / per.volts_per_mps2
-                si = {"scale": scale * mps2_per_v, "offset": (offset - rest_v) * mps2_per_v, "unit": "m/s\u00b2"}
-            elif name == "continuity" and contact is not None and contact.coupling == "dc":
-                swing = contact.swing_v
-                si = {"scale": scale / swing, "offset": (offset - contact.closed_v.value) / swing,
-                      "unit": "0 closed, 1 open"}  # fmt: skip
+            channel = profile.channels.get(name)
+            if channel is not None and (to := channel.scale()) is not None:
+                si = {"scale": scale * to.per_volt, "offset": (offset - to.zero_v) * to.per_volt, "unit": to.unit}
             elif name == "drive" and profile.drive.g_per_volt is not None:
                 per_volt = profile.drive.g_per_volt.value * profile.g_mps2.value
                 si = {"scale": scale * per_volt, "offset": offset * per_volt, "unit": "m/s\u00b2 asked"}

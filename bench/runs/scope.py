@@ -57,15 +57,15 @@ class Scope:
 
     def facts(self) -> dict[str, Any]:
         """Length, channels with their scale to SI, and steps."""
-        layout, si = self._pyramid.layout, {"accelerometer": 1.0 / self._setup.channels.accelerometer.volts_per_mps2}
-        offset = self._setup.channels.accelerometer.offset_v
+        layout, channels = self._pyramid.layout, self._setup.channels.recorded()
+        si = {name: scale for name, channel in channels.items() if (scale := channel.scale()) is not None}
         return {
             "duration_s": self._pyramid.duration_s,
             "rate_hz": layout.rate_hz,
             "n_samples": layout.n_samples,
             "channels": [
-                {"name": name, "si_per_volt": si.get(name), "si_unit": "m/s\u00b2" if name in si else None,
-                 "zero_v": offset.value if offset is not None and name in si else 0.0}
+                {"name": name, "si_per_volt": si[name].per_volt if name in si else None,
+                 "si_unit": si[name].unit if name in si else None, "zero_v": si[name].zero_v if name in si else 0.0}
                 for name, *_ in layout.channels
             ],
             "steps": self._steps,

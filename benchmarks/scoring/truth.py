@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from daq.setup.setup import STANDARD_GRAVITY_MPS2
+from daq.setup.values import STANDARD_GRAVITY_MPS2
 
 G = STANDARD_GRAVITY_MPS2
 

@@ -20,6 +20,7 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.channels.registry import KINDS
 from daq.files.claims import dataset_of, objects_of, refuse_claims
 from daq.files.disk import DiskFile
 from daq.files.seal import text_crc, write_seal
@@ -35,11 +36,6 @@ CHUNK_SAMPLES = 65536
 RENAME_S = 20.0  # longest wait for readers of the file that is replaced
 PIECE_CHUNKS = 4  # written at a time, so that what each call of HDF5 costs counts little
 SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
-LONG_NAMES = {
-    "continuity": "contact circuit voltage",
-    "accelerometer": "plate accelerometer voltage",
-    "drive": "looped-back drive voltage",
-}
 STEP_UNITS = {"frequency_hz": "Hz"}
 SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node", "notes": "note"}
 TABLES = {"steps": STEP_DTYPE, "blocks": BLOCK_DTYPE, **SIDE_TABLES}
@@ -104,8 +100,8 @@ class ColumnWriter:
             dataset = self._sets[name] = self._dataset(name, dtype)
             dataset.attrs["scale_factor"], dataset.attrs["add_offset"] = map(np.float64, scales[name])
             dataset.attrs["units"] = "V"
-            dataset.attrs["long_name"] = LONG_NAMES.get(name, name)
-            described = getattr(setup.channels, name, None)
+            dataset.attrs["long_name"] = KINDS[name].long_name if name in KINDS else name
+            described = setup.channels.get(name)
             if described is not None:
                 for key in ("coupling", "terminal", "serial_number"):
                     dataset.attrs[key] = getattr(described, key)

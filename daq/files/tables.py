@@ -16,9 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-CHANNELS = ("continuity", "accelerometer", "drive")
-"""Channel names, in the order of a frame."""
-
 STEP_DTYPE = np.dtype([
     ("first_sample", "<i8"), ("n_samples", "<i8"), ("settle_samples", "<i8"), ("gamma", "<f8"),
     ("achieved_gamma", "<f8"), ("achieved_gamma_uncertainty", "<f8"), ("frequency_hz", "<f8"), ("ratio", "<i8"),

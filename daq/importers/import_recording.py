@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.channels.registry import KINDS
 from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.achieved import achieved_gamma
 from daq.importers.background import Digest
 from daq.importers.formats.columns import (
     ACCELERATION_UNITS,
-    CHANNEL_ROLES,
     SET_ROLES,
     VOLT_UNITS,
     Column,
@@ -122,8 +122,8 @@ def import_recording(
         Naming file and row of what cannot be used; nothing is left behind.
     """
     options = options or ImportOptions()
-    columns, rate_hz = _assigned(source, options)
-    channels = [role for role in CHANNEL_ROLES if role in columns]
+    columns, rate_hz = _assigned(source, options, setup)
+    channels = [role for role in KINDS if role in columns]
     setup = _adapted(setup, columns)
     attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)
     attributes |= {"channels": channels, "started": "", "ended": "complete", "why": "", "ended_at": ""}
@@ -156,11 +156,11 @@ def import_recording(
     return ImportSummary(out, writer.n_samples, base, steps, {r: c.name for r, c in columns.items()}, lines, instrument)
 
 
-def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column], float | None]:
+def _assigned(source: Source, options: ImportOptions, setup: Setup) -> tuple[dict[str, Column], float | None]:
     """Columns by role, and the sample rate where it is given; raises `InputError` where neither gives the times."""
     if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
         raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
-    columns = assign(source, options.mapping)
+    columns = assign(source, options.mapping, setup.channels.recorded())
     rate_hz = options.rate_hz or source.rate_hz
     if "time" not in columns and rate_hz is None:
         raise InputError(
@@ -172,7 +172,7 @@ def _assigned(source: Source, options: ImportOptions) -> tuple[dict[str, Column]
 
 def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[float, float]:
     """Volts of one unit of what is stored, and the offset."""
-    described = getattr(setup.channels, role)
+    described = setup.channels.get(role)
     range_v = described.range_v if described is not None else 10.0
     if column.unit == "fs":
         return range_v, 0.0

@@ -78,7 +78,7 @@ class Intake:
             for i in np.flatnonzero(np.diff(values, prepend=changes[-1][1] if changes else np.nan) != 0):
                 changes.append((self.n_rows + int(i), float(values[i])))
         for role, (factor, offset) in self.scales.items():
-            name, described = self.columns[role].name, getattr(self.setup.channels, role)
+            name, described = self.columns[role].name, self.setup.channels.get(role)
             values = piece.columns[name]
             if described is None or not len(values):
                 continue

@@ -84,8 +84,8 @@ def range_warnings(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
     """Channels that read more than their range."""
     said = []
     for role, peak in peak_v.items():
-        range_v = getattr(setup.channels, role).range_v
-        if peak > OVER_RANGE * range_v:
+        described = setup.channels.get(role)
+        if described is not None and peak > OVER_RANGE * (range_v := described.range_v):
             said.append(f"the {role} reads up to {peak:.4g} V; profile {setup.name!r} says range_v = {range_v:g}")
     return said
 

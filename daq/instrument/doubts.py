@@ -11,9 +11,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from daq.channels.continuity import ContinuityChannel
 from daq.instrument.instrument import Doubt
 from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
-from daq.setup.setup import ContinuityChannel, Setup
+from daq.setup.setup import Setup
 from kernels.arrays import Floats
 
 OFTEN = 0.7  # part of the steps that must show the same tones

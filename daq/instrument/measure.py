@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.channels.continuity import ContinuityChannel
 from daq.instrument.noise import described, interpolation_hz, spectrum, window_samples
 from daq.lock_in import ToneFit, fit_tones
-from daq.setup.setup import ContinuityChannel, Setup
+from daq.setup.setup import Setup
 from daq.steps.find_steps import gamma_of
 from daq.steps.forcing_detection import Read
 from kernels.arrays import Bools, Floats, Integers

@@ -61,7 +61,7 @@ def instrument_of(recording: Recording) -> Instrument | None:
     if "accelerometer" not in recording.channels or not recording.n_samples:
         return None
     # what was stored holds for the setup of the time: with another profile it is measured anew
-    own = recording.setup.model_dump_json() == recording.stored.get("setup_json")
+    own = recording.setup.model_dump(mode="json") == json.loads(recording.stored.get("setup_json", "null"))
     if own and STORED in recording.stored:
         return Instrument.from_json(json.loads(recording.stored[STORED]))
     read = {name: functools.partial(recording.read_v, name) for name in recording.channels}

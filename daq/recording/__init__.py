@@ -12,7 +12,8 @@ import functools
 import logging
 from pathlib import Path
 
-from daq.files.tables import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Block, BlockFlag
+from daq.channels.registry import CHANNELS
+from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Block, BlockFlag
 from daq.recording.reader import Recording
 from daq.recording.verify import VerifyReport, examine, verify
 from daq.recording.writer import RecordingWriter

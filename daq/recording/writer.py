@@ -140,7 +140,7 @@ class RecordingWriter(ClosedRun):
             setup, profile_text=profile_text, backend=backend, simulated=simulated, note=note, extra=extra,
             scenario_sha256=scenario_sha256,
         )  # fmt: skip
-        described = {name: getattr(setup.channels, name, None) for name in channels}
+        described = {name: setup.channels.get(name) for name in channels}
         known = {name: (volts_per_code(c.range_v if c is not None else 10.0), 0.0) for name, c in described.items()}
         known |= {name: scale for name, scale in (scales or {}).items() if name in known}
         attributes |= {

@@ -8,23 +8,25 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator
 
-from daq.setup.setup import QuantityTable, Setup
+from daq.setup.setup import Setup
+from daq.setup.values import QuantityTable
 
 
 def quantities(setup: Setup) -> Iterator[tuple[str, str, QuantityTable | None]]:
-    """Quantities that can be calibrated: ``(kind of bench calibrate, dotted key, quantity or None)``."""
-    accelerometer, drive, continuity = setup.channels.accelerometer, setup.drive, setup.channels.continuity
-    yield "accelerometer", "channels.accelerometer.sensitivity", accelerometer.sensitivity
-    if accelerometer.coupling == "dc":
-        yield "accelerometer", "channels.accelerometer.offset_v", accelerometer.offset_v
+    """Quantities that can be calibrated: ``(kind of bench calibrate or empty, dotted key, quantity or None)``."""
+    channels, drive = setup.channels.recorded(), setup.drive
+    rows = {
+        name: [(channel.calibrated_by, f"channels.{name}.{key}", q) for key, q in channel.calibrations().items()]
+        for name, channel in channels.items()
+    }
+    yield from rows.pop("accelerometer")
     yield "drive", "drive.g_per_volt", drive.g_per_volt
     yield "drive", "drive.phase_deg", drive.phase_deg
     if drive.second is not None:
         yield "drive", "drive.second.g_per_volt", drive.second.g_per_volt
         yield "drive", "drive.second.phase_deg", drive.second.phase_deg
-    if continuity is not None and continuity.coupling == "dc":
-        yield "contact", "channels.continuity.closed_v", continuity.closed_v
-        yield "contact", "channels.continuity.open_v", continuity.open_v
+    for others in rows.values():
+        yield from others
 
 
 def calibration_warnings(setup: Setup, on: datetime.date) -> list[str]:
@@ -36,10 +38,12 @@ def calibration_warnings(setup: Setup, on: datetime.date) -> list[str]:
             missing.setdefault(kind, []).append(key)
         elif (on - quantity.date).days > setup.calibration_days:
             expired.setdefault(kind, []).append(f"{key} ({quantity.date})")
-    remedy = "; bench calibrate {} --into PROFILE"
-    return [f"never calibrated: {', '.join(keys)}" + remedy.format(kind) for kind, keys in missing.items()] + [
-        f"calibrated more than {setup.calibration_days} days before: {', '.join(keys)}" + remedy.format(kind)
-        for kind, keys in expired.items()
+    late = f"calibrated more than {setup.calibration_days} days before"
+    return [
+        f"{words}: {', '.join(keys)}; "
+        + (f"bench calibrate {kind} --into PROFILE" if kind else "write value, date and source into the profile")
+        for words, found in (("never calibrated", missing), (late, expired))
+        for kind, keys in found.items()
     ]
 
 

@@ -6,83 +6,15 @@ Stored, resolved, in every recording, so that the analysis needs no rig. Every n
 
 from __future__ import annotations
 
-import datetime
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    GetJsonSchemaHandler,
-    model_validator,
-)
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
+from pydantic import Field, model_validator
 
-STANDARD_GRAVITY_MPS2 = 9.80665
+from daq.channels.registry import Channels
+from daq.setup.values import STANDARD_GRAVITY_MPS2, Frozen, PositiveQuantity, Quantity, quantity
+
 FAR_OUTSIDE = 10.0  # multiple of a channel's range beyond which a reading is no measurement
-
-ACCELEROMETER_UNITS_V_PER_MPS2: dict[str, float] = {
-    "V/g": 1.0 / STANDARD_GRAVITY_MPS2,
-    "mV/g": 1e-3 / STANDARD_GRAVITY_MPS2,
-    "V/(m/s^2)": 1.0,
-    "mV/(m/s^2)": 1e-3,
-}
-
-
-class Frozen(BaseModel):
-    """Strict and immutable: an unknown key, a wrong type or a non-finite number is refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-def _bare_number(value: Any) -> Any:
-    """Let a profile write ``x = 0.3`` for ``x = {value = 0.3}``."""
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return {"value": value}
-    return value
-
-
-def _iso_date(value: Any) -> Any:
-    """Take ``2026-11-20`` as text for the date it writes."""
-    try:
-        return datetime.date.fromisoformat(value) if isinstance(value, str) else value
-    except ValueError:
-        raise ValueError("wanted a date as 2026-11-20") from None
-
-
-class QuantityTable(Frozen):
-    """A number with its uncertainty, date and source."""
-
-    value: float
-    uncertainty: float = Field(default=0.0, ge=0.0, description="one standard deviation, in the unit of the value")
-    date: Annotated[datetime.date | None, BeforeValidator(_iso_date)] = None
-    source: str = ""
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Editors accept the bare number as well."""
-        return {"anyOf": [{"type": "number"}, handler.resolve_ref_schema(handler(core_schema))]}
-
-
-Quantity = Annotated[QuantityTable, BeforeValidator(_bare_number)]
-
-
-def _positive_quantity(quantity: QuantityTable) -> QuantityTable:
-    """Refuse a scale that is not greater than zero."""
-    if quantity.value <= 0.0:
-        raise ValueError(f"wanted a value greater than 0, came {quantity.value:g}")
-    return quantity
-
-
-PositiveQuantity = Annotated[Quantity, AfterValidator(_positive_quantity)]
-
-
-def _q(value: float, uncertainty: float = 0.0) -> QuantityTable:
-    return QuantityTable(value=value, uncertainty=uncertainty)
 
 
 class Sampling(Frozen):
@@ -127,7 +59,7 @@ class ToneScale(Frozen):
     """Scale from drive volts to plate acceleration of one tone."""
 
     g_per_volt: PositiveQuantity
-    phase_deg: Quantity = _q(0.0)
+    phase_deg: Quantity = quantity(0.0)
 
 
 class Drive(Frozen):
@@ -138,7 +70,7 @@ class Drive(Frozen):
     """
 
     g_per_volt: PositiveQuantity | None = None
-    phase_deg: Quantity = _q(0.0)
+    phase_deg: Quantity = quantity(0.0)
     second: ToneScale | None = Field(default=None, description="of the second tone, where it is not the first's")
     highpass_hz: float | None = Field(
         default=None, gt=0, description="corner of the output's coupling capacitor; the drive is asked for so much more"
@@ -153,73 +85,6 @@ class Drive(Frozen):
         return scale.g_per_volt.value * complex(math.cos(phase), math.sin(phase))
 
 
-class ContinuityChannel(Frozen):
-    """The contact circuit: ``open_v`` in the air, ``closed_v`` in contact."""
-
-    terminal: str = ""
-    coupling: Literal["dc", "ac"] = "dc"
-    range_v: float = Field(default=10.0, gt=0)
-    open_v: Quantity = _q(5.0)
-    closed_v: Quantity = _q(0.0)
-    serial_number: str = ""
-
-    @property
-    def swing_v(self) -> float:
-        """From closed to open."""
-        return self.open_v.value - self.closed_v.value
-
-    @property
-    def middle_v(self) -> float:
-        """Half way between the two levels."""
-        return 0.5 * (self.open_v.value + self.closed_v.value)
-
-    @model_validator(mode="after")
-    def _levels(self) -> Self:
-        """Refuse levels that cannot be distinguished or read."""
-        open_v, closed_v = self.open_v.value, self.closed_v.value
-        if open_v == closed_v:
-            raise ValueError(f"open_v and closed_v are both {open_v:g} V: contact could not be told from flight")
-        if max(abs(open_v), abs(closed_v)) > self.range_v:
-            raise ValueError(f"open_v or closed_v lies outside range_v = {self.range_v:g} V")
-        return self
-
-
-class AccelerometerChannel(Frozen):
-    """The plate's accelerometer: ``volts = offset_v + sensitivity * sign * (a_p + g if reads_gravity)``."""
-
-    terminal: str = ""
-    coupling: Literal["dc", "ac"] = "dc"
-    range_v: float = Field(default=10.0, gt=0)
-    sensitivity: PositiveQuantity
-    unit: Literal["V/g", "mV/g", "V/(m/s^2)", "mV/(m/s^2)"]
-    offset_v: Quantity | None = Field(default=None, description="reading at zero; left out: unknown")
-    reads_gravity: bool = False
-    sign: Literal[-1, 1] = 1
-    serial_number: str = ""
-
-    @property
-    def volts_per_mps2(self) -> float:
-        """Signed sensitivity in V/(m/s^2); the unit's g is the standard gravity of data sheets."""
-        return self.sign * self.sensitivity.value * ACCELEROMETER_UNITS_V_PER_MPS2[self.unit]
-
-
-class DriveChannel(Frozen):
-    """The looped-back drive voltage."""
-
-    terminal: str = ""
-    coupling: Literal["dc", "ac"] = "dc"
-    range_v: float = Field(default=10.0, gt=0)
-    serial_number: str = ""
-
-
-class Channels(Frozen):
-    """The recorded channels; continuity may be absent (then only the plate is analysed)."""
-
-    continuity: ContinuityChannel | None = ContinuityChannel()
-    accelerometer: AccelerometerChannel
-    drive: DriveChannel = DriveChannel()
-
-
 class Ball(Frozen):
     """The block on its rod."""
 
@@ -231,7 +96,7 @@ class Setup(Frozen):
 
     name: str
     description: str = ""
-    g_mps2: PositiveQuantity = _q(STANDARD_GRAVITY_MPS2, 1e-3)
+    g_mps2: PositiveQuantity = quantity(STANDARD_GRAVITY_MPS2, 1e-3)
     sampling: Sampling = Sampling()
     forcing: Forcing
     drive: Drive = Drive()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.files.tables import CHANNELS, Block
+from daq.files.tables import Block
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
@@ -197,8 +197,7 @@ def open_nidaqmx(profile: Profile, options: OpenOptions) -> NiDaqmxBackend:
     InputError
         When the back end is another kind's, or `NiDaqmxBackend` cannot be made.
     """
-    wired = {name: getattr(profile.channels, name) for name in CHANNELS}
-    wired = {name: channel for name, channel in wired.items() if channel is not None}
+    wired = profile.channels.recorded()
     terminals = {name: channel.terminal for name, channel in wired.items()}
     ranges_v = {name: channel.range_v for name, channel in wired.items()}
     table, rate_hz = profile.backend, profile.sampling.rate_hz

@@ -369,11 +369,10 @@ class SoundcardSerialBackend:
 
 def open_soundcard_serial(profile: Profile, options: OpenOptions) -> SoundcardSerialBackend:
     """Drive through the profile's sound card, channels through its serial device; raises `InputError`."""
-    table, channels = profile.backend, profile.channels
+    table = profile.backend
     if not isinstance(table, SoundcardSerialOptions):
         raise InputError(f"profile {profile.name!r}: backend.kind is {table.kind}; wanted soundcard+serial")
-    every = {"continuity": channels.continuity, "accelerometer": channels.accelerometer, "drive": channels.drive}
-    ranges_v = {name: channel.range_v for name, channel in every.items() if channel is not None}
+    ranges_v = {name: channel.range_v for name, channel in profile.channels.recorded().items()}
     rate_hz = profile.sampling.rate_hz
     reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
     return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)

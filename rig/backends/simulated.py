@@ -31,6 +31,8 @@ class SimulatedBackend:
         Of the sensors' noise and the contact's bounce.
     real_time
         Whether a block takes as long as it lasts.
+    with_displacement
+        Whether the ball's height is recorded, too.
 
     Attributes
     ----------
@@ -41,16 +43,26 @@ class SimulatedBackend:
     name = "simulated"
     simulated = True
 
-    def __init__(self, rate_hz: float, scenario: Scenario, seed: int, *, real_time: bool = False) -> None:
+    def __init__(
+        self,
+        rate_hz: float,
+        scenario: Scenario,
+        seed: int,
+        *,
+        real_time: bool = False,
+        with_displacement: bool = False,
+    ) -> None:
         self.rate_hz = rate_hz
         self.scenario_sha256: str | None = scenario.sha256
         self._scenario, self._seed, self._real_time = scenario, seed, real_time
+        self._with_displacement = with_displacement
         self._running = False
         self._began_ns = 0
         self._new_plant()
 
     def _new_plant(self) -> None:
-        self._plant = Plant(self._scenario, self.rate_hz, np.random.default_rng(self._seed))
+        rng = np.random.default_rng(self._seed)
+        self._plant = Plant(self._scenario, self.rate_hz, rng, with_displacement=self._with_displacement)
         self.channels = self._plant.channels
         self.scales = {name: (scale, 0.0) for name, scale in self._plant.channel_scales.items()}
         self._n_samples = 0
@@ -94,4 +106,7 @@ class SimulatedBackend:
 def open_simulated(profile: Profile, options: OpenOptions) -> SimulatedBackend:
     """A simulated rig at the profile's rate, ideal where no scenario is given."""
     scenario = Scenario("ideal") if options.scenario is None else load_scenario(options.scenario)
-    return SimulatedBackend(profile.sampling.rate_hz, scenario, options.seed, real_time=options.real_time)
+    return SimulatedBackend(
+        profile.sampling.rate_hz, scenario, options.seed, real_time=options.real_time,
+        with_displacement=profile.channels.displacement is not None,
+    )  # fmt: skip

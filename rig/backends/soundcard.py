@@ -58,11 +58,11 @@ class SoundcardBackend:
 
     def __init__(self, profile: Profile, *, play_only: bool = False) -> None:
         table = card_options(profile.backend)
-        wired = {} if play_only else {k: v for k, v in table.inputs.model_dump().items() if _has(profile, k)}
+        wired = {} if play_only else table.inputs.wired(profile.channels)
         self.channels = tuple(wired)
         self.rate_hz = profile.sampling.rate_hz
-        ranges = {name: getattr(profile.channels, name).range_v for name in self.channels}
-        self.scales = {name: (volts_per_code(range_v), 0.0) for name, range_v in ranges.items()}
+        described = profile.channels.recorded()
+        self.scales = {name: (volts_per_code(described[name].range_v), 0.0) for name in self.channels}
         self.lag_samples = float("nan")
         self.output_lag_samples = max(1, round(table.buffer_s * self.rate_hz))
         self._table, self._inputs = table, [wired[name] - 1 for name in self.channels]
@@ -198,11 +198,6 @@ class SoundcardBackend:
                 "looped back into it, and not turned round?"
             )
         return found - piece
-
-
-def _has(profile: Profile, channel: str) -> bool:
-    """Whether the profile records ``channel``."""
-    return getattr(profile.channels, channel) is not None
 
 
 def open_soundcard(profile: Profile, options: OpenOptions) -> SoundcardBackend:

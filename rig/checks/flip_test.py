@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.setup.setup import ACCELEROMETER_UNITS_V_PER_MPS2
+from daq.channels.accelerometer import ACCELEROMETER_UNITS_V_PER_MPS2
 from rig.backends.base import Backend, FlipsSensor, Running
 from rig.profile import Profile
 

@@ -449,6 +449,8 @@ RIG_DEFAULTS: dict[str, float] = {
     "continuity_noise_v": 0.002,
     "bounce_s": 0.0,  # mechanical chatter of the contact after a landing, at most this long
     "drive_noise_v": 0.0003,
+    "displacement_v_per_m": 100.0,  # of the sensor on the ball, where the profile has one
+    "displacement_noise_v": 0.001,
     "shaker_frequency_hz": 0.0,  # 0: the shaker's own resonance is equalised away
     "shaker_damping": 0.5,
     # the instrument behind the sensors; 0: none of it

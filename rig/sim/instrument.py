@@ -194,7 +194,7 @@ class Converter:
         self.changes = bool(size or self._lines or self._flickers or rig["bias_v"] or rig["warm_up_v"])
 
     def apply(self, volts: Floats, first: int) -> None:
-        """Change ``volts`` (n, 3) of samples ``first``, ``first + 1``, ... in place."""
+        """Change ``volts`` (n, channels) of samples ``first``, ``first + 1``, ... in place."""
         time_s = (first + np.arange(len(volts))) / self._rate_hz
         for channel in self._filtered:
             if first == 0:

@@ -1,4 +1,4 @@
-"""The simulated rig: drive volts in, raw codes of three channels out, block by block.
+"""The simulated rig: drive volts in, raw codes of its channels out, block by block.
 
 The plant sees drive samples and nothing else. It never learns gamma, frequency or c, and
 blocks of any size give the same codes, because all it knows is carried in its state and its generator.
@@ -24,7 +24,8 @@ from rig.sim.scenario import Scenario
 from rig.sim.sensors import run_circuit
 from rig.sim.state import FLIGHT, initial_state
 
-CHANNELS = ("continuity", "accelerometer", "drive")
+CHANNELS = ("continuity", "accelerometer", "drive", "displacement")
+"""Channels in the order of a frame; the last is recorded where the rig has a displacement sensor."""
 
 NOISE_BLOCK = 65536
 """Samples of noise drawn at once; bounds memory, does not change the result."""
@@ -36,7 +37,7 @@ REFRESH_SAMPLES = 64
 
 @njit()
 def _convert(volts: Any, scale_v: float, limit: float, codes: Any) -> None:
-    """Codes of the volts, (n, 3) each."""
+    """Codes of the volts, (n, channels) each."""
     for i in range(len(volts)):
         for k in range(volts.shape[1]):
             codes[i, k] = int(min(max(math.floor(volts[i, k] / scale_v + 0.5), -limit), limit - 1.0))
@@ -105,6 +106,10 @@ def _run(
         volts[i, 0] = circuit_v + p.continuity_noise_v * small_noise(counter)
         volts[i, 1] = s.zero_v + _shown(s, p, s.volts_per_mps2 * a) + noise_v * noise[i, 0]
         volts[i, 2] = drive_v[i] + p.drive_noise_v * small_noise(counter + np.uint64(1))
+        if volts.shape[1] > 3:
+            # a key of its own: the noise of the other channels does not depend on whether this one is recorded
+            own = small_noise(~counter)
+            volts[i, 3] = p.displacement_v_per_m * s.height_m + p.displacement_noise_v * own
         s.t_s += s.dt_s
         s.sample += 1
 
@@ -120,6 +125,8 @@ class Plant:
         Sampling rate of drive and channels.
     rng : numpy.random.Generator
         Source of the sensors' noise and of random contact bounce.
+    with_displacement : bool
+        Whether the rig has a sensor of the ball's height.
 
     Attributes
     ----------
@@ -132,8 +139,10 @@ class Plant:
         All that a recording may know of the scenario.
     """
 
-    def __init__(self, scenario: Scenario, rate_hz: float, rng: np.random.Generator) -> None:
-        self.channels = CHANNELS
+    def __init__(
+        self, scenario: Scenario, rate_hz: float, rng: np.random.Generator, *, with_displacement: bool = False
+    ) -> None:
+        self.channels = CHANNELS if with_displacement else CHANNELS[:3]
         self.rate_hz = float(rate_hz)
         self.scenario_sha256 = scenario.sha256
         self._params, self._drift = scenario.parameters()
@@ -145,7 +154,7 @@ class Plant:
         self._noises = SUBSTEPS if rig["low_pass_hz"] else 1
         self._limit = 2.0 ** (rig["adc_bits"] - 1.0)
         self._scale_v = rig["adc_range_v"] / self._limit
-        self.channel_scales = dict.fromkeys(CHANNELS, self._scale_v)
+        self.channel_scales = dict.fromkeys(self.channels, self._scale_v)
         self._state = initial_state(int(keys[0]), int(keys[1]), -1.0 / self.rate_hz)
 
     def turn(self, over: bool) -> None:
@@ -162,8 +171,8 @@ class Plant:
 
         Returns
         -------
-        int16 array (n, 3)
-            Codes of continuity, accelerometer and looped-back drive.
+        int16 array (n, 3 or 4)
+            Codes of `channels`.
 
         Raises
         ------
@@ -173,11 +182,11 @@ class Plant:
         drive = np.ascontiguousarray(drive_v, dtype=np.float64)
         if drive.ndim != 1 or not np.isfinite(drive).all():
             raise ValueError(f"drive: wanted a 1-D array of finite volts, got shape {drive.shape}; check the sequencer")
-        codes = np.empty((drive.size, len(CHANNELS)), np.int16)
+        codes = np.empty((drive.size, len(self.channels)), np.int16)
         for start in range(0, drive.size, NOISE_BLOCK):
             stop = min(start + NOISE_BLOCK, drive.size)
             noise = self._rng.standard_normal((stop - start, self._noises), dtype=np.float32)
-            volts, first = np.empty((stop - start, len(CHANNELS))), int(self._state["sample"][0])
+            volts, first = np.empty((stop - start, len(self.channels))), int(self._state["sample"][0])
             march = (self._state, self._params, self._drift, self._sections, self._memory)
             _run(*march, drive[start:stop], noise, 1.0 / self.rate_hz, volts)
             if self._converter.changes:

@@ -6,6 +6,7 @@ through without a drive, and its frames are lost.
 
 from __future__ import annotations
 
+import functools
 import gc
 import shutil
 import subprocess
@@ -134,11 +135,14 @@ class JackPlant(PlantClient):
 
     def __init__(self, profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog) -> None:
         rng = np.random.default_rng(seed)
-        Plant(scenario, profile.sampling.rate_hz, rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
-        self._plant = Plant(scenario, profile.sampling.rate_hz, rng)
+        made = functools.partial(
+            Plant, scenario, profile.sampling.rate_hz, with_displacement=profile.channels.displacement is not None
+        )
+        made(rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
+        self._plant = made(rng)
         self._profile, self._log = profile, log
         super().__init__(profile, server)
-        ports = {number: name for name, number in self._card.inputs.model_dump().items()}
+        ports = {number: name for name, number in self._card.inputs.wired(profile.channels).items()}
         self._names = [ports.get(number, "") for number in range(1, max(ports) + 1)]
         self._outs = [self._client.outports.register(name or f"unused_{k}") for k, name in enumerate(self._names)]
         self._output = HighPass(profile.drive.highpass_hz, self._plant.rate_hz)

@@ -16,6 +16,9 @@ from rig.sim.plant import REFRESH_SAMPLES, Plant
 from rig.sim.scenario import Scenario
 
 
+ROWS = 64  # in a frame
+
+
 class SerialDevice:
     """A plant behind a converter with a quartz of its own.
 
@@ -29,8 +32,8 @@ class SerialDevice:
         As for `rig.sim.plant.Plant`.
     ppm, ppm_per_minute
         By how much an interval of the device is too long at the start, and what that gains.
-    rows
-        Rows in a frame.
+    with_displacement
+        Whether the ball's height is sent, too.
     """
 
     def __init__(
@@ -41,15 +44,16 @@ class SerialDevice:
         *,
         ppm: float = 0.0,
         ppm_per_minute: float = 0.0,
-        rows: int = 64,
+        with_displacement: bool = False,
     ) -> None:
         drift = dict(scenario.drift_per_minute)
         if ppm_per_minute:
             drift["clock_error.relative"] = ppm_per_minute * 1e-6
         effects = dict(scenario.effects) | {"clock_error": {"relative": ppm * 1e-6}}
-        self.plant = Plant(replace(scenario, effects=effects, drift_per_minute=drift), rate_hz, rng)
+        scenario = replace(scenario, effects=effects, drift_per_minute=drift)
+        self.plant = Plant(scenario, rate_hz, rng, with_displacement=with_displacement)
         self._ppm, self._ppm_per_s = ppm, ppm_per_minute / 60.0
-        self._rate_hz, self._rows = rate_hz, rows
+        self._rate_hz = rate_hz
         self._drive = np.zeros(2)  # from two samples before the first
         self._first = -2
         self._time_s = 0.0
@@ -62,11 +66,11 @@ class SerialDevice:
         while self._convert():
             pass
         wire = b""
-        while len(self._codes) >= self._rows:
-            frame = SerialFrame(self._sequence, self._sent, 0, self._codes[: self._rows])
+        while len(self._codes) >= ROWS:
+            frame = SerialFrame(self._sequence, self._sent, 0, self._codes[:ROWS])
             wire += encode_frame(frame)
-            self._codes = self._codes[self._rows :]
-            self._sent, self._sequence = self._sent + self._rows, (self._sequence + 1) % 2**32
+            self._codes = self._codes[ROWS:]
+            self._sent, self._sequence = self._sent + ROWS, (self._sequence + 1) % 2**32
         return wire
 
     def _convert(self) -> bool:

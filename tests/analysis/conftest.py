@@ -16,9 +16,11 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
 from analysis.residuals.values import ParameterId
+from daq.channels.accelerometer import AccelerometerChannel
+from daq.channels.registry import Channels
 from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
-from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
+from daq.setup.setup import Ball, Forcing, Setup
 from kernels.arrays import Bools
 from model.integrator.one_step import Measured, PlateSteps
 from rig.sim.plant import Plant

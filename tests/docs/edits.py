@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 EDIT = re.compile(
     r"^In `([\w./]+)`, (after|in place of) the line `([^\n]+)`:\n\n```\w*\n(.*?)```", re.MULTILINE | re.DOTALL
 )
+NEW = re.compile(r"^Write a module as `([\w./]+)`:\n\n```\w*\n(.*?)```", re.MULTILINE | re.DOTALL)
 
 
 def edited_copy(page: str, folder: Path) -> list[str]:
@@ -23,8 +24,9 @@ def edited_copy(page: str, folder: Path) -> list[str]:
     AssertionError
         Where a line does not stand in its file exactly once.
     """
-    edits = EDIT.findall((ROOT / "docs" / "how-to" / page).read_text(encoding="utf-8"))
-    for package in {name.split("/")[0] for name, *_ in edits}:
+    text = (ROOT / "docs" / "how-to" / page).read_text(encoding="utf-8")
+    edits, new = EDIT.findall(text), NEW.findall(text)
+    for package in {name.split("/")[0] for name, *_ in (*edits, *new)}:
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     for name, where, anchor, block in edits:
         lines = (folder / name).read_text(encoding="utf-8").splitlines(keepends=True)
@@ -32,7 +34,9 @@ def edited_copy(page: str, folder: Path) -> list[str]:
         assert len(places) == 1, f"{name}: {anchor!r} stands there {len(places)} times"
         before = places[0] + (where == "after")
         (folder / name).write_text("".join([*lines[:before], block, *lines[places[0] + 1 :]]), encoding="utf-8")
-    return [name for name, *_ in edits]
+    for name, block in new:
+        (folder / name).write_text(block, encoding="utf-8")
+    return [name for name, *_ in (*new, *edits)]
 
 
 def run_in(folder: Path, code: str) -> list[list[float]]:

@@ -34,31 +34,35 @@ except InputError as error:
     print(int("forcing.third" in str(error)))
 """
 
-LASER = """
+FORCE = """
 from pathlib import Path
 import numpy as np
+from daq.channels.accelerometer import AccelerometerChannel
+from daq.channels.registry import Channels
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
 from daq.recording import open_recording
-from daq.setup.setup import AccelerometerChannel, Ball, Channels, Drive, Forcing, Setup
-from rig.sim.plant import CHANNELS, Plant
+from daq.setup.setup import Ball, Drive, Forcing, Setup
+from rig.backends.kinds.soundcard import InputTable
+from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 sensor = AccelerometerChannel(sensitivity=100.0, unit="mV/g")
 setup = Setup(
-    name="laser", forcing=Forcing(frequency_hz=25.0), drive=Drive(g_per_volt=2.0), ball=Ball(mass_kg=0.25),
-    channels=Channels(accelerometer=sensor),
+    name="force", forcing=Forcing(frequency_hz=25.0), drive=Drive(g_per_volt=2.0), ball=Ball(mass_kg=0.25),
+    channels=Channels(accelerometer=sensor, force={"v_per_n": 0.2}),
 )
 t = np.arange(80000) / 20000.0
 plant = Plant(Scenario("ideal"), 20000.0, np.random.default_rng(0))
 codes = plant.exchange(-0.9 * np.minimum(t, 1.0) * np.sin(2.0 * np.pi * 25.0 * t))
 volts = codes * plant.channel_scales["drive"]
-print(*volts.max(axis=0))
-titles = ",".join(("time_s", "continuity_v", "accelerometer_v", "drive_v", "laser"))
-np.savetxt("run.csv", np.column_stack([t, volts]), delimiter=",", header=titles, comments="", fmt="%.6f")
+force_v = 0.5 + 0.1 * np.sin(2.0 * np.pi * 25.0 * t)
+titles = ",".join(("time_s", "continuity_v", "accelerometer_v", "drive_v", "load cell"))
+np.savetxt("run.csv", np.column_stack([t, volts, force_v]), delimiter=",", header=titles, comments="", fmt="%.6f")
 import_recording(open_source(Path("run.csv")), Path("run.h5"), setup, "")
 with open_recording(Path("run.h5")) as recording:
-    print(np.abs(recording.read_v("displacement", 0, 80000) - volts[:, 3]).max())
-    print(recording.setup.channels.displacement.v_per_m.value)
+    print(np.abs(recording.read_v("force", 0, 80000) - force_v).max())
+    print(recording.setup.channels.force.scale().per_volt)
+print(InputTable().wired(setup.channels)["force"])
 """
 
 
@@ -82,9 +86,9 @@ def test_the_how_to_for_a_tone_drives_it_and_refuses_its_verdict(tmp_path: Path)
 
 
 def test_the_how_to_for_a_channel_records_and_imports_it(tmp_path: Path) -> None:
-    """With the edits the simulated rig gives the ball's height, and a file's column of it is in a recording."""
-    assert "rig/sim/plant.py" in edited_copy("add-a-channel.md", tmp_path)
-    (*_, highest_v), (difference_v,), (v_per_m,) = run_in(tmp_path, LASER)
-    assert 0.05 < highest_v < 0.1  # 0.7 mm, at 100 V/m
+    """With edits of three files a column of a file is recorded with its scale, and a sound card has its input."""
+    assert len(set(edited_copy("add-a-channel.md", tmp_path))) == 3
+    (difference_v,), (n_per_v,), (place,) = run_in(tmp_path, FORCE)
     assert difference_v < 2e-6
-    assert v_per_m == 100.0
+    assert n_per_v == 5.0
+    assert place == 5.0

@@ -7,7 +7,7 @@ candidates for one role are an error that asks for ``--map``.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,21 +15,19 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.channels.registry import CHANNELS, KINDS
 from daq.setup.errors import InputError
 from kernels.arrays import Integers
 
-ROLES = ("time", "continuity", "accelerometer", "drive", "frequency", "level")
 SET_ROLES = ("frequency", "level")
-CHANNEL_ROLES = ("continuity", "accelerometer", "drive")
+ROLES = ("time", *KINDS, *SET_ROLES)
 PIECE_ROWS = 65536
 _SHOWN, _SHOWN_CHARACTERS = 24, 80
 
 _ALIASES = {
     "time": {"time", "t", "times", "timestamp", "timestamps", "elapsed", "elapsedtime", "seconds", "zeit", "xvalue",
              "xaxis"},
-    "continuity": {"continuity", "contact", "contactcircuit", "circuit", "continuitycircuit", "cont"},
-    "accelerometer": {"accelerometer", "acceleration", "accel", "acc", "plateacceleration", "plate"},
-    "drive": {"drive", "drivevoltage", "loopback", "loopbackdrive", "driveloopback", "excitation", "command"},
+    **{name: kind.aliases for name, kind in KINDS.items()},
 }  # fmt: skip
 _SUFFIXES = ("voltage", "volts", "signal", "channel")  # of a name that mean nothing
 TIME_UNITS_S = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -165,7 +163,7 @@ def with_unit(name: str, unit: Any) -> str:
     return f"{name} ({text})" if known and not split_name(name)[1] else name
 
 
-def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
+def assign(source: Source, mapping: Mapping[str, Column], described: Iterable[str] = CHANNELS) -> dict[str, Column]:
     """Columns by role.
 
     Parameters
@@ -174,6 +172,9 @@ def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
         The file.
     mapping
         The caller's choice, which wins. Set frequency and set level are used only when mapped.
+    described
+        Channels of the profile. A further one (a displacement) is sought by name only where the profile has it, so
+        that a column of that name in any file is not taken for it.
 
     Raises
     ------
@@ -183,7 +184,7 @@ def assign(source: Source, mapping: Mapping[str, Column]) -> dict[str, Column]:
     chosen = {role: _mapped(source, role, column) for role, column in mapping.items()}
     taken = {column.name for column in chosen.values()}
     for role, aliases in _ALIASES.items():
-        if role in chosen:
+        if role in chosen or (role in KINDS and role not in {*CHANNELS, *described}):
             continue
         found = []
         for name in source.names:

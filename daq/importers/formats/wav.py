@@ -7,6 +7,7 @@ from pathlib import Path
 import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 
+from daq.channels.registry import CHANNELS
 from daq.files.wav import open_wav
 from daq.importers.formats.arrays import HeldSource
 from daq.setup.errors import InputError
@@ -30,8 +31,8 @@ class WavSource(HeldSource):
         is_packed = wav.width != wav.dtype.itemsize  # 24-bit samples cannot be mapped
         columns = wav.codes() if is_packed else np.memmap(path, wav.dtype, "r", wav.start, shape)
         names = [str(i + 1) for i in range(wav.channels)]
-        if len(names) == 3:
-            names = ["continuity", "accelerometer", "drive"]
+        if len(names) == len(CHANNELS):
+            names = list(CHANNELS)
         self._hold({name: columns[:, i] for i, name in enumerate(names)})
         self.rate_hz = wav.rate_hz
 

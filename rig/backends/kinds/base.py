@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from daq.setup.setup import Frozen
+from daq.setup.values import Frozen
 
 
 class BackendOptions(Frozen):

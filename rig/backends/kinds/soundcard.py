@@ -6,8 +6,9 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from daq.channels.registry import Channels
 from daq.setup.errors import InputError
-from daq.setup.setup import Frozen
+from daq.setup.values import Frozen
 from rig.backends.kinds.base import BackendKind, BackendOptions
 
 
@@ -17,6 +18,11 @@ class InputTable(Frozen):
     continuity: int = Field(default=1, ge=1)
     accelerometer: int = Field(default=2, ge=1)
     drive: int = Field(default=3, ge=1)
+    displacement: int = Field(default=4, ge=1)
+
+    def wired(self, channels: Channels) -> dict[str, int]:
+        """Input of each channel that the profile records, in the order of a frame."""
+        return {name: getattr(self, name) for name in channels.recorded()}
 
 
 class CardOptions(BackendOptions):

@@ -12,7 +12,9 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
 from analysis.residuals.plate_observables import GAIN, SECOND, PlateData
 from analysis.residuals.whitening import Whitener
-from daq.setup.setup import AccelerometerChannel, Ball, Channels, Forcing, Setup
+from daq.channels.accelerometer import AccelerometerChannel
+from daq.channels.registry import Channels
+from daq.setup.setup import Ball, Forcing, Setup
 from kernels.arrays import Bools
 from model.integrator.one_step import Measured, PlateSteps
 

@@ -17,8 +17,9 @@ from daq.importers.text.csv_kernel import parse_rows
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
-from daq.setup.setup import Forcing, Frozen, Setup
+from daq.setup.setup import Forcing, Setup
 from daq.setup.strict_toml import load_toml
+from daq.setup.values import Frozen
 from kernels.arrays import Floats
 
 RATE_HZ = 2000.0

@@ -164,3 +164,18 @@ def test_a_drive_that_is_no_drive_is_refused(bad: np.ndarray) -> None:
     """NaN or a second dimension: refused before the plant moves."""
     with pytest.raises(ValueError, match="finite volts"):
         Plant(Scenario("ideal"), RATE_HZ, np.random.default_rng(0)).exchange(bad)
+
+
+def test_a_displacement_sensor_reads_the_height_and_changes_no_other_channel() -> None:
+    """The fourth channel is at its zero in contact and above it in flight; the other three have the same codes."""
+    time_s = np.arange(40000) / RATE_HZ
+    drive_v = -1.2 * np.minimum(time_s, 1.0) * np.sin(2.0 * np.pi * 25.0 * time_s)
+    plants = [
+        Plant(Scenario("ideal"), RATE_HZ, np.random.default_rng(4), with_displacement=further) for further in (0, 1)
+    ]
+    three, four = (plant.exchange(drive_v) for plant in plants)
+    assert plants[1].channels == (*plants[0].channels, "displacement")
+    assert np.array_equal(three, four[:, :3])
+    height_v, is_open = four[:, 3] * plants[1].channel_scales["displacement"], four[:, 0] > 8192
+    assert is_open.any() and height_v[is_open].max() > 0.05
+    assert np.abs(height_v[~is_open][:1000]).max() < 0.006

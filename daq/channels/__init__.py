@@ -1,0 +1,1 @@
+"""One module a kind of channel, and `registry`, which lists them in the order of a frame."""
