@@ -15,7 +15,6 @@ from kernels.arrays import Floats
 from rig.sim.plant import REFRESH_SAMPLES, Plant
 from rig.sim.scenario import Scenario
 
-
 ROWS = 64  # in a frame
 
 
