@@ -114,7 +114,9 @@ class Interlock:
         self._clamped_v = 0.0
         self._since_open = self._since_closed = self._flying = 0
         ranges = {"accelerometer": accelerometer.range_v, "drive": profile.channels.drive.range_v}
-        self._full = {name: _full_code(ranges[name], scales[name][0]) for name in ranges if name in self._column}
+        # the highest code of a converter: its lowest is one further from zero
+        full = {name: round(ranges[name] / scales[name][0]) - 1 for name in ranges if name in self._column}
+        self._full = {name: min(32767, code) for name, code in full.items()}
         self._clipped: dict[str, Integers] = {name: np.zeros(0, np.int64) for name in self._full}
         self._window = _Window()
         self._scales = {name: scales[name] for name in channels if name in scales}
@@ -345,11 +347,6 @@ class Interlock:
                 f"above {AIRBORNE_GAMMA_PEAK:g}: a short circuit, or no ball?"
             )
         return None
-
-
-def _full_code(range_v: float, volts_per_code: float) -> int:
-    """The highest code of a converter (its lowest is one further from zero)."""
-    return min(32767, round(range_v / volts_per_code) - 1)
 
 
 def _contact_levels(profile: Profile, scales: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:

@@ -118,8 +118,9 @@ def plan(profile: Profile) -> Programme:
         steps.append(step.placed(clock, cycle, ramp.settle_cycles))
         days = steps[-1].end_sample / rate_hz / 86400.0
         if days > LONGEST_RUN_DAYS:
+            length = f"{days / 365.25:.3g} years" if days > 1000.0 else f"{days:.0f} days"
             raise InputError(
-                f"profile {profile.name!r}: step {index} of the ramp would end after {_long(days)}; a run lasts at "
+                f"profile {profile.name!r}: step {index} of the ramp would end after {length}; a run lasts at "
                 f"most {LONGEST_RUN_DAYS:g} days: give fewer steps, fewer cycles to settle and hold, or a faster slew"
             )
         cycle += step.fade_cycles + step.settle_cycles + step.hold_cycles
@@ -131,11 +132,6 @@ def fade_cycles(ramp: RampTable, change: float) -> int:
     """Whole cycles in which gamma can change by ``change`` within the slew limit."""
     cycles = _STEEPEST * abs(change) / ramp.slew_per_cycle - 1e-9
     return max(_MIN_FADE_CYCLES, math.ceil(min(cycles, _MOST_FADE_CYCLES)))
-
-
-def _long(days: float) -> str:
-    """A long time in words."""
-    return f"{days / 365.25:.3g} years" if days > 1000.0 else f"{days:.0f} days"
 
 
 def peaks(setup: Setup, gamma: float) -> Peaks:
