@@ -13,7 +13,7 @@ from bench.outputs import Anyway, Overwrite
 if TYPE_CHECKING:
     from bench.jobs.blocks import Chosen, Driven
     from bench.jobs.explore import Explored
-    from bench.live.beside import OnePage
+    from bench.live.onlooker import OnePage
     from bench.terminal.orders import TypedLines
 
 
@@ -54,7 +54,7 @@ def command(
     """
     from bench.jobs.blocks import Aims, run_seconds
     from bench.jobs.explore import explore
-    from bench.live.beside import OnePage
+    from bench.live.onlooker import OnePage
     from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load
     from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, speaker, write_json
@@ -175,7 +175,7 @@ class Driver:
         profile = parse_profile(block.text, "block")
         backend = make_backend(profile, scenario=self.scenario, seed=self.seed + number, real_time=self.paced)
         request = StopRequest(partial(by_person, block))
-        with nullcontext() if self.page is None else self.page.beside(profile, block.text, block.reason) as onlooker:
+        with nullcontext() if self.page is None else self.page.onlooker(profile, block.text, block.reason) as onlooker:
             done = record(
                 profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=self.quiet,
                 paced=self.paced, onlooker=onlooker, request=request, typed=self.typed,

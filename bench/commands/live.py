@@ -20,8 +20,8 @@ def command(
 
     Exits 0 when stopped, 2 when the call was wrong.
     """
-    from bench.live.desk import offered_profiles
-    from bench.live.serving import sections, serve_desk
+    from bench.live.pages import offered_profiles
+    from bench.live.processes import sections, serve_desk
     from bench.terminal.console import EXIT_USAGE, fail, print_lines
     from daq.setup.errors import InputError
 

@@ -46,7 +46,7 @@ def command(
     import datetime
 
     from bench.jobs.run_ramp import make_backend, record
-    from bench.live.beside import onlooking
+    from bench.live.onlooker import onlooking
     from bench.outputs import HDF5, JSON, File, check_outputs
     from bench.profiles.find import load
     from bench.profiles.plan import planned, refusal

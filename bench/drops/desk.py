@@ -19,8 +19,8 @@ from analysis.drop.film.video import FILMS
 from bench.drops.correct import kept_request, moved, side_file
 from bench.drops.worker import work
 from bench.jobs.drop_test import Request, check_request
+from bench.web.browsers import Browser, Hub
 from bench.web.folder import file_inside
-from bench.web.hub import Browser, Hub
 from daq.files.json_values import json_text
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError

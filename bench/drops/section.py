@@ -10,7 +10,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from bench.drops.desk import DropDesk
-from bench.web.hub import socket_route
+from bench.web.browsers import socket_route
 from bench.web.section import Place, Section, templates_of
 from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError

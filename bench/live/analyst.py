@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.live.board import Board, Message
-from bench.live.prediction import predicted
 from bench.live.reduce import ReducedStep, cut_to, reduce_run
-from bench.live.verdict import verdict_of
+from bench.live.verdict import predicted, verdict_of
 from bench.terminal.signals import leave_keys_to_the_parent
 from daq.files.seal import Checked
 from daq.recording import Recording, open_recording
@@ -43,19 +42,15 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
         return
     analyst = Analyst(profile, board, pipe, pictures)
     try:
-        with np.errstate(all="ignore"):  # of half a step nothing may be known; that is no news for a terminal
-            while not analyst.done and _has_parent():
+        with np.errstate(all="ignore"):  # a step that has just begun may have no flights to average
+            parent = multiprocessing.parent_process()
+            while not analyst.done and (parent is None or parent.is_alive()):
                 if not analyst.look():
                     time.sleep(LOOK_S)
     except (BrokenPipeError, ConnectionResetError):
         return  # nobody listens
     finally:
         analyst.close()
-
-
-def _has_parent() -> bool:
-    parent = multiprocessing.parent_process()
-    return parent is None or parent.is_alive()
 
 
 class Analyst:

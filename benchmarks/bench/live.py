@@ -21,8 +21,8 @@ import numpy as np
 
 from bench.jobs.run_ramp import make_backend, record
 from bench.live.board import Board
-from bench.live.messages import flights_piece
-from bench.live.starting import AskedRun, run_profile
+from bench.live.processes import AskedRun, run_profile
+from bench.live.scope_data import flights_piece
 from bench.profiles.find import load, shipped_folder
 
 STEPS, FLIGHTS = 100, 1000  # shown from the start: 1e5 flights
@@ -30,10 +30,10 @@ STEPS, FLIGHTS = 100, 1000  # shown from the start: 1e5 flights
 
 def _served(pipe: Any, profile: Any, board: str, folder: str) -> None:
     """The page's process, with earlier flights."""
-    from bench.live.serving import _serve_run, sections
-    from bench.live.watch import Watch
+    from bench.live.processes import _serve_run, sections
+    from bench.live.watched_run import WatchedRun
 
-    rng, own = np.random.default_rng(0), Watch.history
+    rng, own = np.random.default_rng(0), WatchedRun.history
     pieces: list[str | bytes] = []
     for k in range(STEPS):
         tau = 0.03 + 0.002 * rng.standard_normal(FLIGHTS)
@@ -41,7 +41,7 @@ def _served(pipe: Any, profile: Any, board: str, folder: str) -> None:
         columns = (tau, np.cumsum(tau), noise * rng.standard_normal(FLIGHTS), noise, np.zeros(FLIGHTS))
         message = {"columns": columns, "gamma": 0.5 + 0.02 * k, "asked": 1.0, "final": True, "step": 1000 + k}
         pieces.append(flights_piece(message, 2.0))
-    Watch.history = lambda self: [*own(self), *pieces]  # type: ignore[method-assign]
+    WatchedRun.history = lambda self: [*own(self), *pieces]  # type: ignore[method-assign]
     _serve_run(pipe, sections(), profile, board, folder, "127.0.0.1", 0)
 
 

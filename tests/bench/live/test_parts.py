@@ -22,14 +22,12 @@ from bench.jobs.blocks import Chosen, by_person
 from bench.jobs.run_ramp import make_backend, record
 from bench.live.analyst import Analyst
 from bench.live.board import EVENT_SLOTS, Board
-from bench.live.decimate import MinMax, PlateHeight
-from bench.live.messages import flights_piece, scope_piece, spectrum_piece
-from bench.live.prediction import predicted
 from bench.live.reduce import DOUBTFUL, PLAIN, ReducedStep, cut_to, reduce_run
 from bench.live.run_side import RunSide
-from bench.live.verdict import verdict_of
+from bench.live.scope_data import MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
+from bench.live.verdict import predicted, verdict_of
 from bench.profiles.find import load, shipped_folder
-from bench.web.hub import GONE_S, SILENT_S, Lease
+from bench.web.browsers import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, RingReader
 from daq.recording import open_recording

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from analysis.report.gamma import gamma_scale
 from bench.live.analyst import analyse
 from bench.live.board import Board, Message
-from bench.live.decimate import MinMax, PlateHeight, bin_for
-from bench.live.messages import flights_piece, scope_piece, spectrum_piece
+from bench.live.scope_data import MinMax, PlateHeight, bin_for, flights_piece, scope_piece, spectrum_piece
 from daq.recorder.shared_ring import RingReader
 from rig.profile import Profile
 from rig.programme.ramp import peaks, plan
@@ -30,7 +29,7 @@ UNKNOWN = -32768  # code of a displacement that is not known
 Tell = Callable[..., None]
 
 
-class Watch:
+class WatchedRun:
     """A run that is being watched.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from bench.web.hub import Browser, Hub
+from bench.web.browsers import Browser, Hub
 
 
 class Socket:

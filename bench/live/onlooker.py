@@ -1,4 +1,4 @@
-"""What goes on beside a run that was started in a terminal: its page, and the verdict after each step."""
+"""What accompanies a run that was started in a terminal: its page, and the verdict after each step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.profile import Profile
 if TYPE_CHECKING:
     from bench.jobs.run_ramp import Onlooker
     from bench.live.board import Board
-    from bench.live.serving import PageProcess
+    from bench.live.processes import PageProcess
     from rig.execution.operator import Status
 
 POLL_EVERY = 16  # blocks between two looks for a verdict
@@ -56,7 +56,7 @@ def onlooking(
     served = watcher = None
     try:
         if page is not None:
-            from bench.live.serving import PageProcess
+            from bench.live.processes import PageProcess
 
             served = PageProcess(profile, board, folder, *page)
             _print(f"watch it at {served.url}")
@@ -73,7 +73,7 @@ def onlooking(
 
 
 class OnePage:
-    """One page beside several runs, one after another.
+    """One page for several runs, one after another.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class OnePage:
             self._profiles.cleanup()
 
     @contextmanager
-    def beside(self, profile: Profile, text: str, why: str) -> Iterator[Onlooker | None]:
+    def onlooker(self, profile: Profile, text: str, why: str) -> Iterator[Onlooker | None]:
         """An onlooker for the next run, of ``profile`` with its ``text``; ``why`` it is driven is said on the page.
 
         Raises
@@ -120,7 +120,7 @@ class OnePage:
         board = Board()
         self._boards.append(board)
         if self._served is None:
-            from bench.live.serving import PageProcess
+            from bench.live.processes import PageProcess
 
             self._served = PageProcess(profile, board, self._folder, *self._page)
             _print(f"watch it at {self._served.url}")

@@ -1,4 +1,4 @@
-"""The desk in the page's process: browsers, the run that they watch, and runs that they start."""
+"""The section of the desk that shows a run while it lasts: browsers, the run that they watch, runs that they start."""
 
 from __future__ import annotations
 
@@ -14,13 +14,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
 from bench.live.board import LONGEST_NOTE, Board, Message
-from bench.live.decimate import MinMax, PlateHeight
-from bench.live.starting import AskedRun, run_check, run_profile
-from bench.live.watch import Watch
+from bench.live.processes import AskedRun, run_check, run_profile
+from bench.live.scope_data import MinMax, PlateHeight
+from bench.live.watched_run import WatchedRun
 from bench.profiles.find import find_profile, load, scenario_names, shipped_names
 from bench.terminal.orders import free_keys
-from bench.web.hub import Browser, Hub
+from bench.web.browsers import Browser, Hub, socket_route
+from bench.web.section import Place, Section, templates_of
 from daq.setup.errors import InputError
 from rig.profile import Profile, load_profile
 
@@ -43,7 +48,7 @@ class Desk:
 
     def __init__(self, folder: Path, offered: Sequence[str], watched: tuple[Profile, str] | None) -> None:
         self.hub = Hub()
-        self.watch: Watch | None = None
+        self.watch: WatchedRun | None = None
         self._folder, self._offered, self._watched = folder, list(offered), watched
         self._passed: set[str] = set()  # profiles whose check was green
         self._run: Any = None
@@ -61,7 +66,7 @@ class Desk:
         if self._watched is not None:
             profile, board_name = self._watched
             with contextlib.suppress(OSError):
-                self.watch = Watch(profile, Board(board_name), self.hub.tell)
+                self.watch = WatchedRun(profile, Board(board_name), self.hub.tell)
         ticking = asyncio.create_task(self._tick_for_ever())
         try:
             yield
@@ -82,8 +87,8 @@ class Desk:
             due = max(due + TICK_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
 
-    def _follow(self, watch: Watch) -> None:
-        """Watch the run that follows the one watched so far, where it was announced."""
+    def _follow(self, watch: WatchedRun) -> None:
+        """WatchedRun the run that follows the one watched so far, where it was announced."""
         told = watch.successor
         if told is None:
             return
@@ -91,7 +96,7 @@ class Desk:
         with contextlib.suppress(OSError, InputError):  # it is over, or gone: what was watched stays
             profile, board = load_profile(told["profile"])[0], Board(told["board"])
             self.hub.tell({"kind": "started", "profile": profile.name, "out": "", "why": told["why"]})
-            self.watch = Watch(profile, board, self.hub.tell)
+            self.watch = WatchedRun(profile, board, self.hub.tell)
             watch.close()
 
     async def talk(self, browser: Browser) -> None:
@@ -191,7 +196,7 @@ class Desk:
         )
         self._run.start()
         self.hub.tell({"kind": "started", "profile": profile, "out": asked.out.name})
-        self.watch = Watch(known, board, self.hub.tell)
+        self.watch = WatchedRun(known, board, self.hub.tell)
 
 
 def _refuse(browser: Browser, why: str) -> None:
@@ -232,3 +237,19 @@ def offered_profiles(folder: Path, wanted: str | None) -> list[str]:
         find_profile(wanted)
     own = sorted(str(path) for path in folder.glob("*.toml"))
     return list(dict.fromkeys([*([wanted] if wanted else []), *own, *shipped_names()]))
+
+
+HERE = Path(__file__).parent
+
+
+def section(place: Place) -> Section:
+    """The section; ``place.options["live"]`` has ``offered`` and ``watched`` of `bench.live.pages.Desk`."""
+    options = place.options.get("live", {})
+    desk = Desk(place.folder, options.get("offered", ()), options.get("watched"))
+    templates = templates_of(HERE / "templates")
+
+    async def show(request: Request) -> Response:
+        return templates.TemplateResponse(request, "live.html")
+
+    routes = [Route("/live", show), socket_route("/live/socket", desk.talk)]
+    return Section("live", "Live", "/live", routes, HERE / "static", desk.running)
