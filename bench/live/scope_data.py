@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.pyramid.build import empty_extremes, fold_samples
 from kernels import njit
 from kernels.arrays import Floats
 
@@ -34,41 +35,31 @@ class MinMax:
     """
 
     def __init__(self, n_bin: int, channels: int) -> None:
-        self._n_bin = n_bin
-        self._state = np.zeros((2, channels), np.int16)  # minimum and maximum of the bin begun
-        self._filled = 0
-        _extremes(np.zeros((1, channels), np.int16), n_bin, 0, self._state.copy(), np.zeros((2, 2, channels), np.int16))
+        self._n_bin, self._channels = n_bin, channels
+        self._filled = 0  # samples of the bin begun
+        self._begun = empty_extremes(channels, np.dtype(np.int16))  # its minima and maxima
+        self.add(np.zeros((1, channels), np.int16))  # compiled before a run needs it
+        self.clear()
 
     def add(self, codes: Codes) -> Codes:
         """Extremes of the bins that these codes (n, channels) complete: (k, 2, channels), minimum first."""
-        out = np.empty(((self._filled + len(codes)) // self._n_bin, 2, codes.shape[1]), np.int16)
-        self._filled = _extremes(codes, self._n_bin, self._filled, self._state, out)
-        return out
+        bins, filled = divmod(self._filled + len(codes), self._n_bin)
+        folded = []
+        for c, column in enumerate(np.ascontiguousarray(codes.T)):
+            extremes = empty_extremes(bins + 1, codes.dtype)
+            for begun, found in zip(self._begun, extremes, strict=True):
+                found[0] = begun[c]
+            fold_samples(column, self._filled, self._n_bin, *extremes)
+            folded.append(extremes)
+        self._filled = filled
+        out = np.moveaxis(np.array(folded, codes.dtype), 0, -1)  # (2, bins + 1, channels): the last bin is begun
+        self._begun = out[0, -1].copy(), out[1, -1].copy()
+        return np.ascontiguousarray(np.swapaxes(out[:, :-1], 0, 1))
 
     def clear(self) -> None:
         """Leave out the bin begun: samples are missing."""
         self._filled = 0
-
-
-@njit()
-def _extremes(codes: Codes, n_bin: int, filled: int, state: Codes, out: Codes) -> int:
-    """Fill ``out`` and ``state``; returns the samples of the bin begun."""
-    k = 0
-    for i in range(codes.shape[0]):
-        for c in range(codes.shape[1]):
-            x = codes[i, c]
-            if filled == 0 or x < state[0, c]:
-                state[0, c] = x
-            if filled == 0 or x > state[1, c]:
-                state[1, c] = x
-        filled += 1
-        if filled == n_bin:
-            for c in range(codes.shape[1]):
-                out[k, 0, c] = state[0, c]
-                out[k, 1, c] = state[1, c]
-            k += 1
-            filled = 0
-    return filled
+        self._begun = empty_extremes(self._channels, np.dtype(np.int16))
 
 
 class PlateHeight:
