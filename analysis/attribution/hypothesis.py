@@ -11,6 +11,7 @@ import numpy as np
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
+from analysis.attribution.priors import Prior
 from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
@@ -18,6 +19,7 @@ from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 from kernels.arrays import Floats
+from model.effects.registry import effect
 
 P = ParamSpec("P")
 
@@ -151,6 +153,25 @@ class Refits:
         Where a calibration and an effect are correlated, a fit from afar stops short with too small an error.
         """
         return self.converged(x.candidates, x.whitener, x.free, x.fitted.values)
+
+
+def beside_hidden(x: Hypothesis) -> Hypothesis:
+    """The hypothesis fitted once more, what its effects can hide free within a prior: its intervals then allow for it.
+
+    A high-pass makes an accelerometer's phase early, a low-pass late. At one frequency only their sum can be seen, and
+    the weaker one gains nothing that would have it named.
+    """
+    fitter, model = x.fitted.fitter, x.fitted.fitter.model
+    hidden = {
+        key: Prior(*known)
+        for name in x.names
+        for key, known in effect(name).effect.hides.items()
+        if key[0] not in x.names and key not in fitter.priors and key not in model.base
+    }
+    if not hidden:
+        return x
+    refits = Refits(Fitter(model, {**fitter.priors, **hidden}, fitter.train))
+    return refits.attempted(x.candidates, refits.again, x) or x
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from kernels.arrays import Complexes, Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import ORDINARY_LAG, Effect, Parameter
 
 EFFECT = Effect(
     name="accelerometer_high_pass",
@@ -28,6 +28,7 @@ EFFECT = Effect(
         ),
     ),
     confused_with={"contact_latency": "runs at several frequencies", "phase_lag": "landing times"},
+    hides=ORDINARY_LAG,
     reference="coupling capacitors of charge amplifiers and IEPE supplies",
 )
 

@@ -40,6 +40,7 @@ EFFECT = Effect(
     ),
     variants=(("delay_s",), ("low_pass_s", "sharpness")),
     confused_with={"phase_lag": "landing times"},
+    hides={("accelerometer_high_pass", "corner_hz"): (0.0, 0.02)},
     reference="bandwidth of the sensor, multiplexed sampling",
 )
 

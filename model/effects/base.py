@@ -77,6 +77,9 @@ PLAIN_HOOKS = (
 PLATE_ONLY_HOOKS = frozenset({"transfer", "harmonics", "hum_mps2", "offset_mps2", "time_scale", "closure_s"})
 """Hooks that change plate data and instruments, and never a flight over the plate that was measured."""
 
+ORDINARY_LAG: Mapping[tuple[str, str], tuple[float, float]] = {("accelerometer_lag", "delay_s"): (3e-5, 3e-5)}
+"""Lag of an accelerometer of which nothing is known, mean and standard deviation: low-passes of 2 to 20 kHz."""
+
 Stated = Literal["", "drive.g_per_volt", "drive.phase_deg", "accelerometer.sensitivity", "g_mps2"]
 Hint = Literal["", "slow_line_hz", "modulation_depth", "modulation_hz"]
 Term = Literal["", "force", "friction", "threshold", "restitution"]
@@ -198,6 +201,9 @@ class Effect:
         A search begins with them equal, and a trend is theirs together.
     special_cases
         Effects that are special cases of this one: by name, which of its parameters each of theirs begins from.
+    hides
+        Parameters of instrument effects that this one can hide, with the mean and the standard deviation that they
+        have in an ordinary instrument: nuisances of the last fit, so that this effect's intervals allow for them.
     substitutes_term
         Kind of smooth term that takes the place of this effect.
     curves
@@ -217,6 +223,7 @@ class Effect:
     variants: tuple[tuple[str, ...], ...] = ()
     tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     special_cases: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    hides: Mapping[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
     substitutes_term: Term = ""
     curves: tuple[CurveOf, ...] = ()
     is_trend: bool = False

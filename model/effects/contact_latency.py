@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from model.effects.base import Effect, Parameter
+from model.effects.base import ORDINARY_LAG, Effect, Parameter
 
 EARLIEST_S = -1e-5  # no circuit closes before the ball lands, but its channel may be read a little before the others
 
@@ -21,6 +21,7 @@ EFFECT = Effect(
         ),
     ),
     confused_with={"phase_lag": "drive -> plate", "contact_gap": "landing times"},
+    hides=ORDINARY_LAG,
     reference="filter of the contact circuit, multiplexed sampling",
 )
 

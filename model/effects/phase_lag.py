@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from kernels.arrays import Complexes, Floats
-from model.effects.base import Effect, Parameter
+from model.effects.base import ORDINARY_LAG, Effect, Parameter
 
 LEAST_RADPS = 1e-3  # nothing of the plate moves slower
 SHARPNESS = (0.0, 0.5, 1.0)  # of first order; Butterworth; of damping 0.5
@@ -60,6 +60,7 @@ EFFECT = Effect(
     ),
     variants=(("delay_s",), ("low_pass_s", "sharpness"), ("high_pass_hz", "sharpness")),
     confused_with={"contact_latency": "landing times", "drive_gain": "c = 1: two tones tell a filter from a gain"},
+    hides=ORDINARY_LAG,
     reference="amplifier, shaker above its resonance",
 )
 

@@ -31,6 +31,7 @@ EFFECT = Effect(
         ),
     ),
     variants=(("spring_per_s2",), ("magnet_mps2", "range_m"), ("spring_per_s2", "magnet_mps2", "range_m")),
+    special_cases={"local_gravity": {"excess_mps2": "magnet_mps2"}},  # a pull of long range is a constant one
     confused_with={"viscous_damping": "irregular flights at high gamma", "local_gravity": "short and long flights"},
     reference="Hooke's law; the near field of a small magnet, as an exponential",
 )

@@ -24,16 +24,30 @@ def test_both_sizes_stand_side_by_side(closed_loop: ClosedLoop) -> None:
     assert " not hidden          found 0.2" in in_words(by_name["restitution.e0"])
 
 
-OWN = {
-    "stribeck_friction.mu_static",  # the library's mu_extra is the difference of both
-    "gain_compression.per_v2", "harmonic_distortion.second_per_v", "harmonic_distortion.third_per_v2",  # drive volts
-    "mains_hum.frequency_hz", "mains_hum.phase_rad", "mains_pickup.frequency_hz", "mains_pickup.phase_rad",  # measured
-    "mass_loading.mass_ratio",
-}  # fmt: skip
+def test_sizes_are_converted_to_the_librarys(closed_loop: ClosedLoop) -> None:
+    """A mass ratio is the library's relative loading, a static friction its excess, and volts of drive become g."""
+    hidden = {
+        "mass_loading": {"mass_ratio": 0.05},
+        "stribeck_friction": {"mu_static": 0.3, "mu_kinetic": 0.05, "speed_mps": 0.1},
+        "gain_compression": {"per_v2": 0.1},
+        "harmonic_distortion": {"second_per_v": 0.02, "third_per_v2": 0.04},
+    }
+    drive = closed_loop.setup.drive
+    doubled = drive.model_copy(update={"g_per_volt": drive.phase_deg.model_copy(update={"value": 2.0})})
+    loop = dataclasses.replace(closed_loop, setup=closed_loop.setup.model_copy(update={"drive": doubled}))
+    sizes = {f"{row.effect}.{row.parameter}": row.hidden for row in compared(hidden, loop)}
+    assert sizes["mass_loading.relative"] == pytest.approx(0.05)
+    assert sizes["stribeck_friction.mu_extra"] == pytest.approx(0.25)
+    assert sizes["gain_compression.per_g2"] == pytest.approx(0.1 / 2 / 2.0**2)
+    assert sizes["harmonic_distortion.quadratic_per_g"] == pytest.approx(0.01)
+    assert sizes["harmonic_distortion.cubic_per_g2"] == pytest.approx(0.01)
+
+
+MEASURED = {"mains_hum.frequency_hz", "mains_hum.phase_rad", "mains_pickup.frequency_hz", "mains_pickup.phase_rad"}
 
 
 def test_parameters_of_a_scenario_are_the_librarys() -> None:
-    """Each number of a named effect is a parameter of the library, but for the few that have no counterpart there."""
+    """Each number of a named effect is a parameter of the library, except frequency and phase of the mains."""
     strange = set()
     for entry in EFFECTS.values():
         known = {p.name for p in effect(entry.name).effect.parameters} if entry.named else set()
@@ -41,4 +55,4 @@ def test_parameters_of_a_scenario_are_the_librarys() -> None:
             name = LIBRARY_UNITS.get((entry.name, parameter.name), (parameter.name, 1.0))[0]
             if name not in known:
                 strange.add(f"{entry.name}.{parameter.name}")
-    assert strange == OWN
+    assert strange == MEASURED

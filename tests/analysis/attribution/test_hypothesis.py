@@ -1,0 +1,46 @@
+"""Intervals allow for what the effects of a hypothesis can hide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from analysis.attribution.candidates import Candidate
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Hypothesis, Refits, beside_hidden
+from analysis.attribution.pruning import contained_in
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.values import ParameterId
+from analysis.residuals.whitening import Whitener
+
+CORNER, LAG = ("accelerometer_high_pass", "corner_hz"), ("accelerometer_lag", "delay_s")
+DRAG = ("quadratic_drag", "k_per_m")
+
+
+def _fitted(fitter: Fitter, *free: ParameterId) -> Hypothesis:
+    candidates = tuple(Candidate((key[0],), (key,)) for key in free)
+    return Refits(fitter).converged(candidates, Whitener.of(fitter.model, {}), free, {})
+
+
+def test_the_low_pass_that_a_high_pass_hides_is_allowed_for(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """Behind both, a corner of 1 Hz alone is sure and wrong; with the lag beside it, its interval holds 1 Hz."""
+    alone = _fitted(fitter_of(fly_ramp({CORNER: 1.0, LAG: 4e-5}, 6)), CORNER)
+    beside = beside_hidden(alone)
+    assert beside.names == alone.names and LAG in beside.fitted.keys
+    assert abs(alone.fitted.values[CORNER] - 1.0) > 3.0 * alone.fitted.sigma(CORNER)
+    assert abs(beside.fitted.values[CORNER] - 1.0) < 2.0 * beside.fitted.sigma(CORNER)
+
+
+def test_what_hides_nothing_stays_as_it_is(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """A drag hides no instrument's effect; a high-pass beside a lag that is named as well hides none either."""
+    fitter = fitter_of(fly_ramp({}, 6))
+    for found in (_fitted(fitter, DRAG), _fitted(fitter, CORNER, LAG)):
+        assert beside_hidden(found) is found
+
+
+def test_a_constant_pull_is_a_gravity() -> None:
+    """A pull of a range beyond all heights needs no magnet: the search tries the place's gravity instead."""
+    assert "local_gravity" in contained_in(("position_force",))
