@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from analysis.drop.falls.fit import predicted_m
+from analysis.drop.falls.judge import Judged as JudgedFalls
 from analysis.drop.film.camera_fit import CameraFit
 from analysis.drop.laws.choice import Verdict
 from analysis.drop.times.model_selection import Judged
@@ -94,3 +96,18 @@ def camera_plot(fit: CameraFit, shape_name: str, step_s: Sequence[float | None])
         models.append(ModelCurve(f"{name}, rms {shape.sigma:.2f}", pieces, left))
     unit = "time in the file (s)" if step_s[0] else "frame"
     return FitPlot(unit, "height (file's unit)", "measured - fitted", data, models, [f.clip for f in fit.flights])
+
+
+def falls_plot(judged: JudgedFalls, clips: list[int]) -> FitPlot:
+    """Heights of falls with free fall and the law chosen; ``clips``: the file of each fall."""
+    data = [(fall.time_s, fall.height_m) for fall in judged.falls]
+    models = []
+    for name in dict.fromkeys(["free_fall", judged.best.model.name]):
+        fit = judged.verdict.candidate(name).fit
+        pieces = []
+        for fall in judged.falls:
+            grid = np.linspace(fall.time_s[0], fall.time_s[-1], _FLIGHT_GRID)
+            pieces.append((grid, predicted_m(fit, judged.axis, judged.g_mps2, fall, grid)))
+        left = [(fall.time_s, own) for fall, own in zip(judged.falls, fit.left, strict=True)]
+        models.append(ModelCurve(f"{name}, rms {100 * fit.rms_m:.0f} cm", pieces, left))
+    return FitPlot("time in the file (s)", "height (m)", "measured - fitted (m)", data, models, clips)

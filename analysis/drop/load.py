@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from analysis.drop.corrections import NOTHING, Corrections, Progress
+from analysis.drop.falls.fall import is_fall
 from analysis.drop.film.flights import Clip, near_impacts
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.tracking import Tracked, track_film
@@ -49,6 +50,8 @@ class Path2D:
     # path)
     remarks: tuple[str, ...] = ()
     not_read: tuple[str, ...] = ()
+    # (n,) (n,) times, s (frames where no clock is known), and heights of a fall without a bounce, as the table has them
+    fall: tuple[Floats, Floats] | None = None
 
     @property
     def name(self) -> str:
@@ -250,6 +253,11 @@ def _without(words: str, path: Path) -> str:
 def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
     """The ball's path among points of a table; a time to be left out is an impact's, or else a sample's."""
     frame_s = 1.0
+    used = corrections.keeps(found.clock, 1e-6)
+    time, height = found.clock[used], found.y[used]
+    if not corrections.add_s and (way := is_fall(time, height)):
+        clip = Clip(name, time, way * height, 0.0)
+        return Path2D(clip, 1.0 if found.in_seconds else None, found.metres, fall=(time, way * height))
     if found.in_seconds:  # times may be rounded: the whole time over the number of steps
         steps = np.diff(np.unique(found.clock))
         frame_s = float(steps.sum() / np.maximum(np.round(steps / np.median(steps)), 1.0).sum())

@@ -1,4 +1,4 @@
-"""`bench drop`: restitution, friction and drag from films, tracked positions, sounds and impact times."""
+"""`bench drop`: restitution, friction and drag from films, tracked positions, sounds, impact times and falls."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ Use = Annotated[str, typer.Option(help="check the stated height, or use it as da
 Gravity = Annotated[float, typer.Option(help="Local gravity, m/s^2.")]
 Mass = Annotated[float | None, typer.Option(help="The ball's mass, kg; with --diameter: bounds of its air drag.")]
 Diameter = Annotated[float | None, typer.Option(help="The ball's diameter, m.")]
+Balls = Annotated[Path | None, typer.Option(help="Table of balls with mass and size, for falls without a bounce.")]
 From = Annotated[float | None, typer.Option("--from", help="Leave out what is before this time of the file, s.")]
 Until = Annotated[float | None, typer.Option("--until", help="Leave out what is after this time of the file, s.")]
 Ignore = Annotated[list[float] | None, typer.Option(help="Leave out the event or frame nearest to this time, s.")]
@@ -57,6 +58,7 @@ def command(
     gravity: Gravity = 9.80665,
     mass: Mass = None,
     diameter: Diameter = None,
+    balls: Balls = None,
     from_s: From = None,
     until_s: Until = None,
     ignore: Ignore = None,
@@ -89,7 +91,7 @@ def command(
         by_hand = Corrections(from_s, until_s, tuple(ignore or ()), tuple(add or ()), parse_region(region), axis)
         request = Request(
             tuple(files), fps, scale, ball_size, scale_uncertainty, fps_uncertainty, tuple(drop_height or ()),
-            height_uncertainty, use_height, gravity, mass, diameter, (by_hand,), seed,
+            height_uncertainty, use_height, gravity, mass, diameter, (by_hand,), seed, balls,
         )  # fmt: skip
         check_request(request)
         if page:

@@ -46,6 +46,7 @@ class Request:
     diameter_m: float | None = None
     corrections: tuple[Corrections, ...] = (NOTHING,)
     seed: int = 1
+    balls: Path | None = None
 
     @property
     def stated(self) -> list[Height | None]:
@@ -73,6 +74,7 @@ class Request:
         """All options, for the record."""
         return dataclasses.asdict(self) | {
             "files": list(map(str, self.files)),
+            "balls": None if self.balls is None else str(self.balls),
             "corrections": [dataclasses.asdict(one) for one in self.corrected],
         }
 
@@ -172,8 +174,16 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
     stated = [request.stated[number] for number, _ in loaded]
     if times and paths:
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
-    parts = _from_times(times, stated, request) if times else _from_paths(paths, stated, request)
-    done = DropTest(request, loaded, *parts)
+    falls = [item.fall is not None for item in paths]
+    if any(falls) and not all(falls):
+        bounced = next(item.name for item in paths if item.fall is None)
+        raise InputError(f"{bounced}: bounces, and other drops do not; run falls without a bounce by themselves")
+    if times:
+        done = DropTest(request, loaded, *_from_times(times, stated, request))
+    elif all(falls):
+        done = DropTest(request, loaded, *_from_falls(paths, [number for number, _ in loaded], request))
+    else:
+        done = DropTest(request, loaded, *_from_paths(paths, stated, request))
     outcome = done.outcome
     not_read = [words for _, item in loaded for words in item.not_read]
     outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read
@@ -218,6 +228,36 @@ def _from_times(drops: list[Drop], stated: list[Height | None], request: Request
         drops = [replace(drop, height_m=height) for drop, height in zip(drops, stated, strict=True)]
         verdict = judge(drops, g, rng, request.drag_limits)
     return of_times(drops, verdict, g, stated, rng, without_heights), times_plot(drops, verdict, g)
+
+
+def _from_falls(paths: list[Path2D], files: list[int], request: Request) -> tuple[Outcome, FitPlot]:
+    """Falls without a bounce: the causes, judged on the other drops of each ball."""
+    from analysis.drop.curves import falls_plot
+    from analysis.drop.fallen import of_falls, weight_shares
+    from analysis.drop.falls.fall import Fall, with_balls
+    from analysis.drop.falls.judge import judge_falls
+    from analysis.drop.read.balls import read_balls
+
+    falls = []
+    for item in paths:
+        if item.fall is None:
+            continue
+        (time, height), frame_s, scale = item.fall, item.frame_s, request.scale_m
+        if frame_s is None and request.fps is None:
+            raise InputError(f"{item.name}: a fall counted in frames; say --fps")
+        if not item.metres and scale is None:
+            raise InputError(f"{item.name}: heights without a unit; head them height (m), or say --scale")
+        step_s = frame_s if frame_s is not None else 1.0 / float(request.fps or 1.0)
+        falls.append(Fall(item.name, "", time * step_s, height * (scale if scale is not None else 1.0)))
+    falls = with_balls(falls)
+    names = list(dict.fromkeys(fall.ball for fall in falls))
+    sizes = read_balls(request.balls, names) if request.balls is not None else {}
+    if request.mass_kg is not None and request.diameter_m is not None:
+        if len(names) > 1:
+            raise InputError(f"--mass and --diameter: of one ball, and these are {len(names)}; give a table as --balls")
+        sizes[names[0]] = (request.mass_kg, request.diameter_m)
+    judged = judge_falls(falls, request.gravity_mps2, weight_shares(sizes))
+    return of_falls(judged, sizes), falls_plot(judged, files)
 
 
 def _from_paths(

@@ -1,0 +1,109 @@
+"""A fall, the law it follows and the axis on which its heights were read, in closed form."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kernels.arrays import Floats
+
+_LARGEST_RISE = 0.05  # of the range: how far a height may go up again in a fall that its noise disturbs
+_LEAST_FALL_SHARE = 0.9  # of the range, between the first and the last samples
+_LEAST_SAMPLES = 8
+_NUMBERED = re.compile(r"[\W_]*(drop|run|trial|fall|test|lancio|versuch)?[\W_]*\d+\W*$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Fall:
+    """One drop of one ball, heights counted upward."""
+
+    name: str
+    ball: str  # drops of one ball share its drag
+    time_s: Floats  # (n,) as the file has them, even or not
+    height_m: Floats  # (n,)
+
+
+def is_fall(time: Floats, height: Floats) -> int:
+    """+1 for a fall whose heights are counted upward, -1 where they are counted downward, 0 for any other motion.
+
+    A fall goes one way, but for its noise, and is faster at its end than at its beginning.
+    """
+    span = float(np.ptp(height))
+    if len(height) < _LEAST_SAMPLES or span <= 0.0 or np.any(np.diff(time) <= 0.0):
+        return 0
+    sign = 1 if height[0] > height[-1] else -1
+    down = -sign * (height - height[0])
+    behind = float((np.maximum.accumulate(down) - down).max())
+    gone = down[-1] - down[0]
+    third = len(down) // 3
+    early, late = (np.polyfit(time[part], down[part], 1)[0] for part in (slice(0, third + 1), slice(-third - 1, None)))
+    falls = behind < _LARGEST_RISE * span and gone > _LEAST_FALL_SHARE * span and late > 1.3 * max(early, 0.0)
+    return sign if falls else 0
+
+
+def with_balls(falls: Sequence[Fall]) -> list[Fall]:
+    """The falls, each with its ball's name: what its own name is without the number of the drop.
+
+    ``NAME (SHEET, drop 1)`` of a workbook is a drop of the ball SHEET, ``tennis-2.csv`` one of the ball tennis, where
+    there is more than one of it: else the number may belong to the ball.
+    """
+    inner = [m.group(1) if (m := re.search(r"\((.*)\)$", f.name)) else "" for f in falls]
+    files = {f.name.split(" (")[0] for f in falls}
+    names = []
+    for fall, label in zip(falls, inner, strict=True):
+        parts = [part.strip() for part in label.split(",")]
+        stem = fall.name.split(" (")[0].rsplit(".", 1)[0]
+        own = ", ".join(parts[:-1]) if len(parts) > 1 else _NUMBERED.sub("", label)
+        names.append(f"{stem} {own}".strip() if len(files) > 1 or not own else own)
+    bare = [_NUMBERED.sub("", name) or name for name in names]
+    several, single = Counter(bare), Counter(names)
+    balls = [b if several[b] > 1 and single[n] == 1 else n for n, b in zip(names, bare, strict=True)]
+    return [replace(fall, ball=ball) for fall, ball in zip(falls, balls, strict=True)]
+
+
+def fallen_m(since_s: Floats, g_mps2: float, k_per_m: float, c_per_s: float) -> Floats:
+    """Way down since the ball was at rest in still air, m; times before that are of a ball that rises.
+
+    Quadratic drag ``k`` (ln cosh, Rayleigh) or linear drag ``c`` (Stokes). A drag below zero is no ball's; it goes on
+    smoothly so that the interval of a drag can hold zero.
+    """
+    if c_per_s:
+        x = c_per_s * since_s
+        small = np.abs(x) < 1e-3
+        safe = np.where(small, 1.0, x)
+        share = np.where(small, 0.5 - x / 6.0, (safe + np.expm1(-safe)) / safe**2)
+        return np.asarray(g_mps2 * since_s**2 * share)
+    if abs(k_per_m) < 1e-9:
+        return 0.5 * g_mps2 * since_s**2
+    size = abs(k_per_m)
+    x = np.sqrt(size * g_mps2) * np.abs(since_s)
+    slowed = (since_s >= 0.0) == (k_per_m > 0.0)
+    with np.errstate(over="ignore"):
+        way = np.where(slowed, x + np.log1p(np.exp(-2.0 * x)) - np.log(2.0), -np.log(np.cos(np.minimum(x, 1.5))))
+    return np.asarray(way / size)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Axis of the heights, m: its middle and half of its length, over all falls of one camera."""
+
+    middle_m: float
+    reach_m: float
+
+    def seen_m(self, height_m: Floats, bend: float) -> Floats:
+        """Height read for a ball at ``height_m``: wrong by ``bend`` times the reach in the middle, right at both ends.
+
+        The scale that goes with it changes by ``4 bend`` from the lower to the upper end: a tilted camera.
+        """
+        h = np.clip((height_m - self.middle_m) / self.reach_m, -1.5, 1.5)
+        return np.asarray(height_m + bend * self.reach_m * (h * h - 1.0))
+
+
+def axis_of(falls: Sequence[Fall]) -> Axis:
+    """The axis that all falls share."""
+    top, bottom = max(float(f.height_m.max()) for f in falls), min(float(f.height_m.min()) for f in falls)
+    return Axis(0.5 * (top + bottom), 0.5 * (top - bottom))

@@ -1,0 +1,191 @@
+"""Causes of what free fall leaves, tried on drops that they were not fitted to."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.drop.falls.fall import Axis, Fall, axis_of
+from analysis.drop.falls.fit import DROP, OWNER, PRIORS, FallFit, fit_falls
+from analysis.drop.laws.bounce_law import BounceModel
+from analysis.drop.laws.choice import Candidate, Verdict, choose
+from analysis.drop.thresholds import LARGEST_MISFIT, LEVEL_SIGMAS
+from kernels.arrays import Floats
+
+# What each cause adds to free fall, by its name in words and in the JSON.
+CAUSES = {
+    "quadratic_drag": "k_per_m", "linear_drag": "c_per_s", "axis_distortion": "bend", "axis_scale": "scale",
+    "release_speed": "lead_s", "steady_wind": "wind_mps",
+}  # fmt: skip
+FREE_FALL = BounceModel("free_fall", ())
+_TOGETHER = (
+    ("quadratic_drag",), ("linear_drag",), ("axis_distortion",), ("axis_scale",),
+    ("quadratic_drag", "axis_distortion"), ("linear_drag", "axis_distortion"), ("quadratic_drag", "axis_scale"),
+    ("quadratic_drag", "axis_distortion", "axis_scale"),
+    ("quadratic_drag", "axis_distortion", "release_speed"), ("quadratic_drag", "axis_distortion", "steady_wind"),
+)  # fmt: skip
+MODELS = (FREE_FALL, *(BounceModel("+".join(one), tuple(CAUSES[c] for c in one)) for one in _TOGETHER))
+_RICHEST = ("k_per_m", "bend", "scale")
+_MOST_WORTH = 0.5  # of a sample: a person who marks a ball, or a tracker, errs alike over several frames
+_STOKES_MPS = 1.0  # beyond which no ball that can be seen has a linear drag in air: a millimetre has Reynolds number 70
+
+
+@dataclass(frozen=True)
+class FallCandidate(Candidate):
+    """A combination of causes, fitted to all falls."""
+
+    fit: FallFit
+    held_out: list[Floats]  # of each fall: read less predicted with what the other falls say, m; empty without others
+    worth: float  # independent samples per sample
+
+    def half(self, name: str, owner: str) -> float:
+        """Half of the 95 % interval of one parameter."""
+        return LEVEL_SIGMAS * self.fit.sigmas[name][owner] / float(np.sqrt(self.worth))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether each drop's scale is one that its distance from the camera may have made: within three sigma."""
+        usual, width = PRIORS["scale"]
+        return all(abs(s - usual) < 3.0 * width for s in self.fit.values.get("scale", {}).values())
+
+    @property
+    def significant(self) -> bool:
+        """Whether each cause is beyond zero for one ball at least; a drag below zero is none.
+
+        What is each drop's own has a prior, and is judged by the drops not fitted to.
+        """
+        for name in (name for name in self.fit.names if OWNER[name] != DROP):
+            away = [(v, self.half(name, owner)) for owner, v in self.fit.values[name].items()]
+            if not any(v > half or (name not in ("k_per_m", "c_per_s") and -v > half) for v, half in away):
+                return False
+        return True
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Falls with everything that was fitted to them."""
+
+    falls: list[Fall]
+    axis: Axis
+    g_mps2: float
+    verdict: Verdict[FallCandidate]
+    wide: FallFit  # drag, distortion, scales and gravity together: what each leaves open of the others
+    alone: dict[str, FallFit]  # the same of each ball by itself
+    gravity: tuple[float, float] | None  # g with half of its 95 % interval, free with the distortion; None: not told
+    worth: float
+
+    @property
+    def best(self) -> FallCandidate:
+        """The model chosen."""
+        return self.verdict.candidate(self.verdict.best)
+
+
+def judge_falls(falls: Sequence[Fall], g_mps2: float, share: Mapping[str, float]) -> Judged:
+    """Fit every combination of causes and choose.
+
+    ``share``: of its weight, what buoyancy and the air that moves with it leave of a ball's acceleration, where its
+    mass and size are known.
+    """
+    axis, known = axis_of(falls), {"share": share}
+    # Residuals are correlated from sample to sample: how much a sample is worth, and so what weighs against a prior.
+    first = fit_falls(falls, axis, _RICHEST, g_mps2, known)
+    worth = _worth(first.left)
+    prior_m = first.sigma_m / float(np.sqrt(worth))
+    candidates = tuple(_candidate(model, falls, axis, g_mps2, known, worth, prior_m) for model in MODELS)
+    fast = max(float(np.ptp(f.height_m) / np.ptp(f.time_s)) for f in falls) > _STOKES_MPS
+    able = [c for c in candidates if c.plausible and not (fast and "c_per_s" in c.model.parameters)]
+    verdict = Verdict(candidates, choose(able))
+    best = verdict.candidate(verdict.best)
+    doubts = []
+    tall = float(np.median([np.ptp(f.height_m) for f in falls]))
+    if best.fit.rms_m > LARGEST_MISFIT * tall:
+        doubts.append(f"the best law leaves {best.fit.rms_m:.2f} m of falls of {tall:.1f} m")
+    free = (*_RICHEST, "g_mps2")
+    wide = fit_falls(falls, axis, free, g_mps2, known, prior_m)
+    alone = {
+        ball: fit_falls([f for f in falls if f.ball == ball], axis, free, g_mps2, known, prior_m, wide)
+        for ball in dict.fromkeys(f.ball for f in falls)
+    }
+    gravity = _gravity(falls, axis, best, g_mps2, known, prior_m, worth)
+    return Judged(list(falls), axis, g_mps2, replace(verdict, doubts=tuple(doubts)), wide, alone, gravity, worth)
+
+
+def drag_of(judged: Judged, ball: str) -> tuple[float, float, float]:
+    """A ball's drag with its 95 % interval, 1/m: that of all balls together, and of this ball by itself.
+
+    Together, the distortion of the axis is better known; by itself, no other ball's errors enter. Both must hold it.
+    """
+    together = judged.best.fit.values["k_per_m"][ball]
+    ends = [together]
+    for fit in (judged.wide, judged.alone[ball]):
+        half = LEVEL_SIGMAS * fit.sigmas["k_per_m"][ball] / float(np.sqrt(judged.worth))
+        ends += [fit.values["k_per_m"][ball] - half, fit.values["k_per_m"][ball] + half]
+    return together, min(ends), max(ends)
+
+
+def _worth(left: Sequence[Floats]) -> float:
+    """Independent samples per sample, from the lag-one correlation of what is left of each fall."""
+    product = sum(float(r[1:] @ r[:-1]) for r in left)
+    rho = min(max(product / max(sum(float(r @ r) for r in left), 1e-300), 0.0), 0.95)
+    return min((1.0 - rho) / (1.0 + rho), _MOST_WORTH)
+
+
+def _candidate(
+    model: BounceModel,
+    falls: Sequence[Fall],
+    axis: Axis,
+    g_mps2: float,
+    known: Mapping[str, Mapping[str, float]],
+    worth: float,
+    prior_m: float,
+) -> FallCandidate:
+    """A model with its error on each drop that has a brother: what the others say, its release alone fitted to it."""
+    fit = fit_falls(falls, axis, model.parameters, g_mps2, known, prior_m)
+    brothers = Counter(fall.ball for fall in falls)
+    own_release = tuple(name for name in model.parameters if OWNER[name] == DROP)
+    scores, held_out = np.zeros(len(falls)), []
+    for i, fall in enumerate(falls):
+        if brothers[fall.ball] < 2:
+            held_out.append(np.empty(0))
+            continue
+        others = [*falls[:i], *falls[i + 1 :]]
+        without = fit_falls(others, axis, model.parameters, g_mps2, known, prior_m, fit)
+        left = fit_falls([fall], axis, own_release, g_mps2, {**known, **without.values}, prior_m, fit).left[0]
+        held_out.append(left)
+        sigma = max(fit.sigma_m, 1e-9)
+        scores[i] = -worth * (len(left) * np.log(sigma) + 0.5 * float(left @ left) / sigma**2)
+    counted = np.array([len(left) > 0 for left in held_out])
+    all_left = np.concatenate([*held_out, np.empty(0)])
+    rms = float(np.sqrt(np.mean(all_left**2))) if len(all_left) else float("nan")
+    return FallCandidate(model, scores, fit.rms_m, rms, bool(counted.any()), fit, held_out, worth)
+
+
+def _gravity(
+    falls: Sequence[Fall],
+    axis: Axis,
+    best: FallCandidate,
+    g_mps2: float,
+    known: Mapping[str, Mapping[str, float]],
+    prior_m: float,
+    worth: float,
+) -> tuple[float, float] | None:
+    """Gravity, free together with the distortion of the axis; None for fewer than three balls.
+
+    One ball's drag, its scale and the distortion take up any gravity. The interval is the wider of the fit's and of
+    the balls' left out one after the other, with where on a distorted axis its scale is right: nothing shows that.
+    """
+    balls = list(dict.fromkeys(f.ball for f in falls))
+    if len(balls) < 3:
+        return None
+    names = tuple(dict.fromkeys([*(n for n in best.model.parameters if n != "scale"), "bend", "g_mps2"]))
+    fit = fit_falls(falls, axis, names, g_mps2, known, prior_m)
+    value, bend = fit.values["g_mps2"][""], fit.values["bend"][""]
+    less = [fit_falls([f for f in falls if f.ball != ball], axis, names, g_mps2, known, prior_m, fit) for ball in balls]
+    each = np.array([one.values["g_mps2"][""] for one in less])
+    jackknife = float(np.sqrt((len(each) - 1) / len(each) * ((each - each.mean()) ** 2).sum()))
+    sigma = max(fit.sigmas["g_mps2"][""] / float(np.sqrt(worth)), jackknife)
+    somewhere = value * 2.0 * abs(bend) / float(np.sqrt(3.0))  # the scale at a place drawn evenly along the axis
+    return value, LEVEL_SIGMAS * float(np.hypot(sigma, somewhere))

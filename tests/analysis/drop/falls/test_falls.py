@@ -1,0 +1,104 @@
+"""Falls without a bounce: read, fitted, and judged by the other drop of each ball."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.drop.fallen import of_falls, weight_shares
+from analysis.drop.falls.fall import Axis, Fall, fallen_m, is_fall, with_balls
+from analysis.drop.falls.judge import judge_falls
+from analysis.drop.load import load_all
+from analysis.drop.read.balls import read_balls
+
+G = 9.80665
+
+
+def falls_of(drags: dict[str, float], bend: float, rng: np.random.Generator, tall: float = 36.0) -> list[Fall]:
+    """Two drops a ball, 15 samples a second at uneven times, noise of 4 cm."""
+    axis = Axis(0.5 * tall, 0.5 * tall)
+    found = []
+    for ball, k in drags.items():
+        for number in (1, 2):
+            time = np.arange(0.0, 4.0, 1.0 / 15.0) + rng.uniform(0.0, 0.002, 60)
+            height = tall - fallen_m(np.maximum(time - 0.1, 0.0), G, k, 0.0)
+            keep = height > 0.0
+            seen = axis.seen_m(height[keep], bend) + 0.04 * rng.standard_normal(int(keep.sum()))
+            found.append(Fall(f"{ball} {number}", ball, time[keep], seen))
+    return found
+
+
+@pytest.mark.parametrize(("k", "c"), [(0.02, 0.0), (-0.01, 0.0), (0.0, 0.3)])
+def test_way_down_solves_the_equation_of_motion(k: float, c: float) -> None:
+    """The closed form's acceleration is gravity less the drag at its own speed."""
+    t = np.linspace(0.05, 2.0, 2001)
+    way = fallen_m(t, G, k, c)
+    speed = np.gradient(way, t)
+    acceleration = np.gradient(speed, t)
+    inside = slice(5, -5)
+    assert np.allclose(acceleration[inside], (G - k * speed**2 - c * speed)[inside], atol=1e-3)
+
+
+def test_only_a_fall_counts_as_one() -> None:
+    """A fall is recognised whichever way its heights are counted; bounces and a steady descent are none."""
+    t = np.arange(20) / 15.0
+    assert is_fall(t, 40.0 - 0.5 * G * t**2) == 1
+    assert is_fall(t, 0.5 * G * t**2) == -1
+    assert is_fall(t, 40.0 - 3.0 * t) == 0
+    assert is_fall(t, np.abs(np.cos(3.0 * t))) == 0
+
+
+def test_drops_are_grouped_by_ball() -> None:
+    """Sheets with numbered drops, and numbered files, are drops of one ball; balls that have a number keep it."""
+    t = np.arange(9.0)
+    names = ["b.xlsx (Ball 1, drop 1)", "b.xlsx (Ball 1, drop 2)", "b.xlsx (Ball 2, drop 1)", "b.xlsx (Ball 2, drop 2)"]
+    assert [f.ball for f in with_balls([Fall(n, "", t, t) for n in names])] == ["Ball 1", "Ball 1", "Ball 2", "Ball 2"]
+    assert [f.ball for f in with_balls([Fall(n, "", t, t) for n in ("golf-1.csv", "golf-2.csv")])] == ["golf", "golf"]
+
+
+def test_drag_and_distortion_are_found_and_a_heavy_balls_drag_is_not() -> None:
+    """Both causes are named, the drags lie in their intervals, gravity holds its truth, a heavy ball's drag is open."""
+    drags = {"light": 0.05, "middle": 0.02, "heavy": 0.001}
+    judged = judge_falls(falls_of(drags, -0.08, np.random.default_rng(345)), G, {})
+    assert {"quadratic_drag", "axis_distortion"} <= set(judged.verdict.best.split("+"))
+    payload = of_falls(judged, {"light": (0.028, 0.0726)}).payload
+    for one in payload["balls"]:
+        k = one["k_per_m"]
+        assert k["low"] <= drags[one["ball"]] <= k["high"]
+        assert one["held_out_rms_m"]["after"] < 0.07
+    assert [one["drag"] for one in payload["balls"]] == ["told", "told", "cannot be told"]
+    assert payload["g_mps2"]["low"] < G < payload["g_mps2"]["high"]
+    assert payload["balls"][0]["drag_coefficient"]["low"] > 0.3
+
+
+def test_free_fall_is_enough_for_a_heavy_ball_on_a_true_axis() -> None:
+    """Nothing is named where nothing is left."""
+    judged = judge_falls(falls_of({"heavy": 0.0}, 0.0, np.random.default_rng(2), tall=10.0), G, {})
+    assert judged.verdict.best == "free_fall"
+
+
+def test_a_ball_dropped_once_names_no_cause() -> None:
+    """Without another drop of the same ball nothing can be borne out."""
+    judged = judge_falls(falls_of({"light": 0.05}, 0.0, np.random.default_rng(3))[:1], G, {})
+    assert judged.verdict.best == "free_fall"
+    assert any("dropped twice" in words for words in of_falls(judged, {}).sentences)
+
+
+def test_masses_and_sizes_are_found_by_name(tmp_path: Path) -> None:
+    """Ounces and circumferences are converted, and a name spelt slightly otherwise is found."""
+    table = tmp_path / "balls.csv"
+    table.write_text("ball,weight (oz),circumference (cm)\nwiffleball1,1,22.8\ngolfball,1.62,13.4\n")
+    found = read_balls(table, ["Whiffle Ball 1", "Bowling Ball"])
+    assert found == {"Whiffle Ball 1": pytest.approx((0.02835, 0.22 * 22.8 / 22.0 / np.pi), rel=1e-3)}
+    assert weight_shares(found)["Whiffle Ball 1"] == pytest.approx(0.987, abs=0.002)
+
+
+def test_measured_falls_are_read_with_their_own_times(data: Path) -> None:
+    """Ten drops of five balls made by others, with time stamps that jitter."""
+    book = data / "tracked" / "falls" / "five_balls.xlsx"
+    if not book.exists():
+        pytest.skip(f"other people's measurements are not at {book}")
+    read = load_all(book)
+    assert len(read) == 10
+    assert all(item.fall is not None and len(item.fall[0]) > 40 for item in read)
+    assert read[0].fall[0][-1] == pytest.approx(2.83666666666)
