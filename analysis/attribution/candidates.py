@@ -51,17 +51,19 @@ def _follows(name: str, q: str) -> bool:
     return bool(effect(name).effect.parameter(q.removesuffix(TREND)).covariate)
 
 
-def _starts(seen: Observations, e: Effect, variant: Sequence[str]) -> list[Point]:
+def _starts(observations: Observations, e: Effect, variant: Sequence[str]) -> list[Point]:
     """Places to start from: those that the data suggest, or a grid, and the null values where they have a slope."""
     parameters, keys = [e.parameter(q) for q in variant], [(e.name, q) for q in variant]
     if any(q.hint == "modulation_hz" for q in parameters):
-        hints = () if seen.modulation is None else seen.modulation.hints()
+        hints = () if observations.modulation is None else observations.modulation.hints()
         suggested = [{"modulation_hz": hz, "modulation_depth": depth} for hz, depth in hints]
         return [{k: x[q.hint] for k, q in zip(keys, parameters, strict=True)} for x in suggested]
     grids = [q.start_grid or (q.null_value,) for q in parameters]
     if set(variant) in map(set, e.tied.values()):
         return [dict.fromkeys(keys, v) for v in (parameters[0].null_value, *grids[0])]
-    grids = [(*g, *seen.hints_hz) if q.hint == "slow_line_hz" else g for g, q in zip(grids, parameters, strict=True)]
+    grids = [
+        (*g, *observations.hints_hz) if q.hint == "slow_line_hz" else g for g, q in zip(grids, parameters, strict=True)
+    ]
     starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
     if not any(q.is_shape for q in parameters):
         starts.insert(0, {k: q.null_value for k, q in zip(keys, parameters, strict=True)})

@@ -87,13 +87,26 @@ class ScoreSpace:
         follow = pinv(normal, rcond=1e-12, hermitian=True) @ (weighted.T @ candidates)
         columns = candidates - nuisances @ follow
         information = (candidates * weight[:, None]).T @ columns
-        own, before = np.diag(information), weight @ candidates**2
-        shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * before)
-        scale = np.where(shown, 1.0 / np.sqrt(np.where(shown, own, 1.0)), 0.0)
+        return cls.scaled(columns, information, weight @ candidates**2, groups, signs)
+
+    @classmethod
+    def scaled(
+        cls,
+        columns: Floats,
+        information: Floats,
+        whole: Floats,
+        groups: Sequence[Columns],
+        signs: Sequence[int] | Integers,
+    ) -> ScoreSpace:
+        """Score space of columns (n, k) and their information (k, k), both less what nuisances can follow.
+
+        ``whole`` is the information of each column before that, (k,).
+        """
+        scale = unit_scale(np.diag(information), whole)
         return cls(
             columns * scale,
             scale[:, None] * 0.5 * (information + information.T) * scale,
-            tuple(kept for g in groups if (kept := tuple(j for j in g if shown[j]))),
+            tuple(shown for g in groups if (shown := tuple(j for j in g if scale[j] > 0.0))),
             np.asarray(signs, dtype=np.int64),
         )
 
@@ -136,6 +149,20 @@ class ScoreSpace:
         return self.best_gains(rng.choice((-1.0, 1.0), (draws, m)) @ parts)
 
 
+def unit_scale(own: Floats, whole: Floats) -> Floats:
+    """Scale that gives each column unit information, (k,); 0 where nuisances can follow nearly all of it.
+
+    ``own`` and ``whole`` are the information of each column beyond the nuisances, and with them known, (k,).
+    """
+    shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * whole)
+    return np.where(shown, 1.0 / np.sqrt(np.where(shown, own, 1.0)), 0.0)
+
+
+def probability_of(gain: float, kinds: Sequence[Floats]) -> float:
+    """Probability of so large a gain by chance, the greatest of several kinds of draws; at least 1 / (draws + 1)."""
+    return max((1.0 + int(np.sum(draws >= gain))) / (len(draws) + 1.0) for draws in kinds)
+
+
 def generator_of(model: ForwardModel) -> np.random.Generator:
     """Random numbers that the recording's content fixes: landings to the nanosecond."""
     landing = np.nan_to_num(1e9 * model.observations.measured.landing_s).round().astype("<i8")
@@ -169,9 +196,7 @@ class ChanceGains:
         Weights, and the residuals whose steps get random signs, are those that ``x`` leaves: its own signal is no
         noise.
         """
-        gain = fitted_gain(self.best, x)
-        beyond = max(int(np.sum(gains >= gain)) for gains in self._gains(x))
-        return (1.0 + beyond) / (self.draws + 1.0)
+        return probability_of(fitted_gain(self.best, x), self._gains(x))
 
     def test(self, accepted: Hypothesis | None, found: Sequence[Hypothesis], p: float) -> ChanceTest | None:
         """The accepted candidate, or the one of greatest gain, and the gain that chance exceeds with probability ``p``.

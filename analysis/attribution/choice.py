@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from analysis.attribution.chance import ChanceGains
-from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.attribution.comparison import (
+    LogScoreDifference,
+    chance_refusal,
+    gain_refusal,
+    penalised_best,
+    required_gain,
+    tied,
+)
 from analysis.attribution.hypothesis import Hypothesis, Rejected
 from analysis.residuals.lack_of_fit import plate_rms_standardised
-from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS, Thresholds
+from analysis.thresholds import FROZEN, Thresholds
 from kernels.arrays import Bools
 
 
@@ -37,8 +44,7 @@ class Judge:
 
     def tied(self, best: Hypothesis, x: Hypothesis) -> bool:
         """Whether the data do not distinguish ``x`` from ``best``."""
-        lead = self.gain(x, best)
-        return not self.finds(x, best) and not lead.exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
+        return not self.finds(x, best) and tied(best.per_step, x.per_step, self.train, self.limits)
 
     def refuted(self, x: Hypothesis, beside: Hypothesis) -> bool:
         """Whether ``x`` leaves more than noise where another hypothesis does not.
@@ -61,31 +67,19 @@ class Judge:
             What the best of all candidates gains by chance beside ``best``; not tested where None.
         """
         limits = self.limits
-        nats, sigmas = limits.first_effect_nats, limits.first_effect_sigmas
-        if depth:
-            nats, sigmas = limits.next_effect_nats, limits.next_effect_sigmas
+        nats, sigmas = required_gain(depth, limits)
         if self.finds(best, x) or self.refuted(best, x):  # a cause may show in few steps
             sigmas = limits.few_steps_sigmas
         gain = self.gain(best, x)
-        if not gain.gain > nats:
-            return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
-        if not gain.exceeds(nats, sigmas):
-            return (
-                f"the steps do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, "
-                f"{gain.clipped:.0f} +- {gain.clipped_error:.0f} where a step counts {MOST_OF_A_STEP_NATS:g} at most; "
-                f"a gain of {nats:g} by {sigmas:g} standard errors is required"
-            )
+        if why := gain_refusal(gain, nats, sigmas):
+            return why
         for channel in x.losses:
             change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)
             if change.exceeds(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
         if any(c.free and not x.fitted.differs(c.free) for c in x.candidates if c not in best.candidates):
             return "the 95 % intervals of its parameters hold the values at which it does nothing"
-        if chance is not None and (p := chance.p(x)) > limits.best_of_all_p:
-            return (
-                f"chance lets the best of all candidates gain as much: p = {p:.2g}, wanted {limits.best_of_all_p:.2g}"
-            )
-        return None
+        return None if chance is None else chance_refusal(chance.p(x), limits)
 
     def _trifling(self, x: Hypothesis, channel: str, loss: LogScoreDifference, gain: LogScoreDifference) -> bool:
         """Whether plate data lose a small part of what the events gain and are still noise.
@@ -94,7 +88,7 @@ class Judge:
         """
         if channel != "plate" or loss.gain > self.limits.tolerated_plate_loss * gain.gain:
             return False
-        return plate_rms_standardised(x.fitted.fitter.model, x.fitted.values) < self.limits.noise_like_ratio
+        return plate_rms_standardised(x.model, x.fitted.values) < self.limits.noise_like_ratio
 
     def choose(
         self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, chance: ChanceGains | None = None

@@ -53,14 +53,14 @@ def _tied_with(key: ParameterId) -> tuple[ParameterId, ...]:
 
 def subsample(model: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> ForwardModel:
     """The same model with at most about ``most`` scored events, spread over the steps in ``train``."""
-    ev = model.observations
-    scored = ev.scored & train[ev.measured.step]
-    counts = np.bincount(ev.measured.step[scored], minlength=len(ev.steps))
+    observations = model.observations
+    scored = observations.scored & train[observations.measured.step]
+    counts = np.bincount(observations.measured.step[scored], minlength=len(observations.steps))
     share = max(most // max(int(np.sum(counts > 0)), 1), LEAST_A_STEP)
     before: Integers = np.cumsum(scored) - scored
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
-    scored &= before - first[ev.measured.step] < share
-    few = replace(ev, scored=scored, measured=replace(ev.measured, wanted=scored))
+    scored &= before - first[observations.measured.step] < share
+    few = replace(observations, scored=scored, measured=replace(observations.measured, wanted=scored))
     return ForwardModel(few, model.declared, like=model)
 
 

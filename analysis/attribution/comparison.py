@@ -1,6 +1,7 @@
-"""Paired differences of held-out log scores.
+"""Paired differences of held-out log scores, and the rules of choice that rest on them.
 
-Steps are the independent replicates. Each step's contribution is also counted clipped, so that no few of them decide.
+Steps of a run, or runs where many are judged together, are the independent replicates. Each one's contribution is also
+counted clipped, so that no few of them decide. Decision 370.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.thresholds import MOST_OF_A_STEP_NATS
+from analysis.thresholds import MOST_OF_A_STEP_NATS, Thresholds
 from kernels.arrays import Bools, Floats
 
 
@@ -46,6 +47,47 @@ class LogScoreDifference:
         return self.gain > max(nats, 0.5 * self.error) and (
             self.gain > sigmas * self.error or self.clipped > max(nats, sigmas * self.clipped_error)
         )
+
+
+def tied(best: Floats, other: Floats, train: Bools, limits: Thresholds) -> bool:
+    """Whether losses by step do not distinguish ``other`` from ``best``."""
+    return not LogScoreDifference.of(other, best, train).exceeds(limits.tie_nats, limits.tie_sigmas)
+
+
+def required_gain(depth: int, limits: Thresholds) -> tuple[float, float]:
+    """Least held-out gain of one effect more, nats and standard errors, where ``depth`` effects are named."""
+    if depth:
+        return limits.next_effect_nats, limits.next_effect_sigmas
+    return limits.first_effect_nats, limits.first_effect_sigmas
+
+
+def gain_refusal(gain: LogScoreDifference, nats: float, sigmas: float, replicate: str = "step") -> str | None:
+    """Reason in words that forbids an effect of this gain; None where the gain suffices.
+
+    Parameters
+    ----------
+    gain
+    nats, sigmas
+        What is required, see `required_gain`.
+    replicate
+        What the gain is a sum over: "step" or "run".
+    """
+    if not gain.gain > nats:
+        return f"too small a gain: {gain.gain:.1f} nats, wanted {nats:g}"
+    if gain.exceeds(nats, sigmas):
+        return None
+    return (
+        f"the {replicate}s do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, "
+        f"{gain.clipped:.0f} +- {gain.clipped_error:.0f} where a {replicate} counts {MOST_OF_A_STEP_NATS:g} at most; "
+        f"a gain of {nats:g} by {sigmas:g} standard errors is required"
+    )
+
+
+def chance_refusal(p: float, limits: Thresholds) -> str | None:
+    """Reason in words where the best of all candidates gains as much by chance with the probability ``p``; or None."""
+    if p <= limits.best_of_all_p:
+        return None
+    return f"chance lets the best of all candidates gain as much: p = {p:.2g}, wanted {limits.best_of_all_p:.2g}"
 
 
 def penalised_best(top: Floats, losses: Sequence[Floats], costs: Sequence[float], train: Bools) -> int:

@@ -77,7 +77,9 @@ class Fitter:
         """Parameter values at the coordinates ``x``."""
         return {k: value_at(k, float(xi)) for k, xi in zip(keys, x, strict=True)}
 
-    def _prior_rows(self, keys: Sequence[ParameterId], released: frozenset[ParameterId]) -> tuple[Floats, Floats]:
+    def prior_rows(
+        self, keys: Sequence[ParameterId], released: frozenset[ParameterId] = frozenset()
+    ) -> tuple[Floats, Floats]:
         """Means and inverse widths of the priors in coordinates; width 0 where nothing is known."""
         mean, inverse = np.zeros(len(keys)), np.zeros(len(keys))
         for i, key in enumerate(keys):
@@ -119,7 +121,7 @@ class Fitter:
         x = np.array(
             [self.to_x(k, start.get(k, self.priors[k].mean if k in self.priors else null_value_of(k))) for k in keys]
         )
-        state = _State(self, whitener, keys, *self._prior_rows(keys, frozenset(free)))
+        state = _State(self, whitener, keys, *self.prior_rows(keys, frozenset(free)))
         raw = state.raw(x)
         loss = state.loss(raw, x)
         if not math.isfinite(loss):
@@ -160,7 +162,7 @@ class Fitter:
         keys = [*free, *(k for k in best.keys if k not in free)]
         at = {**best.values, **(shapes or {})}
         x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
-        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, *free))))
+        state = _State(self, best.state.whitener, keys, *self.prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
         sizes = [j for j, k in enumerate(free) if not parameter_of(k).is_shape]
         state.fill(bare, x, best.raw, sizes, kept=True)
@@ -176,7 +178,7 @@ class Fitter:
         at = {key: null_value_of(key), **best.values, **(shapes or {})}
         keys = [key, *(k for k in at if k != key)]
         x = np.array([self.to_x(k, at[k]) for k in keys])
-        state = _State(self, best.state.whitener, keys, *self._prior_rows(keys, frozenset((*best.free, key))))
+        state = _State(self, best.state.whitener, keys, *self.prior_rows(keys, frozenset((*best.free, key))))
         bare = np.zeros((len(best.raw), 1))
         state.fill(bare, x, best.raw, (0,), kept=True)
         return bare[:, 0]
@@ -251,11 +253,18 @@ def _solve(normal: Floats, gradient: Floats, damping: float, below: Floats, abov
     """Step that lowers the quadratic model within ``below <= step <= above``: what hits a bound stays on it."""
     diagonal = np.diag(normal).copy()
     diagonal[diagonal <= 0] = 1e-12
-    damped = normal + np.diag(damping * diagonal + 1e-12)
+    return bounded_step(normal + np.diag(damping * diagonal + 1e-12), gradient, below, above)
+
+
+def bounded_step(normal: Floats, gradient: Floats, below: Floats, above: Floats, rcond: float | None = None) -> Floats:
+    """Solution of normal equations within ``below <= step <= above``, (p,), by an active set.
+
+    ``rcond`` is that of `scipy.linalg.lstsq`. `scipy.optimize.lsq_linear` wants a Jacobian, which is not there.
+    """
     step, loose = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool)
     for _ in range(len(gradient)):
-        push = gradient[loose] - damped[np.ix_(loose, ~loose)] @ step[~loose]
-        step[loose] = lstsq(damped[np.ix_(loose, loose)], push, rcond=None)[0]
+        push = gradient[loose] - normal[np.ix_(loose, ~loose)] @ step[~loose]
+        step[loose] = lstsq(normal[np.ix_(loose, loose)], push, rcond=rcond)[0]
         beyond = loose & ((step < below) | (step > above))
         if not beyond.any():
             break

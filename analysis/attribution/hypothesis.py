@@ -13,6 +13,7 @@ from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.priors import Prior
 from analysis.linear_algebra import NotFiniteError
+from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import ParameterId
@@ -58,6 +59,16 @@ class Hypothesis:
         return _names(self.candidates)
 
     @property
+    def fitter(self) -> Fitter:
+        """What it was fitted by."""
+        return self.fitted.fitter
+
+    @property
+    def model(self) -> ForwardModel:
+        """The forward model that it is a fit of."""
+        return self.fitted.fitter.model
+
+    @property
     def free(self) -> tuple[ParameterId, ...]:
         """All parameters that the candidates free."""
         return tuple(k for c in self.candidates for k in c.free)
@@ -72,7 +83,7 @@ class Hypothesis:
 
         ``plate_ratio`` is that of plate data where it is another.
         """
-        model, values = self.fitted.fitter.model, self.fitted.values
+        model, values = self.model, self.fitted.values
         flights = rms_standardised(model, values, model.uncertainty(values))
         return flights < ratio and plate_rms_standardised(model, values) < (plate_ratio or ratio)
 
@@ -80,7 +91,7 @@ class Hypothesis:
         """Whether what it leaves passes the verdict's tests of flights, plate data and landings, on all steps."""
         if self.noise_like(limits.lack_ratio, limits.plate_rms_z):
             return True
-        model, values = self.fitted.fitter.model, self.fitted.values
+        model, values = self.model, self.fitted.values
         left = goodness_of_fit(model, values, limits)
         if not (left.flights_pass(limits) and left.plate_passes(limits)):
             return False
@@ -161,7 +172,7 @@ def beside_hidden(x: Hypothesis) -> Hypothesis:
     A high-pass makes an accelerometer's phase early, a low-pass late. At one frequency only their sum can be seen, and
     the weaker one gains nothing that would have it named.
     """
-    fitter, model = x.fitted.fitter, x.fitted.fitter.model
+    fitter, model = x.fitter, x.model
     hidden = {
         key: Prior(*known)
         for name in x.names

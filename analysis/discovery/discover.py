@@ -1,7 +1,7 @@
 """Nonparametric discovery: the missing term as a smooth function of one covariate, where no named effect suffices.
 
 A term is fitted and judged like a named effect, one event ahead and on steps that the fit did not see. It must also
-gain over its own constant. Similar named effects are reported beside it, never in its place.
+gain over its own constant. Similar named effects are reported with it, never in its place.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.comparison import LogScoreDifference, tied
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.describe import describe
@@ -26,7 +25,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import plate_effects
 from analysis.thresholds import ANOTHER_EVENT_S, FROZEN, Thresholds
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Floats
 from model.effects.registry import registry
 from model.integrator.one_step import Predicted
 
@@ -123,23 +122,26 @@ def discover(
     """
     train, tables = fitter.train, covariates(model, explanation.fitted.values)
     found: list[RefinedTerm] = []
-    for kept in _bases(explanation):
-        found += _finalists(TermSearch(model, fitter, explanation, kept, tables), limits)
+    # the effects of plate and instruments are held on to first, then all named ones
+    still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
+    every = explanation.candidates
+    for named in (still,) if len(still) == len(every) else (still, every):
+        found += _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
         best = _least_curved(found, limits)
         if best.scatter < limits.base_rms:
             break
     gain = LogScoreDifference.of(named_loss(model, explanation, train), best.per_step, train)
     if gain.gain < limits.gain_nats:  # the goodness-of-fit tests have refused the named effects already
         return None
-    kept = best.explanation.candidates
-    level = TermSearch(model, fitter, explanation, kept, tables).refine(
+    named = best.explanation.candidates
+    level = TermSearch(model, fitter, explanation, named, tables).refine(
         best.curve.without_covariate(len(model.observations))
     )
     constant = LogScoreDifference.of(level.per_step, best.per_step, train)
     if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
         return None
-    tied = [p for p in found if p is not best and _tied(p, best, train, limits)]
-    return _discovery(best, gain, constant, tied, tables, limits)
+    others = [p for p in found if p is not best and tied(best.per_step, p.per_step, train, limits)]
+    return _discovery(best, gain, constant, others, tables, limits)
 
 
 def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
@@ -162,22 +164,11 @@ def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
         return found + list(pool.map(search.refine, again))
 
 
-def _bases(explanation: Hypothesis) -> list[tuple[Candidate, ...]]:
-    """Named effects kept beside the term: those of plate and instruments first, then all of them."""
-    still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
-    return [still] if len(still) == len(explanation.candidates) else [still, explanation.candidates]
-
-
-def _tied(p: RefinedTerm, best: RefinedTerm, train: Bools, limits: Thresholds) -> bool:
-    lead = LogScoreDifference.of(p.per_step, best.per_step, train)
-    return not lead.exceeds(limits.tie_nats, limits.tie_sigmas)
-
-
 def _discovery(
     best: RefinedTerm,
     gain: LogScoreDifference,
     constant: LogScoreDifference,
-    tied: Sequence[RefinedTerm],
+    others: Sequence[RefinedTerm],
     tables: Mapping[str, Floats],
     limits: Thresholds,
 ) -> Discovery:
@@ -190,9 +181,9 @@ def _discovery(
     low, high = np.clip(values - half, curve.term.low, None), np.clip(values + half, None, curve.term.high)
     if curve.term.name == "force" and curve.term.columns:  # fitted as a pull; a force points up
         values, low, high = -values, -high, -low
-    names = dict.fromkeys(label(p.curve.term)[0] for p in tied)
+    names = dict.fromkeys(label(p.curve.term)[0] for p in others)
     names.pop(words, None)
-    rows, left_out = scored_rows(model, fitted.values, ~fitted.fitter.train)
+    rows, left_out = scored_rows(model, fitted.values, ~best.explanation.fitter.train)
     return Discovery(
         curve.term.name,
         words,

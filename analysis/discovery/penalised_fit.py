@@ -1,7 +1,7 @@
 """Penalised splines of missing terms, fitted to one-step-ahead residuals by Gauss-Newton.
 
 A term with one value for each flight is screened on a table of predictions at constant values: a flight's residual
-depends on its own value alone, so that every covariate can use the same table.
+depends only on its own value, so that every covariate can use the same table.
 """
 
 from __future__ import annotations

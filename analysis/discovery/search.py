@@ -1,6 +1,6 @@
-"""Search for one smooth term beside named effects: all terms are screened, the best are fitted jointly.
+"""Search for one smooth term in addition to named effects: all terms are screened, the best are fitted jointly.
 
-A curve is judged on steps that it was not fitted to, with everything else refitted beside it.
+A curve is judged on steps that it was not fitted to, with everything else refitted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from model.effects.registry import effect
 
 FINALISTS = 5  # screened terms that are fitted jointly, at most
 SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.penalised_fit.TAILS`, for terms within the flight
-SCREENING_SHARE = 0.4  # of the best screened gain: terms that lose no more than this against the best are kept
+SCREENING_SHARE = 0.4  # of the best screened gain: terms that lose no more than this against the best are fitted
 NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
     "since_impact_s": "dwell_s",
     "impact_mps": "previous_impact_mps",
@@ -97,22 +97,22 @@ class RefinedTerm:
     @property
     def held_out(self) -> float:
         """Held-out loss of all steps of the fit."""
-        return float(self.per_step[self.explanation.fitted.fitter.train].sum())
+        return float(self.per_step[self.explanation.fitter.train].sum())
 
 
 class TermSearch:
-    """Search for a term beside the named effects ``kept``."""
+    """Search for a term in addition to the named effects ``named``."""
 
     def __init__(
         self,
         model: ForwardModel,
         fitter: Fitter,
         explanation: Hypothesis,
-        kept: tuple[Candidate, ...],
+        named: tuple[Candidate, ...],
         tables: Mapping[str, Floats],
     ) -> None:
-        self.model, self.fitter, self.train, self.tables, self.kept = model, fitter, fitter.train, tables, kept
-        self.free: tuple[ParameterId, ...] = tuple(k for c in kept for k in c.free)
+        self.model, self.fitter, self.train, self.tables, self.named = model, fitter, fitter.train, tables, named
+        self.free: tuple[ParameterId, ...] = tuple(k for c in named for k in c.free)
         # calibrations may be biased by the missing term: all but the contact's own start from their priors
         self.values = {
             k: v for k, v in explanation.fitted.values.items() if k in self.free or effect(k[0]).effect.nuisance
@@ -182,7 +182,7 @@ class TermSearch:
         )
 
     def _subsampled(self, stack: StackedResiduals, most: int) -> tuple[ForwardModel, Values, StackedResiduals]:
-        """Model, values and stack of at most so many events; landings alone where ``stack`` has no openings."""
+        """Model, values and stack of at most so many events; only landings where ``stack`` has no openings."""
         few = subsample(self.model, self.train, most)
         seen = StackedResiduals.of(few, self.values, self.train)
         return few, self.values, seen if stack.first.any() else seen.landings()
@@ -209,26 +209,26 @@ class TermSearch:
         opening_s, landing_s, folds = self._held_out(curve, values, stack, r, jacobian)
         held = stack.cut(opening_s, landing_s)
         losses = {"events": self._by_step(stack, held), "plate": plate_loss(augmented, values)}
-        explanation = Hypothesis(self.kept, fitted, Whitener.of(augmented, values), losses)
+        explanation = Hypothesis(self.named, fitted, Whitener.of(augmented, values), losses)
         scatter = self._scatter(augmented, values, landing_s)
         return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
 
     def _scatter(self, augmented: AugmentedModel, values: Values, landing_s: Floats) -> float:
         """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
-        ev = self.model.observations
-        rows = ev.scored & self.train[ev.measured.step]
+        observations = self.model.observations
+        rows = observations.scored & self.train[observations.measured.step]
         z = (landing_s / np.hypot(augmented.uncertainty(values).landing_total_s, LEAST_SIGMA_S))[rows]
         return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:
-        ev = self.model.observations
-        return stack.by_step(r, ev.measured.step, len(ev.steps))
+        observations = self.model.observations
+        return stack.by_step(r, observations.measured.step, len(observations.steps))
 
     def _folds(self) -> Iterator[Bools]:
         """Folds of the cross-validation over the steps of the fit: masks of flights, (n,)."""
-        apart, step = np.flatnonzero(self.train), self.model.observations.measured.step
+        fit_steps, step = np.flatnonzero(self.train), self.model.observations.measured.step
         for i in range(CURVE_FOLDS):
-            yield np.isin(step, apart[i::CURVE_FOLDS])
+            yield np.isin(step, fit_steps[i::CURVE_FOLDS])
 
     def _cross_validated_roughness(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:
         """The curve with the smoothing parameter of least loss in 8-fold cross-validation over steps (linearised)."""
@@ -272,7 +272,7 @@ def plate_loss(model: ForwardModel, values: Values) -> Floats:
 
 def named_loss(model: ForwardModel, explanation: Hypothesis, train: Bools) -> Floats:
     """Loss of a named hypothesis by step, computed as in `TermSearch.refine`."""
-    values, ev = explanation.fitted.values, model.observations
+    values, observations = explanation.fitted.values, model.observations
     stack = StackedResiduals.of(model, values, train)
-    events = stack.by_step(stack.residuals(model, values), ev.measured.step, len(ev.steps))
+    events = stack.by_step(stack.residuals(model, values), observations.measured.step, len(observations.steps))
     return np.asarray(events + plate_loss(model, values))

@@ -39,15 +39,17 @@ class StackedResiduals:
     @classmethod
     def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
         """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,)."""
-        ev, u = model.observations, model.uncertainty(values)
-        opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(ev.scored)
+        observations, u = model.observations, model.uncertainty(values)
+        opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(observations.scored)
         event = np.concatenate([opening, landing])
-        step = ev.measured.step[event]
+        step = observations.measured.step[event]
         sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
-        return cls(event, np.arange(len(event)) < len(opening), sigma, ev.steps.plate.period_s[step], train[step])
+        return cls(
+            event, np.arange(len(event)) < len(opening), sigma, observations.steps.plate.period_s[step], train[step]
+        )
 
     def landings(self) -> StackedResiduals:
-        """The landings alone: unlike openings they do not depend on the contact's gap, which a wrong model bends."""
+        """Only the landings: unlike openings they do not depend on the contact's gap, which a wrong model bends."""
         rows = ~self.first
         return StackedResiduals(
             self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows]

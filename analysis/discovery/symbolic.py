@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.attribution.comparison import LogScoreDifference, penalised_best, tied
 from analysis.discovery.descent import Problem, descend, newton_step, normal_equations
 from analysis.discovery.forms import SIZES, Form, forms_for
 from analysis.discovery.search import CURVE_FOLDS, RefinedTerm
@@ -96,7 +96,7 @@ def search_forms(
     judged = [(p, fits.held_out(p)) for p in fitted]
     spline = best.explanation.losses["events"]
     leads = [LogScoreDifference.of(loss, spline, fits.train) for _, loss in judged]
-    good = [not lead.exceeds(limits.tie_nats, limits.tie_sigmas) for lead in leads]
+    good = [tied(spline, loss, fits.train, limits) for _, loss in judged]
     forms = [fits.result(p, lead.gain, lead.error, ok) for (p, _), lead, ok in zip(judged, leads, good, strict=True)]
     losses = [loss for (_, loss), ok in zip(judged, good, strict=True) if ok]
     able = [form for form in forms if form.as_good]
@@ -124,7 +124,7 @@ class _FormFits:
 
     def __init__(self, best: RefinedTerm, tables: Mapping[str, Floats]) -> None:
         self.curve, self.band, self.augmented = best.curve, best.band, best.model
-        self.train, self.values = best.explanation.fitted.fitter.train, best.explanation.fitted.values
+        self.train, self.values = best.explanation.fitter.train, best.explanation.fitted.values
         self.stack = StackedResiduals.of(best.model, self.values, self.train)
         self.span = (float(best.curve.knots[0]), float(best.curve.knots[-1]))
         inside = np.linspace(*self.span, KNOTS)
@@ -204,15 +204,15 @@ class _FormFits:
 
     def held_out(self, p: _Fit) -> Floats:
         """Loss of the events by step, each step's with the values that the others give, (m,)."""
-        ev = self.augmented.observations
-        apart, held = np.flatnonzero(self.train), p.r.copy()
+        observations = self.augmented.observations
+        fit_steps, held = np.flatnonzero(self.train), p.r.copy()
         for i in range(CURVE_FOLDS):
-            fold = np.isin(ev.measured.step, apart[i::CURVE_FOLDS])[self.stack.event]
+            fold = np.isin(observations.measured.step, fit_steps[i::CURVE_FOLDS])[self.stack.event]
             rest = self.stack.without(fold)
             step = newton_step(rest, p.r, p.slopes)
             other = self._within(p.form, p.values + step * self._units(p.form))
             held[fold] = self.residuals(p.form, other)[fold]
-        return self.stack.by_step(held, ev.measured.step, len(ev.steps))
+        return self.stack.by_step(held, observations.measured.step, len(observations.steps))
 
     def result(self, p: _Fit, loss: float, error: float, as_good: bool) -> FittedForm:
         """A fitted form as names and numbers."""

@@ -149,7 +149,7 @@ class Curve:
         return cls(term, knots, np.zeros(k), basis_of(np.linspace(span[0], span[1], KNOTS), knots))
 
     def moved(self, values: Floats) -> Curve:
-        """The same with other values, kept within bounds."""
+        """The same with other values, within bounds."""
         return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis, self.roughness)
 
     @property

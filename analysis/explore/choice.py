@@ -32,7 +32,7 @@ from kernels.arrays import Floats
 CLIP_SIGMAS = 6.0  # of a whitened difference
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
 ENDLESS = 1e3  # times every step on offer: more rig time than there is
-OTHER_ORBIT = 0.05  # difference of mean flight times, relative, that tells two orbits at one gamma apart
+OTHER_ORBIT = 0.05  # difference of mean flight times, relative, beyond which motions at one gamma are different orbits
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Block:
     nats, seconds
         Expected information, and rig time.
     separates
-        The two explanations told apart best, by names.
+        The two explanations that it separates best, by names.
     sharpening
         Part of the information that is about parameters asked for.
     """
@@ -120,7 +120,9 @@ class Pool:
         whitener = Whitener.of(made, truth)
         raw, slopes = slopes_of(made, fitter, whitener, truth, known.keys)
         columns = [whitener.white_slopes(slopes, raw)]
-        columns += [apart(whitener, raw, whitener.stacked(made.residuals(x.values)))[:, None] for x in some]
+        columns += [
+            whitened_difference(whitener, raw, whitener.stacked(made.residuals(x.values)))[:, None] for x in some
+        ]
         every = np.nan_to_num(np.column_stack(columns))
         rows = np.concatenate([whitener.step, made.observations.plate.step])
         events = np.arange(len(rows)) < len(whitener.step)  # as many as are simulated; plate data are a step's already
@@ -134,7 +136,7 @@ class Pool:
         return cls(option, np.array(products), np.array(means))
 
 
-def apart(whitener: Whitener, raw: Floats, other: Floats) -> Floats:
+def whitened_difference(whitener: Whitener, raw: Floats, other: Floats) -> Floats:
     """Whitened difference of two predictions (n,), from bare residuals; 0 where one is of another flight.
 
     A fit cannot follow a flight that becomes another one, and near an edge chance decides which it is.
@@ -192,7 +194,7 @@ def sharpened(total: Floats, known: Weighed, wanted: Sequence[ParameterId]) -> f
 
 
 def sharper(total: Floats, known: Weighed, key: ParameterId) -> float:
-    """Deviation of a parameter after data of products ``total``, over that before, beside the likeliest explanation."""
+    """Deviation of a parameter after data of products ``total``, over that before, under the likeliest explanation."""
     first = known.explanations[0]
     rows, before = known.known_under(replace(first, free=(*first.free, key)))
     some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
@@ -248,8 +250,8 @@ def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[Parameter
     probability /= probability.sum()
 
     def worth(total: Floats) -> float:
-        told = mutual_information(probability, divergences(total, known, some)) if len(some) > 1 else 0.0
-        return told + sharpened(total, known, wanted)
+        nats = mutual_information(probability, divergences(total, known, some)) if len(some) > 1 else 0.0
+        return nats + sharpened(total, known, wanted)
 
     best: Block | None = None
     for pool in pools:
@@ -264,18 +266,10 @@ def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[Parameter
         total = pool.products[list(places)].sum(axis=0)
         nats, seconds = worth(total), pool.option.seconds(places)
         if nats > 0.0 and (best is None or nats / seconds > best.nats / best.seconds):
-            about = _separated(total, known, some, probability)
+            about = some[0].names, some[0].names
+            if len(some) > 1:  # beyond ten nats two explanations count as separated, however far
+                value = np.minimum(divergences(total, known, some), 10.0) * np.outer(probability, probability)
+                i, j = np.unravel_index(int(np.argmax(value)), value.shape)
+                about = some[int(i)].names, some[int(j)].names
             best = Block(pool.option, places, nats, seconds, about, sharpened(total, known, wanted) / nats)
     return best
-
-
-def _separated(
-    total: Floats, known: Weighed, some: Sequence[Explanation], probability: Floats
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The two explanations whose separation is worth most, by probability."""
-    if len(some) < 2:
-        return some[0].names, some[0].names
-    d = divergences(total, known, some)
-    value = np.minimum(d, 10.0) * np.outer(probability, probability)
-    i, j = np.unravel_index(int(np.argmax(value)), value.shape)
-    return some[int(i)].names, some[int(j)].names

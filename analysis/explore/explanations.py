@@ -1,8 +1,8 @@
 """Explanations of what was recorded so far, each with its probability and the size that it would have.
 
-Every candidate of the library is one more effect beside the best set found; its size has a normal prior as wide as the
+Every candidate of the library is one effect more than the best set found; its size has a normal prior as wide as the
 size at which it would matter. Around the best fit everything is linear, so probability and size follow from one set of
-derivatives. What is fitted beside a size goes with it: an explanation contradicts no recording that is there already.
+derivatives. What is fitted with a size goes with it: an explanation contradicts no recording that is there already.
 
 References
 ----------
@@ -61,7 +61,7 @@ class Weighed:
     keys
         Calibrations and nuisances first (``shared`` of them), then what explanations free; K in all.
     information
-        Of the coordinates of ``keys`` from the recordings alone, (K, K).
+        Of the coordinates of ``keys`` from the recordings, without priors, (K, K).
     stiffness
         What the calibrations tell about them, one over their variances, (K,); 0 for what has none.
     """
@@ -79,7 +79,7 @@ class Weighed:
         return rows, self.information[np.ix_(rows, rows)] + np.diag(np.where(own, 0.0, self.stiffness[rows]))
 
     def among(self, names: Sequence[tuple[str, ...]]) -> Weighed:
-        """The same with the explanations ``names`` alone, where the others are not in question."""
+        """The same with the explanations ``names`` only, where the others are not in question."""
         some = [x for x in self.explanations if x.names in names]
         total = sum(x.probability for x in some)
         return replace(self, explanations=tuple(replace(x, probability=x.probability / total) for x in some))
@@ -93,7 +93,7 @@ def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     model, fitter
         The observations and their fits.
     best
-        The best set so far (the declared model alone where nothing was found).
+        The best set so far (the declared model where nothing was found).
     ties
         Other sets that the data do not distinguish from it; they share its probability.
     """
@@ -104,12 +104,13 @@ def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     keys = tuple(dict.fromkeys((*shared, *(k for own in sizes for k in own))))
     raw, slopes = slopes_of(model, fitter, best.whitener, at, keys)
     gradient, information = gradient_and_information(best.whitener, raw, slopes)
-    stiffness = _prior_widths(fitter, keys)
+    stated, sharpness = fitter.prior_rows(keys)
+    stiffness = sharpness**2
     fit = _Fit(
         information,
         gradient,
         stiffness=np.where([k in best.free for k in keys], 0.0, stiffness),
-        off=np.array([_off_prior(fitter, key, at) for key in keys]),
+        off=np.where(sharpness > 0.0, [fitter.to_x(k, at[k]) - x for k, x in zip(keys, stated, strict=True)], 0.0),
         shared=len(shared),
     )
     logs, found = [0.0], [Explanation(best.names, best.free, best.fitted.values, 0.0)]
@@ -120,9 +121,9 @@ def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
         log, mean, deviation = fit.observations(places, x - nulls)
         moved = _within(fitter, own, x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation)
         rest = [k for k in shared if k not in own]
-        beside = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in rest])
-        beside = _within(fitter, rest, beside - fit.follow(places) @ (moved - x))
-        values = {**at, **fitter.values(rest, beside), **fitter.values(own, moved)}
+        others = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in rest])
+        others = _within(fitter, rest, others - fit.follow(places) @ (moved - x))
+        values = {**at, **fitter.values(rest, others), **fitter.values(own, moved)}
         logs.append(log)
         found.append(Explanation((*best.names, *candidate.names), (*best.free, *candidate.free), values, 0.0))
     for rival in ties:
@@ -148,22 +149,6 @@ def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
     }
 
 
-def _prior_widths(fitter: Fitter, keys: Sequence[ParameterId]) -> Floats:
-    """Inverse squared prior widths in coordinates; 0 for what has none."""
-    out = np.zeros(len(keys))
-    for i, key in enumerate(keys):
-        prior = fitter.priors.get(key)
-        if prior is not None:
-            out[i] = (fitter.scale(key) / prior.sigma ** (1.0 / parameter_of(key).power)) ** 2
-    return out
-
-
-def _off_prior(fitter: Fitter, key: ParameterId, at: Values) -> float:
-    """Distance of a calibration from the mean of its prior, in coordinates; 0 for what has none."""
-    prior = fitter.priors.get(key)
-    return 0.0 if prior is None else float(fitter.to_x(key, at[key]) - fitter.to_x(key, prior.mean))
-
-
 @dataclass(frozen=True)
 class _Fit:
     """The linear model around a fit of K coordinates.
@@ -185,7 +170,7 @@ class _Fit:
     shared: int
 
     def _others(self, own: Integers) -> Integers:
-        """Places of what the fit varies beside ``own``."""
+        """Places of what the fit varies other than ``own``."""
         return np.setdiff1d(np.arange(self.shared), own)
 
     def follow(self, own: Integers) -> Floats:
@@ -226,14 +211,14 @@ def _log_evidence(information: Floats, score: Floats, precision: Floats, off: Fl
 
 
 def _normalised(found: Sequence[Explanation], logs: Floats) -> tuple[Explanation, ...]:
-    """With probabilities, of one effect's variants the likeliest alone, the most probable first."""
+    """With probabilities, of one effect's variants only the likeliest, the most probable first."""
     best: dict[tuple[str, ...], int] = {}
     for i, x in enumerate(found):
         if x.names not in best or logs[i] > logs[best[x.names]]:
             best[x.names] = i
-    kept = sorted(best.values(), key=lambda i: -logs[i])
-    weights = np.exp(logs[kept] - np.max(logs[kept]))
+    likeliest = sorted(best.values(), key=lambda i: -logs[i])
+    weights = np.exp(logs[likeliest] - np.max(logs[likeliest]))
     weights /= weights.sum()
-    chosen = [(found[i], float(w)) for i, w in zip(kept, weights, strict=True) if w > IMPROBABLE or i == 0]
+    chosen = [(found[i], float(w)) for i, w in zip(likeliest, weights, strict=True) if w > IMPROBABLE or i == 0]
     total = sum(w for _, w in chosen)
     return tuple(Explanation(x.names, x.free, x.values, w / total) for x, w in chosen)

@@ -13,20 +13,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.attribution.chance import DRAWS, ScoreSpace
-from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.attribution.chance import ScoreSpace, probability_of, unit_scale
+from analysis.attribution.comparison import (
+    LogScoreDifference,
+    chance_refusal,
+    gain_refusal,
+    penalised_best,
+    required_gain,
+    tied,
+)
+from analysis.attribution.fit import bounded_step
 from analysis.attribution.priors import parameter_of, scale_of
 from analysis.joint.alignment import Aligned
 from analysis.joint.population import Population, Quadratic, normal_equations
 from analysis.joint.summary import Option
-from analysis.linear_algebra import pinv
-from analysis.thresholds import LEAST_INFORMATION, Thresholds
+from analysis.thresholds import Thresholds
 from kernels.arrays import Floats, Integers
 
 
 @dataclass(frozen=True)
 class Tested:
-    """A candidate beside what is named.
+    """A candidate, added to what is named.
 
     Attributes
     ----------
@@ -55,7 +62,7 @@ class Tested:
 
 
 class Candidates:
-    """All candidates beside one fit of the population.
+    """All candidates, each added to one fit of the population.
 
     Parameters
     ----------
@@ -75,9 +82,8 @@ class Candidates:
         self._follow = found.covariance @ total[np.ix_(free, tried)]
         bare = total[np.ix_(tried, tried)]
         self._information = bare - total[np.ix_(tried, free)] @ self._follow
-        own, whole = np.diag(self._information), np.diag(bare)
-        self._shown = (own > LEAST_INFORMATION) & (own > LEAST_INFORMATION * whole)
-        self._scale = np.where(self._shown, 1.0 / np.sqrt(np.where(self._shown, own, 1.0)), 0.0)
+        self._whole = np.diag(bare)
+        self._scale = unit_scale(np.diag(self._information), self._whole)
         self._signs = (model.low[tried] >= 0.0).astype(np.int64) - (model.high[tried] <= 0.0).astype(np.int64)
 
     def tested(self, depth: int) -> list[Tested]:
@@ -91,12 +97,12 @@ class Candidates:
         out: dict[tuple[str, ...], Tested] = {}
         for option in self.model.options:
             rows = self.model.places_of(option)
-            shown = rows[self._shown[rows - self.model.named]]
+            shown = rows[self._scale[rows - self.model.named] > 0.0]
             if len(shown) == 0:
                 continue
             free = np.concatenate([self.found.free, shown])
             x = bounded_fit(self.found.runs, self.found.x, self.model, free)
-            gain = self._loss(self.found.x) - self._loss(x)
+            gain = loss_of(self.model, self.found, self.found.x) - loss_of(self.model, self.found, x)
             if gain < self.limits.reported_nats:
                 continue
             losses = left_out_losses(self.model, self.found, free)
@@ -113,10 +119,10 @@ class Candidates:
         passing = [t for t in found if not t.refusal]
         if not passing:
             return None, ()
-        close = [t for t in passing if self._tied(passing[0], t)]
+        close = [t for t in passing if tied(passing[0].losses, t.losses, self.every, self.limits)]
         costs = [self.limits.tie_nats * len(t.option.sizes) for t in close]
         best = close[penalised_best(passing[0].losses, [t.losses for t in close], costs, self.every)]
-        return best, tuple(t for t in found if t is best or self._tied(best, t))
+        return best, tuple(t for t in found if t is best or tied(best.losses, t.losses, self.every, self.limits))
 
     def detection_limits(self) -> dict[str, float]:
         """By ``effect.parameter``, the size that gains `Thresholds.gain_nats` in the fit of all runs.
@@ -126,7 +132,7 @@ class Candidates:
         """
         out: dict[str, float] = {}
         for j, (key, _) in enumerate(self.model.columns[self.model.named :]):
-            if self._shown[j] and key not in self.model.point.own:
+            if self._scale[j] > 0.0 and key not in self.model.point.own:
                 width = np.sqrt(2.0 * self.limits.gain_nats) * self._scale[j] * scale_of(key)
                 name = f"{key[0]}.{key[1]}"
                 out[name] = max(out.get(name, 0.0), float(width ** parameter_of(key).power))
@@ -167,30 +173,11 @@ class Candidates:
         by_runs = self._space(x).by_steps(
             self.every.astype(np.float64), np.arange(len(self.every)), np.random.default_rng(len(self.every))
         )
-        return max((1.0 + int(np.sum(draws >= gain))) / (DRAWS + 1.0) for draws in (self._noise, by_runs))
-
-    def _tied(self, best: Tested, other: Tested) -> bool:
-        lead = LogScoreDifference.of(other.losses, best.losses, self.every)
-        return not lead.exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
+        return probability_of(gain, (self._noise, by_runs))
 
     def _refusal(self, gain: LogScoreDifference, p: float, depth: int) -> str:
-        limits = self.limits
-        nats, sigmas = limits.first_effect_nats, limits.first_effect_sigmas
-        if depth:
-            nats, sigmas = limits.next_effect_nats, limits.next_effect_sigmas
-        if not gain.gain > nats:
-            return f"too small a gain on runs left out: {gain.gain:.1f} nats, wanted {nats:g}"
-        if not gain.exceeds(nats, sigmas):
-            return (
-                f"the runs do not agree on its gain: {gain.gain:.0f} +- {gain.error:.0f} nats, wanted {sigmas:g} "
-                "standard errors"
-            )
-        if p > limits.best_of_all_p:
-            return f"chance lets the best of all candidates gain as much: p = {p:.2g}, wanted {limits.best_of_all_p:g}"
-        return ""
-
-    def _loss(self, x: Floats) -> float:
-        return loss_of(self.model, self.found, x)
+        why = gain_refusal(gain, *required_gain(depth, self.limits), replicate="run")
+        return why or chance_refusal(p, self.limits) or ""
 
     def _space(self, x: Floats) -> ScoreSpace:
         """Scores of each run at ``x``, less what calibrations follow, in units of their deviation."""
@@ -202,9 +189,7 @@ class Candidates:
             parts[i] = slope[tried] - self._follow.T @ (slope[free] - share)
         first = self.model.named
         groups = [tuple(int(j) - first for j in self.model.places_of(o)) for o in self.model.options]
-        kept = tuple(group for g in groups if (group := tuple(j for j in g if self._shown[j])))
-        information = self._scale[:, None] * self._information * self._scale
-        return ScoreSpace(parts * self._scale, 0.5 * (information + information.T), kept, self._signs)
+        return ScoreSpace.scaled(parts, self._information, self._whole, groups, self._signs)
 
 
 def loss_of(model: Aligned, found: Population, x: Floats) -> float:
@@ -215,17 +200,10 @@ def loss_of(model: Aligned, found: Population, x: Floats) -> float:
 
 def bounded_fit(runs: Sequence[Quadratic], start: Floats, model: Aligned, free: Integers) -> Floats:
     """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
-    loose, x = free, start.copy()
-    own = len(model.point.own)
-    for _ in range(len(free)):
-        normal, push = normal_equations(runs, x, model.prior, loose)
-        trial = x.copy()
-        trial[loose] += pinv(normal, rcond=1e-13, hermitian=True) @ push
-        beyond = loose[(loose >= own) & ((trial[loose] < model.low[loose]) | (trial[loose] > model.high[loose]))]
-        if len(beyond) == 0:
-            return trial
-        x[beyond] = np.clip(trial[beyond], model.low[beyond], model.high[beyond])
-        loose = np.setdiff1d(loose, beyond)
+    x, bounded = start.copy(), free >= len(model.point.own)
+    below = np.where(bounded, (model.low - start)[free], -np.inf)
+    above = np.where(bounded, (model.high - start)[free], np.inf)
+    x[free] += bounded_step(*normal_equations(runs, start, model.prior, free), below, above, rcond=1e-13)
     return x
 
 

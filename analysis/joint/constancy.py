@@ -76,7 +76,7 @@ def constancy(values: Floats, sigmas: Floats, time: Floats) -> Constancy:
 
 @dataclass(frozen=True)
 class OneRun:
-    """A run that alone shows a parameter.
+    """The only run that shows a parameter.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class OneRun:
 
 
 def one_run_alone(values: Floats, sigmas: Floats, null: float, width: float) -> OneRun | None:
-    """The run that alone shows a parameter to differ from what does nothing; None where more do, or none does.
+    """The only run that shows a parameter to differ from what does nothing; None where more do, or none does.
 
     Of a run, a value counts that is farther off than `CALIBRATION_SIGMAS`; of the others together, one that Wald's test
     tells from ``null`` at `NULL_P`, with their scatter.

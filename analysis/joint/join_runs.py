@@ -20,7 +20,7 @@ from analysis.attribution.priors import Prior, coordinate_of, null_value_of, par
 from analysis.joint.alignment import Aligned, aligned
 from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses, loss_of
 from analysis.joint.outcome import outcome_of
-from analysis.joint.population import LEAST_SPREAD, Population, alone, fit_population
+from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own, fit_population
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
@@ -178,7 +178,11 @@ class _Search:
             judged = self._judged_again(state, candidates, tested, depth)
             chosen, tied = candidates.chosen([t for t in judged if t.option.names not in self.dropped])
             if chosen is None:
-                self.rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best(judged)}")
+                best = ""
+                if judged:
+                    names, why = judged[0].option.names, judged[0].refusal or "dropped before"
+                    best = f" (the best, {' + '.join(names)}: {why})"
+                self.rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{best}")
                 break
             self.rounds.append(
                 f"round {depth + 1}: {' + '.join(chosen.option.names)} gains {chosen.held_out.gain:.0f} +- "
@@ -207,11 +211,12 @@ class _Search:
         model = aligned(summaries, point, frozenset(n for names in named for n in names))
         start = model.runs[0].origin.copy()
         found = fit_population(model.runs, start, model.width, model.prior, np.arange(model.named, dtype=np.int64))
-        return _State(point, named, summaries, model, _within_bounds(model, found))
+        found = dataclasses.replace(found, x=bounded_fit(found.runs, found.x, model, found.free))
+        return _State(point, named, summaries, model, found)
 
     def _begun_alone(self, state: _State) -> _State:
         """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
-        enough = 2 * self.limits.reserve_every  # steps, for a verdict on a run alone
+        enough = 2 * self.limits.reserve_every  # steps, for a verdict on one run
         odd = [s for s in state.summaries if (s.failed or s.lost) and s.steps >= enough]
         if not odd:
             return state
@@ -278,10 +283,12 @@ class _Search:
         least = min(gains, key=lambda n: gains[n], default=None)
         if least is None or gains[least] > self.limits.first_effect_nats:
             return state
-        self.rounds.append(f"{' + '.join(least)} gains no more than {gains[least]:.1f} nats beside the others: dropped")
+        self.rounds.append(
+            f"{' + '.join(least)} gains no more than {gains[least]:.1f} nats next to the others: dropped"
+        )
         self.dropped.add(least)
-        kept = {k: v for k, v in state.point.shared.items() if k[0] not in least}
-        point = dataclasses.replace(state.point, shared=kept)
+        shared = {k: v for k, v in state.point.shared.items() if k[0] not in least}
+        point = dataclasses.replace(state.point, shared=shared)
         return self._converged(self._at(point, tuple(n for n in state.named if n != least)))
 
     def _own_where_they_differ(self, state: _State) -> _State:
@@ -295,7 +302,7 @@ class _Search:
         priors = dict(state.point.priors)
         for key in keys:
             place = len(state.point.own) + sorted(state.point.shared).index(key)
-            values, sigmas = alone(state.model.runs, state.found, place)
+            values, sigmas = each_on_its_own(state.model.runs, state.found, place)
             width = WIDER * max(float(np.std(values[np.isfinite(sigmas)])), LEAST_WIDTH) * scale_of(key)
             priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
@@ -311,11 +318,6 @@ def _population(state: _State) -> dict[ParameterId, Prior]:
         spread = max(float(state.found.spread[i]), LEAST_SPREAD * float(state.model.width[i])) * scale_of(key)
         out[key] = Prior(value_at(key, float(state.found.x[i])), float(spread ** parameter_of(key).power))
     return out
-
-
-def _within_bounds(model: Aligned, found: Population) -> Population:
-    """The fit with shared parameters inside what is possible."""
-    return dataclasses.replace(found, x=bounded_fit(found.runs, found.x, model, found.free))
 
 
 def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:
@@ -346,11 +348,3 @@ def _days(summaries: Sequence[RunSummary]) -> tuple[Floats, bool]:
     if len(set(seconds.tolist())) < len(seconds):
         return np.arange(len(summaries), dtype=np.float64), False
     return seconds / 86400.0, True
-
-
-def _best(tested: Sequence[Tested]) -> str:
-    """The refused candidate of greatest gain, in words."""
-    if not tested:
-        return ""
-    best = tested[0]
-    return f" (the best, {' + '.join(best.option.names)}: {best.refusal or 'dropped before'})"

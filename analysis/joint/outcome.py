@@ -10,8 +10,8 @@ import numpy as np
 
 from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, value_at
 from analysis.joint.alignment import Aligned, width_of
-from analysis.joint.constancy import Constancy, OneRun, constancy, one_run_alone
-from analysis.joint.population import Population, alone
+from analysis.joint.constancy import OneRun, constancy, one_run_alone
+from analysis.joint.population import Population, each_on_its_own
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, Systematic
 from analysis.joint.summary import RunSummary
 from analysis.joint.systematics import NAMES, PLACES, UNIT_S
@@ -58,18 +58,15 @@ def outcome_of(
         _over_runs(model, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
     )
     runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
-    shared = tuple(_systematic(model, found, name, len(columns) + i) for i, name in enumerate(NAMES))
-    told = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
+    us = 1e6 * UNIT_S
+    shared = tuple(
+        Systematic(name, us * float(found.x[i]), us * found.sigma(i), us * float(model.prior.precision[i] ** -0.5))
+        for i, name in enumerate(NAMES, start=len(columns))
+    )
+    of_the_search = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
     verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
     first = tuple(sorted(parameters, key=lambda x: x.kind != "effect"))
-    return JointVerdict(verdict, names, ties, first, shared, runs, **told)
-
-
-def _systematic(model: Aligned, found: Population, name: str, place: int) -> Systematic:
-    """A shared systematic error, in microseconds."""
-    us = 1e6 * UNIT_S
-    prior = float(model.prior.precision[place] ** -0.5)
-    return Systematic(name, us * float(found.x[place]), us * found.sigma(place), us * prior)
+    return JointVerdict(verdict, names, ties, first, shared, runs, **of_the_search)
 
 
 def _over_runs(
@@ -82,7 +79,7 @@ def _over_runs(
     declared: Prior | None,
 ) -> OverRuns:
     """One parameter over the runs."""
-    values, sigmas = alone(model.runs, found, place)
+    values, sigmas = each_on_its_own(model.runs, found, place)
     own = place < len(model.width)
     if own:
         sigmas = np.where(sigmas < LEAST_SHOWN * model.width[place], sigmas, np.inf)
@@ -90,30 +87,26 @@ def _over_runs(
     effect = not own or model.prior.precision[place] == 0.0
     x, sigma = float(found.x[place]), found.sigma(place)
     spread = float(found.spread[place]) if own else test.spread
+    slope = float(np.sign(test.slope)) * _in_unit(key, x, abs(test.slope))
+    in_units = replace(
+        test, spread=_in_unit(key, x, test.spread), slope=slope, slope_sigma=_in_unit(key, x, test.slope_sigma)
+    )
     inside = [(value_at(key, float(v)), _in_unit(key, float(v), float(s))) for v, s in zip(values, sigmas, strict=True)]
     return OverRuns(
         *key, parameter_of(key).unit, "effect" if effect else "calibration", value_at(key, x), _in_unit(key, x, sigma),
         _in_unit(key, x, spread), tuple(v for v, _ in inside), tuple(s for _, s in inside),
-        _in_units(key, x, test), test.differs(level), _one_run(key, values, sigmas, declared) if effect else None,
+        in_units, test.differs(level), _one_run(key, values, sigmas, declared) if effect else None,
     )  # fmt: skip
 
 
 def _one_run(key: ParameterId, values: Floats, sigmas: Floats, declared: Prior | None) -> OneRun | None:
-    """The run that alone shows a named effect, its others in the parameter's unit."""
+    """The only run that shows a named effect, its others in the parameter's unit."""
     stated = Prior(null_value_of(key), 0.0) if declared is None else declared
     found = one_run_alone(values, sigmas, coordinate_of(key, stated.mean), width_of(key, stated.sigma))
     if found is None:
         return None
     sigma = _in_unit(key, found.others, found.others_sigma)
     return replace(found, others=value_at(key, found.others), others_sigma=sigma)
-
-
-def _in_units(key: ParameterId, x: float, test: Constancy) -> Constancy:
-    """The test with spread and trend in the parameter's unit."""
-    slope = float(np.sign(test.slope)) * _in_unit(key, x, abs(test.slope))
-    return replace(
-        test, spread=_in_unit(key, x, test.spread), slope=slope, slope_sigma=_in_unit(key, x, test.slope_sigma)
-    )
 
 
 def _in_unit(key: ParameterId, x: float, width: float) -> float:

@@ -145,21 +145,15 @@ def fit_population(
     for _ in range(0 if fixed_spread else MOST_ROUNDS):
         found = _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
         squares = np.mean([_own_squares(run, found) for run in runs], axis=0)
-        after = _likeliest_spread(len(runs) * squares * spread**2, len(runs), width)
+        # where -n log s - S / (2 s^2) - s^2 / (2 w^2) is greatest: S is the sum of the deviations' squares over the n
+        # runs, w the width of the half-normal prior (Gelman 2006)
+        n, ratio = len(runs), len(runs) * squares * spread**2 / width**2
+        after = np.asarray(width * np.sqrt(2.0 * ratio / (n + np.sqrt(n**2 + 4.0 * ratio))))
         change = float(np.max(np.abs(after - spread) / width, initial=0.0))
         spread = np.where(after < LEAST_SPREAD * width, 0.0, after)
         if change < SETTLED:
             break
     return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
-
-
-def _likeliest_spread(squares: Floats, runs: int, width: Floats) -> Floats:
-    """Most probable spread of deviations whose squares add up to ``squares``, (q,), with a half-normal prior.
-
-    It is where ``-n log s - S / (2 s^2) - s^2 / (2 w^2)`` is greatest.
-    """
-    ratio = squares / width**2
-    return np.asarray(width * np.sqrt(2.0 * ratio / (runs + np.sqrt(runs**2 + 4.0 * ratio))))
 
 
 def _solved(runs: Sequence[Quadratic], start: Floats, spread: Floats, prior: Prior, free: Integers) -> Population:
@@ -196,7 +190,7 @@ def own_calibrations(run: Quadratic, found: Population) -> Floats:
     return np.asarray(found.x[:q] + spread * solve(inner, spread * run.slope_at(found.x)[:q]))
 
 
-def alone(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Floats, Floats]:
+def each_on_its_own(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Floats, Floats]:
     """Each run's own value of one parameter and its standard deviation, all else as in the population, (R,).
 
     A run's other calibrations are free within the spreads; the one at ``place`` is not drawn to its mean.

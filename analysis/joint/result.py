@@ -60,7 +60,7 @@ class OverRuns:
     differs
         Whether they differ between runs beyond chance.
     one_run
-        The run that alone shows a named effect; None where others show it, too.
+        The only run that shows a named effect; None where others show it, too.
     """
 
     effect: str
@@ -79,7 +79,7 @@ class OverRuns:
 
 @dataclass(frozen=True)
 class Systematic:
-    """A systematic error of the contact's edges that all runs share, fitted beside everything else.
+    """A systematic error of the contact's edges that all runs share, fitted with everything else.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Systematic:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate beside the declared model: gain of all runs, gain on runs left out, and its probability by chance."""
+    """A candidate added to the declared model: gain of all runs, gain on runs left out, probability by chance."""
 
     names: tuple[str, ...]
     gain: float
@@ -156,7 +156,7 @@ class JointVerdict:
 
     @property
     def of_one_run(self) -> tuple[tuple[OverRuns, OneRun, RunOutcome], ...]:
-        """Named parameters that one run alone shows, what the others say, and that run."""
+        """Named parameters that only one run shows, what the others say, and that run."""
         return tuple((x, x.one_run, self.runs[x.one_run.place]) for x in self.parameters if x.one_run is not None)
 
     @property

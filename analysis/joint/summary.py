@@ -24,7 +24,7 @@ from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
-from analysis.residuals.observations import Observations, observations_from
+from analysis.residuals.observations import observations_from
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener
@@ -32,7 +32,6 @@ from analysis.thresholds import Thresholds
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from kernels.arrays import Floats
 from model.effects.registry import resolve
 
 Row = dict[str, Any]
@@ -88,7 +87,7 @@ class Option:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What is kept of one run.
+    """What remains of one run.
 
     Attributes
     ----------
@@ -134,14 +133,20 @@ class RunSummary:
     def as_row(self) -> Row:
         """For a journal: numbers, texts and arrays packed as text."""
         flat = {k: v for k, v in vars(self).items() if k not in ("columns", "options", "quadratic")}
-        packed = {k: _packed(v) for k, v in vars(self.quadratic).items()}
+        packed = {
+            k: base64.b64encode(np.ascontiguousarray(v, dtype="<f8").tobytes()).decode("ascii")
+            for k, v in vars(self.quadratic).items()
+        }
         return {**flat, **packed, "columns": self.columns, "options": [(o.names, o.sizes) for o in self.options]}
 
     @classmethod
     def from_row(cls, row: Row) -> RunSummary:
         """From a journal."""
         k = len(row["columns"])
-        arrays = {name: _unpacked(row[name]) for name in ("origin", "gradient", "information")}
+        arrays = {
+            name: np.frombuffer(base64.b64decode(row[name]), dtype="<f8").astype(np.float64)
+            for name in ("origin", "gradient", "information")
+        }
         quadratic = Quadratic(arrays["origin"], arrays["gradient"], arrays["information"].reshape(k, k))
         tuples = {k: tuple(row[k]) for k in ("failed", "systematic_sigma")}
         flat = {k: v for k, v in row.items() if k not in (*arrays, "columns", "options")} | tuples
@@ -171,14 +176,20 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
     """
     with open_recording(path) as opened:
         started = str(opened.attrs.get("started") or "")
-    seen = observations_from([path], setup=setup)
-    if len(seen.steps) < LEAST_STEPS or not len(seen.plate):
+    observations = observations_from([path], setup=setup)
+    if len(observations.steps) < LEAST_STEPS or not len(observations.plate):
         raise InputError(
-            f"{path}: wanted at least {LEAST_STEPS} steps whose plate motion can be measured, found {len(seen.steps)}; "
-            "leave this recording out"
+            f"{path}: wanted at least {LEAST_STEPS} steps whose plate motion can be measured, found "
+            f"{len(observations.steps)}; leave this recording out"
         )
-    model = ForwardModel(seen, _with_shared(seen, point))
-    fitter = Fitter(model, {**point.priors, **point.population}, np.ones(len(seen.steps), dtype=np.bool_))
+    effects: dict[str, dict[str, float]] = {}
+    for (name, q), value in point.shared.items():
+        effects.setdefault(name, {})[q] = value
+    declared = resolve(observations.setup.declared_values())
+    # what is shared is added to what is declared, or takes its place; `resolve` fills in the other parameters
+    declared |= {name: {**declared.get(name, {}), **own} for name, own in resolve(effects).items()}
+    model = ForwardModel(observations, declared)
+    fitter = Fitter(model, {**point.priors, **point.population}, np.ones(len(observations.steps), dtype=np.bool_))
     fitted = Refits(fitter).converged((), Whitener.of(model, {}), (), {})
     options = _options(model, fitted)
     named = (*((key, ()) for key in (*point.own, *sorted(point.shared))), *PLACES)
@@ -186,11 +197,11 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
     values = fitted.fitted.values
     quadratic, systematic_sigma = _to_second_order(model, fitter, fitted, columns)
     left = goodness_of_fit(model, values, limits)
-    rows, left_out = scored_rows(model, values, np.ones(len(seen.steps), dtype=np.bool_))
+    rows, left_out = scored_rows(model, values, np.ones(len(observations.steps), dtype=np.bool_))
     after, floors = held_out_errors(model, values, rows, left_out), noise_floors_us(model, values, rows)
     return RunSummary(
-        str(path), started, columns, options, quadratic, systematic_sigma, len(seen), len(seen.steps), left.ratio,
-        left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us), float(floors[0]),
+        str(path), started, columns, options, quadratic, systematic_sigma, len(observations), len(observations.steps),
+        left.ratio, left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us), float(floors[0]),
         tuple(x.test for x in failed_tests(False, left, after, floors, limits)),
         bool(fitted.whitener.lost),
     )  # fmt: skip
@@ -206,17 +217,8 @@ def common_priors(each: Sequence[Mapping[ParameterId, Prior]]) -> dict[Parameter
     return out
 
 
-def _with_shared(seen: Observations, point: Point) -> dict[str, dict[str, float]]:
-    """Declared effects, with what is shared added or put in their place."""
-    declared = resolve(seen.setup.declared_values())
-    found: dict[str, dict[str, float]] = {}
-    for (name, q), value in point.shared.items():
-        found.setdefault(name, {})[q] = value
-    return {**declared, **{name: {**declared.get(name, {}), **own} for name, own in resolve(found).items()}}
-
-
 def _options(model: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
-    """Candidates beside what is named; a drift within a run belongs to that run and is left to `close_loop`."""
+    """Candidates to be added to what is named; a drift within a run belongs to that run and is left to `close_loop`."""
     out: dict[tuple[Place, ...], Option] = {}
     for candidate in candidates_of(model):
         if any(q.endswith(TREND) for _, q in candidate.free):
@@ -244,14 +246,6 @@ def _to_second_order(
     for i, (key, _) in enumerate(columns[: int(np.flatnonzero(ours)[0])]):
         origin[i] = coordinate_of(key, at.get(key, null_value_of(key)))
     return Quadratic(origin, *adjusted_gradient_and_information(whitener, raw, both)), errors.sigma
-
-
-def _packed(x: Floats) -> str:
-    return base64.b64encode(np.ascontiguousarray(x, dtype="<f8").tobytes()).decode("ascii")
-
-
-def _unpacked(text: str) -> Floats:
-    return np.frombuffer(base64.b64decode(text), dtype="<f8").astype(np.float64)
 
 
 def _place(entry: Sequence[Any]) -> Place:

@@ -2,9 +2,9 @@
 
 An estimator of edges errs alike in every run, by its threshold, the sampling, or the edges that it does not see. Ten
 runs average noise, and not this. So each run's summary has derivatives to these errors too, and one value of each,
-common to all runs, is fitted beside every candidate: only what such an error cannot imitate can be named.
+common to all runs, is fitted with every candidate: only what such an error cannot imitate can be named.
 
-What delays both edges alike is a calibration of each run, `contact_latency`. Openings may be off beside closings. And a
+What delays both edges alike is a calibration of each run, `contact_latency`. Openings may be off against closings. A
 contact from which the ball leaves at once is seen only where noise or sampling has made it longer, so its closing is
 dated too early: by up to half of its length, and by no more than an edge's own uncertainty. Decision 158.
 """
@@ -48,8 +48,8 @@ class Systematics:
     @classmethod
     def of(cls, model: ForwardModel, whitener: Whitener, at: Values) -> Systematics:
         """From one run at the parameter values ``at``."""
-        seen = model.observations
-        brief = np.append(seen.measured.relaunched[1:] & seen.measured.linked[1:], False)
+        observations = model.observations
+        brief = np.append(observations.measured.relaunched[1:] & observations.measured.linked[1:], False)
         now = model.residuals(at)
         raw, columns = whitener.stacked(now), []
         for closings, openings in ((np.zeros_like(brief), 1.0), (brief, 0.0)):
@@ -57,15 +57,22 @@ class Systematics:
             earlier = model.predict(at, landing_shift_s=-late_s, near=now.predicted)
             there = replace(
                 now,
-                landing_s=np.where(seen.scored, seen.measured.landing_s - late_s - earlier.landing_s, np.nan),
+                landing_s=np.where(
+                    observations.scored, observations.measured.landing_s - late_s - earlier.landing_s, np.nan
+                ),
                 opening_s=np.where(
-                    model.from_rest, seen.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s, np.nan
+                    model.from_rest,
+                    observations.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s,
+                    np.nan,
                 ),
             )
             change = of_same_events(whitener.stacked(there) - raw, whitener)
             columns.append(change * UNIT_S / EDGE_STEP_S)
-        opening_s, closing_s = _typical(seen.opening_sigma_s, model.from_rest), _typical(seen.landing_sigma_s, brief)
-        sigma_s = (SHARED_PART * opening_s, min(0.5 * seen.closure_s, closing_s))
+        opening_s, closing_s = (
+            _typical(observations.opening_sigma_s, model.from_rest),
+            _typical(observations.landing_sigma_s, brief),
+        )
+        sigma_s = (SHARED_PART * opening_s, min(0.5 * observations.closure_s, closing_s))
         return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
 
 

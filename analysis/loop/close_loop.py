@@ -1,7 +1,7 @@
 """The closed loop: recordings in; residual, missing effect, errors before and after, and the verdict out.
 
 Steps held out at the start are used once, at the end. "Explained" needs a named cause, a remainder that is noise, and
-errors on the held-out steps that noise alone explains. What is not known is called unexplained. Decision 277.
+errors on the held-out steps that noise explains. What is not known is called unexplained. Decision 277.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, Rejected, SelectionResult, beside_hidden
+from analysis.attribution.hypothesis import Rejected, SelectionResult, beside_hidden
 from analysis.attribution.priors import priors_of
 from analysis.attribution.selection import StepwiseSelection
 from analysis.discovery.discover import discover
@@ -42,7 +42,7 @@ from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Bools
 from model.effects.registry import effect, resolve
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def fit_loop(
     progress: Progress | None = None,
     anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop]:
-    """`close_loop`, with the fitted model beside its result: next runs are ranked by it."""
+    """`close_loop`, with the fitted model behind its result: next runs are ranked by it."""
     say = progress or (lambda what, part: None)
     scans: list[Flights] = []
 
@@ -233,7 +233,7 @@ def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedL
     found, notes = None, loop.notes
     if loop.verdict == "unexplained":
         try:
-            found = discover(fitted.model, best.fitted.fitter, best, loop.limits)
+            found = discover(fitted.model, best.fitter, best, loop.limits)
         except NotFiniteError as error:
             notes = (*notes, f"the search for a smooth term ended early: {error}")
     first = first_bifurcations(flights, loop.setup, loop.improved_effects())
@@ -289,7 +289,11 @@ def withdraw_unconfirmed(
         return found
     chain = [*(found.earlier or (found.before,)), found.best]
     while len(chain) > 1:
-        worse, better = (_unseen_losses(model, x, train) for x in chain[-2:])
+        losses = []  # of each step by a fit that had not seen it: held out in turn, or reserved
+        for x in chain[-2:]:
+            reserved = np.asarray(sum(step_losses(model, x.whitener, model.residuals(x.fitted.values)).values()))
+            losses.append(np.where(train, x.per_step, reserved))
+        worse, better = losses
         stands, gain = confirmed_on_reserve(worse, better, train, limits, further=len(chain) > 2)
         if stands:
             break
@@ -304,12 +308,6 @@ def withdraw_unconfirmed(
             earlier=tuple(chain[:-1]),
         )
     return found
-
-
-def _unseen_losses(model: ForwardModel, x: Hypothesis, train: Bools) -> Floats:
-    """Loss of each step by a fit that had not seen it: held out in turn, or reserved."""
-    reserved = np.asarray(sum(step_losses(model, x.whitener, model.residuals(x.fitted.values)).values()))
-    return np.where(train, x.per_step, reserved)
 
 
 def _notes(observations: Observations, selection: SelectionResult) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Discrimination design: the run that would separate hypotheses which the data cannot tell apart.
+"""Discrimination design: the run that would separate hypotheses which the data do not separate.
 
 Every candidate run is simulated under the best hypothesis, and its rivals are fitted to that simulation. The value of
 a run is the loss of the best-fitting rival, in nats (Box and Hill, Technometrics 9, 57, 1967).
@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.priors import Prior, priors_of
+from analysis.attribution.priors import Prior, null_value_of, priors_of
 from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
@@ -47,7 +46,7 @@ class Design:
     ratio, gammas, order
         Of the ramp; ``gammas`` rise from start to stop.
     priors
-        Standard deviations from a calibration beside the run (flip test, drop test), by parameter.
+        Standard deviations from a calibration made with the run (flip test, drop test), by parameter.
     """
 
     id: str
@@ -68,7 +67,7 @@ class Ranked:
 
 
 def designs_for(gamma: Floats, ratio: int) -> list[Design]:
-    """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations beside.
+    """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations with it.
 
     Parameters
     ----------
@@ -92,15 +91,10 @@ def designs_for(gamma: Floats, ratio: int) -> list[Design]:
     out.append(Design("farther_ratio_2", "c = 2, farther into the irregular range", 2, over(2.0 * high, 2)))
     out.append(Design("shuffled", "the same steps, shuffled", ratio, same, "shuffled"))
     for test, words in (("flip test", "flip test of the accelerometer"), ("drop test", "drop test along the rod")):
-        name, beside = test.replace(" ", "_"), f"the same ramp after a {words}"
-        out.append(Design(name, beside, ratio, same, priors=_calibrated_by(test)))
+        every = ((r.effect.name, q) for r in registry() for q in r.effect.parameters)
+        priors = {(name, q.name): q.calibrated_by[test] for name, q in every if test in q.calibrated_by}
+        out.append(Design(test.replace(" ", "_"), f"the same ramp after a {words}", ratio, same, priors=priors))
     return out
-
-
-def _calibrated_by(test: str) -> dict[ParameterId, float]:
-    """Standard deviations of the parameters that a measurement beside the run would give."""
-    every = ((r.effect.name, q) for r in registry() for q in r.effect.parameters)
-    return {(name, q.name): q.calibrated_by[test] for name, q in every if test in q.calibrated_by}
 
 
 def rank(fitted: FittedLoop, designs: Sequence[Design]) -> list[Ranked]:
@@ -115,26 +109,15 @@ def rank(fitted: FittedLoop, designs: Sequence[Design]) -> list[Ranked]:
     out = []
     for design in designs:
         made = ForwardModel(simulate_design(design, model, best.fitted.values), model.declared)
-        priors = _priors(model.observations.setup, design, best)
+        priors = priors_of(model.observations.setup)
+        for key, sigma in design.priors.items():  # a calibration made with the run finds what the best hypothesis says
+            priors[key] = Prior(best.fitted.values.get(key, null_value_of(key)), sigma)
         fitter = Fitter(made, priors, np.ones(len(made.observations.steps), dtype=bool))
         whitener = Whitener.of(made, best.fitted.values)
-        losses = [(_loss(fitter, whitener, rival), rival.names) for rival in rivals]
+        losses = [(float(fitter.fit(whitener, x.free, x.fitted.values).loss), x.names) for x in rivals]
         nats, names = min(losses)
         out.append(Ranked(design, nats, names))
     return sorted(out, key=lambda r: -r.nats)
-
-
-def _loss(fitter: Fitter, whitener: Whitener, rival: Hypothesis) -> float:
-    """Loss of the rival fitted to the simulated run."""
-    return float(fitter.fit(whitener, rival.free, rival.fitted.values).loss)
-
-
-def _priors(setup: Setup, design: Design, best: Hypothesis) -> dict[ParameterId, Prior]:
-    """Priors of the next run: the profile's, and those of the calibration beside it if the best hypothesis is true."""
-    priors = priors_of(setup)
-    for key, sigma in design.priors.items():
-        priors[key] = Prior(best.fitted.values.get(key, effect(key[0]).effect.parameter(key[1]).null_value), sigma)
-    return priors
 
 
 def simulate_design(design: Design, model: ForwardModel, fitted: Values) -> Observations:
@@ -161,12 +144,12 @@ def simulate_steps(
     carried
         Whether the motion at the end of a step is the start of the next one, as on a rig; else each starts from rest.
     """
-    ev = model.observations
+    observations = model.observations
     values = model.start(fitted)
     omega = 2 * math.pi * setup.forcing.frequency_hz
     tones = setup.forcing.displacement_tones()
     m, k = len(gammas), len(tones)
-    z = np.zeros((m, ev.steps.sigma_mps2.shape[1]), complex)
+    z = np.zeros((m, observations.steps.sigma_mps2.shape[1]), complex)
     w = np.ones_like(z, dtype=float)
     for j, (multiple, amplitude) in enumerate(tones):
         z[:, j] = -setup.g_mps2.value * gammas * multiple**2 * amplitude
@@ -174,7 +157,9 @@ def simulate_steps(
     plate = PlateSteps(w, z, np.full(m, 2 * math.pi / omega))
     spread = np.zeros((m, 2 * z.shape[1], z.shape[1]), complex)
     for j in range(2 * k):
-        spread[:, j, j // 2] = (1.0, 1j)[j % 2] * float(np.median(ev.steps.sigma_mps2[ev.steps.forcing]))
+        spread[:, j, j // 2] = (1.0, 1j)[j % 2] * float(
+            np.median(observations.steps.sigma_mps2[observations.steps.forcing])
+        )
     part = (np.arange(m) + 0.5) / m - 0.5
     forcing = np.zeros(w.shape, dtype=bool)
     forcing[:, :k] = True
@@ -182,16 +167,18 @@ def simulate_steps(
     steps = Steps(np.zeros(m, dtype=np.int64), np.arange(m), gammas, ratio, part, plate, spread, forcing)
     measured = _flights(values, plate, part, setup.g_mps2.value, carried)
     n = len(measured.landing_s)
-    opening_sigma, landing_sigma = (np.full(n, float(np.median(x))) for x in (ev.opening_sigma_s, ev.landing_sigma_s))
-    data = _plate_rows(ev.plate, steps, k)
+    opening_sigma, landing_sigma = (
+        np.full(n, float(np.median(x))) for x in (observations.opening_sigma_s, observations.landing_sigma_s)
+    )
+    data = _plate_rows(observations.plate, steps, k)
     made = replace(
-        ev,
+        observations,
         measured=measured,
         opening_sigma_s=opening_sigma,
         landing_sigma_s=landing_sigma,
         scored=measured.wanted,
         time_s=measured.landing_s,
-        weak_mps=np.full(n, float(np.min(ev.weak_mps, initial=np.inf))),
+        weak_mps=np.full(n, float(np.min(observations.weak_mps, initial=np.inf))),
         steps=steps,
         plate=data,
         setup=setup,

@@ -159,6 +159,9 @@ class _Writer:
         followed = self._followed()
         if followed:
             parameters.append(self._covariate(followed))
+        fitted = ["size"]
+        if form is not None:
+            fitted = [self._named(*pair) for pair in zip(form.parameters, form.kinds, strict=True)]
         table = "" if form is not None else _array("KNOTS", f.knots) + _array("VALUES", f.values) + "\n"
         y = "size * straight_between(x, KNOTS, VALUES)" if form is None else form.expression
         installed = [(n, c) for n, c in f.similar_effects if n not in {path.stem for path in kept_files()}]
@@ -180,7 +183,7 @@ class _Writer:
                 "    parameters=(\n",
                 *parameters,
                 "    ),\n",
-                f"    variants=(({', '.join(f'{chr(34)}{n}{chr(34)}' for n in self._fitted_names(form))},),),\n",
+                f"    variants=(({', '.join(f'{chr(34)}{n}{chr(34)}' for n in fitted)},),),\n",
                 f"    confused_with={{\n{alike}    }},\n" if alike else "",
                 f"    reference={_quoted('found by bench close-loop on ' + self._recordings())},\n",
                 ")\n\n\n",
@@ -229,15 +232,20 @@ class _Writer:
         f = self.found
         low, high = float(f.knots[0]), float(f.knots[-1])
         reach, wide = max(abs(low), abs(high)), high - low
+        x = f.covariate
+        meaning = {
+            "value": "size", "slope": f"change with {x}", "curvature": f"change with the square of {x}",
+            "width": f"{x} over which it changes", "place": f"{x} at which it lies", "power": f"power of {x}",
+        }  # fmt: skip
         over = {"value": 1.0, "slope": reach, "curvature": reach**2}
-        alone = sum(kind in SIZES for kind in form.kinds) == 1 and f.term != "force"
+        positive = sum(kind in SIZES for kind in form.kinds) == 1 and f.term != "force"
         out = []
         for own, kind, unit, value in zip(form.parameters, form.kinds, form.units, form.values, strict=True):
             found = float(f"{value:.4g}")
             name = self._named(own, kind)
             if kind in SIZES:
                 most = max(MOST[f.term] / over[kind], 3.0 * abs(value))
-                scale, ends = SCALES[f.term_unit] / over[kind], (0.0 if alone else -most, most)
+                scale, ends = SCALES[f.term_unit] / over[kind], (0.0 if positive else -most, most)
             else:
                 ends, scale = {
                     "width": ((0.01 * wide, 10.0 * wide), 0.1 * wide),
@@ -248,15 +256,9 @@ class _Writer:
             numbers = ", ".join(_short(x) for x in (*ends, scale))
             out.append(
                 f'        Parameter(\n            "{name}", "{unit}", {numbers},{shape}\n'
-                f'            start_grid=({found!r},), meaning="{self._meaning(kind)}",\n        ),\n'
+                f'            start_grid=({found!r},), meaning="{meaning[kind]}",\n        ),\n'
             )
         return out
-
-    def _meaning(self, kind: str) -> str:
-        x = self.found.covariate
-        words = {"slope": f"change with {x}", "curvature": f"change with the square of {x}", "power": f"power of {x}"}
-        places = {"value": "size", "width": f"{x} over which it changes", "place": f"{x} at which it lies"}
-        return (words | places)[kind]
 
     def _named(self, own: str, kind: str) -> str:
         """Name of a parameter with its unit's suffix."""
@@ -266,11 +268,6 @@ class _Writer:
             power = "2" if kind == "curvature" else ""
             parts = [y, f"per_{x}{power}" if x else ""]
         return "_".join([own, *(part for part in parts if part)])
-
-    def _fitted_names(self, form: FittedForm | None) -> list[str]:
-        return (
-            ["size"] if form is None else [self._named(*pair) for pair in zip(form.parameters, form.kinds, strict=True)]
-        )
 
     def _followed(self) -> str:
         """Covariate that is no argument of the hook: a parameter stands for it."""

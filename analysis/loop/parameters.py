@@ -29,7 +29,7 @@ def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:
 
 
 def fitted_calibrations(best: Hypothesis) -> tuple[Calibration, ...]:
-    """Every calibration that the fit left free beside the effects of ``best``, in alphabetical order."""
+    """Every calibration that the fit left free along with the effects of ``best``, in alphabetical order."""
     fitted = best.fitted
     return tuple(
         Calibration(*key, float(fitted.values[key]), fitted.sigma(key), prior.mean, prior.sigma)

@@ -1,6 +1,6 @@
 """Result of a closed loop: numbers, arrays and names, with no fit and no model behind them.
 
-The report, its figures, the sentences, the JSON and the improved profile are functions of this value alone.
+The report, its figures, the sentences, the JSON and the improved profile are functions of this value only.
 Decision 123.
 """
 
@@ -201,7 +201,7 @@ class PlateTable:
 class Source:
     """Provenance of one recording, as its file states it.
 
-    ``identity`` is `daq.recording.identity.stored_id`, by which the verdict is found again beside the recording.
+    ``identity`` is `daq.recording.identity.stored_id`, by which the verdict is found again next to the recording.
     """
 
     file: str
@@ -329,7 +329,7 @@ class ClosedLoop:
         return tuple(p for p in self.parameters if p.added)
 
     def improved_effects(self) -> dict[str, dict[str, float]]:
-        """Declared and added effects, trends apart, by effect and parameter: the improved model."""
+        """Declared and added effects, without trends, by effect and parameter: the improved model."""
         out = {name: dict(table) for name, table in resolve(self.setup.declared_values()).items()}
         for p in self.added:
             if not p.trend:

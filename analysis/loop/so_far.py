@@ -86,24 +86,24 @@ def level_of_look(look: int) -> float:
     return RUN_P / (look * (look + 1))
 
 
-def judge_so_far(seen: Observations, look: int) -> SoFar | None:
+def judge_so_far(observations: Observations, look: int) -> SoFar | None:
     """Judge a run by what it has recorded so far; None without flights to judge.
 
     Parameters
     ----------
-    seen
+    observations
         Of all finished steps.
     look
         The number of this look at the run, from 1; looks may be left out.
     """
-    if not seen.scored.any():
+    if not observations.scored.any():
         return None
-    model = ForwardModel(seen, resolve(seen.setup.declared_values()))
-    fitter = Fitter(model, priors_of(seen.setup), np.ones(len(seen.steps), bool))
+    model = ForwardModel(observations, resolve(observations.setup.declared_values()))
+    fitter = Fitter(model, priors_of(observations.setup), np.ones(len(observations.steps), bool))
     # calibrations move within their priors, as in the closed loop
     declared = Refits(fitter).converged((), Whitener.of(model, {}), (), {}).fitted
     left, level = goodness_of_fit(model, declared.values), level_of_look(look)
-    rows, _ = scored_rows(model, declared.values, np.ones(len(seen.steps), bool))
+    rows, _ = scored_rows(model, declared.values, np.ones(len(observations.steps), bool))
     p_landings, rms_us = landing_probability(model, declared.values, rows)
     floor_us = noise_floors_us(model, declared.values, rows)[0]
     # the three tests share the level; a trifle that many flights resolve is no discovery, as in the closed loop

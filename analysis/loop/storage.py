@@ -1,6 +1,6 @@
 """Closed loops on disk: one HDF5 file, the arrays as datasets and everything else as one JSON text.
 
-One file cannot lose its other half as JSON beside NPZ can, and HDF5 is the format of the recordings. A loaded result
+One file cannot lose its other half as JSON with an NPZ can, and HDF5 is the format of the recordings. A loaded result
 equals the saved one: floats are written with all their digits, and the types of the result say how to read each value.
 """
 

@@ -37,13 +37,13 @@ def step_table(model: ForwardModel, train: Bools) -> StepTable:
 
 def flight_table(model: ForwardModel, before: Values, after: Values) -> FlightTable:
     """Flights with the predictions at the fitted values ``before`` and ``after``."""
-    ev = model.observations
+    observations = model.observations
     first = _predictions(model, before)
     return FlightTable(
-        ev.measured.step,
-        ev.measured.opening_s,
-        ev.measured.landing_s,
-        ev.scored,
+        observations.measured.step,
+        observations.measured.opening_s,
+        observations.measured.landing_s,
+        observations.scored,
         model.from_rest,
         first,
         first if after == before else _predictions(model, after),

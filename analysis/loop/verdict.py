@@ -1,6 +1,6 @@
 """The verdict of a closed loop, and the tests that it rests on.
 
-"Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise alone. Decision 65.
+"Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise only. Decision 65.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def failed_tests(
     The contact circuit may shift all edges of a step by `SHARED_S`, so that no floor counts for less. Of take-offs the
     smaller of both measures counts: a few are hidden by a bounce, and where few steps open from rest, the middle one of
     them is no robust value. Nor may chance decide: the tones of a few steps err for all of their flights. Landings
-    that are missed as far as their step's own openings foretell are missed by the tones alone, and pass.
+    that are missed as far as their step's own openings foretell are missed because of the tones, and pass.
     """
     out = []
     if not left.flights_pass(limits):
@@ -80,19 +80,16 @@ def failed_tests(
         landing, takeoff = (
             max(limits.most_rms_us(floor), chance) for floor, chance in zip(floors_us, chance_us, strict=True)
         )
-        if after.landing_rms_us > landing and not _by_tones(given, limits):
+        # once the openings account for the errors of the tones, no more than noise may be left of held-out landings
+        by_tones = given is not None and given.landing_rms_us <= max(
+            limits.most_rms_us(given.floor_us), given.chance_us
+        )
+        if after.landing_rms_us > landing and not by_tones:
             out.append(Failed("landings", after.landing_rms_us, landing))
         missed = min(after.takeoff_nmad_us, after.takeoff_rms_us)
         if missed > takeoff:
             out.append(Failed("takeoffs", missed, takeoff))
     return tuple(out)
-
-
-def _by_tones(given: GivenOpenings | None, limits: Thresholds) -> bool:
-    """Whether no more than noise is left of held-out landings, once the openings have told the errors of the tones."""
-    if given is None:
-        return False
-    return given.landing_rms_us <= max(limits.most_rms_us(given.floor_us), given.chance_us)
 
 
 def verdict_of(
@@ -133,7 +130,7 @@ def confirmed_on_reserve(
     limits
         Thresholds of the verdict.
     further
-        True for an effect beside another: twice the gain is asked, as it is the largest of many by chance.
+        True for an effect after another: twice the gain is asked, as it is the largest of many by chance.
     """
     gain = LogScoreDifference.of(worse, better, np.ones_like(train))
     stands = gain.exceeds(limits.next_effect_nats, limits.next_effect_sigmas)

@@ -220,7 +220,7 @@ def _next(
     options = offered(aims.hold_cycles)
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
-    loop, model, best, fitter = judged.loop, judged.model, judged.best, judged.best.fitted.fitter
+    loop, model, best, fitter = judged.loop, judged.model, judged.best, judged.best.fitter
     if loop is None:
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
     known = weighed(model, fitter, best, judged.ties)

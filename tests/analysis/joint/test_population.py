@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.joint.population import Prior, Quadratic, alone, fit_population, own_calibrations
+from analysis.joint.population import Prior, Quadratic, each_on_its_own, fit_population, own_calibrations
 
 Q, SHARED = 3, 2
 
@@ -101,5 +101,5 @@ def test_a_run_alone_has_its_own_value():
     runs = [run for run, _, _ in made]
     prior = Prior(np.zeros(Q + SHARED), np.r_[np.ones(Q), np.zeros(SHARED)])
     found = fit_population(runs, np.zeros(Q + SHARED), np.ones(Q), prior, np.arange(Q + SHARED))
-    values, sigmas = alone(runs, found, 0)
+    values, sigmas = each_on_its_own(runs, found, 0)
     assert np.all(np.abs(values - truth[:, 0]) < 4.0 * sigmas)
