@@ -1,0 +1,50 @@
+"""A plate mode identified from what the ball does to the plate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.flights.assemble import FlightFlag, flights_of
+from analysis.plate.modes import PlateMode, answer, identified_mode
+from benchmarks.analysis.chains import imported
+from benchmarks.plants import other_plant
+from daq.recording import open_recording
+
+
+def _found(folder: Path, hidden: dict[str, float]) -> PlateMode | None:
+    gammas = np.random.default_rng(1).permutation(np.round(np.linspace(0.5, 2.6, 27), 4))
+    run = other_plant.Run(hidden=hidden, seed=1, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
+    path = imported(other_plant.simulate(run), other_plant.profile_of(run), folder)
+    with open_recording(path) as recording:
+        flights = flights_of(recording)
+        true = ~flights.has(FlightFlag.FALSE)
+        return identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], 1e-3)
+
+
+def test_a_mode_is_identified_from_recorded_volts(tmp_path: Path) -> None:
+    """Frequency, damping and mass ratio come out without a prediction of a flight."""
+    hidden = {"table_resonance.hz": 2.5, "table_resonance.damping": 0.02, "table_resonance.ratio": 0.25}
+    mode = _found(tmp_path, hidden)
+    assert mode is not None
+    assert mode.frequency_hz == pytest.approx(2.5, rel=0.01)
+    assert mode.damping == pytest.approx(0.02, rel=0.15)
+    assert mode.mass_ratio == pytest.approx(0.25, rel=0.03)
+    assert mode.remainder_mps2 < 0.5 * mode.before_mps2
+
+
+def test_no_mode_is_found_where_only_a_friction_is_hidden(tmp_path: Path) -> None:
+    """A friction does not look like a ringing plate."""
+    assert _found(tmp_path, {"coulomb_friction.mu": 0.05}) is None
+
+
+def test_the_answer_of_a_mode_is_that_of_its_differential_equation() -> None:
+    """Block means of the acceleration after a step of the push, against the closed form of the speed."""
+    w, damping, block_s = 2.0 * np.pi * 5.0, 0.1, 5e-4
+    push = np.concatenate([np.zeros(10), np.ones(400)])
+    time_s = np.maximum(np.arange(411) - 10, 0) * block_s
+    own = w * np.sqrt(1.0 - damping**2)
+    speed = np.exp(-damping * w * time_s) * np.sin(own * time_s) / own
+    np.testing.assert_allclose(answer(push, block_s, 5.0, damping), np.diff(speed) / block_s, atol=1e-9)
