@@ -20,7 +20,7 @@ from model.bifurcations.forbidden_zones import forbidden_zones
 from model.effects.registry import resolve
 from model.effects.routing import ball_effects
 from model.orbits.attractor import attractor
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.orbits.make_ball import make_ball
 from model.surveys.diagram import diagram
 from model.tones import Forcing

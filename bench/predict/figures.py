@@ -20,7 +20,7 @@ from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
 from bench.predict.request import Request, check_adaptive
 from daq.setup.errors import InputError
 from model.bifurcations.events import bifurcations
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import Rows, adaptive, diagram
 from model.tones import Forcing
 

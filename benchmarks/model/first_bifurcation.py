@@ -15,7 +15,7 @@ import numpy as np
 
 from model.bifurcations.sweep import key
 from model.orbits.attractor import AT_REST, Attractor, attractor, sweep
-from model.orbits.friction_ball import FrictionBall
+from model.orbits.exact_ball import FrictionBall
 from model.tones import Forcing
 
 FORCING = Forcing.superposition(1)

@@ -25,8 +25,7 @@ from model.flight import friction
 from model.flight.first_landing import first_landing, take_off_phases, turning_points
 from model.flight.records import FrictionRestitution
 from model.orbits.attractor import AT_REST, FEW_FLIGHTS, Ball
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.surveys.diagram import diagram
 from model.tones import Forcing
 

@@ -25,7 +25,7 @@ from model.bifurcations.sweep import key, observed_bifurcations
 from model.flight.records import FrictionRestitution
 from model.orbits.attractor import AT_REST, attractor
 from model.orbits.contact_sensor import Instrument, observe
-from model.orbits.friction_ball import FrictionBall
+from model.orbits.exact_ball import FrictionBall
 from model.tones import Forcing
 
 FREQUENCY_HZ = 20.0

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.beside import run_in
 from benchmarks.model.kernels import best_of
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.surveys import ensemble
 from model.surveys.diagram import diagram
 from model.surveys.ensemble import Axis, Job

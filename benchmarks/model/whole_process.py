@@ -15,7 +15,7 @@ from benchmarks.spent import processor_seconds
 
 JOB = """
 import numpy as np
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import diagram
 from model.tones import Forcing
 

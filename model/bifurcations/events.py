@@ -22,7 +22,7 @@ from model.bifurcations.locked_windows import Map, locked_beside, locked_within
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import State
 from model.orbits.cycles import FLIGHTS, PERIOD
-from model.orbits.ideal_ball import Itinerary
+from model.orbits.exact_ball import Itinerary
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes

@@ -8,8 +8,7 @@ from __future__ import annotations
 from model.bifurcations.events import NARROWEST, Bifurcation, bifurcations
 from model.bifurcations.sweep import observed_bifurcations
 from model.orbits.attractor import Ball
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 
 BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
 

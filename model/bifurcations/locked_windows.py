@@ -16,7 +16,7 @@ from model.bifurcations import locked_family
 from model.bifurcations.continuation import follow_both_ways
 from model.bifurcations.itinerary_windows import Window
 from model.orbits.attractor import Ball, attractor
-from model.orbits.ideal_ball import Itinerary
+from model.orbits.exact_ball import Itinerary
 
 MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 
@@ -25,11 +25,11 @@ class Map(Ball, Protocol):
     """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
 
     def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
-        """See `model.orbits.ideal_ball.IdealBall.itinerary_codes`."""
+        """See `model.orbits.exact_ball.IdealBall.itinerary_codes`."""
         ...
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
-        """See `model.orbits.ideal_ball.IdealBall.itinerary`."""
+        """See `model.orbits.exact_ball.IdealBall.itinerary`."""
         ...
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
@@ -53,7 +53,7 @@ class Map(Ball, Protocol):
 
     @property
     def take_off_levels(self) -> tuple[Floats, Floats]:
-        """See `model.orbits.ideal_ball.IdealBall.take_off_levels`."""
+        """See `model.orbits.exact_ball.IdealBall.take_off_levels`."""
         ...
 
 

@@ -20,7 +20,7 @@ from model.integrator.flight import LONGEST_PERIODS
 from model.integrator.problem import tones_for_kernel
 from model.integrator.records import Law
 from model.orbits.attractor import LockedCycle, Path, State
-from model.orbits.ideal_ball import resting
+from model.orbits.exact_ball import resting
 from model.tones import Forcing, Plate
 
 REPEATS = 1e-6  # phase

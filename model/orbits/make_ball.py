@@ -9,8 +9,7 @@ from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, resolve
 from model.flight.records import FrictionRestitution
 from model.orbits.attractor import Ball
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.integrated_ball import IntegratedBall
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 

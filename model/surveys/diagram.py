@@ -17,8 +17,7 @@ from model.flight import first_landing
 from model.flight.precision import check_gamma, lengthened
 from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
 from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
 
 KEEP = 64  # flight times kept of a row

@@ -155,7 +155,7 @@ BITS = """
 import sys
 
 import numpy as np
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import diagram
 from model.tones import Forcing
 

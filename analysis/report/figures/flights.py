@@ -20,7 +20,7 @@ from daq.recording import Recording
 from daq.setup.setup import Setup
 from model.effects.routing import Effects, ball_effects
 from model.orbits.attractor import attractor
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import diagram
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ import pytest
 
 from model.bifurcations.continuation import doubling_near, follow_both_ways
 from model.orbits.attractor import LockedCycle, State
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
 
 FORCING = Forcing.superposition(1)

@@ -11,8 +11,7 @@ from scipy.optimize import brentq
 
 from model.bifurcations.events import bifurcations, cycle_windows
 from model.orbits.attractor import attractor
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
 
 ONE_SINE = IdealBall(Forcing.superposition(1))

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.model.every_flight import every_flight
 from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.tones import Forcing
 
 ONE = Forcing.superposition(1)

@@ -18,8 +18,7 @@ from model.flight.segment import UNDECIDED
 from model.orbits import friction_cycles
 from model.orbits.attractor import State
 from model.orbits.cycles import CHATTERS, room_for
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.make_ball import law_of
 from model.tones import Forcing
 

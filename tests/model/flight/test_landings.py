@@ -13,7 +13,7 @@ from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flight
 from benchmarks.model.reference import Exact, lifted_until, stays_above
 from model.flight.first_landing import FlightFlag, first_landing, relative_height, take_off_phases
 from model.orbits.attractor import AT_REST
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.tones import Forcing
 
 

@@ -10,7 +10,7 @@ from model.bifurcations.events import bifurcations
 from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
 from model.flight.precision import PROVEN_PHASE, largest_gamma
 from model.orbits.attractor import attractor
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.orbits.make_ball import make_ball
 from model.surveys.diagram import diagram
 from model.tones import Forcing

@@ -9,8 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from model.orbits.attractor import State, attractor, same_attractor, sweep
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.make_ball import make_ball
 from model.tones import Forcing
 

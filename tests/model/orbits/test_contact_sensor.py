@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from benchmarks.model.every_flight import every_flight
 from model.orbits.contact_sensor import Instrument, observe
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.tones import Forcing
 
 GAP_PS = st.integers(1_000_000, 5_000_000_000) | st.integers(1, 100).map(lambda samples: 50_000_000 * samples)

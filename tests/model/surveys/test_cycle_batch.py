@@ -7,7 +7,7 @@ import pytest
 
 from model.flight import first_landing
 from model.orbits.attractor import FEW_FLIGHTS, MAX_FLIGHTS, attractor
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import IdealBall
 from model.surveys import cycle_batch
 from model.tones import Forcing
 

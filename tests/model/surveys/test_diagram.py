@@ -7,8 +7,7 @@ import pytest
 
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.attractor import attractor
-from model.orbits.friction_ball import FrictionBall
-from model.orbits.ideal_ball import IdealBall
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.surveys import ensemble
 from model.surveys.diagram import FIELDS, adaptive, diagram
 from model.surveys.ensemble import Axis, Job
