@@ -15,7 +15,7 @@ from analysis.attribution.comparison import LogScoreDifference
 from analysis.loop.verdicts import Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
-from analysis.thresholds import Thresholds
+from analysis.thresholds import OUTLIER_FRACTION, Thresholds
 from kernels.arrays import Bools, Floats
 
 
@@ -52,7 +52,8 @@ def failed_tests(
     ----------
     named
         Whether an effect has been added. Held-out events are tested only then: without a name, structure beyond the
-        noise is what the tests of the remainder are for.
+        noise is what the tests of the remainder are for. These leave landings that are other events than predicted out,
+        so that more of them than `OUTLIER_FRACTION` have the held-out landings tested as well.
     left
         What remains, on all steps.
     after, floors_us
@@ -76,16 +77,15 @@ def failed_tests(
         out.append(Failed("flights", left.ratio, limits.lack_ratio))
     if not left.plate_passes(limits):
         out.append(Failed("plate", left.plate_rms_z, limits.plate_rms_z))
+    landing, takeoff = (
+        max(limits.most_rms_us(floor), chance) for floor, chance in zip(floors_us, chance_us, strict=True)
+    )
+    # once the openings account for the errors of the tones, no more than noise may be left of held-out landings
+    by_tones = given is not None and given.landing_rms_us <= max(limits.most_rms_us(given.floor_us), given.chance_us)
+    judged = named or after.lost > max(OUTLIER_FRACTION * after.flights, 1.0)
+    if judged and after.landing_rms_us > landing and not by_tones:
+        out.append(Failed("landings", after.landing_rms_us, landing))
     if named:
-        landing, takeoff = (
-            max(limits.most_rms_us(floor), chance) for floor, chance in zip(floors_us, chance_us, strict=True)
-        )
-        # once the openings account for the errors of the tones, no more than noise may be left of held-out landings
-        by_tones = given is not None and given.landing_rms_us <= max(
-            limits.most_rms_us(given.floor_us), given.chance_us
-        )
-        if after.landing_rms_us > landing and not by_tones:
-            out.append(Failed("landings", after.landing_rms_us, landing))
         missed = min(after.takeoff_nmad_us, after.takeoff_rms_us)
         if missed > takeoff:
             out.append(Failed("takeoffs", missed, takeoff))

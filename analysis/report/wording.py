@@ -9,7 +9,6 @@ from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.verdicts import VERDICTS
 from analysis.report.numbers import interval, microseconds, plus_minus, probability
 from analysis.residuals.values import TREND
-from analysis.thresholds import OUTLIER_FRACTION
 from model.effects.registry import effect, trend_name
 
 
@@ -48,10 +47,9 @@ def verdict_line(loop: ClosedLoop) -> str:
 
 
 def lost_in_words(loop: ClosedLoop) -> str:
-    """The few held-out landings that were not as predicted, and the error without them; empty where that is alike."""
+    """Held-out landings that are other events than predicted, and the error without them; empty where that is alike."""
     after = loop.after
-    few = 0 < after.lost <= max(OUTLIER_FRACTION * after.flights, 1.0)
-    if not few or loop.limits.most_rms_us(after.landing_rms_us_without_lost) > after.landing_rms_us:
+    if not after.lost or loop.limits.most_rms_us(after.landing_rms_us_without_lost) > after.landing_rms_us:
         return ""
     were = "landing was" if after.lost == 1 else "landings were"
     return (

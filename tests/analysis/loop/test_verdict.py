@@ -60,6 +60,13 @@ def test_a_miss_without_a_name_is_left_to_the_tests_of_the_remainder() -> None:
     assert verdict_of(False, NOISE, replace(HIT, landing_rms_us=40.0), FLOORS, FROZEN) == "nothing_missing"
 
 
+def test_nothing_is_not_missing_where_many_landings_are_other_events() -> None:
+    """Nine of ninety held-out landings are other events and decide the error: no clean bill; one of them is chance."""
+    missed = replace(HIT, landing_rms_us=102.0, landing_rms_us_without_lost=12.0)
+    assert verdict_of(False, NOISE, replace(missed, lost=9), FLOORS, FROZEN) == "unexplained"
+    assert verdict_of(False, NOISE, replace(missed, lost=1), FLOORS, FROZEN) == "nothing_missing"
+
+
 def test_structure_beyond_the_floor_is_unexplained_with_or_without_a_name() -> None:
     """An improbable remainder counts only where it is also larger than a trifle."""
     loud = replace(NOISE, p_lack_of_fit=1e-9, ratio=1.6)

@@ -34,8 +34,8 @@ def test_a_number_that_a_few_landings_make_never_contradicts_the_verdict(closed_
 
 
 def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):
-    """None lost, or so many that the model is wrong, or an error that is the same without them: no words."""
-    for lost, rms, without in ((0, 10.0, 10.0), (900, 3637.0, 41.0), (1, 10.0, 9.5)):
+    """None lost, or an error that is the same without them: no words."""
+    for lost, rms, without in ((0, 10.0, 10.0), (1, 10.0, 9.5)):
         after = replace(
             closed_loop.after, landing_rms_us=rms, flights=1900, lost=lost, landing_rms_us_without_lost=without
         )
