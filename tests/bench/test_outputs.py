@@ -20,7 +20,7 @@ from daq.setup.errors import InputError
 
 READ = {
     "profile", "profiles", "scenario", "replay", "resume", "recording", "recordings", "raw", "files", "like", "name",
-    "folder", "places", "runs",
+    "folder", "places", "runs", "balls",
 }  # fmt: skip
 """Parameters that name what a command reads."""
 STEERS = {

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from analysis.explore.choice import (
     Option,
     Pool,
-    apart,
     divergences,
     limits_of,
     mutual_information,
     sharpened,
     sharpest,
+    whitened_difference,
 )
 from analysis.explore.explanations import Explanation, Weighed, _Fit
 
@@ -72,7 +72,7 @@ def test_a_flight_that_becomes_another_one_separates_nothing():
             return 1e6 * bare
 
     raw = np.array([1e-6, 2e-6, 0.0, 0.0])
-    assert apart(InMicroseconds(), raw, raw + np.array([2e-6, 3e-3, -9e-6, 4e-6])) == pytest.approx(
+    assert whitened_difference(InMicroseconds(), raw, raw + np.array([2e-6, 3e-3, -9e-6, 4e-6])) == pytest.approx(
         [2.0, 0.0, -6.0, 4.0]
     )
 
