@@ -85,7 +85,7 @@ def command(
     made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track", "sound"))
     check_or_leave(
         File("--json", json_target, JSON), Folder("--out", out if pictures and not page else None, made),
-        Edited("--into", into), inputs=files, overwrite=overwrite,
+        Edited("--into", into), inputs=[*files, balls], overwrite=overwrite,
     )  # fmt: skip
     try:
         by_hand = Corrections(from_s, until_s, tuple(ignore or ()), tuple(add or ()), parse_region(region), axis)
