@@ -39,7 +39,7 @@ def row(name: str, request: Request) -> str:
     errors = [models[which][f"held_out_rms_{unit}"] for which in (payload["models"][0]["name"], payload["best"])]
     before, after = ("-" if error is None else f"{error:.3g} {unit}" for error in errors)
     others = ", ".join(model for model in payload["tie_set"] if model != payload["best"]) or "none"
-    left = "; ".join(payload["unexplained_because"]) or "nothing beyond the errors"
+    left = "; ".join(payload["unexplained_because"]) or "the verdict names nothing"
     return f"| {name} | {payload['best']} (ties: {others}) | {before} | {after} | {left} |"
 
 
