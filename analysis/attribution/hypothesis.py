@@ -166,7 +166,7 @@ class Refits:
         return self.converged(x.candidates, x.whitener, x.free, x.fitted.values)
 
 
-def beside_hidden(x: Hypothesis) -> Hypothesis:
+def with_hidden_free(x: Hypothesis) -> Hypothesis:
     """The hypothesis fitted once more, what its effects can hide free within a prior: its intervals then allow for it.
 
     A high-pass makes an accelerometer's phase early, a low-pass late. At one frequency only their sum can be seen, and

@@ -64,7 +64,7 @@ def of_falls(judged: Judged, sizes: Sizes) -> outcome.Outcome:
     }
     measured = []
     source = f"falls, {len(judged.falls)} drop(s) ({judged.falls[0].name}), {verdict.best}"
-    if len(balls) == 1 and not verdict.doubts and balls[0]["drag"] == "told":
+    if len(balls) == 1 and not verdict.doubts and balls[0]["drag"] == "measured":
         k = balls[0]["k_per_m"]
         sigma = outcome.sigma_of(k) or 0.0
         measured = [outcome.Measured("quadratic_drag", "k_per_m", round(k["value"], 8), round(sigma, 8), source)]
@@ -107,8 +107,8 @@ def _ball(judged: Judged, ball: str, size: tuple[float, float] | None) -> dict[s
     if "k_per_m" not in judged.best.fit.names:
         return entry
     k, low, high = drag_of(judged, ball)
-    entry |= {"k_per_m": interval(k, low, high), "drag": "told" if low > 0.0 and len(own) > 1 else "cannot be told"}
-    if entry["drag"] == "told":
+    entry |= {"k_per_m": interval(k, low, high), "drag": "measured" if low > 0.0 and len(own) > 1 else "cannot be told"}
+    if entry["drag"] == "measured":
         entry["terminal_mps"] = interval(*(float(np.sqrt(judged.g_mps2 / x)) for x in (k, high, low)))
     if size is not None:
         mass, diameter = size
@@ -116,7 +116,7 @@ def _ball(judged: Judged, ball: str, size: tuple[float, float] | None) -> dict[s
         entry["drag_coefficient"] = interval(k * per, max(low, 0.0) * per, high * per)
         fast = max(float(np.ptp(judged.falls[i].height_m) / np.ptp(judged.falls[i].time_s)) for i in own) * 2.0
         entry["reynolds"] = AIR_KG_PER_M3 * fast * diameter / AIR_PA_S
-        if entry["drag"] == "told" and entry["reynolds"] < _DRAG_CRISIS:  # beyond it no coefficient is known
+        if entry["drag"] == "measured" and entry["reynolds"] < _DRAG_CRISIS:  # beyond it no coefficient is known
             middle, ends = sum(_SPHERE) / 2.0, (low / _SPHERE[1], high / _SPHERE[0])
             entry["air_kg_per_m3"] = interval(*(x * per * AIR_KG_PER_M3 for x in (k / middle, *ends)))
     return entry
@@ -186,7 +186,7 @@ def _ball_in_words(one: dict[str, Any]) -> str:
     held, fitted = one["held_out_rms_m"], one["rms_m"]
     kind, pair = ("not fitted", held) if held["after"] is not None else ("fitted", fitted)
     words = f"  {one['ball']}: {100 * pair['before']:.0f} -> {100 * pair['after']:.0f} cm ({kind})"
-    if one["k_per_m"] is None or one["drag"] != "told":
+    if one["k_per_m"] is None or one["drag"] != "measured":
         high = one["k_per_m"]["high"] if one["k_per_m"] else None
         return f"{words}; drag cannot be told" + (f" (below {high:.3f} /m)" if high else "")
     words += f"; k {outcome.with_interval(one['k_per_m'])} /m"

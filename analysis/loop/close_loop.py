@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Rejected, SelectionResult, beside_hidden
+from analysis.attribution.hypothesis import Rejected, SelectionResult, with_hidden_free
 from analysis.attribution.priors import priors_of
 from analysis.attribution.selection import StepwiseSelection
 from analysis.discovery.discover import discover
@@ -173,7 +173,7 @@ def _loop_of(
     fitter = Fitter(model, priors_of(observations.setup), train)
     stepwise = StepwiseSelection(model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
     selection = withdraw_unconfirmed(model, stepwise.run(), train, limits)
-    best, ties = beside_hidden(selection.best), selection.ties
+    best, ties = with_hidden_free(selection.best), selection.ties
     selection = dataclasses.replace(selection, best=best, ties=(best, *ties[1:]) if ties else ())
     say("what remains", 0.87)
     judged = _judge(model, fitter, selection, limits)

@@ -73,8 +73,8 @@ class Judged:
     g_mps2: float
     verdict: Verdict[FallCandidate]
     wide: FallFit  # drag, distortion, scales and gravity together: what each leaves open of the others
-    alone: dict[str, FallFit]  # the same of each ball by itself
-    gravity: tuple[float, float] | None  # g with half of its 95 % interval, free with the distortion; None: not told
+    by_ball: dict[str, FallFit]  # the same of each ball by itself
+    gravity: tuple[float, float] | None  # g with half of its 95 % interval; None: cannot be measured
     worth: float
 
     @property
@@ -105,12 +105,12 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, share: Mapping[str, float]
         doubts.append(f"the best law leaves {best.fit.rms_m:.2f} m of falls of {tall:.1f} m")
     free = (*_RICHEST, "g_mps2")
     wide = fit_falls(falls, axis, free, g_mps2, known, prior_m)
-    alone = {
+    by_ball = {
         ball: fit_falls([f for f in falls if f.ball == ball], axis, free, g_mps2, known, prior_m, wide)
         for ball in dict.fromkeys(f.ball for f in falls)
     }
     gravity = _gravity(falls, axis, best, g_mps2, known, prior_m, worth)
-    return Judged(list(falls), axis, g_mps2, replace(verdict, doubts=tuple(doubts)), wide, alone, gravity, worth)
+    return Judged(list(falls), axis, g_mps2, replace(verdict, doubts=tuple(doubts)), wide, by_ball, gravity, worth)
 
 
 def drag_of(judged: Judged, ball: str) -> tuple[float, float, float]:
@@ -120,7 +120,7 @@ def drag_of(judged: Judged, ball: str) -> tuple[float, float, float]:
     """
     together = judged.best.fit.values["k_per_m"][ball]
     ends = [together]
-    for fit in (judged.wide, judged.alone[ball]):
+    for fit in (judged.wide, judged.by_ball[ball]):
         half = LEVEL_SIGMAS * fit.sigmas["k_per_m"][ball] / float(np.sqrt(judged.worth))
         ends += [fit.values["k_per_m"][ball] - half, fit.values["k_per_m"][ball] + half]
     return together, min(ends), max(ends)
@@ -142,13 +142,13 @@ def _candidate(
     worth: float,
     prior_m: float,
 ) -> FallCandidate:
-    """A model with its error on each drop that has a brother: what the others say, its release alone fitted to it."""
+    """A model with its error on each drop whose ball was dropped again: only what is a drop's own is fitted to it."""
     fit = fit_falls(falls, axis, model.parameters, g_mps2, known, prior_m)
-    brothers = Counter(fall.ball for fall in falls)
+    drops_of = Counter(fall.ball for fall in falls)
     own_release = tuple(name for name in model.parameters if OWNER[name] == DROP)
     scores, held_out = np.zeros(len(falls)), []
     for i, fall in enumerate(falls):
-        if brothers[fall.ball] < 2:
+        if drops_of[fall.ball] < 2:
             held_out.append(np.empty(0))
             continue
         others = [*falls[:i], *falls[i + 1 :]]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, Refits, beside_hidden
+from analysis.attribution.hypothesis import Hypothesis, Refits, with_hidden_free
 from analysis.attribution.pruning import contained_in
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
@@ -24,21 +24,21 @@ def _fitted(fitter: Fitter, *free: ParameterId) -> Hypothesis:
 def test_the_low_pass_that_a_high_pass_hides_is_allowed_for(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
-    """Behind both, a corner of 1 Hz alone is sure and wrong; with the lag beside it, its interval holds 1 Hz."""
-    alone = _fitted(fitter_of(fly_ramp({CORNER: 1.0, LAG: 4e-5}, 6)), CORNER)
-    beside = beside_hidden(alone)
-    assert beside.names == alone.names and LAG in beside.fitted.keys
-    assert abs(alone.fitted.values[CORNER] - 1.0) > 3.0 * alone.fitted.sigma(CORNER)
-    assert abs(beside.fitted.values[CORNER] - 1.0) < 2.0 * beside.fitted.sigma(CORNER)
+    """A corner of 1 Hz fitted without the lag is sure and wrong; with the lag free, its interval holds 1 Hz."""
+    sure = _fitted(fitter_of(fly_ramp({CORNER: 1.0, LAG: 4e-5}, 6)), CORNER)
+    allowed = with_hidden_free(sure)
+    assert allowed.names == sure.names and LAG in allowed.fitted.keys
+    assert abs(sure.fitted.values[CORNER] - 1.0) > 3.0 * sure.fitted.sigma(CORNER)
+    assert abs(allowed.fitted.values[CORNER] - 1.0) < 2.0 * allowed.fitted.sigma(CORNER)
 
 
 def test_what_hides_nothing_stays_as_it_is(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
-    """A drag hides no instrument's effect; a high-pass beside a lag that is named as well hides none either."""
+    """A drag hides no instrument's effect; a high-pass hides none either where the lag is named."""
     fitter = fitter_of(fly_ramp({}, 6))
     for found in (_fitted(fitter, DRAG), _fitted(fitter, CORNER, LAG)):
-        assert beside_hidden(found) is found
+        assert with_hidden_free(found) is found
 
 
 def test_a_constant_pull_is_a_gravity() -> None:

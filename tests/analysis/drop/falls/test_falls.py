@@ -66,7 +66,7 @@ def test_drag_and_distortion_are_found_and_a_heavy_balls_drag_is_not() -> None:
         k = one["k_per_m"]
         assert k["low"] <= drags[one["ball"]] <= k["high"]
         assert one["held_out_rms_m"]["after"] < 0.07
-    assert [one["drag"] for one in payload["balls"]] == ["told", "told", "cannot be told"]
+    assert [one["drag"] for one in payload["balls"]] == ["measured", "measured", "cannot be told"]
     assert payload["g_mps2"]["low"] < G < payload["g_mps2"]["high"]
     assert payload["balls"][0]["drag_coefficient"]["low"] > 0.3
 
