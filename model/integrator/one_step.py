@@ -278,33 +278,22 @@ def one_ahead(
     mode
         A prediction whose plate mode is taken over, not projected anew: for small changes of events and tones.
     """
-    n = len(measured.landing_s)
     rows = for_kernel(rows.reshape(-1, rows.shape[-1]))
     problem = Problem(measured, plate, rows, Detection() if detection is None else detection, kick)
     tones, own = plate.acceleration_mps2, plate.acceleration_mps2.shape[1] - plate.derived
     amplitudes = np.zeros((len(tones), own), dtype=np.complex128)
     probe = ContinuousProbe(plate.omega_radps[:, :own]) if probe is None else probe
-    nothing, span_s = np.zeros(len(tones) + 1, dtype=np.int64), for_kernel(probe.span_s)
+    span_s = for_kernel(probe.span_s)
     projection, observed_s = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
     ringing = bool(np.any(rows[:, columns_of("plate_mode")] > 0.0))
     if ringing and mode is not None:
         amplitudes, projection, observed_s = mode.mode_amplitudes, mode.projection, mode.observed_s
     elif ringing:
-        projection = np.zeros((len(span_s), probe.omega_radps.shape[1]), dtype=np.complex128)
-        first = for_kernel(probe.first)
-        problem.predicted(
-            tones,
-            np.zeros(n, dtype=np.bool_),
-            Probe(first, span_s, for_kernel(probe.omega_radps), projection, observed_s),
-        )
-        amplitudes = probe.of_tones(projection, observed_s)
-        of_step = np.add.reduceat(np.append(observed_s, 0.0), first[:-1]) * (np.diff(first) > 0)
-        for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
-            amplitudes[k] = _carried(plate.omega_radps[k, :own], tones[k, :own], rows[0])
+        amplitudes, projection, observed_s = _mode_projected(problem, probe)
     if ringing:
         tones = driven(plate, amplitudes)
     unused = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
-    silent = Probe(nothing, span_s, np.zeros((len(tones), 0)), *unused)
+    silent = Probe(np.zeros(len(tones) + 1, dtype=np.int64), span_s, np.zeros((len(tones), 0)), *unused)
     out = problem.predicted(tones, measured.wanted, silent)
     out[out[:, predict.KIND] < 0, : predict.KIND] = np.nan
     return Predicted(
@@ -321,6 +310,22 @@ def one_ahead(
         observed_s=observed_s,
         table=out,
     )
+
+
+def _mode_projected(problem: Problem, probe: ToneProbe) -> tuple[Complexes, Complexes, Floats]:
+    """What a plate mode adds to the measured tones (m, k), its projections, and the time observed in each span, s."""
+    plate, rows = problem.plate, problem.rows
+    tones, own = plate.acceleration_mps2, plate.acceleration_mps2.shape[1] - plate.derived
+    span_s, first = for_kernel(probe.span_s), for_kernel(probe.first)
+    projection = np.zeros((len(span_s), probe.omega_radps.shape[1]), dtype=np.complex128)
+    observed_s = np.zeros(len(span_s))
+    nothing = np.zeros(len(problem.measured.landing_s), dtype=np.bool_)
+    problem.predicted(tones, nothing, Probe(first, span_s, for_kernel(probe.omega_radps), projection, observed_s))
+    amplitudes = probe.of_tones(projection, observed_s)
+    of_step = np.add.reduceat(np.append(observed_s, 0.0), first[:-1]) * (np.diff(first) > 0)
+    for k in np.flatnonzero(of_step == 0.0):  # the ball never left: its mass moves with the plate
+        amplitudes[k] = _carried(plate.omega_radps[k, :own], tones[k, :own], rows[0])
+    return amplitudes, projection, observed_s
 
 
 def _carried(omega_radps: Floats, tones: Complexes, row: Floats) -> Complexes:
