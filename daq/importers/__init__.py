@@ -1,4 +1,4 @@
-"""Foreign recordings: streamed in, checked, given a time base and steps.
+"""Foreign recordings: streamed in, checked, given a time base and steps; small tables of text and spreadsheets.
 
-Other rooms take `import_recording`.
+Other rooms take `import_recording`, `tables`.
 """

@@ -14,7 +14,17 @@ from daq.files.disk import Closing
 
 LONGEST_LINE = 1 << 16
 _BLOCK_BYTES = 1 << 22
-_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+def encoding_of(head: bytes) -> str:
+    """Encoding of a text by its beginning: UTF-16 or UTF-8 (with or without its mark), else Windows-1252."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:  # incremental: the end of what was read may cut a character
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
 
 
 class LongLineError(ValueError):
@@ -35,17 +45,12 @@ class TextFile(Closing):
         self._file: Any = (gzip.open if packed else open)(path, "rb")
         self.sha256 = ""
         head = self._file.read(LONGEST_LINE)
-        encoding = next((name for mark, name in _MARKS if head.startswith(mark)), "")
-        if not encoding:
-            try:  # incremental: the end of what was read may cut a character
-                codecs.getincrementaldecoder("utf-8")().decode(head)
-            except UnicodeDecodeError:
-                encoding = "cp1252"
+        encoding = encoding_of(head)
         self._file.seek(0)
-        is_recoded = bool(encoding) or (b"\r" in head and b"\n" not in head)
+        is_recoded = encoding != "utf-8-sig" or (b"\r" in head and b"\n" not in head)
         self._digest = None if packed or is_recoded else hashlib.sha256()
         if is_recoded:
-            self._file = _Recoded(self._file, encoding or "utf-8")
+            self._file = _Recoded(self._file, encoding)
         elif head.startswith(codecs.BOM_UTF8):
             self._noted(self._file.read(3))
 
