@@ -134,7 +134,7 @@ def read_sheets(path: Path, wanted: str = "columns of numbers under their headin
 def table_of(rows: Sequence[Sequence[Cell]]) -> Table:
     """Headings and numbers: data are the rows with at least half as many numbers as most have."""
     counts = np.array([sum(isinstance(cell, float) for cell in row) for row in rows])
-    data = np.flatnonzero(counts >= max(1, 0.5 * int(np.median(counts[counts > 0]))))
+    data = np.flatnonzero(counts >= max(1, 0.5 * int(np.median(counts[counts > 0])))).tolist()
     values = np.full((len(data), max(len(rows[i]) for i in data)), np.nan)
     for k, i in enumerate(data):
         for j, cell in enumerate(rows[i]):
