@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.drop.falls.fit import predicted_m
+from analysis.drop.falls.fit import height_m
 from analysis.drop.falls.judge import Judged as JudgedFalls
 from analysis.drop.film.camera_fit import CameraFit
 from analysis.drop.laws.choice import Verdict
@@ -45,6 +45,7 @@ class FitPlot:
     data: list[Curve]  # (x, y), one for each drop or flight
     models: list[ModelCurve]  # the plainest model first, then the best where it is another
     clips: list[int]  # which file each of ``data`` is from
+    balls: list[str]  # which ball each of ``data`` is of; empty where all are of one
 
     def as_json(self) -> dict[str, Any]:
         """The same in plain lists; None for what is not finite."""
@@ -57,6 +58,11 @@ class FitPlot:
 
         models = [{"label": m.label, "pieces": lists(m.pieces), "left": lists(m.left)} for m in self.models]
         return vars(self) | {"data": lists(self.data), "models": models}
+
+
+def in_plain_words(name: str) -> str:
+    """A model's name as a legend says it: ``quadratic_drag+axis_scale`` is "quadratic drag, axis scale"."""
+    return name.replace("+", ", ").replace("_", " ")
 
 
 def times_plot(drops: Sequence[Drop], verdict: Verdict[Judged], g_mps2: float) -> FitPlot:
@@ -76,9 +82,10 @@ def times_plot(drops: Sequence[Drop], verdict: Verdict[Judged], g_mps2: float) -
         for drop, before, residuals in zip(drops, befores, candidate.fit.residuals_s, strict=True):
             first = int(drop.height_m is not None and drop.bounces.missed[0] == 0)  # that row starts from the height
             left.append((1e3 * before, 1e3 * residuals[first : first + len(before)]))
-        models.append(ModelCurve(f"{name}, rms {1e3 * candidate.rms:.2f} ms", [(1e3 * grid, after / grid)], left))
+        label = f"{in_plain_words(name)}, rms {1e3 * candidate.rms:.2f} ms"
+        models.append(ModelCurve(label, [(1e3 * grid, after / grid)], left))
     labels = ("flight before (ms)", "flight after / flight before", "measured - predicted (ms)")
-    return FitPlot(*labels, data, models, list(range(len(drops))))
+    return FitPlot(*labels, data, models, list(range(len(drops))), [])
 
 
 def camera_plot(fit: CameraFit, shape_name: str, step_s: Sequence[float | None]) -> FitPlot:
@@ -93,9 +100,9 @@ def camera_plot(fit: CameraFit, shape_name: str, step_s: Sequence[float | None])
             grid = np.linspace(flight.frame[0], flight.frame[-1], _FLIGHT_GRID)
             pieces.append((grid * step, shape.seen_at(i, grid)))
             left.append((flight.frame * step, flight.height - shape.seen_at(i, flight.frame)))
-        models.append(ModelCurve(f"{name}, rms {shape.sigma:.2f}", pieces, left))
+        models.append(ModelCurve(f"{in_plain_words(name)}, rms {shape.sigma:.2f}", pieces, left))
     unit = "time in the file (s)" if step_s[0] else "frame"
-    return FitPlot(unit, "height (file's unit)", "measured - fitted", data, models, [f.clip for f in fit.flights])
+    return FitPlot(unit, "height (file's unit)", "measured - fitted", data, models, [f.clip for f in fit.flights], [])
 
 
 def falls_plot(judged: JudgedFalls, clips: list[int]) -> FitPlot:
@@ -104,10 +111,12 @@ def falls_plot(judged: JudgedFalls, clips: list[int]) -> FitPlot:
     models = []
     for name in dict.fromkeys(["free_fall", judged.best.model.name]):
         fit = judged.verdict.candidate(name).fit
-        pieces = []
-        for fall in judged.falls:
-            grid = np.linspace(fall.time_s[0], fall.time_s[-1], _FLIGHT_GRID)
-            pieces.append((grid, predicted_m(fit, judged.axis, judged.g_mps2, fall, grid)))
+        grids = [np.linspace(fall.time_s[0], fall.time_s[-1], _FLIGHT_GRID) for fall in judged.falls]
+        pieces = [
+            (grid, height_m(fit.values, judged.setting, fall, grid))
+            for fall, grid in zip(judged.falls, grids, strict=True)
+        ]
         left = [(fall.time_s, own) for fall, own in zip(judged.falls, fit.left, strict=True)]
-        models.append(ModelCurve(f"{name}, rms {100 * fit.rms_m:.0f} cm", pieces, left))
-    return FitPlot("time in the file (s)", "height (m)", "measured - fitted (m)", data, models, clips)
+        models.append(ModelCurve(f"{in_plain_words(name)}: {100 * fit.rms_m:.0f} cm rms", pieces, left))
+    balls = [fall.ball for fall in judged.falls]
+    return FitPlot("time in the file (s)", "height (m)", "measured - fitted (m)", data, models, clips, balls)

@@ -34,18 +34,27 @@ def draw_track(tracked: Tracked, title: str, target: Path) -> Path:
 
 
 def draw_fit(plot: FitPlot, title: str, target: Path) -> Path:
-    """The data with the models' curves through them, and what each model leaves."""
+    """The data with the models' curves through them, and what each model leaves; a colour a ball where they differ."""
     figure = Figure(figsize=(11, 7), layout="constrained")
     top, bottom = figure.subplots(2, 1, height_ratios=[2, 1], sharex=True)
-    for x, y in plot.data:
-        top.plot(x, y, "k.", ms=3)
-    for model, colour in zip(plot.models, ("tab:orange", "tab:blue"), strict=False):
-        for x, y in model.pieces:
-            top.plot(x, y, lw=1, color=colour)
-        for number, (x, y) in enumerate(model.left):
-            bottom.plot(x, y, ".", ms=4, color=colour, label=model.label if number == 0 else None)
+    balls = list(dict.fromkeys(plot.balls))
+    by_ball = {ball: f"C{k % 10}" for k, ball in enumerate(balls)} if len(balls) > 1 else {}
+    own = [by_ball.get(ball, "black") for ball in plot.balls or [""] * len(plot.data)]
+    labelled = [ball not in plot.balls[:k] for k, ball in enumerate(plot.balls)] if by_ball else [False] * len(own)
+    for k, (x, y) in enumerate(plot.data):
+        top.plot(x, y, ".", ms=3, color=own[k], label=plot.balls[k] if labelled[k] else None)
+    # Where colours tell the balls apart, the plainest model is dotted and marked by a cross, the best solid and a dot.
+    styles = ((":", "x", "tab:orange"), ("-", ".", "tab:blue"))
+    for model, (line, mark, usual) in zip(plot.models, styles, strict=False):
+        line = line if by_ball else "-"
+        for k, (x, y) in enumerate(model.pieces):
+            top.plot(x, y, line, lw=1, color=own[k] if by_ball else usual)
+        for k, (x, y) in enumerate(model.left):
+            bottom.plot(x, y, mark if by_ball else ".", ms=4, color=own[k] if by_ball else usual)
+        shown = "grey" if by_ball else usual
+        top.plot([], [], line, marker=mark if by_ball else ".", ms=4, lw=1, color=shown, label=model.label)
     bottom.axhline(0.0, color="grey", lw=0.5)
-    bottom.legend(fontsize=8)
+    top.legend(fontsize=8)
     top.set(title=title, ylabel=plot.y_label)
     bottom.set(xlabel=plot.x_label, ylabel=plot.left_label)
     figure.savefig(target, dpi=90)

@@ -54,6 +54,11 @@ def interval(value: float, low: float, high: float) -> Interval:
 UNKNOWN = interval(np.nan, np.nan, np.nan)
 
 
+def around(value: float, half: float) -> Interval:
+    """A number with an interval that reaches as far up as down."""
+    return interval(value, value - half, value + half)
+
+
 def of_draws(value: float, draws: Floats) -> Interval:
     """The interval that holds 95 % of the draws."""
     good = draws[np.isfinite(draws)]
@@ -200,7 +205,10 @@ def describe_choice(payload: dict[str, Any]) -> list[str]:
             )
         else:
             words.append(f"{best}: held-out error {before:.2f} ms before (constant restitution), {after:.2f} ms after.")
-    others = [name for name in payload["tie_set"] if name != best]
-    if others:
-        words.append(f"The data cannot tell {best} from {' or '.join(others)}.")
-    return words
+    return words + ties_in_words(payload)
+
+
+def ties_in_words(payload: dict[str, Any]) -> list[str]:
+    """What the data cannot tell from the best model."""
+    others = [name for name in payload["tie_set"] if name != payload["best"]]
+    return [f"The data cannot tell {payload['best']} from {' or '.join(others)}."] if others else []

@@ -233,9 +233,9 @@ def _from_times(drops: list[Drop], stated: list[Height | None], request: Request
 def _from_falls(paths: list[Path2D], files: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Falls without a bounce: the causes, judged on the other drops of each ball."""
     from analysis.drop.curves import falls_plot
-    from analysis.drop.fallen import of_falls, weight_shares
     from analysis.drop.falls.fall import Fall, with_balls
     from analysis.drop.falls.judge import judge_falls
+    from analysis.drop.falls.outcome import of_falls, weight_shares
     from analysis.drop.read.balls import read_balls
 
     falls = []

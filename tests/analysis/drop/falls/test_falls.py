@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.fallen import of_falls, weight_shares
 from analysis.drop.falls.fall import Axis, Fall, fallen_m, is_fall, with_balls
 from analysis.drop.falls.judge import judge_falls
+from analysis.drop.falls.outcome import of_falls, weight_shares
 from analysis.drop.load import load_all
 from analysis.drop.read.balls import read_balls
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from analysis.drop import outcome
-from analysis.drop.falls.judge import FallCandidate, Judged, drag_of
-from analysis.drop.outcome import Interval, interval
+from analysis.drop.falls.judge import FallCandidate, Judged
+from analysis.drop.outcome import around, interval, with_interval
+from kernels.arrays import Floats
 
 AIR_KG_PER_M3 = 1.2
 AIR_PA_S = 1.8e-5
@@ -47,40 +48,49 @@ def of_falls(judged: Judged, sizes: Sizes) -> outcome.Outcome:
     sizes
         Mass and diameter of balls, where known.
     """
-    best, verdict = judged.best, judged.verdict
-    payload = outcome.payload_of("falls", [f.name for f in judged.falls], [], verdict, outcome.UNKNOWN)
-    balls = [_ball(judged, ball, sizes.get(ball)) for ball in dict.fromkeys(f.ball for f in judged.falls)]
+    best, verdict, falls, axis = judged.best, judged.verdict, judged.falls, judged.setting.axis
+    payload = outcome.payload_of("falls", [f.name for f in falls], [], verdict, outcome.UNKNOWN)
+    balls = [_ball(judged, ball, sizes.get(ball)) for ball in dict.fromkeys(f.ball for f in falls)]
+    scales = best.fit.values.get("scale", {})
     payload |= {
         "models": [_model(one) for one in verdict.candidates],
         "balls": balls,
-        "drops": [_drop(judged, i) for i in range(len(judged.falls))],
-        "g_mps2": None if judged.gravity is None else _around(*judged.gravity),
+        "drops": [
+            {
+                "file": fall.name,
+                "ball": fall.ball,
+                "samples": len(fall.time_s),
+                "release_s": best.fit.values["release_s"][fall.name],
+                "scale": around(scales[fall.name], best.half("scale", fall.name)) if scales else None,
+                "rms_m": _rms(best.fit.left, [i]),
+                "held_out_rms_m": _rms(best.held_out, [i]),
+                "held_out_unscaled_rms_m": _rms(best.unscaled, [i]),
+            }
+            for i, fall in enumerate(falls)
+        ],
+        "g_mps2": None if judged.gravity is None else around(*judged.gravity),
         "axis": {
-            "bend": _around(best.fit.values["bend"][""], best.half("bend", "")) if "bend" in best.fit.names else None,
-            "middle_m": judged.axis.middle_m,
-            "reach_m": judged.axis.reach_m,
+            "bend": around(best.fit.values["bend"][""], best.half("bend", "")) if "bend" in best.fit.names else None,
+            "middle_m": axis.middle_m,
+            "reach_m": axis.reach_m,
         },
         "independent_samples_per_sample": judged.worth,
     }
     measured = []
-    source = f"falls, {len(judged.falls)} drop(s) ({judged.falls[0].name}), {verdict.best}"
     if len(balls) == 1 and not verdict.doubts and balls[0]["drag"] == "measured":
         k = balls[0]["k_per_m"]
         sigma = outcome.sigma_of(k) or 0.0
+        source = f"falls, {len(falls)} drop(s) ({falls[0].name}), {verdict.best}"
         measured = [outcome.Measured("quadratic_drag", "k_per_m", round(k["value"], 8), round(sigma, 8), source)]
     return outcome.Outcome(payload, _in_words(judged, payload), measured)
 
 
-def _around(value: float, half: float) -> Interval:
-    return interval(value, value - half, value + half)
-
-
 def _model(one: FallCandidate) -> dict[str, Any]:
     """A combination of causes for the JSON; what belongs to a ball or a drop is in ``balls`` and ``drops``."""
-    common = {n: _around(one.fit.values[n][""], one.half(n, "")) for n in one.fit.names if "" in one.fit.values[n]}
+    common = [name for name in one.fit.names if "" in one.fit.values[name]]
     return {
         "name": one.model.name,
-        "parameters": common,
+        "parameters": {name: around(one.fit.values[name][""], one.half(name, "")) for name in common},
         "rms_m": one.rms,
         "held_out_rms_m": one.held_out_rms if np.isfinite(one.held_out_rms) else None,
         "rms_ms": None,
@@ -94,22 +104,26 @@ def _model(one: FallCandidate) -> dict[str, Any]:
 def _ball(judged: Judged, ball: str, size: tuple[float, float] | None) -> dict[str, Any]:
     """What one ball's drops tell: drag, terminal speed, coefficient, error before and after on drops not fitted."""
     own = [i for i, fall in enumerate(judged.falls) if fall.ball == ball]
-    plain = judged.verdict.candidates[0]
+    plain, best = judged.verdict.candidates[0], judged.best
     entry: dict[str, Any] = {
         "ball": ball,
         "drops": len(own),
-        "rms_m": {"before": _rms(plain.fit.left, own), "after": _rms(judged.best.fit.left, own)},
-        "held_out_rms_m": {"before": _rms(plain.held_out, own), "after": _rms(judged.best.held_out, own)},
+        "rms_m": {"before": _rms(plain.fit.left, own), "after": _rms(best.fit.left, own)},
+        "held_out_rms_m": {
+            "before": _rms(plain.held_out, own),
+            "after": _rms(best.held_out, own),
+            "after_unscaled": _rms(best.unscaled, own),
+        },
         "mass_kg": size[0] if size else None,
         "diameter_m": size[1] if size else None,
         "k_per_m": None, "drag": "cannot be told", "terminal_mps": None, "drag_coefficient": None,
     }  # fmt: skip
-    if "k_per_m" not in judged.best.fit.names:
+    if "k_per_m" not in best.fit.names:
         return entry
-    k, low, high = drag_of(judged, ball)
+    k, low, high = judged.drag_of(ball)
     entry |= {"k_per_m": interval(k, low, high), "drag": "measured" if low > 0.0 and len(own) > 1 else "cannot be told"}
     if entry["drag"] == "measured":
-        entry["terminal_mps"] = interval(*(float(np.sqrt(judged.g_mps2 / x)) for x in (k, high, low)))
+        entry["terminal_mps"] = interval(*(float(np.sqrt(judged.setting.g_mps2 / x)) for x in (k, high, low)))
     if size is not None:
         mass, diameter = size
         per = mass / (0.5 * AIR_KG_PER_M3 * 0.25 * np.pi * diameter**2)
@@ -122,58 +136,46 @@ def _ball(judged: Judged, ball: str, size: tuple[float, float] | None) -> dict[s
     return entry
 
 
-def _drop(judged: Judged, i: int) -> dict[str, Any]:
-    fall, fit = judged.falls[i], judged.best.fit
-    scale = judged.best.fit.values.get("scale", {}).get(fall.name)
-    return {
-        "file": fall.name,
-        "ball": fall.ball,
-        "samples": len(fall.time_s),
-        "release_s": fit.values["release_s"][fall.name],
-        "scale": None if scale is None else _around(scale, judged.best.half("scale", fall.name)),
-        "rms_m": _rms(fit.left, [i]),
-        "held_out_rms_m": _rms(judged.best.held_out, [i]),
-    }
-
-
-def _rms(left: list[Any], own: list[int]) -> float | None:
+def _rms(left: Sequence[Floats], own: Sequence[int]) -> float | None:
     parts = [left[i] for i in own if len(left[i])]
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
 
 
 def _in_words(judged: Judged, payload: dict[str, Any]) -> list[str]:
     """The verdict for a person; a line for each ball."""
-    best, balls = judged.best, payload["balls"]
+    best, verdict, balls = judged.best, judged.verdict, payload["balls"]
     words = [f"{len(judged.falls)} fall(s) of {len(balls)} ball(s), no bounce."]
     words += [f"Unexplained: {reason}." for reason in payload["unexplained_because"]]
-    causes = [_IN_WORDS[c] for c in best.model.name.split("+") if c in _IN_WORDS]
-    words.append(f"{best.model.name}: " + ("; ".join(causes) if causes else "nothing beyond free fall is beyond doubt"))
-    before, after = judged.verdict.candidates[0].held_out_rms, best.held_out_rms
+    causes = "; ".join(_IN_WORDS[c] for c in best.model.name.split("+") if c in _IN_WORDS)
+    words.append(f"{best.model.name}: {causes or 'nothing beyond free fall is beyond doubt'}")
+    before, after = verdict.candidates[0].held_out_rms, best.held_out_rms
     if np.isfinite(after):
+        own = "scale and release are its own" if "scale" in best.fit.names else "release is its own"
         words.append(
-            f"Error on drops not fitted (each by the other drops of its ball, its release and scale its own): "
-            f"{100 * before:.0f} cm for free fall, {100 * after:.0f} cm after; {100 * best.rms:.0f} cm on drops fitted."
+            f"Error on drops not fitted (each by the other drops of its ball; its {own}): {100 * before:.0f} cm for "
+            f"free fall, {100 * after:.0f} cm after; {100 * best.rms:.0f} cm on drops fitted."
         )
+        if "scale" in best.fit.names:
+            unscaled = _rms(best.unscaled, range(len(judged.falls))) or 0.0
+            words.append(f"Where a drop's scale is not fitted to it: {100 * unscaled:.0f} cm after.")
     else:
         words.append("No ball was dropped twice: nothing beyond free fall can be borne out by another drop.")
-    others = [name for name in payload["tie_set"] if name != payload["best"]]
-    if others:
-        words.append(f"The data cannot tell {payload['best']} from {' or '.join(others)}.")
-    linear = next(c for c in judged.verdict.candidates if c.model.parameters == ("c_per_s", "bend"))
-    if "k_per_m" in best.fit.names and linear.held_out_rms < 1.1 * best.held_out_rms:
+    words += outcome.ties_in_words(payload)
+    instead = best.model.name.replace("quadratic_drag", "linear_drag")
+    linear = next((c for c in verdict.candidates if c.model.name == instead), best)
+    if linear is not best and linear.held_out_rms < 1.1 * best.held_out_rms:
         words.append("A linear drag fits as well, but no ball in air has one at such speeds (Stokes).")
     words += [_ball_in_words(one) for one in balls]
-    bend = payload["axis"]["bend"]
+    bend, g = payload["axis"]["bend"], payload["g_mps2"]
     if bend is not None:
         words.append(
-            f"axis of heights: bend {outcome.with_interval(bend)} of {judged.axis.reach_m:.0f} m, one for all: in its "
+            f"axis of heights: bend {with_interval(bend)} of {judged.setting.axis.reach_m:.0f} m, one for all: in its "
             "middle heights are read wrong by so much"
         )
-    g = payload["g_mps2"]
     if g is None:
         words.append("g cannot be told from fewer than three balls: the axis takes up any. It was taken as known.")
     else:
-        words.append(f"g, free with the distortion of the axis: {outcome.with_interval(g)} m/s^2")
+        words.append(f"g, free with the distortion of the axis: {with_interval(g)} m/s^2")
     errors = [(d["held_out_rms_m"], d["file"]) for d in payload["drops"] if d["held_out_rms_m"] is not None]
     usual = float(np.median([e for e, _ in errors])) if errors else 0.0
     words += [f"{name} does not follow: {100 * e:.0f} cm where {100 * usual:.0f} are usual" for e, name in errors
@@ -189,11 +191,10 @@ def _ball_in_words(one: dict[str, Any]) -> str:
     if one["k_per_m"] is None or one["drag"] != "measured":
         high = one["k_per_m"]["high"] if one["k_per_m"] else None
         return f"{words}; drag cannot be told" + (f" (below {high:.3f} /m)" if high else "")
-    words += f"; k {outcome.with_interval(one['k_per_m'])} /m"
-    words += f", terminal speed {outcome.with_interval(one['terminal_mps'])} m/s"
+    words += f"; k {with_interval(one['k_per_m'])} /m"
+    words += f", terminal speed {with_interval(one['terminal_mps'])} m/s"
     if one["drag_coefficient"]:
-        words += f", drag coefficient {outcome.with_interval(one['drag_coefficient'])}"
-        words += f" at Reynolds {one['reynolds']:.0e}"
+        words += f", drag coefficient {with_interval(one['drag_coefficient'])} at Reynolds {one['reynolds']:.0e}"
     if "air_kg_per_m3" in one:
-        words += f", density of air {outcome.with_interval(one['air_kg_per_m3'])} kg/m^3"
+        words += f", density of air {with_interval(one['air_kg_per_m3'])} kg/m^3"
     return words
