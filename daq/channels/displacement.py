@@ -17,7 +17,7 @@ class DisplacementChannel(Channel):
     long_name: ClassVar[str] = "height of the ball above the plate, voltage of a displacement sensor"
     aliases: ClassVar[frozenset[str]] = frozenset({"displacement", "laser", "height", "ballheight"})
 
-    v_per_m: PositiveQuantity = quantity(100.0, 1.0)
+    v_per_m: PositiveQuantity  # required: a scale that is assumed would be believed
     offset_v: Quantity = quantity(0.0)
 
     def scale(self) -> Scale:

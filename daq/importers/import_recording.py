@@ -7,6 +7,7 @@ values are stored as they came, never requantised.
 from __future__ import annotations
 
 import datetime
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,6 @@ from daq.channels.registry import KINDS
 from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.achieved import achieved_gamma
-from daq.importers.background import Digest
 from daq.importers.formats.columns import (
     ACCELERATION_UNITS,
     SET_ROLES,
@@ -30,7 +30,7 @@ from daq.importers.formats.columns import (
     Column,
     Source,
     assign,
-    left_out_remarks,
+    reasons,
 )
 from daq.importers.intake import Intake, Progress, take_in
 from daq.importers.lost_rows import lost_rows
@@ -51,7 +51,7 @@ from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
 from daq.steps.forcing_detection import Read
-from kernels.arrays import Floats, Integers
+from kernels.arrays import Floats
 
 LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanoseconds, in 64 bits
 YEAR_9999_S = 2.5e11
@@ -122,42 +122,6 @@ def import_recording(
         Naming file and row of what cannot be used; nothing is left behind.
     """
     options = options or ImportOptions()
-    columns, rate_hz = _assigned(source, options, setup)
-    channels = [role for role in KINDS if role in columns]
-    setup = _adapted(setup, columns)
-    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)
-    attributes |= {"channels": channels, "started": "", "ended": "complete", "why": "", "ended_at": ""}
-    dtypes = {role: source.dtype(columns[role].name) for role in channels}  # values are stored as they came
-    scales = {role: _scale(source, columns[role], role, setup) for role in channels}
-    writer = ColumnWriter(out, setup, dtypes, scales, attributes)
-    try:
-        with Scratch(out.parent, ({"timestamp": np.dtype("<i8")} if "time" in columns else {}) | dtypes) as scratch:
-            intake = Intake(source, columns, scales, setup, set_values={r: [] for r in SET_ROLES if r in columns})
-            take_in(intake, writer, scratch, progress)
-            with Digest(source.path, source.sha256) as digest:
-                volts = {role: partial(_volts, scratch, role, scales[role]) for role in channels}
-                base = _timebase(intake, scratch, rate_hz)
-                _write_times(writer, scratch, base)
-                base, found, channel = _find_with_losses(volts, base, intake, progress)
-                steps = _table(found, volts, channel, setup, base.rate_hz)
-                warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
-                sampling = setup.sampling.model_copy(update={"rate_hz": base.rate_hz})
-                setup = setup.model_copy(update={"sampling": sampling})
-                instrument = examine(volts, writer.n_samples, base.rate_hz, steps, base.gaps, setup)
-                late = _late_attributes(intake, setup, base) | {"extra_json": json.dumps(dict(options.extra))}
-                late |= {STORED: json.dumps(instrument.as_json()), "imported_sha256": digest.result()}
-                writer.check(steps, _blocks(base, writer.n_samples), **late)
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.rename()
-    findings = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
-    lines = [*left_out_remarks(source), *findings, *warnings]
-    return ImportSummary(out, writer.n_samples, base, steps, {r: c.name for r, c in columns.items()}, lines, instrument)
-
-
-def _assigned(source: Source, options: ImportOptions, setup: Setup) -> tuple[dict[str, Column], float | None]:
-    """Columns by role, and the sample rate where it is given; raises `InputError` where neither gives the times."""
     if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
         raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
     columns = assign(source, options.mapping, setup.channels.recorded())
@@ -167,7 +131,41 @@ def _assigned(source: Source, options: ImportOptions, setup: Setup) -> tuple[dic
             f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
             "the sample rate with --rate HZ."
         )
-    return columns, rate_hz
+    channels = [role for role in KINDS if role in columns]
+    setup = _adapted(setup, columns)
+    attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)
+    attributes |= {"channels": channels, "started": "", "ended": "complete", "why": "", "ended_at": ""}
+    dtypes = {role: source.dtype(columns[role].name) for role in channels}  # values are stored as they came
+    scales = {role: _scale(source, columns[role], role, setup) for role in channels}
+    intake = Intake(source, columns, scales, setup, set_values={r: [] for r in SET_ROLES if r in columns})
+    writer = ColumnWriter(out, setup, dtypes, scales, attributes)
+    try:
+        with Scratch(out.parent, ({"timestamp": np.dtype("<i8")} if "time" in columns else {}) | dtypes) as scratch:
+            take_in(intake, writer, scratch, progress)
+            volts = {role: partial(_volts, scratch, role, scales[role]) for role in channels}
+            base = _timebase(intake, scratch, rate_hz)
+            even = partial(timestamps_ns, rate_hz=base.rate_hz, gaps=base.gaps[:, :2])
+            writer.write_timestamps(even if base.uniform else partial(scratch.read, "timestamp"))
+            found, channel = _find(volts, base, intake, progress)
+            if "time" not in columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
+                base = replace(base, gaps=lost)  # rows that are missing become gaps, and the steps end there
+                found, channel = _find(volts, base, intake, progress)
+            steps = _table(found, volts, channel, setup, base.rate_hz)
+            warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
+            sampling = setup.sampling.model_copy(update={"rate_hz": base.rate_hz})
+            setup = setup.model_copy(update={"sampling": sampling})
+            instrument = examine(volts, writer.n_samples, base.rate_hz, steps, base.gaps, setup)
+            late = _late_attributes(intake, setup, base) | {"extra_json": json.dumps(dict(options.extra))}
+            late[STORED] = json.dumps(instrument.as_json())
+            writer.check(steps, _blocks(base, writer.n_samples), **late)
+    except BaseException:
+        writer.abandon()
+        raise
+    writer.rename()
+    left_out = [f"not imported: {reasons(source)}"] if source.left_out else []
+    findings = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
+    lines = [*left_out, *findings, *warnings]
+    return ImportSummary(out, writer.n_samples, base, steps, {r: c.name for r, c in columns.items()}, lines, instrument)
 
 
 def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[float, float]:
@@ -226,28 +224,6 @@ def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timeba
         )
     refuse_other_unit(path, time, base.rate_hz, intake.setup)
     return base
-
-
-def _write_times(writer: ColumnWriter, scratch: Scratch, base: Timebase) -> None:
-    """Write the times: even ones where they are even, else as they came."""
-
-    def stamps(start: int, stop: int) -> Integers:
-        if base.uniform:
-            return timestamps_ns(start, stop, base.rate_hz, base.gaps[:, :2])
-        return scratch.read("timestamp", start, stop)
-
-    writer.write_timestamps(stamps)
-
-
-def _find_with_losses(
-    volts: Mapping[str, Read], base: Timebase, intake: Intake, progress: Progress | None
-) -> tuple[Timebase, list[FoundStep], str]:
-    """Timebase, steps, and the channel that shows them; without a time column rows that are missing become gaps."""
-    found, channel = _find(volts, base, intake, progress)
-    if "time" not in intake.columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
-        base = replace(base, gaps=lost)
-        found, channel = _find(volts, base, intake, progress)
-    return base, found, channel
 
 
 def _find(
@@ -319,10 +295,12 @@ def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:
 
 def _late_attributes(intake: Intake, setup: Setup, base: Timebase) -> dict[str, Any]:
     """Root attributes that are known once all rows were read."""
-    started = ""
+    started, path = "", intake.source.path
     if EPOCH_S < intake.origin_s < YEAR_9999_S:
         when = datetime.datetime.fromtimestamp(intake.origin_s, datetime.UTC)
         started = when.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     return {
         "setup_json": setup.model_dump_json(),
         "rate_hz": base.rate_hz,
@@ -330,7 +308,8 @@ def _late_attributes(intake: Intake, setup: Setup, base: Timebase) -> dict[str, 
         "jitter_s": base.jitter_s,
         "started": started,
         "imported_at": now_utc(),
-        "imported_from": intake.source.path.name,
+        "imported_from": path.name,
+        "imported_sha256": sha256,
         "imported_columns": [
             f"{role}={column.name}" + (f":{column.unit}" if column.unit else "")
             for role, column in intake.columns.items()

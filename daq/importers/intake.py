@@ -116,7 +116,7 @@ class Intake:
         raw = given = piece.columns[column.name]
         if raw.dtype.kind == "f" or raw.dtype == np.uint64:
             raw = raw.astype(np.float64 if raw.dtype.kind == "f" or int(raw.max()) >= 1 << 63 else np.int64)
-        unit = column.unit or getattr(self.source, "time_unit", "") or "s"
+        unit = column.unit or self.source.time_unit or "s"
         factor = TIME_UNITS_S[unit]
         if self.n_rows == 0:
             self.origin, self.origin_s = raw[0], float(raw[0]) * factor

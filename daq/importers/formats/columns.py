@@ -1,4 +1,4 @@
-"""Columns of foreign files: their roles (time, channels, set values), their units, and the protocol of a source.
+"""Columns of foreign files: their roles (time, channels, set values), their units, and what every format gives.
 
 No role is guessed: a column gets it from its name (`time_s`, `Drive (mV)`, `accel_g` ...) or from the caller. Two
 candidates for one role are an error that asks for ``--map``.
@@ -10,12 +10,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.registry import CHANNELS, KINDS
+from daq.importers.tables import split_unit
 from daq.setup.errors import InputError
 from kernels.arrays import Integers
 
@@ -34,6 +35,7 @@ TIME_UNITS_S = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "Â
 VOLT_UNITS = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3}
 ACCELERATION_UNITS = {"g": "V/g", "m/s^2": "V/(m/s^2)", "m/s2": "V/(m/s^2)", "mps2": "V/(m/s^2)"}
 _SPELLINGS = {"m/sÂ²": "m/s^2", "m/s**2": "m/s^2", "gn": "g", "g_n": "g", "volts": "v", "microseconds": "us"}
+_KNOWN_UNITS = {*TIME_UNITS_S, *VOLT_UNITS, *ACCELERATION_UNITS, "hz"}
 MAP_UNITS = "s ms us ns V mV fs g m/s^2"  # as bench import --help has them
 RATE_NAMES = {"rate", "ratehz", "fs", "samplerate", "samplingrate", "sampleratehz", "fshz"}
 
@@ -59,41 +61,54 @@ class Piece:
         return f"{self.row_word} {int(self.rows[index])}"
 
 
-class Source(Protocol):
-    """A table of numbers in somebody's file."""
+class Source:
+    """A table of numbers in somebody's file; the classes of the formats say how it is read.
 
-    path: Path
-    names: tuple[str, ...]
-    left_out: Mapping[str, str]  # what cannot be a column, by name: why
-    rate_hz: float | None
-    sha256: str  # of the file, where all of it was read; else empty
+    Attributes
+    ----------
+    path
+    names
+        Every column.
+    left_out
+        What cannot be a column, by name: why.
+    rate_hz
+        Samples a second, where the file states them.
+    header
+        The line that was taken for the header, in words; text files only.
+    time_unit
+        Unit of a column of time stamps whose name states none.
+    """
+
+    names: tuple[str, ...] = ()
+    rate_hz: float | None = None
+    header = ""
+    time_unit = ""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.left_out: dict[str, str] = {}
 
     def scale(self, name: str, range_v: float) -> tuple[float, float]:
         """``(volts, offset_v)`` of one unit of a column, where the file itself says so; else ``(1, 0)``."""
+        return 1.0, 0.0
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """Type in which the column's numbers are stored."""
+        return np.dtype("<f8")
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
-        """The named columns, some rows at a time."""
+        """The named columns, some rows at a time (raises InputError, naming the row that cannot be used)."""
+        raise NotImplementedError
 
 
 def columns_of(source: Source) -> str:
     """The columns of a source for an error, and what cannot be a column."""
-    header = getattr(source, "header", "")  # text files only
-    return (
-        listed(source.names)
-        + (f" ({header})" if header else "")
-        + (f"; not read: {_reasons(source)}" if source.left_out else "")
-    )
+    header = f" ({source.header})" if source.header else ""
+    left_out = f"; not read: {reasons(source)}" if source.left_out else ""
+    return listed(source.names) + header + left_out
 
 
-def left_out_remarks(source: Source) -> list[str]:
-    """One line that names the columns of the file that are not imported, and why."""
-    return [f"not imported: {_reasons(source)}"] if source.left_out else []
-
-
-def _reasons(source: Source) -> str:
+def reasons(source: Source) -> str:
     """Columns that are left out, each with its reason."""
     each = [f"{listed([name])} ({why})" for name, why in source.left_out.items()]
     return ", ".join(each[:_SHOWN]) + (f" and {len(each) - _SHOWN} more" if len(each) > _SHOWN else "")
@@ -142,16 +157,9 @@ def split_name(name: str) -> tuple[str, str]:
 
     ``Time (ms)`` is ``("time", "ms")``, ``accelerometer_v`` is ``("accelerometer", "v")``.
     """
-    text = name.strip().lower().rsplit("/", 1)[-1]
-    bracket = re.search(r"[\(\[]\s*([^\)\]]+?)\s*[\)\]]\s*$", text)
-    known = TIME_UNITS_S.keys() | VOLT_UNITS.keys() | ACCELERATION_UNITS.keys() | {"hz"}
-    unit = ""
-    if bracket is not None and bracket.group(1) in known:
-        unit, text = bracket.group(1), text[: bracket.start()]
-    else:
-        stem, underscore, last = text.rpartition("_")
-        if underscore and last in known:
-            unit, text = last, stem
+    # folders of an HDF5 file go, the stroke of a unit in brackets stays
+    last = re.sub(r"^.*/(?![^(\[]*[)\]])", "", name.strip().lower())
+    text, unit = split_unit(last, _KNOWN_UNITS)
     return re.sub(r"[^a-z0-9]", "", text), unit
 
 
@@ -159,8 +167,7 @@ def with_unit(name: str, unit: Any) -> str:
     """``name (unit)`` where a file states a unit that is understood, and the name states none."""
     text = str(unit or "").strip().lower()
     text = _SPELLINGS.get(text, text)
-    known = text in TIME_UNITS_S or text in VOLT_UNITS or text in ACCELERATION_UNITS
-    return f"{name} ({text})" if known and not split_name(name)[1] else name
+    return f"{name} ({text})" if text in _KNOWN_UNITS - {"hz"} and not split_name(name)[1] else name
 
 
 def assign(source: Source, mapping: Mapping[str, Column], described: Iterable[str] = CHANNELS) -> dict[str, Column]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import h5py
 
 from daq.importers.formats.columns import Source
-from daq.importers.formats.hdf5 import Hdf5Source
-from daq.importers.formats.mat import Mat73Source, MatSource
+from daq.importers.formats.hdf5 import Hdf5Source, Mat73Source
+from daq.importers.formats.mat import MatSource
 from daq.importers.formats.mdf4 import MdfSource
 from daq.importers.formats.npz import NpzSource
 from daq.importers.formats.tdms import TdmsSource
@@ -18,6 +17,13 @@ from daq.importers.formats.uff58 import UffSource
 from daq.importers.formats.wav import WavSource
 from daq.importers.text.csv import CsvSource
 from daq.setup.errors import InputError, require_file
+
+_TEXT = (".csv", ".txt", ".tsv", ".dat", ".lvm")
+_BINARY: dict[str, type[Source]] = {
+    ".npz": NpzSource, ".wav": WavSource, ".mat": MatSource, ".h5": Hdf5Source, ".hdf5": Hdf5Source,
+    ".hdf": Hdf5Source, ".nc": Hdf5Source, ".uff": UffSource, ".unv": UffSource, ".uf": UffSource, ".bunv": UffSource,
+    ".tdms": TdmsSource, ".mf4": MdfSource, ".mdf": MdfSource,
+}  # fmt: skip
 
 
 def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
@@ -38,18 +44,11 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     """
     require_file(path)
     ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
-    if ending.removesuffix(".gz") in (".csv", ".txt", ".tsv", ".dat", ".lvm"):
+    if ending.removesuffix(".gz") in _TEXT:
         return CsvSource(path, select or {}, select_column)
     if select:
         raise InputError(f"{path}: --channel is for long tables in text files (CSV); here use --map.")
-    matlab = Mat73Source if ending == ".mat" and h5py.is_hdf5(path) else MatSource
-    kinds: dict[str, Any] = {".npz": NpzSource, ".wav": WavSource, ".mat": matlab}
-    kinds |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Hdf5Source)
-    kinds |= dict.fromkeys((".uff", ".unv", ".uf", ".bunv"), UffSource) | {".tdms": TdmsSource}
-    kinds |= dict.fromkeys((".mf4", ".mdf"), MdfSource)
-    if ending not in kinds:
-        raise InputError(
-            f"{path}: wanted a file that ends in .csv .txt .tsv .dat .lvm (or .gz of these) {' '.join(kinds)}."
-        )
-    source: Source = kinds[ending](path)
-    return source
+    if ending not in _BINARY:
+        raise InputError(f"{path}: wanted a file that ends in {' '.join(_TEXT)} (or .gz of these) {' '.join(_BINARY)}.")
+    is_matlab_73 = ending == ".mat" and h5py.is_hdf5(path)
+    return Mat73Source(path) if is_matlab_73 else _BINARY[ending](path)

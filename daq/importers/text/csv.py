@@ -11,17 +11,20 @@ import datetime
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn, TypeVar
 
 import numpy as np
 
-from daq.importers.background import ahead
-from daq.importers.formats.columns import Piece, listed, split_name
+from daq.importers.formats.columns import Piece, Source, listed, split_name
 from daq.importers.text.csv_kernel import parse_rows
 from daq.importers.text.text_file import LONGEST_LINE, LongLineError, TextFile
 from daq.setup.errors import InputError
 from kernels.arrays import Floats, Integers
+
+Item = TypeVar("Item")
 
 _DIALECTS = ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, "."))
 _SNIFFED_LINES = 200
@@ -30,7 +33,7 @@ _END_OF_HEADER = "***End_of_Header***"  # of LabVIEW's .lvm
 _QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')
 
 
-class CsvSource:
+class CsvSource(Source):
     """A text table.
 
     Parameters
@@ -44,12 +47,8 @@ class CsvSource:
         The selecting column; the default is the one called ``channel`` or ``sensor``.
     """
 
-    rate_hz: float | None = None
-    left_out: Mapping[str, str] = {}
-    sha256 = ""  # of the file, once all of it was read
-
     def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
-        self.path = path
+        super().__init__(path)
         self.names = self._base = self._sniff()
         self._select = dict(select)
         self._seen: set[str] = set()
@@ -62,14 +61,6 @@ class CsvSource:
                 )
             self._selector = found[0]
             self.names = self._base if "" in select else (*self._base, *select)
-
-    def scale(self, name: str, range_v: float) -> tuple[float, float]:
-        """Scale 1 and offset 0: text holds the values themselves."""
-        return 1.0, 0.0
-
-    def dtype(self, name: str) -> np.dtype[Any]:
-        """Text is stored as float64."""
-        return np.dtype("<f8")
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time.
@@ -100,11 +91,11 @@ class CsvSource:
                 raise InputError(f"{self.path}: which of {', '.join(left)} holds the reading? Call that column value.")
             columns += left if len(left) == 1 else named
         waiting = {role: (np.zeros((len(columns), 0)), np.zeros(0, np.int64)) for role in self._select}
-        for numbers, lines in self._lines():
+        for first, _, block in self._blocks():
             for role, value in self._select.items():
-                where, chosen = self._matching(lines, numbers, value)
-                if where:
-                    (table, rows), (more, own) = waiting[role], self._parsed(chosen, columns, where)
+                numbers, chosen = self._matching(first, str(block, errors="replace"), value)
+                if numbers:
+                    (table, rows), (more, own) = waiting[role], self._parsed(chosen, columns, numbers)
                     waiting[role] = np.concatenate([table, more], axis=1), np.concatenate([rows, own])
             ready = min(len(rows) for _, rows in waiting.values())
             if ready:
@@ -136,16 +127,28 @@ class CsvSource:
                 columns[role] = own[-1]
         return Piece(columns, rows, "line")
 
+    def _matching(self, first: int, text: str, value: str) -> tuple[list[int], bytes]:
+        """Numbers and text of the lines that have ``value`` in the selecting column; ``first`` is the first's."""
+        numbers, chosen = [], []
+        for number, line in enumerate(text.split("\n"), start=first):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            fields = _fields(line, self._delimiter)
+            if len(fields) <= self._selector:
+                self._explain(line, number)
+            if len(self._seen) < _LISTED:
+                self._seen.add(fields[self._selector].strip())
+            if _same(fields[self._selector], value):
+                numbers.append(number)
+                chosen.append(line.rstrip("\r") + "\n")
+        return numbers, "".join(chosen).encode()
+
     def _sniff(self) -> tuple[str, ...]:
         """Find delimiter, decimal sign, header and the first line of numbers; returns the names of the columns."""
-        try:
-            with TextFile(self.path) as file:
-                head = [self._line(file, i + 1).decode(errors="replace") for i in range(_SNIFFED_LINES)]
-        except (OSError, EOFError, zlib.error) as error:
-            raise InputError(f"{self.path}: cannot be read as text ({error}).") from error
-        while head and not head[-1]:
-            head.pop()
-        head = [line.rstrip("\r\n") for line in head]
+        head: list[str] = []
+        with self._refusals("cannot be read as text ({})", head), TextFile(self.path) as file:
+            while len(head) < _SNIFFED_LINES and (line := file.readline()):
+                head.append(line.decode(errors="replace").rstrip("\r\n"))
         below = max((i + 1 for i, line in enumerate(head) if line.startswith(_END_OF_HEADER)), default=0)
         comments = [(i, line.lstrip().lstrip("#")) for i, line in enumerate(head) if line.lstrip().startswith("#")]
         skipped = {i for i, _ in comments}
@@ -168,8 +171,8 @@ class CsvSource:
         names = [str(i + 1) for i in range(self._width)]
         self.header = "no line was taken for a header"
         # a header may be a comment: the one next to the numbers
-        for i, line in [*lines[:first], *reversed([c for c in comments if c[0] < self._first_line])]:
-            titles = _titles(line, delimiter)
+        for i, text in [*lines[:first], *reversed([c for c in comments if c[0] < self._first_line])]:
+            titles = _titles(text, delimiter)
             if len(titles) == self._width + 1 and titles[-1].strip() in ("", "Comment"):
                 titles.pop()
             if len(titles) == self._width and any(split_name(n)[0] for n in titles):
@@ -182,50 +185,41 @@ class CsvSource:
         self.header += f", line {self._first_line + 1} for the first of the numbers; a # before a line skips it"
         return tuple(names)
 
-    def _line(self, file: TextFile, number: int) -> bytes:
-        """The next line, or what is left of one."""
-        line = file.readline(LONGEST_LINE)
-        if len(line) >= LONGEST_LINE:
-            raise self._too_long(number)
-        return line
-
-    def _too_long(self, number: int) -> InputError:
-        """The error for a line that is no row of a table."""
-        return InputError(
-            f"{self.path}: line {number} or one near it is longer than {LONGEST_LINE} characters; wanted a table "
-            "of numbers, a line for each sample."
-        )
+    @contextmanager
+    def _refusals(self, what: str, before: Sequence[object]) -> Iterator[None]:
+        """Say that the file does not read: ``what``, with the error in its braces, behind the lines ``before``."""
+        try:
+            yield
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(f"{self.path}: {what.format(error)}.") from error
+        except LongLineError as error:
+            raise InputError(
+                f"{self.path}: line {len(before) + 1} or one near it is longer than {LONGEST_LINE} characters; wanted "
+                "a table of numbers, a line for each sample."
+            ) from error
 
     def _blocks(self) -> Iterator[tuple[int, int, memoryview]]:
         """Whole lines of text, some at a time, each with the number (from 1) of its first line, and how many.
 
         A block lasts until the next is asked for.
         """
+        first = self._first_line + 1
         with TextFile(self.path) as file:
-            for i in range(self._first_line):
-                self._line(file, i + 1)
-            first = self._first_line + 1
-            try:
-                for block in file.blocks():
-                    if self._is_quoted:
-                        block = memoryview(_unquoted(bytes(block), self._delimiter))
-                    n = int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
-                    if not self._decimal and self._delimiter:  # so far all numbers were whole
-                        self._decimal = _decimal_of(str(block, errors="replace"), self._delimiter)
-                    yield first, n, block
-                    first += n
-            except (OSError, EOFError, zlib.error) as error:
-                raise InputError(f"{self.path}: breaks off: {error}.") from error
-            except LongLineError as error:
-                raise self._too_long(first) from error
-            self.sha256 = file.sha256
-
-    def _lines(self) -> Iterator[tuple[list[int], list[str]]]:
-        """Numbers and text of the lines that are neither blank nor a comment, some at a time."""
-        for first, _, block in self._blocks():
-            lines = str(block, errors="replace").split("\n")
-            rows = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-            yield [first + i for i in rows], [lines[i].rstrip("\r") for i in rows]
+            blocks = file.blocks()
+            for _ in range(self._first_line):
+                file.readline()
+            while True:
+                with self._refusals("breaks off: {}", range(first - 1)):
+                    block = next(blocks, None)
+                if block is None:
+                    return
+                if self._is_quoted:
+                    block = memoryview(_unquoted(bytes(block), self._delimiter))
+                n = int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
+                if not self._decimal and self._delimiter:  # so far all numbers were whole
+                    self._decimal = _decimal_of(str(block, errors="replace"), self._delimiter)
+                yield first, n, block
+                first += n
 
     def _parsed(
         self, block: bytes | memoryview, names: Sequence[str], numbers: Sequence[int]
@@ -258,19 +252,17 @@ class CsvSource:
             why = "a carriage return stands within the line; save the file with one kind of line end"
         raise InputError(f"{self.path}: line {number}: {why}")
 
-    def _matching(self, lines: list[str], numbers: list[int], value: str) -> tuple[list[int], bytes]:
-        """Numbers and text of the lines that have ``value`` in the selecting column."""
-        where, chosen = [], []
-        for number, line in zip(numbers, lines, strict=True):
-            fields = _fields(line, self._delimiter)
-            if len(fields) <= self._selector:
-                self._explain(line, number)
-            if len(self._seen) < _LISTED:
-                self._seen.add(fields[self._selector].strip())
-            if _same(fields[self._selector], value):
-                where.append(number)
-                chosen.append(line + "\n")
-        return where, "".join(chosen).encode()
+
+def ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """The items in order, each made in a thread while the one before it is used; so is an error, raised in its turn.
+
+    Compiled code lets go of the interpreter, so that a second core has something to do.
+    """
+    with ThreadPoolExecutor(1, "reading ahead") as worker:
+        coming = worker.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = worker.submit(next, items, None)
+            yield item
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
@@ -319,22 +311,20 @@ def _decimal_of(text: str, delimiter: str) -> str:
     return ""
 
 
-def _is_numbers(line: str, delimiter: str | None, decimal: str) -> bool:
-    """Whether a line holds at least two columns of which most are numbers (a long table may name its channels)."""
-    if delimiter == "," and (";" in line or "\t" in line):
-        return False
-    fields = _fields(line, delimiter)
-    if decimal != ".":
-        fields = [f.replace(decimal, ".") for f in fields]
-    return len(fields) > 1 and sum(_number(f, None) is not None for f in fields) * 2 > len(fields)
-
-
 def _is_first_row(lines: list[str], delimiter: str | None, decimal: str) -> bool:
     """Whether the first of two lines holds numbers and is no header, as an oscilloscope's ``x-axis,1,2``."""
-    if not _is_numbers(lines[0], delimiter, decimal):
+
+    def is_numbers(line: str) -> bool:
+        """At least two columns, of which most are numbers (a long table may name its channels)."""
+        if delimiter == "," and (";" in line or "\t" in line):
+            return False
+        fields = [f.replace(decimal, ".") for f in _fields(line, delimiter)]
+        return len(fields) > 1 and sum(_number(f, None) is not None for f in fields) * 2 > len(fields)
+
+    if not is_numbers(lines[0]):
         return False
     leads = [_number(_fields(line, delimiter)[0], decimal) for line in lines]
-    return leads[0] is not None or len(lines) == 1 or (leads[1] is None and _is_numbers(lines[1], delimiter, decimal))
+    return leads[0] is not None or len(lines) == 1 or (leads[1] is None and is_numbers(lines[1]))
 
 
 def _same(field: str, value: str) -> bool:

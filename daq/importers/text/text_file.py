@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import gzip
-import hashlib
 import io
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,10 @@ from daq.files.disk import Closing
 
 LONGEST_LINE = 1 << 16
 _BLOCK_BYTES = 1 << 22
+
+
+class LongLineError(ValueError):
+    """A line that no block of a table holds."""
 
 
 def encoding_of(head: bytes) -> str:
@@ -27,42 +30,24 @@ def encoding_of(head: bytes) -> str:
     return "utf-8-sig"
 
 
-class LongLineError(ValueError):
-    """A line that no block of a table holds."""
-
-
 class TextFile(Closing):
-    """A text as UTF-8 without byte-order mark, its lines ending in a newline; ``.gz`` is unpacked on the way.
-
-    Attributes
-    ----------
-    sha256
-        Of the file, in hexadecimal, once all of it was read as it is; empty where it was unpacked or recoded.
-    """
+    """A text as UTF-8 without byte-order mark, its lines ending in a newline; ``.gz`` is unpacked on the way."""
 
     def __init__(self, path: Path) -> None:
-        packed = path.suffix.lower() == ".gz"
-        self._file: Any = (gzip.open if packed else open)(path, "rb")
-        self.sha256 = ""
+        self._file: Any = (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb")
         head = self._file.read(LONGEST_LINE)
         encoding = encoding_of(head)
         self._file.seek(0)
-        is_recoded = encoding != "utf-8-sig" or (b"\r" in head and b"\n" not in head)
-        self._digest = None if packed or is_recoded else hashlib.sha256()
-        if is_recoded:
+        if encoding != "utf-8-sig" or (b"\r" in head and b"\n" not in head):
             self._file = _Recoded(self._file, encoding)
         elif head.startswith(codecs.BOM_UTF8):
-            self._noted(self._file.read(3))
+            self._file.seek(len(codecs.BOM_UTF8))
 
-    def _noted(self, data: Any) -> None:
-        """Take what was read into the hash."""
-        if self._digest is not None:
-            self._digest.update(data)
-
-    def readline(self, size: int) -> bytes:
-        """The rest of the line, at most ``size`` bytes of it."""
-        line: bytes = self._file.readline(size)
-        self._noted(line)
+    def readline(self) -> bytes:
+        """The rest of the line; raises LongLineError."""
+        line: bytes = self._file.readline(LONGEST_LINE)
+        if len(line) >= LONGEST_LINE:
+            raise LongLineError
         return line
 
     def blocks(self) -> Iterator[memoryview]:
@@ -77,12 +62,8 @@ class TextFile(Closing):
         """
         memory = bytearray(_BLOCK_BYTES + 1)  # one more: for a last newline that is missing
         held, left = memoryview(memory), 0
-        while True:
-            n = self._file.readinto(held[left:-1])
-            self._noted(held[left : left + n])
+        while n := self._file.readinto(held[left:-1]):
             end = left + n
-            if n == 0:
-                break
             whole = memory.rfind(b"\n", 0, end) + 1
             if whole:
                 yield held[:whole].toreadonly()
@@ -91,7 +72,6 @@ class TextFile(Closing):
                 raise LongLineError
             # the beginning of a line moves to the front, where the next read continues it
             held[:left] = held[whole:end]
-        self.sha256 = self._digest.hexdigest() if self._digest is not None else ""
         if left:
             held[left] = ord("\n")
             yield held[: left + 1].toreadonly()
@@ -109,16 +89,13 @@ class _Recoded(io.RawIOBase):
         self._text = io.TextIOWrapper(raw, encoding=encoding, errors="replace")
 
     def readinto(self, buffer: Any) -> int:
-        """As many whole characters as surely fit."""
-        data = self._text.read(len(buffer) // 4).encode()
+        data = self._text.read(len(buffer) // 4).encode()  # as many whole characters as surely fit
         buffer[: len(data)] = data
         return len(data)
 
     def readline(self, size: int | None = -1) -> bytes:
-        """The rest of the line, at most ``size`` characters of it."""
         return self._text.readline(-1 if size is None else size).encode()
 
     def close(self) -> None:
-        """Close the file beneath."""
         self._text.close()
         super().close()

@@ -2,6 +2,9 @@
 
 import json
 
+import pytest
+from pydantic import ValidationError
+
 from daq.channels.accelerometer import AccelerometerChannel
 from daq.channels.registry import CHANNELS, KINDS, Channels
 from daq.importers.formats.columns import split_name
@@ -44,3 +47,9 @@ def test_no_name_of_a_column_could_be_two_channels() -> None:
     assert len(set(aliases)) == len(aliases)
     assert all(split_name(alias)[0] == alias for alias in aliases)
     assert all(name in kind.aliases for name, kind in KINDS.items())
+
+
+def test_the_scale_of_a_displacement_sensor_is_required() -> None:
+    """A sensor whose scale the profile does not give is refused: none is assumed."""
+    with pytest.raises(ValidationError, match="v_per_m"):
+        Channels(accelerometer=SENSOR, displacement={})

@@ -156,6 +156,18 @@ def test_tdms_names_are_recognised(recording: Recording, tmp_path: Path) -> None
     assert summary.columns["drive"] == "recording/drive (v)" and summary.timebase.rate_hz == RATE_HZ
 
 
+def test_time_stamps_of_tdms_keep_their_nanoseconds(tmp_path: Path) -> None:
+    """A channel of dates is a time column in nanoseconds, not cut to whole seconds."""
+    nptdms = pytest.importorskip("nptdms")
+    stamps = np.datetime64("2026-11-25T10:00:00", "us") + np.arange(500) * np.timedelta64(50, "us")
+    with nptdms.TdmsWriter(str(tmp_path / "x.tdms")) as writer:
+        writer.write_segment([nptdms.ChannelObject("run", "Time", stamps)])
+    source = open_source(tmp_path / "x.tdms")
+    (piece,) = source.pieces(source.names)
+    assert source.names == ("run/Time (ns)",)
+    np.testing.assert_allclose(np.diff(piece.columns["run/Time (ns)"]), 50_000, atol=1)
+
+
 def test_a_universal_file_of_text_and_six_digits(tmp_path: Path) -> None:
     """Somebody's ASCII set at 48 kHz has an increment of six digits: the rate meant is taken; units are read."""
     pyuff = pytest.importorskip("pyuff")

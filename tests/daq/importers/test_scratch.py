@@ -1,18 +1,14 @@
-"""What an import keeps while it lasts: read back as it came, gone afterwards; and what it does in threads."""
+"""Scratch files of an import: read back as they came, gone afterwards."""
 
 from __future__ import annotations
 
 import errno
-import hashlib
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.importers.background import Digest, ahead
 from daq.importers.scratch import Scratch
 
 
@@ -48,31 +44,3 @@ def test_a_full_disk_is_said(tmp_path: Path) -> None:
         with pytest.raises(OSError, match=r"refuses to take more .No space left.*free some space") as raised:
             scratch.append("a", np.zeros(3))
     assert raised.value.filename == str(tmp_path)
-
-
-def test_reading_ahead_keeps_order_and_errors() -> None:
-    """Items come in order, an error after those before it, and one that stops early leaves no thread."""
-
-    def items() -> Iterator[int]:
-        yield from range(5)
-        raise ValueError("the sixth")
-
-    seen = []
-    with pytest.raises(ValueError, match="the sixth"):
-        for item in ahead(items()):
-            seen.append(item)
-    assert seen == [0, 1, 2, 3, 4]
-    early = ahead(items())
-    assert next(early) == 0
-    early.close()  # type: ignore[attr-defined]
-    assert not [t for t in threading.enumerate() if t.name.startswith("reading ahead")]
-
-
-def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
-    """The hash made in a thread is the file's; a file that is gone is an error where it is asked for."""
-    raw = tmp_path / "a.csv"
-    raw.write_bytes(bytes(range(256)) * 9000)
-    with Digest(raw) as digest:
-        assert digest.result() == hashlib.sha256(raw.read_bytes()).hexdigest()
-    with Digest(tmp_path / "none") as digest, pytest.raises(FileNotFoundError):
-        digest.result()
