@@ -227,21 +227,37 @@ def _size(white, x, room):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _earlier(x, index, found, best, middle, fine, columns, norms, room):  # type: ignore[no-untyped-def]
-    """What later candidates ``found`` may add to the score ``middle`` of one at ``index``, column ``best``.
+def _ringing(table, at, fine, out, doubt):  # type: ignore[no-untyped-def]
+    """Put the ringing of the impacts of ``table`` (n, `MARGIN` + 1) into a snippet ``out`` (`LENGTH`,) that is filtered
+    at place ``at``, and the part of it that may be wrong into ``doubt``."""
+    out[:] = 0.0
+    doubt[:] = 0.0
+    for back in range(table.shape[0] - 1, -1, -1):
+        lag = at - table[back, PLACE]
+        if lag > fine.shape[0] // FINE:
+            break
+        _echo(lag, table[back, SIZE], fine, out)
+        _echo(lag, table[back, SIZE] * table[back, MARGIN], fine, doubt)
 
-    A louder impact soon after also makes a maximum one period of its ringing earlier: the score of that, and the
-    loudest of them within `PRECURSOR`. ``room`` (2, `LENGTH`) is overwritten.
+
+@njit(error_model="numpy")
+def _earlier(x, index, offset, found, table, best, fine, columns, norms, room):  # type: ignore[no-untyped-def]
+    """What later candidates ``found`` may add to the score of the one at ``index``, the last of ``table``.
+
+    A louder impact soon after also makes a maximum one period of its ringing earlier: the score of that, and what is
+    left of the loudest of them within `PRECURSOR` if this one is real. What earlier impacts ring there is not theirs.
+    ``best`` is the column at ``index``; ``room`` (2, `LENGTH`) is overwritten.
     """
     own, later = room[0], room[1]
-    top = np.empty(columns.shape[1])
+    top, middle = np.empty(columns.shape[1]), table[-1, SCORE]
     leak = loudest = 0.0
     for ahead in found:
         lag = ahead - index
         if lag > LENGTH - LEAD:
             break
+        _ringing(table[:-1], ahead + offset, fine, own, later)
         for k in range(LENGTH):
-            own[k] = x[ahead - LEAD + k]
+            own[k] = x[ahead - LEAD + k] - own[k]
         _products(columns, own, top)
         far = int(np.argmax(top))
         if top[far] < middle:  # this one's own ringing, or a weaker impact: it makes no such maximum here
@@ -253,7 +269,11 @@ def _earlier(x, index, found, best, middle, fine, columns, norms, room):  # type
             total += columns[k, best] * later[k]
         leak = max(leak, total)
         if lag <= PRECURSOR:
-            loudest = max(loudest, top[far])
+            later[:] = 0.0
+            _echo(ahead + offset - table[-1, PLACE], table[-1, SIZE], fine, later)
+            own -= later
+            _products(columns, own, top)
+            loudest = max(loudest, top.max())
     return leak, loudest
 
 
@@ -268,14 +288,7 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
     score = np.empty(shifts)
     for c in range(count):
         index = found[c]
-        echo[:] = 0.0
-        doubt[:] = 0.0
-        for back in range(n - 1, -1, -1):
-            lag = index + offset - out[back, PLACE]
-            if lag > longest:
-                break
-            _echo(lag, out[back, SIZE], fine, echo)
-            _echo(lag, out[back, SIZE] * out[back, MARGIN], fine, doubt)
+        _ringing(out[:n], index + offset, fine, echo, doubt)
         for k in range(LENGTH):
             own[k] = x[index - LEAD + k] - echo[k]
         _products(columns, own, score)
@@ -296,15 +309,14 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
         doubt += own
         _products(white, doubt, room[0])
         misfit = np.sqrt(max(np.sum(room[0, :BEGINNING] ** 2) - BEGINNING, 0.0))
-        leak, loudest = _earlier(x, index, found[c + 1 :], best, middle, fine, columns, norms, room)
-        if middle - leak < max(limit, ECHO_MARGIN * leak, PRECURSOR_PART * loudest):
-            continue
         curvature = min(left - 2.0 * middle + right, -1e-300)
         vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
         out[n, PLACE], out[n, SIZE] = place + vertex / FINE, middle / norms[best]
         out[n, SCORE], out[n, ECHO] = middle, loud
         out[n, MARGIN] = max(ECHO_MARGIN, MISFIT_MARGIN * misfit / middle)
-        n += 1
+        leak, loudest = _earlier(x, index, offset, found[c + 1 :], out[: n + 1], best, fine, columns, norms, room)
+        if middle - leak >= max(limit, ECHO_MARGIN * leak, PRECURSOR_PART * loudest):
+            n += 1
     return n
 
 

@@ -61,6 +61,19 @@ def test_a_weak_impact_is_not_found_a_period_of_its_ringing_late(waveform: Impac
     assert np.all((late < 3.0) | (late > 290.0))
 
 
+def test_an_impact_of_a_chatter_is_not_hidden_by_the_ringing_of_the_one_before(waveform: ImpactTemplate) -> None:
+    """Three periods after a louder one the next bounce rings in step with it, and the one after makes it look later."""
+    rng = np.random.default_rng(4)
+    first = 1400.0 + 600.0 * np.arange(37) + rng.random(37)
+    second = first + 35.1
+    hits = (first, 0.6), (second, 0.11), (second + 10.0, 0.03)
+    volts = np.sum([ringing(25_000, at, rng, size_v) for at, size_v in hits], axis=0)
+    scan = ImpactScan(waveform, RATE_HZ)
+    scan.add(volts, PAD, PAD, volts.size - 2 * PAD)
+    found = scan.impacts().time_s * RATE_HZ
+    assert np.all(np.min(np.abs(found[:, None] - second), axis=0) < 1.0)
+
+
 def test_every_candidate_is_a_maximum_of_the_filters_output(waveform: ImpactTemplate) -> None:
     """Among impacts at any distance none begins on the flank of a maximum that was left out, which hid the next one."""
     rng = np.random.default_rng(3)
