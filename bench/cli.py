@@ -18,6 +18,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
+
 COMMANDS: dict[str, tuple[str, str]] = {
     "profile": ("bench.commands.profile", "List, show and make profiles of rigs."),
     "plan": ("bench.commands.plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
@@ -48,14 +50,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(TyperGroup):
-    """A group that knows its commands' names without importing them."""
+    """A group that knows its commands' names without importing them, and ends a command that fails with one line."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Every command, in the order a person meets them."""
         return list(COMMANDS)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the overview from the table alone."""
+        """Write the overview from the table only."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
@@ -79,8 +81,27 @@ class LazyGroup(TyperGroup):
             ctx.fail(f"no such command {args[0]!r}; {hint}")
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command: status 2 where the call was wrong, 1 where the run, a device or the disk failed."""
+        try:
+            return super().invoke(ctx)
+        except ValueError as error:  # `InputError`, and what the model refuses
+            fail(str(error), EXIT_USAGE)
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                name = str(error.filename)
+                fail(f"{name[:40]}...: a name of {len(name)} characters is too long for this system", EXIT_USAGE)
+            wrong = isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError | NotADirectoryError)
+            remedy = "name files that can be read and written" if wrong else "free some space, or name another place"
+            fail(f"{error}; {remedy}", EXIT_USAGE if wrong else EXIT_FAILED)
+        except RuntimeError as error:
+            devices = sys.modules.get("rig.backends.base")  # where it was not imported, no device was opened
+            if devices is None or not isinstance(error, devices.BackendError):
+                raise
+            fail(str(error), EXIT_FAILED)
+
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
-        """The names that begin so, from the table alone."""
+        """The names that begin so, from the table only."""
         from typer._click.shell_completion import CompletionItem
 
         return [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
@@ -106,8 +127,7 @@ def _use_effects(folder: str | None) -> None:
     if folder is not None:
         for part in filter(None, folder.split(os.pathsep)):
             if not Path(part).is_dir():
-                sys.stderr.write(f"error: --effects {part}: no such folder; make it first, or name another\n")
-                sys.exit(2)
+                fail(f"--effects {part}: no such folder; make it first, or name another", EXIT_USAGE)
         os.environ["SHAKERBENCH_EFFECTS"] = folder
 
 
@@ -130,19 +150,6 @@ def main() -> None:
         del os.environ["COLUMNS"]  # a terminal that does not know its width
     try:
         app(prog_name="bench")
-    except ValueError as error:
-        from model.effects.kept import EffectFileError
-
-        if not isinstance(error, EffectFileError):
-            raise
-        sys.stderr.write(f"error: {error}\n")
-        sys.exit(2)
-    except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
-            raise
-        name = str(error.filename)
-        sys.stderr.write(f"error: {name[:40]}...: a name of {len(name)} characters is too long for this system\n")
-        sys.exit(2)
     finally:
         sys.stdout.flush()
 

@@ -1,4 +1,4 @@
-"""The check of every output path of a command, before any work.
+"""Options that several commands have, and the check of every output path of a command, before any work.
 
 No command writes over one of its inputs. Nor, without ``--overwrite``, over a file that is there;
 a recording is never written over. Decision 102.
@@ -16,10 +16,19 @@ import typer
 
 from daq.setup.errors import InputError
 
+# options that several commands have
+Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="The answer for a machine; - prints it.")]
+Figures = Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Draw the pictures there.")]
 Anyway = Annotated[
     bool, typer.Option("--anyway", help="Go on where a recording contradicts its profile (bench info says how).")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that are there; never an input.")]
+Scenario = Annotated[Path | None, typer.Option("--scenario", metavar="FILE", help="What the simulated rig hides.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Of the simulated rig's noise.")]
+RealTime = Annotated[bool, typer.Option("--real-time", help="Pace the simulated rig to the clock.")]
+Live = Annotated[bool, typer.Option("--live", help="Serve a page on which it is watched, held and stopped.")]
+Host = Annotated[str, typer.Option("--host", help="Of the page; other machines need the token in its address.")]
+Port = Annotated[int | None, typer.Option("--port", min=0, max=65535, help="Of the page; by default a free one.")]
 
 
 @dataclass(frozen=True)

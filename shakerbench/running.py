@@ -12,7 +12,7 @@ import numpy as np
 from bench.jobs.run_ramp import make_backend, record
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
-from bench.profiles.plan import planned, refusal
+from bench.profiles.plan import planned, refuse_forbidden
 from daq.setup.errors import InputError
 from rig.execution.operator import RunSummary
 from rig.profile import Profile, parse_profile
@@ -148,9 +148,7 @@ def run(
     'complete'
     """
     own = profile if isinstance(profile, RigProfile) else load_profile(profile)
-    faults = planned(own.profile)[2]
-    if faults:
-        raise InputError(refusal(own.name, faults))
+    refuse_forbidden(own.name, own.profile)
     if Path(out).exists():
         raise InputError(f"{out}: exists already and is never overwritten; choose another name")
     backend = make_backend(own.profile, scenario=None if scenario is None else Path(scenario), seed=seed)

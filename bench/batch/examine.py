@@ -7,6 +7,7 @@ A recording that cannot be read gives a row with the reason; it stops nothing. N
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,6 @@ from daq.files.json_values import json_object
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
-    from analysis.flights.table import Flights
-    from analysis.loop.result import ClosedLoop
     from daq.recording import Recording
     from daq.setup.setup import Setup
 
@@ -26,12 +25,7 @@ Row = dict[str, Any]
 PARTS = ("reprocess", "compare", "close-loop")
 
 
-def examine(
-    path: Path,
-    parts: tuple[str, ...],
-    profile: Path | None = None,
-    anyway: bool = False,
-) -> Row:
+def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, anyway: bool = False) -> Row:
     """The row of one recording.
 
     Parameters
@@ -50,39 +44,33 @@ def examine(
     dict
         Text, numbers or None by column; ``failed`` is the reason why something is missing, else None.
     """
+    from bench.profiles.find import load_measuring
+    from daq.recording import open_recording
+
     began = time.process_time()
     row: Row = {"failed": None}
     try:
-        _fill(row, path, parts, profile, anyway)
-    except (InputError, ValueError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
+        setup = None if profile is None else load_measuring(profile)[0]
+        with open_recording(path) as opened:
+            if setup is not None:
+                opened.measure_with(setup)
+            for found in _measured(opened, parts):  # what was found before a failure stays
+                row |= found
+        if "close-loop" in parts:
+            row |= _verdict(path, setup, anyway=anyway)
+    except (ValueError, OSError, ArithmeticError) as error:
         row["failed"] = f"{type(error).__name__}: {error}" if not isinstance(error, InputError) else str(error)
     return json_object(row) | {"processor_s": time.process_time() - began}
 
 
-def _fill(row: Row, path: Path, parts: tuple[str, ...], profile: Path | None, anyway: bool) -> None:
-    """Add columns part by part, so that what was found before a failure stays."""
+def _measured(opened: Recording, parts: tuple[str, ...]) -> Iterator[Row]:
+    """Columns about the recording, its flights, and the distance of the declared model from them."""
     from analysis.flights.assemble import flights_of
-    from bench.profiles.find import load_measuring
-    from daq.recording import open_recording
+    from analysis.flights.compare import compare
+    from analysis.flights.table import FlightFlag
 
-    setup = None if profile is None else load_measuring(profile)[0]
-    with open_recording(path) as opened:
-        if setup is not None:
-            opened.measure_with(setup)
-        row |= described(opened)
-        if "reprocess" in parts or "compare" in parts:
-            table = flights_of(opened)
-            row |= counted(table)
-            if "compare" in parts and "continuity" in opened.channels:
-                row |= compared(table, opened)
-    if "close-loop" in parts:
-        row |= closed(path, setup, anyway=anyway)
-
-
-def described(opened: Recording) -> Row:
-    """What a recording says of itself."""
     forcing, attrs = opened.setup.forcing, opened.attrs
-    return {
+    yield {
         "started": attrs.get("started"),
         "profile": opened.setup.name,
         "simulated": bool(attrs.get("simulated")),
@@ -95,45 +83,32 @@ def described(opened: Recording) -> Row:
         "steps": len(opened.steps),
         "damage": "; ".join(opened.damage) or None,
     }
-
-
-def counted(table: Flights) -> Row:
-    """Flights, and the range of gamma that the plate achieved."""
-    from analysis.flights.table import FlightFlag
-
+    if not {"reprocess", "compare"} & set(parts):
+        return
+    table = flights_of(opened)
     gammas = np.array([p.gamma for p in table.plate.steps if p is not None])
     gammas = gammas[np.isfinite(gammas)]
-    return {
+    yield {
         "flights": int((~table.has(FlightFlag.FALSE)).sum()),
-        "gamma_low": float(gammas.min()) if len(gammas) else None,
-        "gamma_high": float(gammas.max()) if len(gammas) else None,
+        "gamma_low": gammas.min(initial=np.inf),  # infinite, and then unknown, where no step could be fitted
+        "gamma_high": gammas.max(initial=-np.inf),
         "accelerometer_noise_mps2": table.plate.noise_mps2,
     }
+    if "compare" in parts and "continuity" in opened.channels:
+        held = compare(table, opened.setup, steps_table=opened.steps)
+        yield {
+            "flights_short_by": held.short_by,
+            "double_hits": held.double_hits,
+            "first_bifurcation_over_predicted": held.first.ratio,
+        }
 
 
-def compared(table: Flights, opened: Recording) -> Row:
-    """How far the declared model is from the flights, and where the motion first changes."""
-    from analysis.flights.compare import compare
-
-    held = compare(table, opened.setup, steps_table=opened.steps)
-    return {
-        "flights_short_by": held.short_by,
-        "double_hits": held.double_hits,
-        "first_bifurcation_over_predicted": held.first.ratio,
-    }
-
-
-def closed(path: Path, setup: Setup | None, *, anyway: bool = False) -> Row:
-    """The verdict of the closed loop, kept beside the recording; the values of what it names with their intervals."""
+def _verdict(path: Path, setup: Setup | None, *, anyway: bool) -> Row:
+    """The verdict of the closed loop, saved next to the recording; values of what it names with their intervals."""
     from analysis.loop.close_loop import close_loop
     from bench.jobs.keep_verdict import keep_verdict
 
     loop = close_loop([path], setup=setup, anyway=anyway)
-    return verdict_row(loop) | {"verdict_not_kept": keep_verdict(loop, [path]) or None}
-
-
-def verdict_row(loop: ClosedLoop) -> Row:
-    """A closed loop in flat columns."""
     row: Row = {
         "verdict": loop.verdict,
         "effects": " + ".join(loop.names),
@@ -149,4 +124,4 @@ def verdict_row(loop: ClosedLoop) -> Row:
             row |= {column: value, f"{column}.low": low, f"{column}.high": high}
     for scale in loop.calibrations:
         row[f"calibration.{scale.effect}.{scale.parameter}"] = scale.value
-    return row
+    return row | {"verdict_not_kept": keep_verdict(loop, [path]) or None}

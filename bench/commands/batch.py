@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import Anyway, Overwrite
+from bench.outputs import JSON, TABLE, Anyway, File, Json, Overwrite, check_outputs
+from bench.terminal.console import EXIT_FAILED, fail, write_json
+from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from bench.batch.examine import Row
@@ -20,7 +23,7 @@ def command(
     profile: Path | None = typer.Option(None, "--profile", help="A profile that replaces the recordings' own."),
     workers: int = typer.Option(1, "--workers", min=1, help="Processes."),
     cluster: str | None = typer.Option(None, "--cluster", help="Dask scheduler: tcp://host:port, or 'local'."),
-    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The rows for a machine; - prints them."),
+    json: Json = None,
     anyway: Anyway = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -35,76 +38,41 @@ def command(
     Exits 0 when every recording has its row, 1 when some failed, 2 when the call was wrong.
     """
     from bench.batch.examine import PARTS
-    from bench.batch.recordings import find_recordings
-    from bench.batch.run import Batch, run_batch
-    from bench.batch.table import write_table
-    from bench.outputs import JSON, TABLE, File, check_outputs
+    from bench.batch.run import Batch, find_recordings, run_batch, write_table
     from bench.profiles.find import load_measuring
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.files.whole_file import Journal
-    from daq.setup.errors import InputError
 
-    quiet = json == "-"
     rows_file = out.with_name(f"{out.name}.rows")
+    check_outputs(
+        File("--out", out, TABLE, continues=lambda path: rows_file.exists()), File("--json", json, JSON),
+        inputs=[*places, profile], overwrite=overwrite,
+    )  # fmt: skip
+    if profile is not None:
+        load_measuring(profile)
+    for name in do:
+        if name not in PARTS:
+            raise InputError(f"--do {name}: wanted one of {', '.join(PARTS)}")
+    recordings, others = find_recordings(places)
+    batch = Batch(recordings, tuple(part for part in PARTS if part in do or not do), profile, anyway)
     try:
-        check_outputs(
-            File("--out", out, TABLE, continues=lambda path: rows_file.exists()), File("--json", json, JSON),
-            inputs=[*places, profile], overwrite=overwrite,
-        )  # fmt: skip
-        if profile is not None:
-            load_measuring(profile)
-        recordings, others = find_recordings(places)
-        batch = Batch(recordings, _parts(do, PARTS), profile, anyway)
-        rows = run_batch(batch, Journal(rows_file), workers=workers, cluster=cluster, told=None if quiet else _tell)
+        say = None if json == "-" else _say
+        rows = run_batch(batch, Journal(rows_file), workers=workers, cluster=cluster, say=say)
         write_table(rows, out)
-    except (InputError, ValueError) as error:
-        fail(str(error), EXIT_USAGE)
-    except OSError as error:
-        fail(f"{error}; what was done is kept in {rows_file}: give the same command again", EXIT_FAILED)
-    except KeyboardInterrupt:
-        fail(f"interrupted; what was done is kept in {rows_file}: give the same command again", EXIT_FAILED)
-    failed = [row for row in rows if row["failed"]]
-    write_json(as_json(rows, others), json)
-    if not quiet:
-        _print(rows, others, out)
+    except (OSError, KeyboardInterrupt) as error:
+        fail(f"{str(error) or 'interrupted'}; what was done is kept in {rows_file}: give the same command again")
+    failed = sum(bool(row["failed"]) for row in rows)
+    if write_json({"recordings": len(rows), "failed": failed, "passed_over": others, "rows": rows}, json):
+        counts = Counter(row.get("verdict") or "no verdict" for row in rows if not row["failed"])
+        words = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.most_common())
+        typer.echo(f"{len(rows)} recordings: {words or 'none examined'}{f', {failed} failed' if failed else ''}")
+        if others:
+            typer.echo(f"{others} other HDF5 files were passed over")
+        typer.echo(f"table: {out}")
     if failed:
         raise SystemExit(EXIT_FAILED)
 
 
-def as_json(rows: list[Row], others: int) -> dict[str, Any]:
-    """The rows for a machine."""
-    return {
-        "recordings": len(rows),
-        "failed": sum(bool(row["failed"]) for row in rows),
-        "passed_over": others,
-        "rows": rows,
-    }
-
-
-def _parts(asked: list[str], known: tuple[str, ...]) -> tuple[str, ...]:
-    from daq.setup.errors import InputError
-
-    for name in asked:
-        if name not in known:
-            raise InputError(f"--do {name}: wanted one of {', '.join(known)}")
-    return tuple(name for name in known if name in asked) if asked else known
-
-
-def _tell(done: int, total: int, path: Path, row: Row) -> None:
+def _say(done: int, total: int, path: Path, row: Row) -> None:
     """One line a recording, as it comes in."""
-    found = row.get("verdict") or ""
     names = f": {row['effects']}" if row.get("effects") else ""
-    typer.echo(f"{done}/{total} {path}: {row['failed'] or f'{found}{names}' or 'done'}")
-
-
-def _print(rows: list[Row], others: int, out: Path) -> None:
-    """Numbers of recordings by verdict."""
-    from collections import Counter
-
-    counts = Counter(row.get("verdict") or "no verdict" for row in rows if not row["failed"])
-    failed = sum(bool(row["failed"]) for row in rows)
-    words = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.most_common())
-    typer.echo(f"{len(rows)} recordings: {words or 'none examined'}{f', {failed} failed' if failed else ''}")
-    if others:
-        typer.echo(f"{others} other HDF5 files were passed over")
-    typer.echo(f"table: {out}")
+    typer.echo(f"{done}/{total} {path}: {row['failed'] or (row.get('verdict') or '') + names or 'done'}")

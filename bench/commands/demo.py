@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from bench.outputs import Folder, Scenario, check_outputs
+from bench.terminal.console import EXIT_FAILED, fail, write_json
+from bench.terminal.progress import progress_bar
+from daq.setup.errors import InputError
+
 if TYPE_CHECKING:
     from analysis.flights.assemble import Flights
     from analysis.loop.result import ClosedLoop
     from rig.profile import Profile
-    from rig.sim.scenario import Scenario
+    from rig.sim.scenario import Scenario as Hidden
 
 UNFINISHED = "unfinished.txt"  # stands in the folder while a demo runs, and stays where it failed
 MADE = ("recording.*", "flights.csv", "verdict.json", "improved.toml", "sealed.toml", "pictures", "report")
@@ -22,48 +27,41 @@ def command(
     profile: str = typer.Option(
         "simulated", "--profile", help="A profile of a simulated rig: its path, or the name of a shipped one."
     ),
-    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What it hides; default: sealed."),
+    scenario: Scenario = None,
     seed: int = typer.Option(4, "--seed", help="Of the sealed draw and of the rig's noise."),
 ) -> None:
     """Drive a ramp on a sealed simulated rig, record it, reprocess it, hold it against the model, close the loop.
 
     Example: bench demo --seed 7
 
-    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written. So is
-    its instrument: filter, noise, mains, card and contact as laboratories have them, which no profile describes. No
-    device is ever driven. Exits 1 when a part failed: what was made stays, and the same call starts anew.
+    What the rig hides is drawn by chance and written to a sealed file, opened only after the report is written, unless
+    --scenario names it. So is its instrument: filter, noise, mains, card and contact as laboratories have them, which
+    no profile describes. No device is ever driven. Exits 1 when a part failed: what was made stays, and the same call
+    starts anew.
     """
     import datetime
     import time
 
     from bench.jobs.unsealed import compared, in_words
-    from bench.outputs import Folder, check_outputs
     from bench.profiles.find import find_scenario
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
-    from daq.setup.errors import InputError
     from rig.sim.blind_scenarios import instrument_in_words
     from rig.sim.scenario import load_scenario
 
     started = time.perf_counter()
     folder = out or Path("runs") / datetime.datetime.now().strftime("%Y-%m-%d_%H%M%S")
+    check_outputs(Folder("--out", folder, makes=()), inputs=[profile, scenario])
+    checked, text = _simulated(profile)
+    hidden = _sealed(seed, checked) if scenario is None else load_scenario(find_scenario(scenario))
+    _claim(folder)
+    sealed = folder / "sealed.toml"
     try:
-        check_outputs(Folder("--out", folder, makes=()), inputs=[profile, scenario])
-        checked, text = _simulated(profile)
-        hidden = _sealed(seed, checked) if scenario is None else load_scenario(find_scenario(scenario))
-        _claim(folder)
-    except (InputError, ValueError) as error:
-        fail(str(error), EXIT_USAGE)
-    except OSError as error:
-        fail(f"{folder}: cannot be made ({error}); name a folder that can be written by --out", EXIT_USAGE)
-    try:
-        sealed = folder / "sealed.toml"
         sealed.write_text(hidden.to_toml(), encoding="utf-8")
         if scenario is None:
             typer.echo("an ordinary instrument, drawn by chance, stands between this rig and its recording")
         recording = _drive(checked, text, folder, sealed, seed)
         loop, complete = _close(recording, _reprocess(recording, folder), folder)
-    except (InputError, OSError, ValueError) as error:
-        fail(f"{error}\nwhat was made is in {folder}; the same call starts anew there", EXIT_FAILED)
+    except (OSError, ValueError) as error:
+        fail(f"{error}\nwhat was made is in {folder}; the same call starts anew there")
     effects = load_scenario(sealed).effects
     found = ", ".join(f.name for f in loop.effects) or "no effect added"
     names = ", ".join(effects) or "nothing"
@@ -72,32 +70,23 @@ def command(
         typer.echo(f"  {in_words(row)}")
     if scenario is None:
         typer.echo(f"its instrument, which a verdict may name as well: {instrument_in_words(hidden.rig)}")
-    _list_outputs(folder, recording, sealed)
+    for what, path in (
+        ("recording", recording), ("flights", folder / "flights.csv"), ("pictures", folder / "pictures"),
+        ("report", folder / "report" / "report.html"), ("improved profile", folder / "improved.toml"),
+        ("what was hidden", sealed),
+    ):  # fmt: skip
+        if path.exists():
+            typer.echo(f"  {what:<17} {path}")
     if not complete:
         raise SystemExit(EXIT_FAILED)
     (folder / UNFINISHED).unlink()
     typer.echo(f"done in {time.perf_counter() - started:.0f} s")
 
 
-def _list_outputs(folder: Path, recording: Path, sealed: Path) -> None:
-    """Print what lies where."""
-    for what, path in (
-        ("recording", recording),
-        ("flights", folder / "flights.csv"),
-        ("pictures", folder / "pictures"),
-        ("report", folder / "report" / "report.html"),
-        ("improved profile", folder / "improved.toml"),
-        ("what was hidden", sealed),
-    ):
-        if path.exists():
-            typer.echo(f"  {what:<17} {path}")
-
-
 def _simulated(name: str) -> tuple[Profile, str]:
     """The profile and its text; refused unless its back end is the simulated one and its limits allow the ramp."""
     from bench.profiles.find import load
-    from bench.profiles.plan import planned, refusal
-    from daq.setup.errors import InputError
+    from bench.profiles.plan import refuse_forbidden
 
     profile, text = load(name)
     if profile.backend.kind != "simulated":
@@ -105,17 +94,12 @@ def _simulated(name: str) -> tuple[Profile, str]:
             f"{name}: backend.kind is {profile.backend.kind}, and the demo drives no device; name a profile of a "
             f"simulated rig, or record a run with bench ramp {name} --out run.h5"
         )
-    faults = planned(profile)[2]
-    if faults:
-        raise InputError(refusal(name, faults))
+    refuse_forbidden(name, profile)
     return profile, text
 
 
-def _sealed(seed: int, profile: Profile) -> Scenario:
-    """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow.
-
-    Its instrument comes from a chance of its own, so that a seed hides what it hid before rigs had instruments.
-    """
+def _sealed(seed: int, profile: Profile) -> Hidden:
+    """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow."""
     from dataclasses import replace
 
     import numpy as np
@@ -124,20 +108,13 @@ def _sealed(seed: int, profile: Profile) -> Scenario:
 
     allowed = left_open(profile.setup())
     hidden = sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong", allowed=allowed)
+    # the instrument has a chance of its own, so that a seed hides what it hid before rigs had instruments
     return replace(hidden, rig=ordinary_instrument(np.random.default_rng((seed, 1))))
 
 
 def _claim(folder: Path) -> None:
-    """Make the folder, or clear what an unfinished demo left in it.
-
-    Raises
-    ------
-    InputError
-        When the folder holds anything but an unfinished demo.
-    """
+    """Make the folder, or clear what an unfinished demo left in it; `InputError` where it holds anything else."""
     import shutil
-
-    from daq.setup.errors import InputError
 
     if folder.exists():
         if not folder.is_dir() or (any(folder.iterdir()) and not (folder / UNFINISHED).is_file()):
@@ -152,10 +129,8 @@ def _claim(folder: Path) -> None:
 
 
 def _drive(profile: Profile, text: str, folder: Path, sealed: Path, seed: int) -> Path:
-    """Record the ramp on the simulated rig; an `InputError` tells why a run was not completed."""
+    """Record the ramp on the simulated rig; an `InputError` says why a run was not completed."""
     from bench.jobs.run_ramp import record, warm_up
-    from bench.terminal.progress import progress_bar
-    from daq.setup.errors import InputError
     from rig.backends.simulated import SimulatedBackend
     from rig.sim.scenario import load_scenario
 
@@ -181,7 +156,6 @@ def _reprocess(recording: Path, folder: Path) -> Flights:
     from analysis.report.gamma import gamma_scale
     from bench.jobs.reprocess import draw
     from bench.terminal.comparison import sentences
-    from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
 
     with open_recording(recording) as opened:
@@ -207,8 +181,6 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
     from analysis.residuals.observations import observed
     from bench.jobs.keep_verdict import conclude
     from bench.profiles.improved import write_improved
-    from bench.terminal.console import write_json
-    from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
 
     typer.echo("4/4  close the loop: which missing effect explains the rest")

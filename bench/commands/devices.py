@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import JSON, File, Json, Overwrite, check_outputs
+from bench.terminal.console import print_lines, print_table, write_json
 
 if TYPE_CHECKING:
     from rig.backends.portaudio import Card
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def command(
     profiles: list[str] = typer.Argument(None, metavar="[PROFILE]...", help="Profiles to hold against what is there."),
-    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The list for a machine; - prints it."),
+    json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """List sound cards and serial ports, and which profiles (the shipped ones, and those named) fit them.
@@ -25,37 +26,39 @@ def command(
 
     Exits 0, also when nothing is there; 2 when a profile cannot be read.
     """
+    from rich.table import Table
     from serial.tools.list_ports import comports
 
-    from bench.outputs import JSON, File, check_outputs
     from bench.profiles.find import load, shipped_names
-    from bench.terminal.console import EXIT_USAGE, fail, write_json
-    from daq.setup.errors import InputError
     from rig.backends.base import BackendError
     from rig.backends.portaudio import cards
 
-    try:
-        check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
-        known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *(profiles or [])])]
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
+    check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
+    known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *(profiles or [])])]
     try:
         there, why = cards(), ""
     except BackendError as error:
         there, why = [], str(error)
-    ports = [(port.device, port.description) for port in comports()]
     listed = [asdict(card) | {"profiles": [p.name for p in known if fits(p, card)]} for card in there]
-    serial = [
+    ports = [
         {
-            "port": port,
-            "description": text,
-            "profiles": [p.name for p in known if getattr(p.backend, "port", "") == port],
+            "port": port.device,
+            "description": port.description,
+            "profiles": [p.name for p in known if getattr(p.backend, "port", "") == port.device],
         }
-        for port, text in ports
+        for port in comports()
     ]
-    write_json({"cards": listed, "ports": serial, "problem": why}, json)
-    if json != "-":
-        _show(listed, serial, why)
+    if not write_json({"cards": listed, "ports": ports, "problem": why}, json):
+        return
+    table = Table("sound card", "driver", "in", "out", "rate (Hz)", "profiles that fit", box=None, pad_edge=False)
+    for card in listed:
+        keys = ("name", "driver", "inputs", "outputs", "rate_hz")
+        table.add_row(*(str(card[key]) for key in keys), ", ".join(card["profiles"]))
+    if listed:
+        print_table(table)
+    else:
+        print_lines(f"no sound card{': ' + why if why else ''}")
+    print_lines(*(f"serial port {p['port']}  {p['description']}" for p in ports) if ports else ["no serial port"])
 
 
 def fits(profile: Profile, card: Card) -> bool:
@@ -67,23 +70,3 @@ def fits(profile: Profile, card: Card) -> bool:
         return False
     inputs = table.inputs.wired(profile.channels).values() if table.kind == "soundcard" else [0]
     return card.outputs >= table.output and card.inputs >= max(inputs)
-
-
-def _show(cards: list[dict[str, Any]], ports: list[dict[str, Any]], why: str) -> None:
-    """Two tables."""
-    from rich.table import Table
-
-    from bench.terminal.console import print_lines, print_table
-
-    if cards:
-        table = Table("sound card", "driver", "in", "out", "rate (Hz)", "profiles that fit", box=None, pad_edge=False)
-        for card in cards:
-            keys = ("name", "driver", "inputs", "outputs", "rate_hz")
-            table.add_row(*(str(card[key]) for key in keys), ", ".join(card["profiles"]))
-        print_table(table)
-    else:
-        print_lines(f"no sound card{': ' + why if why else ''}")
-    for p in ports:
-        print_lines(f"serial port {p['port']}  {p['description']}")
-    if not ports:
-        print_lines("no serial port")

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.outputs import Anyway, Overwrite
+from bench.outputs import (
+    JSON,
+    Anyway,
+    File,
+    Folder,
+    Host,
+    Json,
+    Live,
+    Overwrite,
+    Port,
+    RealTime,
+    Scenario,
+    Seed,
+    check_outputs,
+)
+from bench.terminal.console import EXIT_FAILED, fail, speaker, write_json
+from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from bench.jobs.blocks import Chosen, Driven
@@ -31,13 +48,13 @@ def command(
     ),
     settle_cycles: int = typer.Option(4, "--settle", min=0, help="Cycles waited after each fade, for the plate."),
     ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
-    real_time: bool = typer.Option(False, "--real-time", help="Pace the simulated rig to the clock."),
-    live: bool = typer.Option(False, "--live", help="Serve a page on which the blocks are watched, held and replaced."),
-    host: str = typer.Option("127.0.0.1", "--host", help="Of the page; other machines need the token in its address."),
-    port: int | None = typer.Option(None, "--port", min=0, max=65535, help="Of the page; by default a free one."),
-    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the simulated rig hides."),
-    seed: int = typer.Option(0, "--seed", min=0, help="Of the simulated rig's noise."),
-    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The outcome for a machine; - prints it."),
+    real_time: RealTime = False,
+    live: Live = False,
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    scenario: Scenario = None,
+    seed: Seed = 0,
+    json: Json = None,
     anyway: Anyway = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -55,60 +72,47 @@ def command(
     from bench.jobs.blocks import Aims, run_seconds
     from bench.jobs.explore import explore
     from bench.live.onlooker import OnePage
-    from bench.outputs import JSON, File, Folder, check_outputs
     from bench.profiles.find import load
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, speaker, write_json
     from bench.terminal.orders import typed_lines
-    from daq.setup.errors import InputError
 
     quiet = json == "-"
     say = speaker(quiet)
+    check_outputs(Folder("--out", out, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite)
+    checked, text = load(profile)
+    aims = Aims(
+        budget_s or run_seconds(checked), _targets(until), limit, _numbers(ratios, "--ratios", int),
+        _numbers(frequencies, "--frequencies", float), steps, hold_cycles, settle_cycles,
+    )  # fmt: skip
     try:
-        check_outputs(
-            Folder("--out", out, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite
-        )
-        checked, text = load(profile)
-        aims = Aims(
-            budget_s or run_seconds(checked), _targets(until), limit, _numbers(ratios, "--ratios", int),
-            _numbers(frequencies, "--frequencies", float), steps, hold_cycles, settle_cycles,
-        )  # fmt: skip
         out.mkdir(parents=True, exist_ok=True)
         typed = typed_lines()
         with OnePage(out, (host, port) if live else None) as page:
             driver = Driver(scenario, seed, quiet, real_time or live, typed, page)
-            found = explore(text, out, aims, driver, say=say, ask=Asker(typed) if ask else None, anyway=anyway)
+            found = explore(text, out, aims, driver, say=say, ask=_asker(typed) if ask else None, anyway=anyway)
         complete = quiet or _report(found, out, run_seconds(checked))
-    except (InputError, ValueError) as error:
-        fail(str(error), EXIT_USAGE)
-    except OSError as error:
-        fail(f"{error}; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
-    except KeyboardInterrupt:
-        fail(f"interrupted; what was recorded is in {out}: the same call goes on there", EXIT_FAILED)
-    write_json(as_json(found, aims.budget_s), json)
+    except (OSError, KeyboardInterrupt) as error:
+        fail(f"{str(error) or 'interrupted'}; what was recorded is in {out}: the same call goes on there")
+    _answer(found, aims.budget_s, json)
     say(f"{found.why}; {len(found.blocks)} blocks, {found.rig_s:.1f} s of rig time")
     if found.failed or not complete:
         raise SystemExit(EXIT_FAILED)
 
 
-def as_json(found: Explored, budget_s: float) -> dict[str, Any]:
-    """The outcome for a machine."""
+def _answer(found: Explored, budget_s: float, json: str | None) -> None:
+    """Write the outcome for a machine."""
     from analysis.loop.verdict_json import loop_json
 
-    return {
-        "why": found.why,
-        "rig_s": found.rig_s,
-        "budget_s": budget_s,
-        "blocks": [
-            {"recording": path, "seconds": block.seconds, "reason": block.reason}
-            for path, block in zip(found.recordings, found.blocks, strict=True)
-        ],
-        "verdict": None if found.loop is None else loop_json(found.loop),
-    }
+    blocks = [
+        {"recording": path, "seconds": block.seconds, "reason": block.reason}
+        for path, block in zip(found.recordings, found.blocks, strict=True)
+    ]
+    verdict = None if found.loop is None else loop_json(found.loop)
+    about = {"why": found.why, "rig_s": found.rig_s, "budget_s": budget_s}
+    write_json(about | {"blocks": blocks, "verdict": verdict}, json)
 
 
 def _targets(until: list[str]) -> dict[tuple[str, str], float]:
     """``effect.parameter=deviation`` texts as a mapping; raises `InputError`."""
-    from daq.setup.errors import InputError
     from model.effects.registry import effect
 
     out = {}
@@ -128,8 +132,6 @@ def _targets(until: list[str]) -> dict[tuple[str, str], float]:
 
 def _numbers(text: str, option: str, kind: Any) -> tuple[Any, ...]:
     """Numbers with commas between; raises `InputError`."""
-    from daq.setup.errors import InputError
-
     try:
         found = tuple(kind(part) for part in text.split(",") if part.strip())
     except ValueError as error:
@@ -185,21 +187,15 @@ class Driver:
         return Driven(f"{done.how}: {done.why}", request.then if done.asked else None)  # a trip outranks a person
 
 
-@dataclass(frozen=True)
-class Asker:
-    """Asks a person before a block is driven."""
+def _asker(typed: TypedLines | None) -> Callable[[Chosen], Chosen | None]:
+    """A function that asks a person before a block: the block, one with the person's steps, or None to stop."""
+    from bench.jobs.blocks import by_person
+    from bench.terminal.orders import steps_from
 
-    typed: TypedLines | None
-
-    def __call__(self, block: Chosen) -> Chosen | None:
-        """The block, one with the person's steps, or None to stop."""
-        from bench.jobs.blocks import by_person
-        from bench.terminal.orders import steps_from
-        from daq.setup.errors import InputError
-
+    def ask(block: Chosen) -> Chosen | None:
         while True:
             prompt = "Enter: drive it; gammas with commas between: these instead; s: stop"
-            answer = typer.prompt(prompt, default="") if self.typed is None else self.typed.answer(prompt)
+            answer = typer.prompt(prompt, default="") if typed is None else typed.answer(prompt)
             if answer is None or answer.strip().lower() in ("s", "stop"):
                 return None
             try:
@@ -208,38 +204,38 @@ class Asker:
             except InputError as error:
                 typer.echo(str(error))
 
+    return ask
+
 
 def _report(found: Explored, folder: Path, standard_s: float) -> bool:
-    """Show the verdict and write its report; whether everything could be written."""
+    """Show the verdict, draw where and why the rig measured, write the report; whether everything could be written."""
     from dataclasses import replace
 
+    from analysis.report.figures.several import ChosenSteps, draw_choices
+    from analysis.report.figures.style import badge_of, save_picture
     from analysis.report.page import write_report
     from bench.jobs.keep_verdict import conclude
+    from daq.recording import open_recording
+    from rig.profile import parse_profile
 
     if found.loop is None:
         return True
     reasons = tuple(f"block {i}, chosen: {block.reason}" for i, block in enumerate(found.blocks, start=1))
     loop = replace(found.loop, notes=(*found.loop.notes, *reasons))
+
+    def draw() -> None:
+        profiles = [parse_profile(block.text) for block in found.blocks]
+        steps = [
+            ChosenSteps(profile.forcing.ratio, profile.ramp.gammas(), block.seconds, block.reason)
+            for profile, block in zip(profiles, found.blocks, strict=True)
+        ]
+        with open_recording(found.recordings[0]) as opened:
+            badge = badge_of(opened)
+        save_picture(folder, "choices", badge, lambda figure: draw_choices(steps, standard_s, figure))
+        typer.echo(f"choices: {folder / 'choices.png'}")
+
     outputs = (
-        ("picture of the choices", lambda: _draw(found, standard_s, folder)),
+        ("picture of the choices", draw),
         ("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}")),
     )
     return conclude(loop, found.recordings, outputs)
-
-
-def _draw(found: Explored, standard_s: float, folder: Path) -> None:
-    """The gammas where the rig chose to measure, and why, as ``choices.png`` and ``.svg``."""
-    from analysis.report.figures.several import ChosenSteps, draw_choices
-    from analysis.report.figures.style import badge_of, save_picture
-    from daq.recording import open_recording
-    from rig.profile import parse_profile
-
-    profiles = [parse_profile(block.text) for block in found.blocks]
-    steps = [
-        ChosenSteps(profile.forcing.ratio, profile.ramp.gammas(), block.seconds, block.reason)
-        for profile, block in zip(profiles, found.blocks, strict=True)
-    ]
-    with open_recording(found.recordings[0]) as opened:
-        badge = badge_of(opened)
-    save_picture(folder, "choices", badge, lambda figure: draw_choices(steps, standard_s, figure))
-    typer.echo(f"choices: {folder / 'choices.png'}")

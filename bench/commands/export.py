@@ -7,41 +7,15 @@ from pathlib import Path
 
 import typer
 
-from bench.outputs import (
-    HDF5,
-    JSON,
-    MATLAB,
-    NETCDF,
-    NOTES,
-    NPZ,
-    PACKED_CSV,
-    PARQUET,
-    TDMS,
-    UFF,
-    File,
-    Overwrite,
-    check_outputs,
-)
+from bench import outputs
+from bench.outputs import JSON, File, Json, Overwrite, check_outputs
 from bench.terminal.console import EXIT_USAGE, fail, write_json
 
-
-class Kind(enum.StrEnum):
-    """Formats of export."""
-
-    csv = "csv"
-    npz = "npz"
-    h5 = "h5"
-    parquet = "parquet"
-    nc = "nc"
-    mat = "mat"
-    uff = "uff"
-    tdms = "tdms"
-
-
 FORMS = {
-    "csv": PACKED_CSV, "npz": NPZ, "h5": HDF5, "parquet": PARQUET, "nc": NETCDF, "mat": MATLAB, "uff": UFF,
-    "tdms": TDMS,
+    "csv": outputs.PACKED_CSV, "npz": outputs.NPZ, "h5": outputs.HDF5, "parquet": outputs.PARQUET, "nc": outputs.NETCDF,
+    "mat": outputs.MATLAB, "uff": outputs.UFF, "tdms": outputs.TDMS,
 }  # fmt: skip
+Kind = enum.StrEnum("Kind", ["csv", "npz", "h5", "parquet", "nc", "mat", "uff", "tdms"])
 OTHER_ENDINGS = {"hdf5": "h5", "pq": "parquet", "unv": "uff"}
 
 
@@ -50,7 +24,7 @@ def command(
     out: Path = typer.Option(..., "--out", "-o", metavar="FILE", help="File to create."),
     to: Kind = typer.Option(None, "--to", help="Kind of file; by default what the ending of FILE says."),
     rate: float = typer.Option(None, "--rate", metavar="HZ", help="Another rate, as 20000; not for h5, uff, tdms."),
-    json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write a summary as JSON; - is the screen."),
+    json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a recording as CSV (also .csv.gz), NPZ, Parquet, NetCDF, MATLAB 7.3, UFF58, TDMS, or HDF5 with gzip.
@@ -70,27 +44,22 @@ def command(
     from daq.recording import open_recording
     from daq.recording.header import header_of
     from daq.recording.notebook import as_text, read_remarks, side_file
-    from daq.setup.errors import InputError
 
     kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()
     kind = OTHER_ENDINGS.get(kind, kind)
-    if kind not in list(Kind):
-        fail(f"{out}: the ending does not say what to write; wanted --to {', '.join(Kind)}.", EXIT_USAGE)
-    outputs = File("--out", out, FORMS[kind]), File("--json", json_out, JSON)
-    try:
-        notes = out.with_name(f"{out.name}.notes.txt")
-        check_outputs(*outputs, File("--out", notes, NOTES), inputs=[recording], overwrite=overwrite)
-        with open_recording(recording) as opened:
-            source = opened if rate is None else Resampled(opened, rate)
-            export(source, out, kind, overwrite=overwrite)  # type: ignore[arg-type]
-            noted = as_text(header_of(opened, all_bytes=True), read_remarks(side_file(recording)))
-            if noted:
-                write_whole(notes, noted)
-            summary = {"file": out, "kind": kind, "n_samples": source.n_samples, "bytes": out.stat().st_size}
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
-    except OSError as error:
-        fail(f"{out}: could not be written ({error}).")
-    if json_out != "-":
+    if kind not in FORMS:
+        fail(f"{out}: the ending does not say what to write; wanted --to {', '.join(FORMS)}.", EXIT_USAGE)
+    notes = out.with_name(f"{out.name}.notes.txt")
+    check_outputs(
+        File("--out", out, FORMS[kind]), File("--json", json, JSON), File("--out", notes, outputs.NOTES),
+        inputs=[recording], overwrite=overwrite,
+    )  # fmt: skip
+    with open_recording(recording) as opened:
+        source = opened if rate is None else Resampled(opened, rate)
+        export(source, out, kind, overwrite=overwrite)  # type: ignore[arg-type]
+        noted = as_text(header_of(opened, all_bytes=True), read_remarks(side_file(recording)))
+        if noted:
+            write_whole(notes, noted)
+        summary = {"file": out, "kind": kind, "n_samples": source.n_samples, "bytes": out.stat().st_size}
+    if write_json(summary, json):
         typer.echo(f"{out}: {summary['n_samples']} samples, {summary['bytes']} bytes")
-    write_json(summary, json_out)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import JSON, File, Json, Overwrite, check_outputs
+from bench.terminal.console import ACHIEVED, EXIT_FAILED, new_table, print_lines, print_table, write_json
+from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -19,7 +21,7 @@ ROOT = ("note", "started", "ended", "ended_at", "why", "simulated", "backend", "
 
 def command(
     recording: Path = typer.Argument(metavar="REC.h5", help="Recording to look at."),
-    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Show what a recording is: note, keys, profile, channels, steps, and the verdict of `bench verify`.
@@ -29,32 +31,28 @@ def command(
 
     Example: bench info run.h5
     """
-    from bench.outputs import JSON, File, check_outputs
-    from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
     from daq.recording import open_recording
     from daq.recording.verify import verify
-    from daq.setup.errors import InputError
 
+    check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
+    report = verify(recording)
     try:
-        check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
-        report = verify(recording)
-        try:
-            with open_recording(recording) as opened:
-                answer = as_json(opened, report)
-        except InputError as error:
-            if report.state != "damaged":
-                raise
-            answer = {"file": recording, "state": report.state, "where": [*report.where, str(error)]}
+        with open_recording(recording) as opened:
+            answer = _described(opened, report)
     except InputError as error:
-        fail(str(error), EXIT_USAGE)
-    write_json(answer, json)
-    if json != "-":
-        _print(answer)
+        if report.state != "damaged":
+            raise
+        answer = {"file": recording, "state": report.state, "where": [*report.where, str(error)]}
+    if write_json(answer, json):
+        where = (f"            {line}" for line in answer["where"])
+        print_lines(f"{answer['file']}", f"  verdict   {answer['state']}", *where)
+        if "steps" in answer:
+            _print(answer)
     if report.state in ("incomplete", "damaged"):
         raise typer.Exit(EXIT_FAILED)
 
 
-def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
+def _described(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
     from daq.files.json_values import json_object
     from daq.files.tables import STEP_DTYPE
@@ -92,20 +90,11 @@ def as_json(opened: Recording, report: VerifyReport) -> dict[str, Any]:
 
 def _print(answer: dict[str, Any]) -> None:
     """The same for a person."""
-    from rich import box
-    from rich.table import Table
-
-    from bench.terminal.console import ACHIEVED, print_lines, print_table
     from daq.instrument.instrument import Instrument
     from daq.recording.notebook import Entry, as_line
 
-    print_lines(
-        f"{answer['file']}", f"  verdict   {answer['state']}", *(f"            {line}" for line in answer["where"])
-    )
-    if "steps" not in answer:
-        return
     rig = f"{'simulated rig' if answer.get('simulated') else 'a rig'}, {answer.get('backend') or 'back end unknown'}"
-    profile = answer["profile"]
+    profile, rate_hz = answer["profile"], answer["rate_hz"]
     declared = ", ".join(f"{k}.{q} = {v:g}" for k, table in profile["declared"].items() for q, v in table.items())
     lines = {
         "note": answer.get("note") or "none",
@@ -113,7 +102,7 @@ def _print(answer: dict[str, Any]) -> None:
         "keys": ", ".join(f"{k} = {_short(v)}" for k, v in answer["keys"].items()) or "none",
         "started": answer.get("started") or "unknown",
         "made on": rig,
-        "samples": f"{answer['n_samples']} ({answer['seconds']:.3f} s at {answer['rate_hz']:.9g} Hz), "
+        "samples": f"{answer['n_samples']} ({answer['seconds']:.3f} s at {rate_hz:.9g} Hz), "
                    f"{answer['lost_samples']} lost",
         "channels": ", ".join(answer["channels"]),
         "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
@@ -131,10 +120,7 @@ def _print(answer: dict[str, Any]) -> None:
     print_lines(*(f"  noted       {as_line(Entry(**note))}" for note in answer["notes"][given:]))
     if not answer["steps"]:
         return
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    for heading in ("step", "gamma", "achieved", "+-", "start\n(s)", "length\n(s)", "Hz", "c"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    rate_hz = answer["rate_hz"]
+    table = new_table("step", "gamma", "achieved", "+-", "start\n(s)", "length\n(s)", "Hz", "c")
     for i, step in enumerate(answer["steps"]):
         table.add_row(
             str(i), _short(step["gamma"]), _short(step["achieved_gamma"]),

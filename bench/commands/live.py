@@ -7,12 +7,16 @@ from pathlib import Path
 
 import typer
 
+from bench.outputs import Host, Port
+from bench.terminal.console import print_lines
+from daq.setup.errors import InputError
+
 
 def command(
     profile: str | None = typer.Argument(None, help="A profile's path or name, offered first."),
     runs: Path = typer.Option(Path(), "--runs", metavar="DIR", help="Folder of the recordings."),
-    host: str = typer.Option("127.0.0.1", "--host", help="Where to listen; other machines need the token it prints."),
-    port: int | None = typer.Option(None, "--port", min=0, max=65535, help="By default a free one."),
+    host: Host = "127.0.0.1",
+    port: Port = None,
 ) -> None:
     """Serve the page until Ctrl-C; runs are processes of their own and go on without it.
 
@@ -22,17 +26,12 @@ def command(
     """
     from bench.live.pages import offered_profiles
     from bench.live.processes import sections, serve_desk
-    from bench.terminal.console import EXIT_USAGE, fail, print_lines
-    from daq.setup.errors import InputError
 
     def say(url: str) -> None:
         print_lines(f"open {url} in a browser; Ctrl-C ends the page")
         sys.stdout.flush()
 
-    try:
-        if not runs.is_dir():
-            raise InputError(f"--runs {runs}: no such folder; create it first, or name another")
-        sections()
-        serve_desk(runs, offered_profiles(runs, profile), host, port, say)
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
+    if not runs.is_dir():
+        raise InputError(f"--runs {runs}: no such folder; create it first, or name another")
+    sections()
+    serve_desk(runs, offered_profiles(runs, profile), host, port, say)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import Json, Overwrite
 
 
 def command(
@@ -31,7 +31,7 @@ def command(
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
-    json_to: str | None = typer.Option(None, "--json", help="File for the answer as JSON; - is standard output."),
+    json: Json = None,
     out: Path | None = typer.Option(None, help="HDF5 file for a diagram; continued if it is there, unfinished."),
     figure: Path | None = typer.Option(None, help="Picture of a diagram (PNG, PDF or SVG)."),
     overwrite: Overwrite = False,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
-from typing import Any
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import JSON, PROFILE, File, Json, Overwrite, check_outputs
+from bench.terminal.console import print_lines, print_table, write_json
+from daq.setup.errors import InputError
 
 UNKNOWN_ZERO = (
     "# offset_v = 0.0       # reading at zero, unknown yet: bench calibrate accelerometer, or as bench import says"
@@ -25,35 +27,28 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, no_args_is_help=T
 
 
 @app.command("list")
-def list_profiles(
-    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
-    overwrite: Overwrite = False,
-) -> None:
+def list_profiles(json: Json = None, overwrite: Overwrite = False) -> None:
     """List the shipped profiles, and the scenarios that a simulated rig can hide.
 
     Example: bench profile list
     """
     from rich.table import Table
 
-    from bench.outputs import JSON, File, check_or_leave
     from bench.profiles.find import load, scenario_names, shipped_folder, shipped_names
-    from bench.terminal.console import print_lines, print_table, write_json
 
-    check_or_leave(File("--json", json, JSON), overwrite=overwrite)
-    rows: list[dict[str, Any]] = []
-    for name in shipped_names():
-        profile, _ = load(name)
-        rows.append({
+    check_outputs(File("--json", json, JSON), overwrite=overwrite)
+    rows = [
+        {
             "name": name, "backend": profile.backend.kind, "frequency_hz": profile.forcing.frequency_hz,
             "tone_ratio": profile.forcing.ratio, "description": profile.description,
-        })  # fmt: skip
-    write_json({"folder": shipped_folder(), "profiles": rows, "scenarios": scenario_names()}, json)
-    if json == "-":
+        }
+        for name, profile in ((name, load(name)[0]) for name in shipped_names())
+    ]  # fmt: skip
+    if not write_json({"folder": shipped_folder(), "profiles": rows, "scenarios": scenario_names()}, json):
         return
     table = Table("name", "back end", "Hz", "c", "description", box=None, pad_edge=False)
     for row in rows:
-        figures = (f"{row['frequency_hz']:g}", str(row["tone_ratio"]))
-        table.add_row(row["name"], row["backend"], *figures, row["description"])
+        table.add_row(*(f"{x:g}" if isinstance(x, float) else str(x) for x in row.values()))
     print_table(table)
     print_lines(f"scenarios: {', '.join(scenario_names())}")
     print_lines("make one yours: bench profile new my_rig.toml --like NAME")
@@ -67,15 +62,7 @@ def show(
 
     Example: bench profile show run.h5
     """
-    import sys
-
-    from bench.terminal.console import EXIT_USAGE, fail
-    from daq.setup.errors import InputError
-
-    try:
-        text = _text_of(name)
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
+    text = _text_of(name)
     sys.stdout.write(text if text.endswith("\n") else text + "\n")
 
 
@@ -89,26 +76,18 @@ def new(
 
     Example: bench profile new my_rig.toml --like soundcard
     """
-    from bench.outputs import PROFILE, File, check_outputs
     from bench.profiles.edit import with_values
-    from bench.terminal.console import EXIT_USAGE, fail, print_lines
-    from daq.setup.errors import InputError
     from rig.profile import parse_profile
 
-    try:
-        check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
-        text = with_values(_text_of(like), {"name": out.stem}, like)
-        if not Path(like).is_file():  # the zero of a shipped profile's sensor is not this one's
-            text = re.sub(r"(?m)^offset_v *=.*$", UNKNOWN_ZERO, text)
-        if like == "soundcard":
-            for key, value in OF_A_CARD.items():
-                text = re.sub(rf"(?m)^{key} *=.*$", f"{key} = {value}", text)
-        parse_profile(text, like)
-        out.write_text(text, encoding="utf-8")
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
-    except OSError as error:
-        fail(f"{out}: could not be written ({error.strerror})")
+    check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
+    text = with_values(_text_of(like), {"name": out.stem}, like)
+    if not Path(like).is_file():  # the zero of a shipped profile's sensor is not this one's
+        text = re.sub(r"(?m)^offset_v *=.*$", UNKNOWN_ZERO, text)
+    if like == "soundcard":
+        for key, value in OF_A_CARD.items():
+            text = re.sub(rf"(?m)^{key} *=.*$", f"{key} = {value}", text)
+    parse_profile(text, like)
+    out.write_text(text, encoding="utf-8")
     print_lines(f"{out}: like {like}; edit it, then: bench plan {out}")
 
 
@@ -116,7 +95,6 @@ def _text_of(name: str) -> str:
     """The text of a profile, by shipped name, path, or recording (raises `InputError`)."""
     from bench.profiles.find import find_profile
     from bench.profiles.next_run import profile_text
-    from daq.setup.errors import InputError
     from daq.setup.strict_toml import read_toml_text
 
     path = Path(name)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import typer
 
-from bench.outputs import HDF5, JSON, File, Overwrite, check_outputs
-from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail, write_json
+from bench.outputs import HDF5, JSON, File, Json, Overwrite, check_outputs
+from bench.terminal.console import EXIT_FAILED, print_lines, write_json
 
 
 def command(
     recording: Path = typer.Argument(..., metavar="FILE", help="Recording, cut off or damaged; it is only read."),
     out: Path = typer.Option(None, "--out", "-o", metavar="REC.h5", help="File to create [NAME.recovered.h5]."),
-    json_out: str = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON; - is the screen."),
+    json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk, or that is damaged.
@@ -25,22 +24,14 @@ def command(
     Example: bench recover run.h5 --out run.recovered.h5
     """
     from daq.recording.recover import default_out, recover
-    from daq.setup.errors import InputError
 
     out = out or default_out(recording)
-    try:
-        check_outputs(
-            File("--out", out, HDF5, kept=True), File("--json", json_out, JSON), inputs=[recording], overwrite=overwrite
-        )
-        found = recover(recording, out)
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
-    except OSError as error:
-        fail(f"{recording}: could not be recovered ({error}).")
-    if json_out != "-":
-        typer.echo(f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered")
-        for line in found.damage:
-            typer.echo(f"  {line}")
-    write_json(dataclasses.asdict(found), json_out)
+    check_outputs(
+        File("--out", out, HDF5, kept=True), File("--json", json, JSON), inputs=[recording], overwrite=overwrite
+    )
+    found = recover(recording, out)
+    if write_json(found, json):
+        summary = f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered"
+        print_lines(summary, *(f"  {line}" for line in found.damage))
     if found.is_less:
         raise typer.Exit(EXIT_FAILED)

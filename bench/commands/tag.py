@@ -6,33 +6,22 @@ from pathlib import Path
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import JSON, File, Json, Overwrite, check_outputs
 
 
 def command(
     recording: Path = typer.Argument(metavar="REC.h5", help="Recording to tag."),
     tags: list[str] = typer.Argument(metavar="TAG...", help="Single words."),
     remove: bool = typer.Option(False, "--remove", help="Take these tags away."),
-    json: str | None = typer.Option(None, "--json", metavar="FILE", help="The same for a machine; - prints it."),
+    json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Tag a recording; the tags lie in a small file beside it, and the recording stays as it is.
 
     Example: bench tag runs/monday.h5 new-spring warm
     """
-    from bench.outputs import JSON, File, check_outputs
-    from bench.runs.marking import as_json, header_of_file, lines
-    from bench.terminal.console import EXIT_USAGE, fail, print_lines, write_json
-    from daq.recording.notebook import change_remarks, with_tags
-    from daq.setup.errors import InputError
+    from bench.runs.marking import changed_remarks
+    from daq.recording.notebook import with_tags
 
-    try:
-        check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
-        header = header_of_file(recording)
-        identity = "" if header is None else header.identity
-        changed = change_remarks(recording, identity, lambda now: with_tags(now, tuple(tags), remove=remove))
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
-    write_json(as_json(recording, header, changed), json)
-    if json != "-":
-        print_lines(*lines(recording, header, changed))
+    check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
+    changed_remarks(recording, lambda now: with_tags(now, tuple(tags), remove=remove), json)

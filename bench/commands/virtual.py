@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import Overwrite
-
-if TYPE_CHECKING:
-    from rig.profile import Profile
-    from rig.sim.scenario import Scenario
-    from rig.virtual.jack import JackPlant, PlantLog
-    from rig.virtual.serial import JackSerialPlant
+from bench.outputs import NPZ, File, Overwrite, Seed, check_outputs
+from bench.outputs import Scenario as ScenarioFile
 
 
 def command(
     profile: str = typer.Argument(help="A sound-card profile's path, or the name of a shipped one."),
-    scenario: Path | None = typer.Option(None, "--scenario", metavar="FILE", help="What the plant hides."),
-    seed: int = typer.Option(0, "--seed", min=0, help="Of the plant's noise."),
+    scenario: ScenarioFile = None,
+    seed: Seed = 0,
     server: str = typer.Option("default", "--server", metavar="NAME", help="JACK server; started if it is not there."),
     period: int = typer.Option(256, "--period", min=16, help="Frames of one period of a server that is started here."),
     for_s: float | None = typer.Option(None, "--for", metavar="SECONDS", help="Leave by itself after so long."),
@@ -39,46 +33,27 @@ def command(
     """
     import time
 
-    from bench.outputs import NPZ, File, check_outputs
     from bench.profiles.find import find_scenario, load
-    from bench.terminal.console import EXIT_USAGE, fail
     from bench.terminal.signals import stop_on_signals
-    from daq.setup.errors import InputError
     from rig.backends.kinds.soundcard import card_options
     from rig.sim.scenario import Scenario, load_scenario
-    from rig.virtual.jack import PlantLog, jack_server
+    from rig.virtual.jack import JackPlant, PlantLog, jack_server
+    from rig.virtual.serial import JackSerialPlant
 
-    try:
-        check_outputs(File("--log", log, NPZ), inputs=[profile, scenario], overwrite=overwrite)
-        checked, _ = load(profile)
-        device = card_options(checked.backend).device
-        hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
-        with (
-            stop_on_signals() as request,
-            jack_server(server, checked.sampling.rate_hz, period) as started,
-            PlantLog(log) as keep,
-            _plant(checked, hidden, seed, server, keep, ppm) as plant,
-        ):
-            typer.echo(
-                f"{device!r} on JACK server {server!r} ({'started' if started else 'was there'}), "
-                f"{checked.sampling.rate_hz:g} Hz: ready"
-            )
+    check_outputs(File("--log", log, NPZ), inputs=[profile, scenario], overwrite=overwrite)
+    checked, _ = load(profile)
+    device, rate_hz = card_options(checked.backend).device, checked.sampling.rate_hz
+    hidden = Scenario("ideal") if scenario is None else load_scenario(find_scenario(scenario))
+    with stop_on_signals() as request, jack_server(server, rate_hz, period) as started, PlantLog(log) as keep:
+        plant = (
+            JackSerialPlant(checked, hidden, seed, server, ppm=ppm, ppm_per_minute=0.0)
+            if checked.backend.kind == "soundcard+serial"
+            else JackPlant(checked, hidden, seed, server, keep)
+        )
+        with plant:
+            was = "started" if started else "was there"
+            typer.echo(f"{device!r} on JACK server {server!r} ({was}), {rate_hz:g} Hz: ready")
             until = None if for_s is None else time.monotonic() + for_s
             while request.wanted is None and plant.alive and (until is None or time.monotonic() < until):
                 time.sleep(0.1)
             typer.echo(f"frames the server skipped: {plant.skipped_frames}")
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
-
-
-def _plant(
-    profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog, ppm: float
-) -> JackPlant | JackSerialPlant:
-    """The plant behind the drivers that the profile names; raises `InputError`."""
-    if profile.backend.kind == "soundcard+serial":
-        from rig.virtual.serial import JackSerialPlant
-
-        return JackSerialPlant(profile, scenario, seed, server, ppm=ppm, ppm_per_minute=0.0)
-    from rig.virtual.jack import JackPlant
-
-    return JackPlant(profile, scenario, seed, server, log)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from analysis.loop.close_loop import FittedLoop, fit_loop
 from analysis.loop.result import ClosedLoop
-from analysis.thresholds import FROZEN, Thresholds
 from daq.setup.errors import InputError
 
 MOST_RUNS = 4  # made at most
@@ -23,7 +22,6 @@ def until_clear(
     *,
     say: Callable[[str], None],
     quiet: bool,
-    limits: Thresholds = FROZEN,
     anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would separate them.
@@ -40,7 +38,7 @@ def until_clear(
         Called with a line on each run.
     quiet
         Without a progress bar.
-    limits, anyway
+    anyway
         As in `analysis.loop.close_loop.close_loop`.
 
     Returns
@@ -52,9 +50,11 @@ def until_clear(
     InputError
         When the first recording was not made on the simulated rig.
     """
+    from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.next_run import possible_runs, profile_of, profile_text
     from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
+    from rig.profile import parse_profile
 
     made = list(recordings)
     with open_recording(made[0]) as opened:
@@ -63,7 +63,7 @@ def until_clear(
     text = profile_text(made[0])
     while True:
         with progress_bar(quiet) as bar:
-            loop, fitted = fit_loop(made, limits=limits, progress=bar, anyway=anyway)
+            loop, fitted = fit_loop(made, progress=bar, anyway=anyway)
         if len(loop.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
             return loop, fitted, made, ""
         tied = "; ".join(" + ".join(names) for names in loop.ties)
@@ -73,19 +73,13 @@ def until_clear(
             return loop, fitted, made, ""
         say(f"tied: {tied}; next run: {ranked[0].design.description} (worth {ranked[0].nats:.0f} nats)")
         out = made[0].with_name(f"{made[0].stem}-next{len(made) - len(recordings) + 1}.h5")
-        if why := _made_run(profile_of(text, ranked[0].design), out, scenario, seed + len(made), quiet):
-            return loop, fitted, made, why
+        following = profile_of(text, ranked[0].design)
+        try:
+            checked = parse_profile(following, "next run")
+            backend = make_backend(checked, scenario=scenario, seed=seed + len(made))
+            summary = record(checked, following, backend, out, quiet=quiet)
+        except (InputError, OSError) as error:
+            return loop, fitted, made, str(error)
+        if summary.how != "complete":
+            return loop, fitted, made, f"{out}: the run was {summary.how}: {summary.why}"
         made.append(out)
-
-
-def _made_run(profile: str, out: Path, scenario: Path | None, seed: int, quiet: bool) -> str:
-    """Record the ramp of ``profile`` on the simulated rig; returns why it could not be made, empty where it could."""
-    from bench.jobs.run_ramp import make_backend, record
-    from rig.profile import parse_profile
-
-    try:
-        checked = parse_profile(profile, "next run")
-        summary = record(checked, profile, make_backend(checked, scenario=scenario, seed=seed), out, quiet=quiet)
-    except (InputError, OSError) as error:
-        return str(error)
-    return "" if summary.how == "complete" else f"{out}: the run was {summary.how}: {summary.why}"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.profiles.edit import with_values
-from bench.profiles.plan import planned, refusal
+from bench.profiles.plan import planned, refuse_forbidden
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from rig.execution.operator import NextSteps
@@ -94,8 +94,7 @@ def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
         values["forcing.ratio"] = wanted.ratio
     text = with_values(block.text, values, "the block")
     profile = parse_profile(text, "the block")
-    if faults := planned(profile)[2]:
-        raise InputError(refusal("these gammas", faults))
+    refuse_forbidden("these gammas", profile)
     why = f"chosen by a person{f', {wanted.why}' if wanted.why else ''}"
     return Chosen(text, run_seconds(profile), f"{forcing_in_words(profile)}: {why}")
 

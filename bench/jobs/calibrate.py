@@ -19,7 +19,7 @@ from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.motion import StepPlate
 from bench.jobs.run_ramp import record
 from bench.profiles.edit import Measured
-from bench.profiles.plan import planned, refusal
+from bench.profiles.plan import refuse_forbidden
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from model.effects.registry import effect
@@ -113,9 +113,7 @@ def _run(profile: Profile, backend: Backend, peaks_g: tuple[float, ...]) -> tupl
         slew_per_cycle=profile.ramp.slew_per_cycle,
     )  # fmt: skip
     profile = profile.model_copy(update={"ramp": ramp, "control": None})
-    _, _, faults = planned(profile)
-    if faults:
-        raise InputError(refusal(profile.name, faults))
+    refuse_forbidden(profile.name, profile)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "calibration.h5"
         summary = record(profile, "", backend, path, quiet=True)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from daq.files.whole_file import Journal
 from daq.recording import open_recording
-
-if TYPE_CHECKING:
-    from analysis.joint.result import JointVerdict
 
 BEGINS = b'{"key"'  # of a file of summaries
 
@@ -24,7 +20,7 @@ def judge_runs(
     *,
     anyway: bool = False,
 ) -> bool:
-    """Judge the runs, show the verdict and write what is asked for.
+    """Judge the runs, show the verdict and write what is asked for; whether everything could be written.
 
     Parameters
     ----------
@@ -37,11 +33,6 @@ def judge_runs(
     anyway
         Judge recordings that contradict their profiles, too.
 
-    Returns
-    -------
-    bool
-        Whether everything could be written.
-
     Raises
     ------
     InputError
@@ -51,8 +42,9 @@ def judge_runs(
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.verdict_json import joint_json
+    from analysis.report.figures.several import write_pictures
     from bench.profiles.find import load_measuring
-    from bench.terminal.console import write_json
+    from bench.terminal.console import speaker, write_json
     from bench.terminal.joint_display import show
     from bench.terminal.loop_display import write_outputs
     from bench.terminal.progress import progress_bar
@@ -67,24 +59,20 @@ def judge_runs(
         found = join_runs(recordings, setup=setup, journal=journal, progress=bar)
     if not quiet:
         show(found)
-    outputs = [("verdict as JSON", lambda: write_json(joint_json(found), json))]
+
+    def draw(folder: Path) -> None:
+        simulated = False  # the badge stands on the picture where any recording was
+        for path in recordings:
+            with open_recording(path) as opened:
+                simulated |= bool(opened.attrs.get("simulated"))
+        picture = write_pictures(found, folder, simulated=simulated)
+        if picture.exists():
+            speaker(quiet)(f"picture: {picture}")
+
+    outputs: list[tuple[str, Callable[[], object]]] = [("verdict as JSON", lambda: write_json(joint_json(found), json))]
     if report is not None:
-        outputs.append(("pictures", lambda: _draw(found, recordings, report, quiet=quiet)))
+        outputs.append(("pictures", lambda: draw(report)))
     return write_outputs(outputs)
-
-
-def _draw(found: JointVerdict, recordings: Sequence[Path], folder: Path, *, quiet: bool) -> None:
-    """Write the pictures of a joint verdict, marked where any recording was simulated."""
-    from analysis.report.figures.several import write_pictures
-    from bench.terminal.console import print_lines
-
-    simulated = False
-    for path in recordings:
-        with open_recording(path) as opened:
-            simulated |= bool(opened.attrs.get("simulated"))
-    picture = write_pictures(found, folder, simulated=simulated)
-    if not quiet and picture.exists():
-        print_lines(f"picture: {picture}")
 
 
 def holds_summaries(path: Path) -> bool:

@@ -6,17 +6,14 @@ import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from analysis.loop.kept_term import KeptTerm, check_new, effect_source
-from analysis.loop.result import AddedEffect, ClosedLoop
-from analysis.residuals.prediction_errors import Errors
+from analysis.loop.result import ClosedLoop
 from bench.outputs import PYTHON, File, check_outputs
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 from model.effects import kept
-
-Again = tuple[str, str, tuple[AddedEffect, ...], Errors, Errors, float]
-"""Verdict, the same in words, effects, errors before and after, and noise floor of the second loop."""
 
 
 def place_for(name: str, *, overwrite: bool) -> Path:
@@ -88,14 +85,15 @@ def keep_term(
     write_whole(path, effect_source(loop, path.stem))
     # the library is read, and its kernels are compiled, once in a process: the new effect needs another
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        again, lines = pool.submit(_again, list(recordings), profile, improved, quiet).result()
-    found = loop.discovered
-    form = found.suggested if found is not None else ""
+        again, lines = pool.submit(_close_again, list(recordings), profile, improved, quiet).result()
+    form = "" if loop.discovered is None else loop.discovered.suggested
     return KeptTerm(path.stem, str(path), form, *again), lines
 
 
-def _again(recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool) -> tuple[Again, list[str]]:
-    """The loop closed with the library as it is now: verdict, words, effects, errors, floor; lines about a profile."""
+def _close_again(
+    recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
+) -> tuple[tuple[Any, ...], list[str]]:
+    """The second loop as `KeptTerm` holds it, by the library as it is now; lines about the improved profile."""
     from analysis.loop.close_loop import close_loop
     from analysis.report.wording import verdict_line
     from bench.profiles.find import load_measuring
@@ -106,5 +104,4 @@ def _again(recordings: list[Path], profile: Path | None, improved: Path | None, 
     with progress_bar(quiet) as bar:
         loop = close_loop(recordings, setup=setup, progress=bar, anyway=True)
     lines = [] if improved is None else write_improved(loop, recordings[0], improved, text)
-    words = (loop.verdict, verdict_line(loop), loop.effects, loop.before, loop.after, loop.noise_floor_us)
-    return words, lines
+    return (loop.verdict, verdict_line(loop), loop.effects, loop.before, loop.after, loop.noise_floor_us), lines

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.terminal.console import warn
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,20 +45,14 @@ def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
 def conclude(
     loop: ClosedLoop,
     recordings: Sequence[Path],
-    outputs: Sequence[tuple[str, Callable[[], None]]],
+    outputs: Sequence[tuple[str, Callable[[], object]]],
     *,
     quiet: bool = False,
 ) -> bool:
-    """Show a verdict unless ``quiet``, save it with its recordings, then write each output under its name.
+    """Show a verdict unless ``quiet``, save it with its recordings, then write each output; whether all were written.
 
     The verdict comes first: no output that cannot be written takes it away.
-
-    Returns
-    -------
-    bool
-        Whether all outputs were written.
     """
-    from bench.terminal.console import warn
     from bench.terminal.loop_display import show, write_outputs
 
     if not quiet:

@@ -31,11 +31,15 @@ def browser() -> str | None:
 
 def refuse_without_printer() -> None:
     """Refuse early where nothing can make a PDF (raises InputError)."""
-    if browser() is None and not _has_weasyprint():
+    if browser() is not None:
+        return
+    try:
+        import weasyprint  # noqa: F401
+    except (ImportError, OSError) as error:  # OSError: the libraries behind it are not there
         raise InputError(
             "--pdf: neither Chromium, Chrome or Edge nor WeasyPrint was found; install one of them, or open the page "
             "in any browser and print it to a PDF"
-        )
+        ) from error
 
 
 def print_pdf(page: Path, pdf: Path) -> None:
@@ -48,40 +52,30 @@ def print_pdf(page: Path, pdf: Path) -> None:
     """
     refuse_without_printer()
     found = browser()
-    with whole(pdf) as part:
+    with whole(pdf) as part, tempfile.TemporaryDirectory() as folder:
         if found is None:
             from weasyprint import HTML
 
             HTML(filename=str(page)).write_pdf(str(part))
             return
-        with tempfile.TemporaryDirectory() as folder:
-            made = Path(folder) / "page.pdf"
-            _run(found, page, made, Path(folder) / "profile")
-            shutil.copyfile(made, part)
-
-
-def _run(found: str, page: Path, made: Path, profile: Path) -> None:
-    """One run of the browser."""
-    root = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []  # Chromium refuses root a sandbox
-    call = [
-        found, "--headless", *root, "--disable-gpu", "--disable-extensions", "--disable-dev-shm-usage",
-        f"--user-data-dir={profile}", "--no-first-run", "--no-pdf-header-footer", f"--print-to-pdf={made}",
-        page.resolve().as_uri(),
-    ]  # fmt: skip
-    try:
-        done = subprocess.run(call, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False)
-    except subprocess.TimeoutExpired:
-        raise InputError(
-            f"{page}: {found} did not print it within {LONGEST_S:.0f} s; print it from a browser"
-        ) from None
-    if done.returncode != 0 or not made.is_file():
-        last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
-        raise InputError(f"{page}: {found} could not print it ({last}); open the page in a browser and print it there")
-
-
-def _has_weasyprint() -> bool:
-    try:
-        import weasyprint  # noqa: F401
-    except (ImportError, OSError):  # OSError: the libraries behind it are not there
-        return False
-    return True
+        made = Path(folder) / "page.pdf"
+        root = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []  # Chromium refuses root one
+        call = [
+            found, "--headless", *root, "--disable-gpu", "--disable-extensions", "--disable-dev-shm-usage",
+            f"--user-data-dir={Path(folder) / 'profile'}", "--no-first-run", "--no-pdf-header-footer",
+            f"--print-to-pdf={made}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        try:
+            done = subprocess.run(
+                call, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(
+                f"{page}: {found} did not print it in {LONGEST_S:.0f} s; print it from a browser"
+            ) from None
+        if done.returncode != 0 or not made.is_file():
+            last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+            raise InputError(
+                f"{page}: {found} could not print it ({last}); open the page in a browser and print it there"
+            )
+        shutil.copyfile(made, part)

@@ -8,16 +8,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
-from bench.profiles.find import find_scenario
+from bench.profiles.find import find_scenario, load
 from bench.terminal.orders import TypedLines
 from bench.terminal.run_display import run_display
 from bench.terminal.signals import stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.backends.base import Backend
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
+from rig.checks.check import Check, Finding
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.priority import before_other_work
 from rig.execution.run import run_ramp
@@ -28,21 +30,13 @@ from rig.sim.scenario import Scenario
 
 
 class Onlooker(Protocol):
-    """One who watches a run from outside its process, and may ask things of it."""
+    """The watcher of a run, which may ask things of it: `bench.live.run_side.RunSide`, in a room above this one."""
 
-    def recorder(self, path: Path, setup: Setup, **options: Any) -> RecorderProcess:
-        """A recorder whose frames others can read."""
-        ...
-
+    def recorder(self, path: Path, setup: Setup, **options: Any) -> RecorderProcess: ...
     def begin(
         self, recorder: RecorderProcess, backend: Backend, request: StopRequest, progress: Callable[[Status], None]
-    ) -> Callable[[Status], None]:
-        """The run begins; returns what is to be called after each block in place of ``progress``."""
-        ...
-
-    def end(self, summary: RunSummary | None, fault: str = "") -> None:
-        """The run is over, or failed with ``fault`` before it had an outcome."""
-        ...
+    ) -> Callable[[Status], None]: ...
+    def end(self, summary: RunSummary | None, fault: str = "") -> None: ...
 
 
 def make_backend(
@@ -57,6 +51,21 @@ def make_backend(
     if scenario is not None and profile.backend.kind == "simulated":
         scenario = find_scenario(scenario)
     return open_backend(profile, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
+
+
+def open_rig(name: str | Path, purpose: str, scenario: Path | None, seed: int) -> tuple[Profile, Backend]:
+    """A profile and its back end, to ``purpose`` (check, calibrate); raises `InputError` for one that only replays."""
+    profile, _ = load(name)
+    if profile.backend.kind == "replay":
+        raise InputError(f"{name}: backend.kind is replay: there is no rig to {purpose}")
+    return profile, make_backend(profile, scenario=scenario, seed=seed)
+
+
+def check_rig(profile: Profile, backend: Backend) -> list[Finding]:
+    """The findings of `bench check`; raises `InputError`, `BackendError`."""
+    if not backend.simulated:
+        warm_up(profile)
+    return Check(profile, backend).run()
 
 
 def record(
@@ -81,28 +90,22 @@ def record(
     An ``onlooker`` needs such a process.
     """
     programme = plan(profile)
-    options: dict[str, Any] = {
-        "profile_text": text,
-        "channels": backend.channels,
-        "scales": backend.scales,
-        "backend": backend.name,
-        "simulated": backend.simulated,
-        "note": note,
-        "extra": extra,
-        "scenario_sha256": backend.scenario_sha256,
-        "expected_samples": programme.n_samples,
-    }
+    options: dict[str, Any] = dict(
+        profile_text=text, channels=backend.channels, scales=backend.scales, backend=backend.name,
+        simulated=backend.simulated, note=note, extra=extra, scenario_sha256=backend.scenario_sha256,
+        expected_samples=programme.n_samples,
+    )  # fmt: skip
     if not backend.simulated:
         warm_up(profile)
     first = nullcontext() if backend.simulated else before_other_work()
     with stop_on_signals(request) as request, first, run_display(quiet) as progress:
+        writer: RecordingWriter | RecorderProcess
         if paced or not backend.simulated:
-            patience_s = 10.0 if backend.simulated else 0.0
-            block_samples = largest_block(programme.clock, profile.backend.block_samples)
             make = RecorderProcess if onlooker is None else onlooker.recorder
-            writer: RecordingWriter | RecorderProcess = make(
-                out, profile.setup(), block_samples=block_samples, patience_s=patience_s, **options
-            )
+            writer = make(
+                out, profile.setup(), block_samples=largest_block(programme.clock, profile.backend.block_samples),
+                patience_s=10.0 if backend.simulated else 0.0, **options,
+            )  # fmt: skip
         else:
             writer = RecordingWriter(out, profile.setup(), **options)
         if onlooker is not None and isinstance(writer, RecorderProcess):

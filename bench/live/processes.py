@@ -130,17 +130,12 @@ def serve_desk(folder: Path, offered: list[str], host: str, port: int | None, sa
 
 def run_check(pipe: Connection, profile: str, scenario: str | None) -> None:
     """`bench check`; sends its findings, or why there are none."""
-    from bench.jobs.run_ramp import make_backend, warm_up
-    from bench.profiles.find import load
-    from rig.checks.check import Check
+    from bench.jobs.run_ramp import check_rig, open_rig
 
     answer: dict[str, Any] = {"error": "", "findings": []}
     try:
-        checked, _ = load(profile)
-        backend = make_backend(checked, scenario=Path(scenario) if scenario else None)
-        if not backend.simulated:
-            warm_up(checked)
-        answer["findings"] = [asdict(finding) for finding in Check(checked, backend).run()]
+        rig = open_rig(profile, "check", Path(scenario) if scenario else None, 0)
+        answer["findings"] = [asdict(finding) for finding in check_rig(*rig)]
     except (InputError, BackendError, OSError) as error:
         answer["error"] = str(error)
     pipe.send(answer)
@@ -161,15 +156,13 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
     """`bench ramp`, watched: the process of a run that was started from the page."""
     from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.find import load
-    from bench.profiles.plan import planned, refusal
+    from bench.profiles.plan import refuse_forbidden
 
     board = Board(board_name)
     side = RunSide(board)
     try:
         checked, text = load(profile)
-        faults = planned(checked)[2]
-        if faults:
-            raise InputError(refusal(profile, faults))
+        refuse_forbidden(profile, checked)
         hidden = Path(scenario) if scenario else None
         seed = asked.seed if checked.backend.kind == "simulated" else 0
         backend = make_backend(checked, scenario=hidden, seed=seed, real_time=True)

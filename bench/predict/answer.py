@@ -51,7 +51,7 @@ def _answer(request: Request) -> None:
         check_outputs(
             File("--out", request.out, HDF5, continues=None if request.overwrite else _is_diagram),
             File("--figure", picture, PICTURE),
-            File("--json", request.json_to, JSON),
+            File("--json", request.json, JSON),
             inputs=[request.profile], overwrite=request.overwrite,
         )  # fmt: skip
         if request.paper_figure is not None and picture is not None:
@@ -65,8 +65,8 @@ def _answer(request: Request) -> None:
             request = with_profile(request, request.profile)
             if request.gamma is None and request.gamma_peak is None and request.gamma_range is None:
                 rows = ramp_json(request, str(request.profile))
-                write_json(rows, request.json_to)
-                if request.json_to is None:
+                write_json(rows, request.json)
+                if request.json is None:
                     print_ramp(rows)
                 return
         ball = ball_for(request)
@@ -92,7 +92,7 @@ def _refuse_unwritten(request: Request) -> None:
     if request.gamma_range is not None and not request.bifurcations and not paper:
         return
     for option, path, written in (
-        ("--out", request.out, False), ("--figure", request.figure, paper), ("--json", request.json_to, not paper),
+        ("--out", request.out, False), ("--figure", request.figure, paper), ("--json", request.json, not paper),
     ):  # fmt: skip
         if path is not None and not written:
             asked = "--paper-figure" if paper else "--bifurcations" if request.bifurcations else "this call"

@@ -22,8 +22,8 @@ def bifurcations(ball: Ball, request: Request) -> None:
     found = [
         b for b in find_bifurcations(ball, low, high, narrowest=request.narrowest, sweep=request.sweep) if b.gamma > low
     ]
-    write_json([bifurcation_json(b, peak) for b in found], request.json_to)
-    if request.json_to is None:
+    write_json([bifurcation_json(b, peak) for b in found], request.json)
+    if request.json is None:
         print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")
         for b in found:
             print(f"{b.gamma:16.10f} {b.gamma * peak:16.10f}  {b.type:<22} {b.before.period} -> {b.after.period}")

@@ -41,11 +41,11 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
         raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.steps:,}")
     job = _job(request, effects)
     ensemble.check(job)
-    if request.json_to is not None and not request.adaptive:
+    if request.json is not None and not request.adaptive:
         _check_json(job.size, job)
     if request.figure is not None and len(job.axes) > 1:
         raise InputError("--figure shows a diagram over gamma, or a map over gamma and one --grid; give --out alone")
-    if request.out is None and request.figure is None and request.json_to is None:
+    if request.out is None and request.figure is None and request.json is None:
         raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
     if request.overwrite and request.out is not None:
         request.out.unlink(missing_ok=True)
@@ -59,8 +59,8 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
             ensemble.save(job, rows, request.out)
     else:
         rows = _flown(job, request)
-    if request.json_to is not None:
-        write_json(_rows_json(rows, job), request.json_to)
+    if request.json is not None:
+        write_json(_rows_json(rows, job), request.json)
     if request.figure is not None and not job.axes:
         from bench.predict.figures import diagram_picture  # matplotlib is slow to import
 
@@ -114,7 +114,7 @@ def _flown(job: ensemble.Job, request: Request) -> Rows:
             from bench.predict.map_picture import map_picture  # matplotlib is slow to import
 
             map_picture(path, job, request.figure)
-        if (request.figure is None or job.axes) and request.json_to is None:
+        if (request.figure is None or job.axes) and request.json is None:
             return empty_rows(np.empty(0), 0)
         return ensemble.load(path)[0]
 

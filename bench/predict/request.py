@@ -35,7 +35,7 @@ class Request:
     workers: int = 1
     cluster: str | None = None
     paper_figure: int | None = None
-    json_to: str | None = None
+    json: str | None = None
     profile: str | None = None
     g_mps2: float = STANDARD_GRAVITY_MPS2
     out: Path | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from daq.setup.errors import InputError
 from rig.profile import Profile
 from rig.programme.ramp import Peaks, Programme, Step, forbidden, peaks, plan
 
@@ -20,3 +21,15 @@ def refusal(profile: str, faults: list[str]) -> str:
     shown = "\n".join(f"  {line}" for line in faults[:20])
     more = f"\n  and {len(faults) - 20} more" if len(faults) > 20 else ""
     return f"{profile}: limits forbid this ramp; lower ramp.gamma or change [limits]\n{shown}{more}"
+
+
+def refuse_forbidden(name: str, profile: Profile) -> None:
+    """Refuse a ramp that a limit forbids; ``name`` is how it was called.
+
+    Raises
+    ------
+    InputError
+        With the step and the limit.
+    """
+    if faults := planned(profile)[2]:
+        raise InputError(refusal(name, faults))

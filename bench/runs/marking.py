@@ -1,40 +1,33 @@
-"""Remarks for the commands tag and note: the recording they belong to, and the notebook as text."""
+"""The work of the commands tag and note: remarks on a recording, changed and shown."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+from bench.terminal.console import print_lines, write_json
 from daq.recording.header import Header, read_headers
-from daq.recording.notebook import Remarks, as_line, notebook
+from daq.recording.notebook import Remarks, as_line, change_remarks, notebook, read_remarks, side_file
 from daq.setup.errors import InputError, require_file
 
 
-def header_of_file(recording: Path) -> Header | None:
-    """Header of a recording; None where it is damaged.
+def changed_remarks(recording: Path, change: Callable[[Remarks], Remarks] | None, json: str | None) -> None:
+    """Change the remarks on a recording, and show its tags and its whole notebook, as JSON where that is asked for.
 
     Raises
     ------
     InputError
-        Where the file is missing, or no recording.
+        Where the file is missing or no recording, or ``change`` refuses.
     """
     require_file(recording)
+    header = None  # of a damaged recording there is none
     for _, found in read_headers([recording]):
         if isinstance(found, Header):
-            return found
-        if not found.damaged or "does not begin" in found.why:
+            header = found
+        elif not found.damaged or "does not begin" in found.why:
             raise InputError(f"{recording}: {found.why}; wanted a recording")
-    return None
-
-
-def as_json(recording: Path, header: Header | None, remarks: Remarks) -> dict[str, Any]:
-    """Tags and the whole notebook for a machine."""
-    notes = [asdict(note) for note in notebook(header, remarks)]
-    return {"file": str(recording), "tags": list(remarks.tags), "notes": notes}
-
-
-def lines(recording: Path, header: Header | None, remarks: Remarks) -> list[str]:
-    """Tags and the whole notebook for a person."""
-    shown = [f"  {as_line(note)}" for note in notebook(header, remarks)]
-    return [f"{recording}: {' '.join(remarks.tags) or 'no tags'}", *shown]
+    identity = "" if header is None else header.identity
+    now = read_remarks(side_file(recording)) if change is None else change_remarks(recording, identity, change)
+    notes = notebook(header, now)
+    if write_json({"file": recording, "tags": now.tags, "notes": notes}, json):
+        print_lines(f"{recording}: {' '.join(now.tags) or 'no tags'}", *(f"  {as_line(note)}" for note in notes))

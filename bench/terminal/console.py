@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -31,25 +31,26 @@ def warn(message: str) -> None:
     sys.stderr.write(f"warning: {message}\n")
 
 
-def write_json(payload: Any, target: str | Path | None) -> None:
+def write_json(payload: Any, target: str | Path | None) -> bool:
     """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None.
 
-    A file that cannot be written ends the program with status 1.
+    Returns whether standard output is left to a person. A file that cannot be written ends the program with status 1.
     """
     if target is None:
-        return
+        return True
     from daq.files.json_values import json_text
 
     text = json_text(payload)
     if target == "-":
         sys.stdout.write(text)
-        return
+        return False
     from daq.files.whole_file import write_whole
 
     try:
         write_whole(Path(target), text)
     except OSError as error:
         fail(f"{target}: the JSON could not be written ({error.strerror}); free some space, or name another place")
+    return True
 
 
 def readable(text: str | None) -> str | None:
@@ -94,6 +95,18 @@ def next_command(recording: Path) -> str:
     return (
         f"next: bench close-loop {shlex.quote(str(recording))}   (bench compare: step by step; bench report: one page)"
     )
+
+
+def new_table(*headings: str, words: Collection[str] = (), title: str | None = None) -> Table:
+    """A table of numbers for `print_table`; columns of ``words`` are at the left, and folded where it is narrow."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for heading in headings:
+        is_text = heading in words
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
+    return table
 
 
 def print_table(table: Table) -> None:

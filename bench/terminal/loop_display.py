@@ -44,7 +44,7 @@ def show(loop: ClosedLoop) -> None:
         out.print(f"  {line}", soft_wrap=True)
 
 
-def write_outputs(outputs: Sequence[tuple[str, Callable[[], None]]]) -> bool:
+def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
     """Write each output by its function; one that fails is reported under its name and does not stop the others.
 
     Returns

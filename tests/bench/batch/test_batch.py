@@ -7,9 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import shakerbench as sb
-from bench.batch.recordings import find_recordings
-from bench.batch.run import Batch, run_batch
-from bench.batch.table import columns
+from bench.batch.run import Batch, find_recordings, run_batch, write_table
 from bench.cli import app
 from daq.files.whole_file import Journal
 from daq.setup.errors import InputError
@@ -63,7 +61,7 @@ def test_a_batch_goes_on_where_it_stopped(laboratory, tmp_path):
     first = run_batch(Batch(recordings, PARTS), journal)
     size = journal.path.stat().st_size
     told = []
-    again = run_batch(Batch(recordings, PARTS), Journal(journal.path), told=lambda *x: told.append(x[2].name))
+    again = run_batch(Batch(recordings, PARTS), Journal(journal.path), say=lambda *x: told.append(x[2].name))
     assert again[0] == first[0] and told == ["a.h5", "cut.h5"]
     added = journal.path.read_bytes()[size:].splitlines()
     assert len(added) == 1 and b"cut.h5" in added[0]
@@ -112,10 +110,11 @@ def test_nothing_to_examine_is_said(tmp_path):
         find_recordings([tmp_path])
 
 
-def test_columns_of_effects_stand_last_by_name():
+def test_columns_of_effects_stand_last_by_name(tmp_path):
     """Common columns first as they come, then the values of effects in alphabetical order."""
     rows = [{"recording": "a", "z.q": 1.0}, {"recording": "b", "verdict": "x", "b.q": 2.0}]
-    assert columns(rows) == ["recording", "verdict", "b.q", "z.q"]
+    write_table(rows, tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_text().splitlines()[0] == "recording,verdict,b.q,z.q"
 
 
 @pytest.mark.slow

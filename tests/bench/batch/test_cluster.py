@@ -6,8 +6,7 @@ import pytest
 
 import shakerbench as sb
 from bench.batch.examine import PARTS
-from bench.batch.run import Batch, run_batch
-from bench.batch.table import write_table
+from bench.batch.run import Batch, run_batch, write_table
 from daq.files.whole_file import Journal
 
 RECORDINGS = 6
@@ -55,12 +54,12 @@ def test_a_killed_worker_changes_no_table(recordings, tmp_path):
         distributed.Client(cluster) as client,
     ):
 
-        def told(done, total, path, row):
+        def say(done, total, path, row):
             if not killed:
                 killed.append(kill_a_busy_worker(cluster, client))
 
         journal = Journal(tmp_path / "cluster.rows")
-        rows = run_batch(Batch(recordings, parts), journal, cluster=cluster.scheduler_address, told=told)
+        rows = run_batch(Batch(recordings, parts), journal, cluster=cluster.scheduler_address, say=say)
         assert killed and killed[0] not in client.scheduler_info(n_workers=-1)["workers"]
     assert [bool(row["failed"]) for row in rows] == [path.stem == "cut" for path in recordings]
     assert without_seconds(rows) == without_seconds(alone)
