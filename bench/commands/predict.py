@@ -1,4 +1,4 @@
-"""`bench predict`: what the model says, at one gamma, over a range of gammas, or for a figure of the paper."""
+"""`bench predict`: what the model says, at one gamma, or over a range of gammas."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ def command(
     keep: int = typer.Option(64, min=1, help="Flight times kept of each point of a diagram."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
-    paper_figure: int | None = typer.Option(None, help="Figure 4, 10, 11 or 12 of the paper, as --figure says."),
     json: Json = None,
     out: Path | None = typer.Option(None, help="HDF5 file for a diagram; continued if it is there, unfinished."),
     figure: Path | None = typer.Option(None, help="Picture of a diagram (PNG, PDF or SVG)."),

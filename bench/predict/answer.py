@@ -44,21 +44,13 @@ def _stopped_at_once() -> Iterator[None]:
 def _answer(request: Request) -> None:
     """The branch for each kind of request."""
     try:
-        picture = request.figure
         _refuse_unwritten(request)
-        if request.paper_figure is not None:
-            picture = picture or Path(f"figure{request.paper_figure}.png")
         check_outputs(
             File("--out", request.out, HDF5, continues=None if request.overwrite else _is_diagram),
-            File("--figure", picture, PICTURE),
+            File("--figure", request.figure, PICTURE),
             File("--json", request.json, JSON),
             inputs=[request.profile], overwrite=request.overwrite,
         )  # fmt: skip
-        if request.paper_figure is not None and picture is not None:
-            from bench.predict.figures import paper_figure  # matplotlib is slow to import
-
-            paper_figure(request.paper_figure, picture, request.steps)
-            return
         if request.profile is not None:
             from bench.predict.profile_ramp import print_ramp, ramp_json, with_profile  # pydantic is slow to import
 
@@ -88,14 +80,11 @@ def _refuse_unwritten(request: Request) -> None:
     InputError
         With the option, and what it goes with.
     """
-    paper = request.paper_figure is not None
-    if request.gamma_range is not None and not request.bifurcations and not paper:
+    if request.gamma_range is not None and not request.bifurcations:
         return
-    for option, path, written in (
-        ("--out", request.out, False), ("--figure", request.figure, paper), ("--json", request.json, not paper),
-    ):  # fmt: skip
-        if path is not None and not written:
-            asked = "--paper-figure" if paper else "--bifurcations" if request.bifurcations else "this call"
+    for option, path in (("--out", request.out), ("--figure", request.figure)):
+        if path is not None:
+            asked = "--bifurcations" if request.bifurcations else "this call"
             diagram_call = f"--gamma-range FROM TO {option} {path}"
             raise InputError(f"{option} {path}: {asked} writes no such file; it is for a diagram: {diagram_call}")
 

@@ -1,4 +1,4 @@
-"""Pictures of `bench predict`: bifurcation diagrams with their forbidden zones, and those of the paper's figures.
+"""Pictures of `bench predict`: bifurcation diagrams with their forbidden zones.
 
 An axis says which gamma it shows, and whether a time is in seconds or in forcing periods.
 """
@@ -6,9 +6,6 @@ An axis says which gamma it shows, and whether a time is in seconds or in forcin
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,65 +14,31 @@ import numpy as np
 from analysis.report.figures import style
 from analysis.report.figures.zones import draw_zones, zones_over
 from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
-from bench.predict.request import Request, check_adaptive
+from bench.predict.request import Request
 from daq.setup.errors import InputError
 from model.bifurcations.events import bifurcations
 from model.orbits.exact_ball import IdealBall
-from model.surveys.diagram import Rows, adaptive, diagram
+from model.surveys.diagram import Rows
 from model.tones import Forcing
 
-PAPER_HZ = 20.0  # the paper's "omega = 20"
 ZONE_GAMMAS = 400
-PAPER_FIGURES: dict[int, tuple[tuple[int, float, float], ...]] = {  # figure: (c, from, to) of each panel, in gamma
-    4: ((1, 0.4, 6.0),),
-    10: ((2, 0.15, 3.0),),
-    11: ((3, 0.08, 2.0),),
-    12: ((1, 0.4, 6.0), (2, 0.15, 3.0), (3, 0.08, 2.0)),
-}
 STYLE: dict[Any, Any] = style.STYLE | {"xtick.top": True, "savefig.dpi": 200}
 
 
 def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) -> None:
     """Draw one diagram; the forbidden zones are those of the ideal ball and are drawn for it alone."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
     ideal = not request.effects and not request.sweep
-    with _figure(1, path) as (ax,):
-        _panel(ax, rows, forcing, request.ratio, request.frequency_hz, ideal=ideal)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 4.4), layout="constrained")
+        ax = figure.subplots()
+        draw_diagram(ax, rows, forcing, request.ratio, request.frequency_hz, ideal=ideal)
         if request.effects:
             ax.set_title(", ".join(request.effects), fontsize=9)
         if request.sweep:
             ax.set_title(f"gamma swept {request.sweep}", fontsize=9, loc="right")
-
-
-def paper_figure(number: int, path: Path, steps: int) -> None:
-    """Draw one of the paper's bifurcation diagrams, from the ideal ball at the paper's 20 Hz.
-
-    Raises
-    ------
-    InputError
-        For another number.
-    """
-    if number not in PAPER_FIGURES:
-        known = ", ".join(map(str, PAPER_FIGURES))
-        raise InputError(f"--paper-figure wants one of {known}, not {number}")
-    check_adaptive(steps)
-    panels = PAPER_FIGURES[number]
-    with _figure(len(panels), path) as axes:
-        for ax, (ratio, low, high) in zip(axes, panels, strict=True):
-            forcing = Forcing.superposition(ratio)
-            ball = IdealBall(forcing)
-            rows = adaptive(partial(diagram, ball), low, high, steps)
-            _panel(ax, rows, forcing, ratio, PAPER_HZ, ideal=True)
-
-
-@contextmanager
-def _figure(panels: int, path: Path) -> Iterator[list[Any]]:
-    """Axes one above the other, saved as ``path`` at the end."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 1.2 + 3.2 * panels), layout="constrained")
-        yield list(figure.subplots(panels, 1, squeeze=False)[:, 0])
         try:
             figure.savefig(path)
         except (OSError, ValueError) as error:
@@ -83,7 +46,7 @@ def _figure(panels: int, path: Path) -> Iterator[list[Any]]:
             raise InputError(text) from error
 
 
-def _panel(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: float | None, *, ideal: bool) -> None:
+def draw_diagram(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: float | None, *, ideal: bool) -> None:
     """One diagram: flight times against gamma (gamma_peak at c = 1), zones shaded, the large events marked."""
     scale = 2.0 if ratio == 1 and forcing.amplitude == (2.0,) else 1.0
     unit = 1.0 / (2.0 * math.pi * frequency_hz) if frequency_hz else 1.0 / (2.0 * math.pi)

@@ -34,7 +34,6 @@ class Request:
     keep: int = 64
     workers: int = 1
     cluster: str | None = None
-    paper_figure: int | None = None
     json: str | None = None
     profile: str | None = None
     g_mps2: float = STANDARD_GRAVITY_MPS2

@@ -127,8 +127,6 @@ def test_an_adaptive_diagram_has_more_rows(tmp_path):
         (["--gamma", "1", "--phase-deg", "180"], "cancel"),
         (["--gamma-range", "2", "1", "--bifurcations"], "range"),
         (["--gamma-range", "1", "2"], "--out"),
-        (["--paper-figure", "5"], "4, 10, 11, 12"),
-        (["--paper-figure", "4", "--out", "x.h5"], "--out x.h5: --paper-figure writes no such file"),
         (["--profile", "simulated", "--figure", "x.png"], "--figure x.png: this call writes no such file"),
         (["--profile", "simulated", "--out", "x.h5"], "--gamma-range FROM TO --out x.h5"),
         (["--gamma", "1", "--figure", "x.png"], "--figure x.png: this call writes no such file"),
