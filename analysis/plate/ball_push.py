@@ -13,6 +13,7 @@ import numpy as np
 from kernels.arrays import Bools, Floats
 
 SHORTEST_REST_S = 1.2e-3  # after a shorter contact the ball left as it landed
+LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction
 
 
 def filled_after_impacts(acceleration_mps2: Floats, known: Bools) -> Floats:
@@ -27,8 +28,8 @@ def filled_after_impacts(acceleration_mps2: Floats, known: Bools) -> Floats:
 
 def ball_push(
     acceleration_mps2: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats, gravity_mps2: float
-) -> tuple[Floats, float]:
-    """Mean push on the plate in each block, (n,), m/s^2, upwards, for a ball of unit mass; the sum of impulses, m/s.
+) -> tuple[Floats, Floats]:
+    """Mean push on the plate in each block for a ball of unit mass, upwards: of the contact and of impacts, (n,) each.
 
     Parameters
     ----------
@@ -43,27 +44,43 @@ def ball_push(
     """
     n, felt = len(acceleration_mps2), gravity_mps2 + acceleration_mps2
     edges_s = np.arange(n + 1) * block_s
-    once = np.append(0.0, np.cumsum(felt)) * block_s
-    twice = np.append(0.0, np.cumsum(0.5 * (once[1:] + once[:-1]))) * block_s
-
-    def at(integral: Floats, time_s: Floats) -> Floats:
-        return np.interp(time_s, edges_s, integral)
-
-    length_s = landing_s - takeoff_s
-    gained = at(once, landing_s) - at(once, takeoff_s)
-    start = (at(twice, landing_s) - at(twice, takeoff_s)) / length_s - at(once, takeoff_s)
     rested = np.append(np.inf, takeoff_s[1:] - landing_s[:-1])
-    start = np.where(rested < SHORTEST_REST_S, start, 0.0)
+    bounced = rested < SHORTEST_REST_S
+    takeoff_s = np.where(bounced, np.roll(landing_s, 1), takeoff_s)  # a contact stays closed for longer than it touches
+    # the contact's share of each block, from the edges of all flights
+    air = np.diff(np.interp(edges_s, np.ravel(np.column_stack([takeoff_s, landing_s])), _flown(landing_s - takeoff_s)))
+    gained, back = _over_flights(felt, block_s, takeoff_s, landing_s)
+    # A friction slows the ball on both ways: as much of it as brings flights from rest back to the plate.
+    speed = np.where(bounced, back, 0.0)
+    flight = np.clip(np.searchsorted(takeoff_s, edges_s[:-1] + 0.5 * block_s) - 1, 0, len(takeoff_s) - 1)
+    fallen = np.append(0.0, np.cumsum(felt)) * block_s
+    rising = speed[flight] + np.interp(takeoff_s, edges_s, fallen)[flight] > 0.5 * (fallen[1:] + fallen[:-1])
+    slowing = np.where(rising, 1.0, -1.0) * air / block_s
+    slowed, slowed_back = _over_flights(slowing, block_s, takeoff_s, landing_s)
+    long = ~bounced & (landing_s - takeoff_s > LONG_S)
+    if np.sum(long) >= FEWEST_FLIGHTS:
+        friction = -float(np.median(back[long] / slowed_back[long]))
+        gained, back = gained + friction * slowed, back + friction * slowed_back
+    start = np.where(bounced, back, 0.0)
     impulse = gained - start + np.append(start[1:], 0.0)
-    # while it flies the ball pushes nothing: contact's share of each block from the edges of all flights
-    air = np.interp(edges_s, np.ravel(np.column_stack([takeoff_s, landing_s])), _flown(length_s))
-    push = -felt * (1.0 - np.diff(air) / block_s)
+    push = -felt * (1.0 - air / block_s)
     place = landing_s / block_s - 0.5  # centre of a block; an impulse between two centres is shared by both
     block = np.clip(np.floor(place).astype(np.int64), 0, n - 2)
     part = np.clip(place - block, 0.0, 1.0)
-    np.add.at(push, block, -impulse * (1.0 - part) / block_s)
-    np.add.at(push, block + 1, -impulse * part / block_s)
-    return push, float(np.sum(impulse))
+    impulses = np.zeros(n)
+    np.add.at(impulses, block, -impulse * (1.0 - part) / block_s)
+    np.add.at(impulses, block + 1, -impulse * part / block_s)
+    return push, impulses
+
+
+def _over_flights(rate: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats) -> tuple[Floats, Floats]:
+    """Integral of a rate (n,) over each flight, and the mean of it over the flight, (m,) each."""
+    edges_s = np.arange(len(rate) + 1) * block_s
+    once = np.append(0.0, np.cumsum(rate)) * block_s
+    twice = np.append(0.0, np.cumsum(0.5 * (once[1:] + once[:-1]))) * block_s
+    begun = np.interp(takeoff_s, edges_s, once)
+    path = np.interp(landing_s, edges_s, twice) - np.interp(takeoff_s, edges_s, twice)
+    return np.interp(landing_s, edges_s, once) - begun, path / (landing_s - takeoff_s) - begun
 
 
 def _flown(length_s: Floats) -> Floats:

@@ -7,14 +7,18 @@ ratio are linear and regressed; only frequency and damping are searched.
 
     mode = identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], mask_s)
 
-gives a `PlateMode` with covariance, or None where none is identified, which is no proof that there is none. The closed
-loop does not use it yet: on recordings of fresh seeds the damping is off by more than its standard deviation says, most
-where a ball's contact is too short to be seen (``python -m benchmarks.analysis.ringing``).
+gives a `PlateMode` with covariance, or None where none is identified, which is no proof that there is none
+(``python -m benchmarks.analysis.ringing``).
+
+References
+----------
+W. K. Newey, K. D. West, Econometrica 55, 703 (1987): covariance where the remainder is correlated.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,13 +32,20 @@ from analysis.signals.stream import block_means, pieces
 from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats, Integers
 
-RATE_HZ = 2000.0  # of the block means: far above any mode that a ball shakes
+RATE_HZ = 1000.0  # of the block means: far above any mode that a ball shakes
 LOWEST_HZ, HIGHEST_HZ = 0.7, 200.0
 DAMPINGS = (0.01, 0.05, 0.2)
 GRID = 1.12  # ratio of neighbouring frequencies of the first look
-STARTS = 4
+STARTS = 3
 MOST_STEPS = 25  # of a search from one start
-ROUNDS = 4  # until mass ratio and the accelerometer's zero agree
+ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
+SETTLED = 3e-4  # relative change of frequency and damping
+RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
+MOST_DAMPING, STRONG_DAMPING = 0.9, 0.5  # what is found at the bound, or so damped above the drive, is no mode
+MOST_RESTARTS, TORN = 3, 1.6  # pieces that are left out, each with so many times the usual remainder
+FEWEST_BLOCKS, FEWEST_IN_CLUSTER = 1000, 50
+RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width and damping, and of the mass ratio: what blocks blur
+LAGS = 2  # pieces whose scores are correlated
 LEAD_S = 1e-3  # before an impact, left out with it
 FEWEST_IMPACTS = 20
 CLUSTER_S = 0.5  # length of the pieces whose scores are taken as independent
@@ -89,25 +100,67 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
     block_s = width / recording.rate_hz
     acceleration, drive = _means(recording, width)
     landed = landing_s < (len(acceleration) - 1) * block_s
-    known = _unmasked(len(acceleration), block_s, landing_s, mask_s)
+    known = _unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
     if not landed.all():  # the impulse at the end of the flight before needs this flight
         last = int(np.argmin(landed))
         known[int((landing_s[max(last - 1, 0)] - LEAD_S) / block_s) :] = False
     takeoff_s, landing_s = takeoff_s[landed], landing_s[landed]
-    gravity = recording.setup.g_mps2.value
-    acceleration = filled_after_impacts(acceleration, known)
-    acceleration -= np.mean(acceleration)
-    linear = _driven(recording, drive, block_s)
-    basis = np.linalg.qr(linear[known])[0]
-    found, zero = None, 0.0
-    # The plate goes nowhere, so what it gains by impacts, which the acceleration between them lacks, is its mean.
-    for _ in range(ROUNDS):
-        push, jumps = ball_push(acceleration + zero, block_s, takeoff_s, landing_s, gravity)
-        seen = _Regression.of(acceleration, basis, push, known, block_s)
-        x = seen.searched() if found is None else seen.followed([found])
-        ratio = seen.ratio(x)
-        found, zero = x, ratio * jumps / (len(acceleration) * block_s)
-    return None if found is None else seen.judged(found)
+    linear, gravity = _driven(recording, drive, block_s), recording.setup.g_mps2.value
+    record = _Recorded(acceleration, linear, block_s, takeoff_s, landing_s, gravity)
+    begun, found = [0], None
+    for _ in range(MOST_RESTARTS + 1):
+        if np.count_nonzero(known) < FEWEST_BLOCKS:
+            return None
+        seen, found = record.settled(known, begun, found)
+        worst = seen.worst_cluster(found)
+        if worst is None:
+            break
+        # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
+        ends = int((worst + 1) * CLUSTER_S / block_s)
+        known[int(worst * CLUSTER_S / block_s) : ends] = False
+        begun.append(min(ends, len(known) - 2))
+    return None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """Block means of the acceleration (n,), regressors of the drive (n, k), and the flights."""
+
+    acceleration: Floats
+    linear: Floats
+    block_s: float
+    takeoff_s: Floats
+    landing_s: Floats
+    gravity_mps2: float
+
+    def settled(self, known: Bools, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats]:
+        """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.
+
+        Where impacts hide the acceleration, the ball feels what the model says. The plate goes nowhere, so what it
+        gains by impacts, which the acceleration between them lacks, is its mean.
+        """
+        basis, upper = np.linalg.qr(self.linear[known])
+
+        def drive_part(seen: Floats) -> Floats:
+            return np.asarray(self.linear @ np.linalg.solve(upper, basis.T @ seen[known]))
+
+        driven, rise = drive_part(self.acceleration), 0.0
+        acceleration = driven + filled_after_impacts(self.acceleration - driven, known)
+        for rounds in range(ROUNDS):
+            zero = rise - np.mean(acceleration)
+            flights = (self.takeoff_s, self.landing_s)
+            push, impulses = ball_push(acceleration + zero, self.block_s, *flights, self.gravity_mps2)
+            seen = _Regression.of(acceleration, basis, push + impulses, known, self.block_s, begun)
+            again = rounds == 1 and len(begun) == 1  # the first search did not know what is hidden
+            x = seen.searched() if found is None or again else seen.followed([found])
+            sizes = seen.sizes(seen.columns(*np.exp(x)))
+            mode = seen.answers(*np.exp(x)) @ sizes
+            acceleration = np.where(known, acceleration, drive_part(acceleration - mode) + mode - sizes[0] * impulses)
+            settled = not again and found is not None and bool(np.max(np.abs(x - found)) < SETTLED)
+            found, rise = x, -float(sizes[0]) * float(np.mean(impulses))
+            if settled:
+                break
+        return seen, x
 
 
 def _means(recording: Recording, width: int) -> tuple[Floats, Floats]:
@@ -185,7 +238,10 @@ def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: floa
 
 @dataclass(frozen=True)
 class _Regression:
-    """Unmasked blocks with everything linear but the mode taken out of them."""
+    """Unmasked blocks with everything linear but the mode taken out of them.
+
+    ``begun`` are the blocks at which the mode's state is free, so that it rings on from there whatever was before.
+    """
 
     left: Floats
     basis: Floats  # orthonormal, (k, l)
@@ -193,63 +249,102 @@ class _Regression:
     known: Bools
     block_s: float
     cluster: Integers
+    begun: tuple[int, ...]
 
     @classmethod
-    def of(cls, acceleration: Floats, basis: Floats, push: Floats, known: Bools, block_s: float) -> _Regression:
+    def of(
+        cls, acceleration: Floats, basis: Floats, push: Floats, known: Bools, block_s: float, begun: Sequence[int]
+    ) -> _Regression:
         seen = acceleration[known]
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
-        return cls(seen - basis @ (basis.T @ seen), basis, push, known, block_s, cluster)
+        return cls(seen - basis @ (basis.T @ seen), basis, push, known, block_s, cluster, tuple(begun))
 
-    def column(self, frequency_hz: float, damping: float) -> Floats:
-        """The mode's answer in the known blocks, less what the rest could explain."""
-        x = answer(self.push, self.block_s, frequency_hz, damping)[self.known]
+    def answers(self, frequency_hz: float, damping: float) -> Floats:
+        """The mode's answer to the push, and how it rings on from each free state, (n, 1 + 2 r)."""
+        n, w = len(self.push), 2.0 * math.pi * frequency_hz
+        turn = complex(-damping * w, w * math.sqrt(1.0 - damping**2))
+        out = np.zeros((n, 1 + 2 * len(self.begun)))
+        out[:, 0] = answer(self.push, self.block_s, frequency_hz, damping)
+        for k, at in enumerate(self.begun):
+            ringing = np.exp(turn * self.block_s * np.arange(n - at))
+            out[at:, 1 + 2 * k], out[at:, 2 + 2 * k] = ringing.real, ringing.imag
+        return out
+
+    def columns(self, frequency_hz: float, damping: float) -> Floats:
+        """`answers` in the known blocks, less what the rest could explain."""
+        x = self.answers(frequency_hz, damping)[self.known]
         return np.asarray(x - self.basis @ (self.basis.T @ x))
+
+    def sizes(self, columns: Floats) -> Floats:
+        """Mass ratio, not negative, and sizes of the free states."""
+        normal, side = columns.T @ columns, columns.T @ self.left
+        out = pinv(normal, rcond=1e-12) @ side
+        if out[0] < 0.0:
+            out = np.append(0.0, pinv(normal[1:, 1:], rcond=1e-12) @ side[1:])
+        return np.asarray(out)
 
     def remainder(self, x: Floats) -> Floats:
         """What is left at the logarithms of frequency and damping."""
-        column = self.column(*np.exp(x))
-        return np.asarray(self.left - column * max(float(column @ self.left) / float(column @ column), 0.0))
-
-    def ratio(self, x: Floats) -> float:
-        """Mass ratio at the logarithms of frequency and damping."""
-        column = self.column(*np.exp(x))
-        return max(float(column @ self.left) / float(column @ column), 0.0)
+        columns = self.columns(*np.exp(x))
+        return np.asarray(self.left - columns @ self.sizes(columns))
 
     def searched(self) -> Floats:
         """Logarithms of frequency and damping of the best mode of all."""
         count = int(math.log(HIGHEST_HZ / LOWEST_HZ) / math.log(GRID))
         looked = [np.log([LOWEST_HZ * GRID**k, d]) for k in range(count) for d in DAMPINGS]
-        loss = np.array([float(np.sum(self.remainder(x) ** 2)) for x in looked]).reshape(count, -1)
+        loss = -np.array([self._gain_of_push(*np.exp(x)) for x in looked]).reshape(count, -1)
         best = loss.min(axis=1)
         inner = [k for k in range(count) if best[k] <= min(best[max(k - 1, 0)], best[min(k + 1, count - 1)])]
         starts = sorted(inner, key=lambda k: best[k])[:STARTS]
         return self.followed([looked[k * len(DAMPINGS) + int(np.argmin(loss[k]))] for k in starts])
 
+    def _gain_of_push(self, frequency_hz: float, damping: float) -> float:
+        """By how much the answer to the push lowers the sum of squares."""
+        x = answer(self.push, self.block_s, frequency_hz, damping)[self.known]
+        own = self.basis.T @ x
+        return max(float(x @ self.left), 0.0) ** 2 / float(x @ x - own @ own)
+
     def followed(self, starts: list[Floats]) -> Floats:
         """The best minimum from some starts."""
-        low, high = np.log([[0.5 * LOWEST_HZ, 1e-3], [2.0 * HIGHEST_HZ, 0.9]])
+        low, high = np.log([[0.5 * LOWEST_HZ, 1e-3], [2.0 * HIGHEST_HZ, MOST_DAMPING]])
         fits = [
             least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, max_nfev=MOST_STEPS)
             for x in starts
         ]
         return np.asarray(min(fits, key=lambda f: f.cost).x)
 
-    def judged(self, x: Floats) -> PlateMode | None:
-        """The mode at the logarithms of frequency and damping with its covariance."""
+    def worst_cluster(self, x: Floats) -> int | None:
+        """The first piece with far more left than the usual one; None where none is."""
+        power, count = (np.bincount(self.cluster, v) for v in (self.remainder(x) ** 2, np.ones(len(self.left))))
+        rms = np.sqrt(power / np.maximum(count, 1.0))
+        bad = np.flatnonzero((count >= FEWEST_IN_CLUSTER) & (rms > TORN * np.median(rms[count > 0])))
+        return int(bad[0]) if len(bad) else None
+
+    def judged(self, x: Floats, forcing_hz: float) -> PlateMode | None:
+        """The mode at the logarithms of frequency and damping with its covariance; None where it is none."""
         frequency, damping = (float(v) for v in np.exp(x))
-        column, h = self.column(frequency, damping), 1e-4
-        ratio = float(column @ self.left) / float(column @ column)
-        left = self.left - ratio * column
-        ahead = [self.column(*np.exp(x + h * e)) for e in np.eye(2)]
-        behind = [self.column(*np.exp(x - h * e)) for e in np.eye(2)]
-        slopes = [ratio * (a - b) / (2.0 * h) for a, b in zip(ahead, behind, strict=True)]
-        jacobian = np.column_stack([slopes[0] / frequency, slopes[1] / damping, column])
-        inverse = pinv(jacobian.T @ jacobian, rcond=1e-14)
+        columns, h = self.columns(*np.exp(x)), 1e-4
+        sizes = self.sizes(columns)
+        left = self.left - columns @ sizes
+        slopes = [(self.columns(*np.exp(x + h * e)) - self.columns(*np.exp(x - h * e))) @ sizes for e in np.eye(2)]
+        jacobian = np.column_stack([slopes[0] / (2.0 * h), slopes[1] / (2.0 * h), columns])
+        jacobian /= np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        size = np.linalg.norm(np.column_stack([*slopes, columns[:, 0]]), axis=0) / [2.0 * h, 2.0 * h, 1.0]
+        inverse = pinv(jacobian.T @ jacobian, rcond=1e-10)
         scores = np.array([np.bincount(self.cluster, row) for row in (jacobian * left[:, None]).T])
-        covariance = inverse @ (scores @ scores.T) @ inverse
-        correlated = max(float(covariance[2, 2] / (inverse[2, 2] * np.mean(left**2))), 1.0)
+        meat = scores @ scores.T
+        for lag in range(1, LAGS + 1):  # Newey and West's
+            late = scores[:, lag:] @ scores[:, :-lag].T
+            meat += (1.0 - lag / (LAGS + 1.0)) * (late + late.T)
+        found = (inverse @ meat @ inverse)[:3, :3] / np.outer(size, size)
+        white = inverse[:3, :3] / np.outer(size, size) * np.mean(left**2)
+        to_own = np.array([frequency, damping, 1.0])
+        correlated = max(float(found[2, 2] / white[2, 2]), 1.0)
         gain = 0.5 * (float(self.left @ self.left) / float(left @ left) - 1.0) * len(left) / correlated
-        if ratio <= 0.0 or gain < GAIN_NATS or not LOWEST_HZ < frequency < HIGHEST_HZ:
+        bound = damping > 0.98 * MOST_DAMPING or (damping > STRONG_DAMPING and frequency > forcing_hz)
+        if sizes[0] <= 0.0 or gain < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
             return None
         rms = [float(np.sqrt(np.mean(v**2))) for v in (left, self.left)]
-        return PlateMode(frequency, damping, ratio, covariance, rms[0], rms[1], gain)
+        blurred = np.diag(np.square([RESOLVED * damping, RESOLVED, RESOLVED_RATIO * sizes[0]]))
+        covariance = (found + white + blurred) * np.outer(to_own, to_own)
+        return PlateMode(frequency, damping, float(sizes[0]), covariance, rms[0], rms[1], gain)

@@ -14,13 +14,15 @@ from benchmarks.plants import other_plant
 from daq.recording import open_recording
 
 
-def _found(folder: Path, hidden: dict[str, float]) -> PlateMode | None:
+def _found(folder: Path, hidden: dict[str, float], missed: int | None = None) -> PlateMode | None:
     gammas = np.random.default_rng(1).permutation(np.round(np.linspace(0.5, 2.6, 27), 4))
     run = other_plant.Run(hidden=hidden, seed=1, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
     path = imported(other_plant.simulate(run), other_plant.profile_of(run), folder)
     with open_recording(path) as recording:
         flights = flights_of(recording)
         true = ~flights.has(FlightFlag.FALSE)
+        if missed is not None:
+            true[missed] = False
         return identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], 1e-3)
 
 
@@ -33,6 +35,17 @@ def test_a_mode_is_identified_from_recorded_volts(tmp_path: Path) -> None:
     assert mode.damping == pytest.approx(0.02, rel=0.15)
     assert mode.mass_ratio == pytest.approx(0.25, rel=0.03)
     assert mode.remainder_mps2 < 0.5 * mode.before_mps2
+
+
+def test_a_flight_that_was_missed_leaves_the_mode_and_its_error_as_they_are(tmp_path: Path) -> None:
+    """Its push is unknown: the half second is left out, and the plate rings on from an unknown state."""
+    hidden = {"table_resonance.hz": 5.1, "table_resonance.damping": 0.0123, "table_resonance.ratio": 0.21}
+    mode = _found(tmp_path, hidden, missed=260)
+    assert mode is not None
+    off = np.array([mode.frequency_hz / 5.1, mode.damping / 0.0123, mode.mass_ratio / 0.21]) - 1.0
+    assert (np.abs(off) < [0.01, 0.15, 0.03]).all()
+    size = np.array(mode.sigmas()) / [5.1, 0.0123, 0.21]
+    assert (np.abs(off) < 3.0 * size).all()
 
 
 def test_no_mode_is_found_where_only_a_friction_is_hidden(tmp_path: Path) -> None:
