@@ -96,6 +96,15 @@ class Limits(Frozen):
     )
 
 
+class BranchTable(Frozen):
+    """Control-based continuation: the ball is held on the locked cycle, beyond where that is stable."""
+
+    authority: float = Field(default=0.02, gt=0, le=0.2, description="largest correction, as a part of the drive")
+    kick: float = Field(default=0.0, ge=0, le=0.02, description="of each held cycle, at random to both sides")
+    seed: int = Field(default=0, ge=0, description="of the kicks")
+    timing_s: float = Field(default=2e-6, gt=0, description="least standard uncertainty of a landing's time")
+
+
 class ControlTable(Frozen):
     """The closed loop on the plate's measured amplitude; a profile without it drives open loop."""
 
@@ -104,6 +113,7 @@ class ControlTable(Frozen):
     window_cycles: int = Field(default=8, ge=2, description="cycles of one measurement; a step needs two that agree")
     wait_cycles: int = Field(default=6, ge=0, description="cycles let pass after each change of the drive")
     max_cycles: int = Field(default=1000, ge=8, description="a step that has not settled by then stops the run")
+    branch: BranchTable | None = Field(default=None, description="hold the ball on the locked cycle")
 
 
 class Profile(Setup):

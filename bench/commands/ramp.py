@@ -46,12 +46,18 @@ def command(
     live: Live = False,
     host: Host = "127.0.0.1",
     port: Port = None,
+    hold_branch: bool = typer.Option(
+        False, "--hold-branch", help="Hold the ball on the locked cycle, also where that is not stable."
+    ),
     watch: bool = typer.Option(False, "--watch", help="Print after each step how the residuals stand."),
     overwrite: Overwrite = False,
 ) -> None:
     """Run a profile's ramp and record it; Ctrl-C ramps the drive down and keeps the recording.
 
     Example: bench ramp simulated --out first.h5 --note "first light"
+
+    With --hold-branch (or [control.branch] in the profile) the ball is held on its locked cycle beyond the period
+    doubling, by corrections of at most 2 % of the drive; it must begin where that cycle is stable.
 
     With --live or --watch a simulated rig is paced to the clock, as with --real-time.
 
@@ -60,6 +66,7 @@ def command(
     """
     import datetime
 
+    from bench.jobs.hold_branch import branch_hold
     from bench.jobs.resume import continued
     from bench.jobs.run_ramp import make_backend, record
     from bench.live.onlooker import onlooking
@@ -82,11 +89,13 @@ def command(
     refuse_forbidden(profile, checked)
     for doubt in calibration_warnings(checked, datetime.date.today()):
         warn(f"{profile}: {doubt}")
+    held = hold_branch or (checked.control is not None and checked.control.branch is not None)
+    hold = branch_hold(checked) if held else None
     paced = real_time or live or watch
     backend = make_backend(checked, scenario=scenario, seed=seed, real_time=paced, replay=replay)
     with onlooking(checked, out.parent, page=(host, port) if live else None, watch=watch) as onlooker:
         summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-" or watch,
-                         paced=paced, onlooker=onlooker)  # fmt: skip
+                         paced=paced, onlooker=onlooker, hold=hold)  # fmt: skip
     _report(summary, backend, out, json)
 
 
@@ -102,6 +111,8 @@ def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None) 
             )
         with suppress(OSError):  # the terminal may be gone; the exit code tells
             typer.echo(sentence)
+            if summary.let_go:
+                typer.echo(f"the ball was let go: {summary.let_go}")
             if summary.steps_driven:
                 typer.echo(next_command(out))
     if summary.how != "complete":

@@ -20,6 +20,7 @@ from rig.backends.base import Backend
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
 from rig.checks.check import Check, Finding
+from rig.execution.branch_hold import BranchHold
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.priority import before_other_work
 from rig.execution.run import run_ramp
@@ -81,13 +82,14 @@ def record(
     onlooker: Onlooker | None = None,
     request: StopRequest | None = None,
     typed: TypedLines | None = None,
+    hold: BranchHold | None = None,
 ) -> RunSummary:
     """Run ``profile``'s ramp into the new recording ``out``, with a progress bar; signals stop it softly.
 
     Lines ``typed`` meanwhile are obeyed; ``request`` is for whoever wants to know what was asked of the run.
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
-    An ``onlooker`` needs such a process.
+    An ``onlooker`` needs such a process. ``hold`` holds the ball on a branch (`bench.jobs.hold_branch`).
     """
     programme = plan(profile)
     options: dict[str, Any] = dict(
@@ -114,7 +116,8 @@ def record(
             progress = typed.obeyed(request, progress)
         summary: RunSummary | None = None
         try:
-            summary = run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme)
+            watching = {"progress": progress, "stop_request": request}
+            summary = run_ramp(profile, backend, writer, **watching, programme=programme, hold=hold)
             return summary
         finally:
             if onlooker is not None:

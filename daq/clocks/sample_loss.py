@@ -265,6 +265,8 @@ class LossDetector:
             like_noise = now.rms_v < LIKE_NOISE * float(np.std(volts))
             if now.sigma < SURE_SAMPLES and now.gain > 0 and like_noise and abs(now.samples - expected) < 1.5:
                 return self._concluded(Found(now.samples, gain=now.gain, rms_v=now.rms_v))
+            if now.sigma > SURE_SAMPLES:  # a search would take a cycle less for as good, while the drive grows slowly
+                return self._settled(*self._by_adc())
         first = self.heard_samples + len(volts) - len(heard)
         lost = self.lost_samples + self._declared
         last = len(heard) >= OPENING * self._chunk

@@ -52,7 +52,7 @@ def follow_both_ways(close: Close, at: float, cycle: LockedCycle, low: float, hi
     return Branch(below, above, (how_below, how_above), cycle.tau.size, cycle.periods)
 
 
-def _next(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycle | None:
+def next_cycle(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycle | None:
     """The same cycle at another parameter; None when Newton finds none or a different one."""
     new = close(parameter, state_of(cycle), cycle.tau.size)
     if new is None or new.periods != cycle.periods:
@@ -69,7 +69,7 @@ def _follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[
         target = here + direction * step
         if direction * (target - limit) > 0.0:
             target = limit
-        new = _next(close, target, known)
+        new = next_cycle(close, target, known)
         if new is not None and new.multiplier <= -1.0:
             return _doubling(close, trail[-1], (target, new)), "period doubling"
         if new is None or new.multiplier >= 1.0:
@@ -87,7 +87,7 @@ def _doubling(close: Close, inside: tuple[float, LockedCycle], outside: tuple[fl
     def test(parameter: float) -> float:
         if parameter == outside[0]:
             return outside[1].multiplier + 1.0
-        cycle = _next(close, parameter, inside[1])
+        cycle = next_cycle(close, parameter, inside[1])
         return (cycle or inside[1]).multiplier + 1.0
 
     return float(brentq(test, inside[0], outside[0], xtol=1e-14, rtol=1e-14))

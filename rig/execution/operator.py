@@ -129,7 +129,10 @@ class Status:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """Outcome of a run; ``asked`` where the operator ended it, and nothing else did."""
+    """Outcome of a run; ``asked`` where the operator ended it, and nothing else did.
+
+    ``let_go`` says why a ball that was to be held on a branch was let go; empty where it was not.
+    """
 
     how: Literal["complete", "stopped", "failed"]
     why: str
@@ -139,3 +142,4 @@ class RunSummary:
     steps_planned: int
     lost_samples: int
     wall_s: float
+    let_go: str = ""

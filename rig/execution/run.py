@@ -20,6 +20,7 @@ from daq.recording import RecordingWriter
 from kernels.arrays import Bools
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
+from rig.execution.branch_hold import BranchHold
 from rig.execution.clock_log import ClockLog
 from rig.execution.interlock import Interlock
 from rig.execution.loss_account import LossAccount
@@ -46,6 +47,7 @@ def run_ramp(
     progress: Callable[[Status], None] | None = None,
     stop_request: StopRequest | None = None,
     programme: Programme | None = None,
+    hold: BranchHold | None = None,
 ) -> RunSummary:
     """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
 
@@ -63,14 +65,21 @@ def run_ramp(
         Read before each block.
     programme
         `rig.programme.ramp.plan` of the profile, where the caller has it already.
+    hold
+        What holds the ball on a branch, where it is to be held.
 
     Returns
     -------
     RunSummary
         ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed`` when the device or the disk
         failed. Whatever was recorded stays readable.
+
+    Raises
+    ------
+    daq.setup.errors.InputError
+        Before anything moves, where the device's delay exceeds what the branch's multiplier allows.
     """
-    instruments = _Instruments.of(profile, backend, programme or plan(profile))
+    instruments = replace(_Instruments.of(profile, backend, programme or plan(profile)), hold=hold)
     watcher = Watcher(progress or _silent, stop_request or StopRequest())
     run = _Run(profile, backend, writer, instruments, watcher)
     began = time.monotonic()
@@ -113,6 +122,7 @@ class _Instruments:
     clocks: ClockLog | None
     accelerometer: int
     mps2_per_code: float
+    hold: BranchHold | None = None
 
     @classmethod
     def of(cls, profile: Profile, backend: Backend, programme: Programme) -> _Instruments:
@@ -171,6 +181,9 @@ class _Run:
         """Exchange blocks until the drive rests at zero."""
         if isinstance(self._backend, Lagging):
             self.account.lags(round(self._backend.lag_samples))
+        if self._instruments.hold is not None:
+            highest = max(step.gamma for step in self._instruments.programme.steps)
+            self._instruments.hold.check_delay(self.account.lag_samples + 2 * self._block, highest)
         try:
             while not self._sequencer.done:
                 self._apply_requests()
@@ -193,6 +206,7 @@ class _Run:
             len(self._instruments.programme.steps),
             self.account.lost_samples,
             wall_s,
+            self._instruments.hold.why if self._instruments.hold else "",
         )
 
     def _ramp_down(self) -> None:
@@ -274,6 +288,18 @@ class _Run:
             if fault is not None:
                 self.end("stopped", f"closed loop: {fault}")
                 sequencer.stop(Stop.RAMP_DOWN)
+        if self._instruments.hold is not None:
+            self._hold(self._instruments.hold, measured)
+
+    def _hold(self, hold: BranchHold, measured: MeterBlock) -> None:
+        """Pass a block on to the holder, and write down when it takes the ball and lets it go."""
+        before = hold.holding, hold.why
+        hold.observe(measured, self._sequencer, self._block)
+        gamma = self._sequencer.step.gamma
+        if hold.why and not before[1]:
+            self._note([f"branch: let go, {hold.why}"])
+        elif hold.holding and not before[0]:
+            self._note([f"branch: held from gamma {gamma:g} on"])
 
     def _achieved(self, step: Step) -> tuple[float, float]:
         """Gamma measured over the hold of ``step``, with its uncertainty; NaN where it did not hold."""

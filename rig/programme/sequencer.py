@@ -111,6 +111,8 @@ class Sequencer:
         Whether a pause was not ended for `LONGEST_PAUSE_S`, and ended the run.
     fades : list of Fade
         Changes of the drive's amplitudes since the caller last emptied the list; together they are the drive.
+    steering : bool
+        Whether every change is one that `steer` asked for, and the programme's own are only planned.
     """
 
     def __init__(
@@ -131,7 +133,9 @@ class Sequencer:
         self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
         self._zero = tuple(0j for _ in self._multiples)
         self._finish_step = self._pausing = self.given_up = False
-        self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
+        self._planned = self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
+        self._steered: Fade | None = None
+        self.steering = False
         self.fades = [self._fade]
         self._until = self.step.fade_samples
 
@@ -148,6 +152,12 @@ class Sequencer:
             if self.state is State.FADING and self.position == self.step.first_sample:
                 self.marks.append(self.step)
             piece = min(n_samples - filled, self._until - self.position)
+            if self._steered is not None:
+                if self._steered.first_sample == self.position:
+                    self._change(self._steered)
+                    self._steered = None
+                else:
+                    piece = min(piece, self._steered.first_sample - self.position)
             out[filled : filled + piece] = self._piece(piece)
             filled += piece
             self.position += piece
@@ -177,8 +187,31 @@ class Sequencer:
 
     @property
     def amplitudes(self) -> tuple[complex, ...]:
-        """Complex volts of each tone that the present fade leads to."""
-        return self._fade.end
+        """Complex volts of each tone that the present fade, as planned, leads to."""
+        return self._planned.end
+
+    def planned(self, sample: int) -> tuple[complex, ...]:
+        """Complex volts of each tone that the programme has at ``sample``, from the present fade on."""
+        return self._planned.at(sample)
+
+    def steer(self, first_sample: int, n_samples: int, amplitudes: tuple[complex, ...]) -> None:
+        """Fade to ``amplitudes`` at a sample still to be made; the programme's own changes are not made any more.
+
+        Raises
+        ------
+        ValueError
+            For a sample that is made already, or before an earlier order was carried out.
+        """
+        if first_sample < self.position or self._steered is not None:
+            raise ValueError(f"cannot steer at sample {first_sample}: at {self.position}, or an order is waiting")
+        self.steering = True
+        self._steered = Fade(first_sample, n_samples, self._fade.end, amplitudes)
+
+    def release(self, n_cycles: int) -> None:
+        """Fade back to the programme, over ``n_cycles`` or what is left of its own fade, and follow it from there."""
+        clock, self._steered, self.steering = self.programme.clock, None, False
+        end = max(self._planned.first_sample + self._planned.n_samples, self.position + clock.cycle_start(n_cycles))
+        self._change(Fade(self.position, end - self.position, self._fade.at(self.position), self._planned.end))
 
     def retarget(self, amplitudes: tuple[complex, ...], n_cycles: int) -> int:
         """While settling: fade to ``amplitudes`` over ``n_cycles`` from the next cycle on; returns where that ends.
@@ -193,8 +226,8 @@ class Sequencer:
         clock = self.programme.clock
         cycle = clock.cycle_after(self.position)
         first = clock.cycle_start(cycle)
-        self._set_fade(Fade(first, clock.cycle_start(cycle + n_cycles) - first, self._fade.end, amplitudes))
-        return first + self._fade.n_samples
+        self._set_fade(Fade(first, clock.cycle_start(cycle + n_cycles) - first, self._planned.end, amplitudes))
+        return first + self._planned.n_samples
 
     def settled(self) -> None:
         """While settling under control: hold from the next cycle on."""
@@ -206,6 +239,15 @@ class Sequencer:
             self._until = self.step.first_sample + self.step.settle_samples
 
     def _set_fade(self, fade: Fade) -> None:
+        """Plan a change of the programme, and make it unless another steers."""
+        self._planned = fade
+        if self.steering:
+            return
+        if fade.first_sample < self._fade.first_sample + self._fade.n_samples:  # of a release that is not over
+            fade = replace(fade, start=self._fade.at(fade.first_sample))
+        self._change(fade)
+
+    def _change(self, fade: Fade) -> None:
         self._fade = fade
         self.fades.append(fade)
 
@@ -234,6 +276,8 @@ class Sequencer:
         before, self.state = self.state, TRANSITIONS[self.state, event]
         if before is self.state and event in (Event.STOP, Event.CUT):
             return
+        if event in (Event.STOP, Event.CUT, Event.LAST):
+            self.steering, self._steered = False, None
         if before in MOVING and (before is State.HOLDING or self.state not in MOVING):
             self._mark_end(held=before is State.HOLDING)
         clock = self.programme.clock
@@ -241,7 +285,7 @@ class Sequencer:
             planned = self.programme.steps[self.step.index + 1]
             self.step = planned.placed(clock, clock.cycle_after(self.position), planned.settle_cycles)
             target = self._amplitudes(self.step.gamma)
-            self._set_fade(Fade(self.position, self.step.fade_samples, self._fade.end, target))
+            self._set_fade(Fade(self.position, self.step.fade_samples, self._planned.end, target))
             self._until = self.position + self.step.fade_samples
         elif self.state is State.SETTLING:
             self._until = _OPEN_END if self._controlled else self.step.first_sample + self.step.settle_samples

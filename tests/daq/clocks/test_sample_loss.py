@@ -184,3 +184,15 @@ def test_a_devices_own_count_rules_out_whole_periods() -> None:
         blocks += finder.heard(Block(i, np.zeros((500, 3), np.int16), adc_ns=adc_ns), heard[i : i + 500])
     blocks += finder.flush()
     assert not any(b.lost_before for b in blocks) and sum(len(b.codes) for b in blocks) == 120_000
+
+
+def test_a_known_latency_of_a_cycle_survives_a_drive_that_grows_slowly() -> None:
+    """A drive that comes back 40 ms late, as was measured before, is not taken for one that comes back a cycle less."""
+    t = np.arange(100_000) / RATE_HZ
+    played = np.sin(2 * np.pi * 25.37 * t) * (t / 10.0) ** 2
+    heard = np.r_[np.zeros(800), played[:-800]] + 3e-4 * np.random.default_rng(1).standard_normal(len(played))
+    finder = LossDetector(RATE_HZ)
+    finder.expect(800.0)
+    feed(finder, played, heard)
+    assert finder.lost_samples == 0
+    assert finder._lag == pytest.approx(-800.0, abs=0.1)

@@ -213,3 +213,29 @@ def test_pause_that_nobody_ends_is_a_stop(three_steps: Profile, monkeypatch: pyt
     sequencer.pause(True)
     drive_all(sequencer, 10)
     assert len(rows(sequencer.marks)) == 1
+
+
+def test_steering_takes_the_place_of_the_programmes_fades(make_profile) -> None:
+    """Orders are carried out at their sample, steps keep their length, and after a release the drive is the plan's."""
+    profile = make_profile()
+    programme = plan(profile)
+    sequencer, other = Sequencer(programme, profile), Sequencer(programme, profile)
+    played = [sequencer.take(20) for _ in range(10)]
+    sequencer.steer(205, 7, (0.1 + 0.05j,))
+    with pytest.raises(ValueError, match="waiting"):
+        sequencer.steer(300, 7, (0.1 + 0j,))
+    second = programme.steps[1].first_sample
+    while sequencer.position < second + 40:
+        played.append(sequencer.take(20))
+    assert sequencer.planned(sequencer.position) != sequencer.amplitudes  # the step fades, as planned
+    sequencer.release(2)
+    played.append(drive_all(sequencer, 20))
+    whole, plain = np.concatenate(played), drive_all(other, 20)
+    assert len(whole) == len(plain)
+    np.testing.assert_array_equal(whole[:205], plain[:205])
+    again = commanded(profile, fades_of_changes(profile, change_rows(profile, sequencer.fades)), 0, len(whole))
+    np.testing.assert_array_equal(whole, again)
+    steered = [fade for fade in sequencer.fades if fade.first_sample == 205]
+    assert steered[0].end == (0.1 + 0.05j,)
+    late = programme.steps[2].first_sample
+    np.testing.assert_allclose(whole[late:], plain[late:], rtol=0, atol=1e-12)

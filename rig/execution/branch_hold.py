@@ -1,0 +1,247 @@
+"""Control-based continuation: hold a ball on the locked cycle by small corrections of the drive at each launch.
+
+The state is the phase of a landing. A Kalman filter follows it through the landings as timed, the drive as it was, and
+the offset between the phase that the accelerometer shows and that of the prediction; so the reference is where the ball
+stays without a correction, and the mean correction goes to zero. At each launch the filter's state is predicted to it
+from the last landing that is known, however late that is, and the pole placed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.setup.errors import InputError
+from kernels.arrays import Bools, Floats
+from rig.execution.landing_timer import LandingTimer
+from rig.execution.locked_branch import LockedBranch, Point
+from rig.execution.tone_meter import MeterBlock
+from rig.profile import BranchTable, Profile
+from rig.programme.forcing import PhaseClock, drive_amplitudes
+from rig.programme.sequencer import MOVING, Sequencer, State
+
+TURN = 2.0 * math.pi
+REACH = 1.0 / 12.0  # of a cycle, to both sides of where a landing is expected: there it is looked for
+FADE = 1.0 / 32.0  # of a cycle, in which a correction is made; its middle is the launch
+LOCKED = 12  # landings in a row that the filter foresaw, before it holds
+LOST = 2  # landings in a row that are missing, or that no correction brings back, before it lets go
+FORESEEN = 0.03  # radians by which a landing may miss the filter's phase before the ball is held
+FIRST = 0.3  # standard uncertainty of phase and offset before the first landing, radians
+UNKNOWN_PUSH, DRIFT = 3e-4, 3e-5  # of the filter, radians in a cycle: of the ball, and of the offset
+MODEL_ERROR = 0.03  # part by which the cycle's phase may change otherwise than predicted
+RELEASE_CYCLES = 4
+SURE = 3.0  # standard uncertainties of a predicted landing that must be within the authority
+
+
+@dataclass(frozen=True)
+class Launch:
+    """The drive of one flight: gamma, greater by ``part``, ahead by the phase ``ahead``; and the cycle at that gamma."""
+
+    gamma: float
+    point: Point
+    part: float = 0.0
+    ahead: float = 0.0
+
+
+class BranchHold:
+    """Hold a ball on ``branch`` once it is on it, through a programme's steps.
+
+    Parameters
+    ----------
+    profile
+        Forcing, rate and drive scale.
+    table
+        Authority, kicks and uncertainty.
+    branch
+        The locked cycle over gamma, as predicted.
+
+    Attributes
+    ----------
+    holding : bool
+    why : str
+        Why it let go; empty while it has not.
+    """
+
+    def __init__(self, profile: Profile, table: BranchTable, branch: LockedBranch) -> None:
+        self._table, self._branch = table, branch
+        rate_hz, frequency_hz = profile.sampling.rate_hz, profile.forcing.frequency_hz
+        clock = PhaseClock.of(frequency_hz, rate_hz)
+        self._rate_hz = rate_hz
+        self._cycle = clock.den / clock.num  # samples
+        self._timer = LandingTimer(rate_hz)
+        self._timing = table.timing_s * TURN * frequency_hz
+        self._multiples = np.array([m for m, _ in profile.forcing.displacement_tones()])
+        volts = np.abs(drive_amplitudes(profile, 1.0))
+        # change of the drive in parts of its rms, for a radian by which it is ahead
+        self._weight = float(np.linalg.norm(self._multiples * volts) / np.linalg.norm(volts))
+        self._acceleration: Floats = np.zeros(0)
+        self._quiet: Bools = np.zeros(0, np.bool_)
+        self._first = 0
+        self._launches: dict[int, Launch] = {}
+        self._timed = -1  # last cycle whose landing was looked for
+        self._restart(0.0, 0.0)
+        self._missed = 0
+        self._rng = np.random.default_rng(table.seed)
+        self.holding = False
+        self.why = ""
+
+    def check_delay(self, delay_samples: float, gamma: float) -> None:
+        """Refuse a device whose delay (samples, from the landing's frame to the drive) the branch does not allow.
+
+        A landing known to ``timing_s`` is predicted through ``n`` launches with ``|mu|^(n - 1) sqrt(mu^2 - 1)`` times
+        that uncertainty, and `SURE` of them must lie within the authority.
+
+        Raises
+        ------
+        daq.setup.errors.InputError
+            With the delay and the greatest one.
+        """
+        point = self._branch.at(gamma) or self._branch.at(float(self._branch.gamma[-1]))
+        if point is None or abs(point.multiplier) <= 1.0:
+            return
+        size, most = abs(point.multiplier), float(np.linalg.norm(point.response(self._weight))) * self._table.authority
+        spread = SURE * (size - abs(point.pole)) * math.sqrt(size**2 - 1.0) * self._timing
+        launches = 1 + math.floor(math.log(most / spread) / math.log(size)) if most > spread else 0
+        own = self._timer.tail + (REACH + FADE) * self._cycle
+        ms = 1e3 / self._rate_hz
+        if delay_samples + own > launches * self._cycle:
+            raise InputError(
+                f"a landing would be answered {(delay_samples + own) * ms:.0f} ms later, and at gamma {gamma:g} "
+                f"(multiplier {point.multiplier:.2f}) the branch can be held {launches * self._cycle * ms:.0f} ms "
+                "behind; take smaller blocks, a device with less delay, or a smaller ramp.gamma"
+            )
+
+    def observe(self, block: MeterBlock, sequencer: Sequencer, ahead: int) -> None:
+        """Take in a block, and steer where a launch lies within the next ``ahead`` samples."""
+        if self.why or sequencer.state not in (*MOVING, State.PAUSED):
+            self.holding = False
+            return
+        self._keep(block)
+        for cycle in sorted(k for k in self._launches if k > self._timed):
+            place = self._place(cycle, self._launches[cycle].point.phase)
+            if place + REACH * self._cycle + self._timer.tail >= self._first + len(self._quiet):
+                break
+            self._take_in(cycle, place)
+        self._launch(sequencer, ahead)
+        if self.why and sequencer.steering:
+            sequencer.release(RELEASE_CYCLES)
+
+    def _keep(self, block: MeterBlock) -> None:
+        """Append a block; what is older than two cycles goes."""
+        if block.first_sample != self._first + len(self._quiet):
+            self._first, self._quiet, self._acceleration = block.first_sample, self._quiet[:0], self._acceleration[:0]
+        old = max(0, len(self._quiet) - round(2.0 * self._cycle))
+        self._first += old
+        self._acceleration = np.concatenate([self._acceleration[old:], block.acceleration_mps2])
+        self._quiet = np.concatenate([self._quiet[old:], block.quiet])
+
+    def _place(self, cycle: int, phase: float) -> float:
+        """Sample at which ``cycle`` has ``phase``."""
+        return (cycle + phase / TURN) * self._cycle
+
+    def _restart(self, phase: float, offset: float) -> None:
+        """Forget all landings but one."""
+        self._foreseen = 0
+        self._state = np.array([phase, offset])
+        self._covariance = np.diag([FIRST**2, FIRST**2])
+
+    def _take_in(self, cycle: int, place: float) -> None:
+        """Time the landing of ``cycle``, expected at the sample ``place``, and correct the filter by it."""
+        self._state, self._covariance = self._predicted(cycle)
+        self._timed, point = cycle, self._launches[cycle].point
+        self._launches = {k: launch for k, launch in self._launches.items() if k >= cycle}
+        begin = max(round(place - REACH * self._cycle), self._first)
+        window = slice(begin - self._first, round(place + REACH * self._cycle) + self._timer.tail - self._first)
+        found = self._timer.find(self._acceleration[window], self._quiet[window])
+        if found is None:
+            self._judge("no landing where the branch has one")
+            return
+        shown = point.phase + (begin + found.place - place) * TURN / self._cycle
+        sigma = math.hypot(found.uncertainty * TURN / self._cycle, self._timing)
+        miss = shown - float(self._state.sum())
+        if not self.holding and abs(miss) > FORESEEN:
+            self._restart(point.phase, shown - point.phase)
+            return
+        gain = self._covariance.sum(axis=1) / (self._covariance.sum() + sigma**2)
+        self._state = self._state + gain * miss
+        self._covariance = self._covariance - np.outer(gain, self._covariance.sum(axis=0))
+        self._foreseen += 1
+        away, most = float(self._state[0]) - point.phase, self.capture(point)
+        self._judge(f"a landing {away:+.3f} rad off, of which {most:.3f} can be brought back" * (abs(away) > most))
+
+    def _judge(self, fault: str) -> None:
+        """Count faults in a row; let go at `LOST` of them."""
+        self._missed = self._missed + 1 if fault else 0
+        self._foreseen = 0 if fault else self._foreseen
+        if self.holding and self._missed >= LOST:
+            self._let_go(f"{fault}, at gamma {self._launches[self._timed].gamma:.4g}")
+
+    def _let_go(self, why: str) -> None:
+        self.why, self.holding = why, False
+
+    def capture(self, point: Point) -> float:
+        """Largest deviation (radians) that the authority can bring back, seen at once; infinite on a stable cycle."""
+        size = abs(point.multiplier)
+        most = float(np.linalg.norm(point.response(self._weight))) * self._table.authority
+        return most / (size - 1.0) if size > 1.0 else math.inf
+
+    def _predicted(self, cycle: int) -> tuple[Floats, Floats]:
+        """State (phase, offset) and covariance at the landing of ``cycle``."""
+        state, covariance = self._state, self._covariance
+        for k in range(self._timed, cycle):
+            if k not in self._launches:
+                continue
+            launch, after = self._launches[k], self._launches.get(k + 1, self._launches[k])
+            point = launch.point
+            state = np.array([point.next_landing(float(state[0]), launch.part, launch.ahead), state[1]])
+            turn = np.diag([point.multiplier, 1.0])
+            drift = math.hypot(DRIFT, MODEL_ERROR * (after.point.phase - point.phase))
+            covariance = turn @ covariance @ turn + np.diag([UNKNOWN_PUSH**2, drift**2])
+        return state, covariance
+
+    def _launch(self, sequencer: Sequencer, ahead: int) -> None:
+        """Where a flight begins within the next ``ahead`` samples, note its drive, and correct it."""
+        gamma, half = self._gamma(sequencer, sequencer.position), 0.5 * FADE * self._cycle
+        point = self._branch.at(gamma)
+        if point is None:
+            if self.holding:
+                self._let_go(f"the branch is not known at gamma {gamma:.4g}")
+            self._launches.clear()
+            self._foreseen = 0
+            return
+        turns = point.phase / TURN
+        cycle = max(self._launches, default=0) + 1
+        if abs(self._place(cycle, point.phase) - sequencer.position) > 1.5 * self._cycle:  # the first, or after a loss
+            cycle = math.ceil((sequencer.position + half) / self._cycle - turns)
+        begin = max(round(self._place(cycle, point.phase) - half), sequencer.position)
+        if begin >= sequencer.position + ahead:
+            return
+        launch = Launch(gamma, point)
+        steady = sequencer.state in (State.SETTLING, State.HOLDING)
+        self.holding = self.holding or (steady and self._foreseen >= LOCKED)
+        if self.holding:
+            self._launches[cycle] = launch
+            after = self._branch.at(self._gamma(sequencer, begin + round(self._cycle))) or point
+            launch = self._corrected(cycle, launch, after, sequencer.state is State.HOLDING)
+            turned = (1.0 + launch.part) * np.exp(1j * self._multiples * launch.ahead)
+            sequencer.steer(begin, round(2.0 * half), tuple((np.array(sequencer.planned(begin)) * turned).tolist()))
+        self._launches[cycle] = launch
+
+    def _corrected(self, cycle: int, launch: Launch, after: Point, kicked: bool) -> Launch:
+        """``launch`` with the correction that leaves the least of a deviation from ``after`` a cycle later."""
+        phase, point = float(self._predicted(cycle)[0][0]), launch.point
+        wanted = after.phase + point.pole * (phase - point.phase)
+        response = point.response(self._weight)
+        correction = response * (wanted - point.next_landing(phase, 0.0, 0.0)) / float(response @ response)
+        if kicked:
+            correction[1] += self._table.kick * (1.0 if self._rng.random() < 0.5 else -1.0)
+        correction *= min(1.0, self._table.authority / max(float(np.linalg.norm(correction)), 1e-300))
+        return replace(launch, part=float(correction[0]), ahead=float(correction[1]) / self._weight)
+
+    def _gamma(self, sequencer: Sequencer, sample: int) -> float:
+        """Gamma that the programme has at ``sample``."""
+        planned, end = np.abs(sequencer.planned(sample)), np.abs(sequencer.amplitudes)
+        most = int(np.argmax(end))
+        return float(sequencer.step.gamma * planned[most] / max(end[most], 1e-300))
