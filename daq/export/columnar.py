@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.export.facts import Progress, facts, missing, pieces, step_columns
+from daq.export.facts import Progress, columns, facts, missing, pieces, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import disk_file
@@ -25,19 +25,18 @@ def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress)
         import pyarrow.parquet as pq
     except ImportError as error:
         raise missing("pyarrow", "Parquet") from error
-    names = [f"{name}_v" for name in recording.channels]
     steps = {name: column.tolist() for name, column in step_columns(recording).items()}
     metadata = {key: str(value) for key, value in facts(recording).items()} | {"steps_json": json.dumps(steps)}
-    units = ["s", *("V" for _ in names)]
+    read = columns(recording)
     fields = [
-        pa.field(name, pa.float64(), nullable=False, metadata={"units": unit})
-        for name, unit in zip(["time_s", *names], units, strict=True)
+        pa.field(name, pa.float64(), nullable=False, metadata={"units": "s" if name == "time_s" else "V"})
+        for name in read
     ]
     schema = pa.schema(fields, metadata=metadata)
     with pq.ParquetWriter(part, schema, compression="zstd") as writer:
         for a, b in pieces(recording.n_samples):
-            columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(n, a, b) for n in recording.channels)]
-            writer.write_table(pa.table([pa.array(c) for c in columns], schema=schema), row_group_size=b - a)
+            own = [pa.array(column(a, b)) for column in read.values()]
+            writer.write_table(pa.table(own, schema=schema), row_group_size=b - a)
             tell(b)
 
 
@@ -56,20 +55,21 @@ def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) 
         time.attrs.update({"units": "s", "long_name": "time since the first sample", "axis": "T"})
         channels = {}
         for name in recording.channels:
-            whole_numbers = recording.codes(name, 0, 1).dtype.kind in "iu"
-            kind = recording.codes(name, 0, 1).dtype if whole_numbers else np.dtype("<f8")
-            channels[name] = file.create_variable(name, ("time",), kind, **packed), whole_numbers
-            channels[name][0].attrs.update({"units": "V", "long_name": f"{name} voltage"})
-            if whole_numbers:
-                factor, offset = recording.scale(name)
-                channels[name][0].attrs.update({"scale_factor": np.float64(factor), "add_offset": np.float64(offset)})
+            kind, scale, read = recording.codes(name, 0, 1).dtype, {}, recording.codes
+            if kind.kind in "iu":  # codes, with the scale that readers apply
+                scale = dict(zip(("scale_factor", "add_offset"), map(np.float64, recording.scale(name)), strict=True))
+            else:
+                kind, read = np.dtype("<f8"), recording.read_v
+            variable = file.create_variable(name, ("time",), kind, **packed)
+            variable.attrs.update({"units": "V", "long_name": f"{name} voltage", **scale})
+            channels[name] = variable, read
         for name, column in step_columns(recording).items():
             variable = file.create_variable(f"step_{name}", ("step",), column.dtype, data=column)
             variable.attrs["units"] = "Hz" if name.endswith("_hz") else "1"
         for a, b in pieces(recording.n_samples):
             file.resize_dimension("time", b)
             time[a:b] = recording.timestamps_ns(a, b) * 1e-9
-            for name, (variable, whole_numbers) in channels.items():
-                variable[a:b] = recording.codes(name, a, b) if whole_numbers else recording.read_v(name, a, b)
+            for name, (variable, read) in channels.items():
+                variable[a:b] = read(name, a, b)
             disk.check()
             tell(b)

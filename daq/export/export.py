@@ -10,15 +10,13 @@ import gzip
 import math
 import zipfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.export.columnar import export_netcdf, export_parquet
-from daq.export.facts import Progress, pieces
+from daq.export.facts import Progress, columns, pieces
 from daq.export.matlab import export_matlab
 from daq.export.resample import Resampled
 from daq.export.tdms import export_tdms
@@ -30,7 +28,6 @@ from daq.setup.errors import InputError
 
 Kind = Literal["csv", "npz", "h5", "parquet", "nc", "mat", "uff", "tdms"]
 AS_RECORDED = ("h5", "uff", "tdms")  # kinds that hold the samples as they were taken, never at another rate
-_ROWS = 16384
 
 
 def export(
@@ -86,48 +83,39 @@ def export(
             WRITERS[kind](recording, part, tell)
 
 
-def _digits(recording: Recording | Resampled, channel: str) -> str:
-    """Format that keeps a channel's numbers: a thousandth of a code, or all of a float."""
-    factor, _ = recording.scale(channel)
-    if recording.codes(channel, 0, 1).dtype.kind == "f":
-        return "%.17g"
-    return f"%.{max(0, math.ceil(3 - math.log10(factor)))}f"
-
-
 def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
-    names, titles = recording.channels, ["time_s"]
-    for title in (f"{name}_v" for name in names):
+    titles, formats, read = [], ["%.9f"], columns(recording)
+    for title in read:
         if title[:1] in ("=", "+", "-", "@", "\t", "\r"):  # no spreadsheet may take a name for a formula
             title = f"'{title}"
         titles.append('"' + title.replace('"', '""') + '"' if any(c in title for c in ',"\r\n') else title)
-    line = ",".join(["%.9f", *(_digits(recording, name) for name in names)]) + "\n"
+    for name in recording.channels:  # a thousandth of a code, or all of a float
+        is_float = recording.codes(name, 0, 1).dtype.kind == "f"
+        formats.append("%.17g" if is_float else f"%.{max(0, math.ceil(3 - math.log10(recording.scale(name)[0])))}f")
+    line = ",".join(formats) + "\n"
     with gzip.open(part, "wt", compresslevel=4) if packed else part.open("w", newline="\n") as file:
         file.write(",".join(titles) + "\n")
-        for a, b in pieces(recording.n_samples, _ROWS):
-            columns = [recording.timestamps_ns(a, b) * 1e-9, *(recording.read_v(name, a, b) for name in names)]
+        for a, b in pieces(recording.n_samples, 16384):
             # one format for all rows: several times as fast as row by row
-            file.write(line * (b - a) % tuple(np.column_stack(columns).ravel().tolist()))
+            rows = np.column_stack([column(a, b) for column in read.values()])
+            file.write(line * (b - a) % tuple(rows.ravel().tolist()))
             tell(b)
 
 
 def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
-    def write(archive: zipfile.ZipFile, name: str, read: Callable[[int, int], NDArray[Any]]) -> None:
-        with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-            header = {"descr": "<f8", "fortran_order": False, "shape": (recording.n_samples,)}
-            np.lib.format.write_array_header_1_0(file, header)
-            for a, b in pieces(recording.n_samples):
-                file.write(np.ascontiguousarray(read(a, b), "<f8").data)
-                tell(b)
-
+    extras = {
+        "rate_hz": np.float64(recording.rate_hz),
+        "steps": recording.steps,
+        "setup_json": np.str_(recording.stored["setup_json"]),
+    }
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
-        write(archive, "time_s", lambda a, b: recording.timestamps_ns(a, b) * 1e-9)
-        for name in recording.channels:
-            write(archive, f"{name}_v", partial(recording.read_v, name))
-        extras = {
-            "rate_hz": np.float64(recording.rate_hz),
-            "steps": recording.steps,
-            "setup_json": np.str_(recording.stored["setup_json"]),
-        }
+        for name, read in columns(recording).items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                header = {"descr": "<f8", "fortran_order": False, "shape": (recording.n_samples,)}
+                np.lib.format.write_array_header_1_0(file, header)
+                for a, b in pieces(recording.n_samples):
+                    file.write(np.ascontiguousarray(read(a, b), "<f8").data)
+                    tell(b)
         for name, value in extras.items():
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, np.asarray(value), allow_pickle=False)

@@ -1,42 +1,48 @@
-"""Facts of a recording that every exported file states, in plain numbers and texts; and the pieces that are written."""
+"""What every exported file holds: columns, facts in plain numbers and texts, and the pieces that are written."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.recording.reader import Recording
 from daq.setup.errors import InputError
+from kernels.arrays import Floats
 
 STORED = (
     "started", "ended", "why", "note", "backend", "simulated", "software_version", "software_commit",
     "scenario_sha256", "imported_from", "setup_json", "profile_text", "extra_json",
 )  # fmt: skip
-EXTRA = "interchange"  # the extra of this package that brings the libraries
 Progress = Callable[[int], None]
+
+
+def columns(recording: Recording | Resampled) -> dict[str, Callable[[int, int], Floats]]:
+    """``time_s`` and one column in volts a channel, by name: what gives samples ``start`` to ``stop``."""
+    volts = {f"{name}_v": partial(recording.read_v, name) for name in recording.channels}
+    return {"time_s": lambda a, b: np.asarray(recording.timestamps_ns(a, b) * 1e-9, np.float64), **volts}
 
 
 def facts(recording: Recording | Resampled) -> dict[str, str | float | int]:
     """Rate, provenance, profile, and lost samples as JSON pairs ``[first sample after, samples lost]``."""
-    gaps = json.dumps(recording.gaps.tolist())
-    out: dict[str, str | float | int] = {"source": "shakerbench recording"}
-    out |= {"rate_hz": float(recording.rate_hz), "gaps_json": gaps}
-    for name in STORED:
-        if name in recording.stored:
-            value = recording.stored[name]
-            value = int(value) if isinstance(value, bool) else value
-            out[name] = value if isinstance(value, (str, int, float)) else json.dumps(value)
-    return out
+    out: dict[str, str | float | int] = {
+        "source": "shakerbench recording",
+        "rate_hz": float(recording.rate_hz),
+        "gaps_json": json.dumps(recording.gaps.tolist()),
+    }
+    stored = {name: recording.stored[name] for name in STORED if name in recording.stored}
+    return out | {name: int(value) if isinstance(value, bool) else value for name, value in stored.items()}
 
 
-def step_columns(recording: Recording | Resampled) -> dict[str, np.ndarray]:
+def step_columns(recording: Recording | Resampled) -> dict[str, NDArray[Any]]:
     """Columns of the step table, by name."""
-    steps = recording.steps
-    return {name: np.ascontiguousarray(steps[name]) for name in steps.dtype.names or ()}
+    return {name: np.ascontiguousarray(recording.steps[name]) for name in recording.steps.dtype.names or ()}
 
 
 def pieces(n: int, rows: int = CHUNK_SAMPLES) -> list[tuple[int, int]]:
@@ -47,5 +53,5 @@ def pieces(n: int, rows: int = CHUNK_SAMPLES) -> list[tuple[int, int]]:
 def missing(package: str, form: str) -> InputError:
     """The error where a library is not installed."""
     return InputError(
-        f"{form} needs the package {package}: pip install {package}, or pip install 'shakerbench[{EXTRA}]'"
+        f"{form} needs the package {package}: pip install {package}, or pip install 'shakerbench[interchange]'"
     )

@@ -5,21 +5,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from daq.export.facts import Progress, facts, pieces, step_columns
+from daq.export.facts import Progress, columns, facts, pieces, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import disk_file
 from daq.recording.reader import Recording
 
-HEADER_BYTES = 512
 CLASSES = {"f8": "double", "i8": "int64", "i1": "int8"}
 
 
@@ -28,27 +25,25 @@ def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) 
     n = recording.n_samples
     with (
         disk_file(part) as disk,
-        h5py.File(disk, "w", userblock_size=HEADER_BYTES, libver=("earliest", "v110")) as file,
+        h5py.File(disk, "w", userblock_size=512, libver=("earliest", "v110")) as file,
     ):
-        columns: dict[str, Callable[[int, int], Any]] = {"time_s": lambda a, b: recording.timestamps_ns(a, b) * 1e-9}
-        columns |= {f"{channel}_v": partial(recording.read_v, channel) for channel in recording.channels}
+        read = columns(recording)
         chunk = (1, max(1, min(CHUNK_SAMPLES, n)))
-        for name in columns:  # MATLAB counts the axes of a matrix in the opposite order
+        for name in read:  # MATLAB counts the axes of a matrix in the opposite order
             item = file.create_dataset(name, (1, n), "<f8", chunks=chunk, compression="gzip", compression_opts=4)
             item.attrs["MATLAB_class"] = np.bytes_("double")
         for a, b in pieces(n):
-            for name, read in columns.items():
-                file[name][0, a:b] = read(a, b)
+            for name, column in read.items():
+                file[name][0, a:b] = column(a, b)
             disk.check()
             tell(b)
         for name, value in facts(recording).items():
             _put(file, name, value)
         group = file.create_group("steps")
         group.attrs["MATLAB_class"] = np.bytes_("struct")
-        for name, column in step_columns(recording).items():
-            group.create_dataset(name, data=column.reshape(1, -1)).attrs["MATLAB_class"] = np.bytes_(
-                CLASSES[column.dtype.str[1:]]
-            )
+        for name, values in step_columns(recording).items():
+            item = group.create_dataset(name, data=values.reshape(1, -1))
+            item.attrs["MATLAB_class"] = np.bytes_(CLASSES[values.dtype.str[1:]])
     with part.open("r+b") as file:
         text = b"MATLAB 7.3 MAT-file, written by shakerbench, HDF5 schema 1.00 ."
         file.write(text.ljust(116) + bytes(8) + b"\x00\x02IM")

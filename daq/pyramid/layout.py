@@ -5,12 +5,12 @@ Buckets begin anew after every gap, so that none holds samples from both sides o
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import struct
 import zlib
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -101,27 +101,15 @@ class Layout:
 
     def offset(self, level: int, channel: int, most: int) -> int:
         """Byte, after the header, at which the minima (``most`` 0) or maxima (1) of a level and channel begin."""
-        return self._offsets[level, channel, most]
-
-    @property
-    def body_bytes(self) -> int:
-        """Length of all extremes."""
-        return self._offsets[self.levels, 0, 0]
-
-    @cached_property
-    def _offsets(self) -> dict[tuple[int, int, int], int]:
-        places = [(k, c, m) for k in range(self.levels) for c in range(len(self.channels)) for m in (0, 1)]
-        at = 0
-        found: dict[tuple[int, int, int], int] = {}
-        for place, following in pairwise([*places, (self.levels, 0, 0)]):
-            found[place] = at
-            at += int(self.first_buckets[place[0]][-1]) * self.dtype(place[1]).itemsize
-            found[following] = at
-        return found or {(self.levels, 0, 0): 0}
+        sizes = [self.dtype(c).itemsize for c in range(len(self.channels))]
+        below = 2 * sum(sizes) * sum(int(own[-1]) for own in self.first_buckets[:level])
+        if level == self.levels:
+            return below
+        return below + int(self.first_buckets[level][-1]) * (2 * sum(sizes[:channel]) + most * sizes[channel])
 
     def header(self, body_crc32: int) -> bytes:
         """The header of the file."""
-        text = json.dumps({name: getattr(self, name) for name in self.__dataclass_fields__}).encode()
+        text = json.dumps(dataclasses.asdict(self)).encode()
         return HEAD.pack(MAGIC, len(text), zlib.crc32(text), body_crc32) + text
 
 
@@ -141,4 +129,4 @@ def read_layout(path: Path) -> tuple[Layout, int, int] | None:
         header[name] = tuple(map(tuple, header[name]))
     layout = Layout(**header)
     begin = HEAD.size + len(text)
-    return (layout, begin, body_crc32) if size == begin + layout.body_bytes else None
+    return (layout, begin, body_crc32) if size == begin + layout.offset(layout.levels, 0, 0) else None

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.pyramid.build import empty_extremes, read_extremes
+from daq.pyramid.build import empty_extremes
 from daq.pyramid.layout import read_layout
 from daq.recording import Recording
 from daq.setup.errors import InputError
@@ -105,15 +105,11 @@ class Pyramid:
         else:
             place, ranges = self._samples(first, last, opened)
         each = not levels and last - first <= 2 * width
-        ends = (first / layout.rate_hz, last / layout.rate_hz)
-        lost = self._lost(first, last, per_column)
-        volts = [(factor, offset) for _, _, factor, offset in layout.channels]
-        names = [name for name, *_ in layout.channels]
         low, high = {}, {}
         if not each:
             column = ((place - first) / per_column).astype(np.int64)
             place = np.asarray(first + (np.arange(width) + 0.5) * per_column, np.float64)
-        for name, (factor, offset), (least, most) in zip(names, volts, ranges, strict=True):
+        for (name, _, factor, offset), (least, most) in zip(layout.channels, ranges, strict=True):
             if not each:
                 into = empty_extremes(width, least.dtype)
                 widen(least, most, column, *into)
@@ -121,52 +117,48 @@ class Pyramid:
             ordered = [least, most] if factor >= 0 else [most, least]  # a negative scale exchanges them
             empty = least > most
             low[name], high[name] = (np.where(empty, np.nan, factor * x.astype(float) + offset) for x in ordered)
+        ends, lost = (first / layout.rate_hz, last / layout.rate_hz), self._lost(first, last, per_column)
         return View(*ends, place / layout.rate_hz, low, high, 1.0 if each else per_column, lost)
 
     def _buckets(self, level: int, first: int, last: int) -> tuple[Floats, list[tuple[Any, Any]]]:
         """Middle places of the buckets that overlap places ``first`` to ``last``, and their extremes by channel."""
         layout, bucket = self.layout, self.layout.bucket(level)
         begins = layout.first_buckets[level]
-        k0, k1 = self._stretch(first), self._stretch(last - 1)
-        a = self._bucket(level, k0, first)
-        b = self._bucket(level, k1, last - 1) + 1
-        ids = np.arange(a, max(b, a))
+        a, b = (self._bucket(level, place) for place in (first, last - 1))
+        ids = np.arange(a, max(b + 1, a))
         stretch = np.searchsorted(begins, ids, "right") - 1
         sample = layout.starts[stretch] + bucket * (ids - begins[stretch])
         ends = np.minimum(sample + bucket, layout.starts[stretch + 1])
-        place = 0.5 * (sample + ends) + layout.lost_before[stretch]
-        place = np.clip(place, first, last - 1)
+        place = np.clip(0.5 * (sample + ends) + layout.lost_before[stretch], first, last - 1)
+
+        def read(file: BinaryIO, channel: int, most: int) -> NDArray[Any]:
+            dtype = layout.dtype(channel)
+            file.seek(self._begin + layout.offset(level, channel, most) + a * dtype.itemsize)
+            return np.frombuffer(file.read(len(ids) * dtype.itemsize), dtype)
+
         with self.path.open("rb") as file:
-            ranges = [
-                tuple(
-                    read_extremes(file, self._begin + layout.offset(level, c, most), a, max(b, a), layout.dtype(c))
-                    for most in (0, 1)
-                )
-                for c in range(len(layout.channels))
-            ]
-        return place, [(low, high) for low, high in ranges]
+            return place, [(read(file, c, 0), read(file, c, 1)) for c in range(len(layout.channels))]
 
     def _stretch(self, place: int) -> int:
         """Stretch that holds a place, or the one before the gap that does."""
         layout = self.layout
         return max(int(np.searchsorted(layout.starts[:-1] + layout.lost_before, place, "right")) - 1, 0)
 
-    def _bucket(self, level: int, stretch: int, place: int) -> int:
-        """Bucket of a level that holds a place; for one in the gap after a stretch, its last."""
-        layout = self.layout
-        sample = place - int(layout.lost_before[stretch]) - int(layout.starts[stretch])
-        longest = int(layout.starts[stretch + 1] - layout.starts[stretch]) - 1
-        return int(layout.first_buckets[level][stretch]) + min(max(sample, 0), longest) // layout.bucket(level)
+    def _bucket(self, level: int, place: int) -> int:
+        """Bucket of a level that holds a place; for one in a gap, the last before it."""
+        layout, k = self.layout, self._stretch(place)
+        sample = place - int(layout.lost_before[k]) - int(layout.starts[k])
+        longest = int(layout.starts[k + 1] - layout.starts[k]) - 1
+        return int(layout.first_buckets[level][k]) + min(max(sample, 0), longest) // layout.bucket(level)
 
     def _samples(
         self, first: int, last: int, opened: Callable[[], AbstractContextManager[Recording]]
     ) -> tuple[Floats, list[tuple[Any, Any]]]:
         """Places of the samples between two places, and their codes by channel."""
         layout = self.layout
-        k0, k1 = self._stretch(first), self._stretch(last - 1)
         start, stop = (
-            min(max(place - int(layout.lost_before[k]), int(layout.starts[k])), int(layout.starts[k + 1]))
-            for place, k in ((first, k0), (last, k1))
+            int(np.clip(place - layout.lost_before[k], layout.starts[k], layout.starts[k + 1]))
+            for place, k in ((first, self._stretch(first)), (last, self._stretch(last - 1)))
         )
         sample = np.arange(start, stop)
         stretch = np.searchsorted(layout.starts, sample, "right") - 1
