@@ -25,13 +25,11 @@ from kernels.arrays import Bools, Floats, Integers
 MARKER_S = 0.3
 MARKER_HZ = (150.0, 2500.0)
 SURE = 8.0  # the marker's peak over the noise around it
-WORST_PPM = 500.0  # by which two clocks may differ
 SURE_SAMPLES = 1.0  # largest uncertainty of a window that counts as a reading
 JUMP_SAMPLES = 0.5
 BROKEN = 4.0  # times the usual misfit, beyond which a window was cut or patched and says nothing
-USUAL = 31  # windows that give the usual misfit
 WANDERS = 10.0 ** np.arange(-24.0, -13.0)  # variance of the rate gained in one sample, tried one by one
-START_RATE = WORST_PPM * 1e-6
+START_RATE = 500e-6  # by which two clocks may differ
 UNKNOWN = 1e6  # variance of an unknown lag, samples squared
 
 
@@ -88,7 +86,7 @@ class ClockTracker:
         self._at, self._state = float(at), (marker_lag, 0.0, 1.0, 0.0, START_RATE**2)
         self._heard = np.zeros(0)
         self._first = at
-        self._misfits: deque[float] = deque(maxlen=USUAL)
+        self._misfits: deque[float] = deque(maxlen=31)
 
     def played(self, drive_v: Floats) -> None:
         """Append the samples handed to the device that plays."""
@@ -177,15 +175,12 @@ def fit_clock(readings: NDArray[np.void], at: Integers) -> NDArray[np.void]:
 
 def _honest(where: Floats, lags: Floats, sigma: Floats, jump: Bools) -> Floats:
     """Uncertainties no smaller than the readings' own scatter: second differences know no lag and no rate."""
-    if len(where) < 8:
-        return sigma
-    a, b, c = lags[:-2], lags[1:-1], lags[2:]
-    share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
-    bend = b - a - share * (c - a)
-    claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)
     calm = ~(jump[1:-1] | jump[2:])  # a jump is no scatter
-    if not calm.any():
+    if len(where) < 8 or not calm.any():
         return sigma
+    share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
+    bend = lags[1:-1] - lags[:-2] - share * (lags[2:] - lags[:-2])
+    claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)
     return np.asarray(sigma * max(1.0, float(np.median(np.abs(bend / claimed)[calm])) * 1.4826))
 
 

@@ -167,16 +167,18 @@ class AtOnce:
     """Search in the caller's own time; one question at a time."""
 
     def __init__(self) -> None:
-        self._found: Found = NOTHING
+        self._future: Future[Found] = Future()
+        self._future.set_result(NOTHING)
 
     def ask(self, question: Question) -> bool:
         """Answer it."""
-        self._found = question.answer()
+        self._future = Future()
+        self._future.set_result(question.answer())
         return True
 
     def answer(self, *, wait: bool) -> Found | None:
-        """The answer to the last question; None while there is none."""
-        return self._found
+        """The answer to the last question, once there is one."""
+        return self._future.result() if wait or self._future.done() else None
 
     def close(self) -> None:
         """Do nothing: there is no thread."""
@@ -186,21 +188,15 @@ class InThread(AtOnce):
     """Search in a thread; one question at a time, so that nothing piles up."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._thread = ThreadPoolExecutor(1, "loss-search")
-        self._future: Future[Found] | None = None
 
     def ask(self, question: Question) -> bool:
         """Hand it over, where the thread is free."""
-        if self._future is not None and not self._future.done():
+        if not self._future.done():
             return False
         self._future = self._thread.submit(question.answer)
         return True
-
-    def answer(self, *, wait: bool) -> Found | None:
-        """The answer to the last question, once there is one."""
-        if self._future is None or not (wait or self._future.done()):
-            return None
-        return self._future.result()
 
     def close(self) -> None:
         """Let the thread end when its work is done."""

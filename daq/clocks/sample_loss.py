@@ -322,42 +322,28 @@ class LossDetector:
         if lost < 0:
             blocks = _without(blocks, at, -lost)
         out: list[Block] = []
-        for block in blocks:
-            out += self._renumbered(block, at, lost, sigma, flag)
-            at -= len(block.codes)
+        for block in (replace(block, flags=block.flags | flag) for block in blocks):
+            n = len(block.codes)
+            parts = [block]
+            if lost > 0 and 0 < at < n:  # the loss lies inside the block, which is cut in two
+                after = replace(block, codes=block.codes[at:], lost_before=lost, lost_uncertainty=sigma)
+                parts = [replace(block, codes=block.codes[:at]), after]
+            elif lost > 0 and at == 0:
+                parts = [replace(block, lost_before=block.lost_before + lost, lost_uncertainty=sigma)]
+            for part in parts:
+                out.append(replace(part, first_sample=self.heard_samples))
+                self.heard_samples += len(part.codes)
+                self.lost_samples += part.lost_before
+            at -= n
         return out
-
-    def _renumbered(self, block: Block, at: int, lost: int, sigma: int, flag: int) -> list[Block]:
-        """The block with its place in the recording, cut in two where the loss lies inside it."""
-        n = len(block.codes)
-        flags = block.flags | flag
-        parts: list[Block]
-        if lost > 0 and 0 < at < n:
-            parts = [
-                replace(block, codes=block.codes[:at], flags=flags),
-                replace(block, codes=block.codes[at:], flags=flags, lost_before=lost, lost_uncertainty=sigma),
-            ]
-        elif lost > 0 and at == 0:
-            total = block.lost_before + lost
-            parts = [replace(block, flags=flags, lost_before=total, lost_uncertainty=sigma)]
-        else:
-            parts = [replace(block, flags=flags)]
-        placed = []
-        for part in parts:
-            placed.append(replace(part, first_sample=self.heard_samples))
-            self.heard_samples += len(part.codes)
-            self.lost_samples += part.lost_before
-        return placed
 
 
 def _without(blocks: list[Block], at: int, n: int) -> list[Block]:
     """Blocks without ``n`` repeated frames from frame ``at`` on, flagged where frames were taken out."""
     left = []
     for block in blocks:
-        mask = np.ones(len(block.codes), np.bool_)
-        mask[max(at, 0) : max(at + n, 0)] = False
-        changed = not mask.all()
-        flags = block.flags | (int(BlockFlag.FILLED) if changed else 0)
-        left.append(replace(block, codes=block.codes[mask], flags=flags))
+        codes = np.delete(block.codes, slice(max(at, 0), max(at + n, 0)), axis=0)
+        filled = int(BlockFlag.FILLED) if len(codes) < len(block.codes) else 0
+        left.append(replace(block, codes=codes, flags=block.flags | filled))
         at -= len(block.codes)
     return [b for b in left if len(b.codes)]

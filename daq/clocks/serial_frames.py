@@ -117,12 +117,24 @@ class FrameDecoder:
     def feed(self, data: bytes) -> list[SerialFrame]:
         """Take in bytes; gives back the frames that are complete, in order, their losses declared."""
         *ended, open_end = data.split(b"\0")
-        frames = [frame for part in ended if (frame := self._packet(part)) is not None]
+        frames = []
+        for part in ended:
+            self._hold(part)
+            wire, skipped = bytes(self._held), self._skipping
+            self._held.clear()
+            self._skipping = False
+            if not wire and not skipped:
+                continue  # delimiters may stand together
+            frame = None if skipped else parse_packet(wire, self._channels)
+            if frame is None:
+                self.counts.damaged += 1
+            elif (following := self._following(frame)) is not None:
+                frames.append(following)
         self._hold(open_end)
         return frames
 
     def _hold(self, part: bytes) -> None:
-        """Keep the beginning of a packet, unless it is already longer than any packet."""
+        """Hold the beginning of a packet, unless it is already longer than any packet."""
         if self._skipping:
             return
         self._held += part
@@ -130,24 +142,10 @@ class FrameDecoder:
             self._held.clear()
             self._skipping = True
 
-    def _packet(self, part: bytes) -> SerialFrame | None:
-        """The held bytes and ``part``, up to a delimiter, as a frame that goes on from the one before."""
-        self._hold(part)
-        wire, skipped = bytes(self._held), self._skipping
-        self._held.clear()
-        self._skipping = False
-        if not wire and not skipped:
-            return None  # delimiters may stand together
-        frame = None if skipped else parse_packet(wire, self._channels)
-        if frame is None:
-            self.counts.damaged += 1
-            return None
-        return self._following(frame)
-
     def _following(self, frame: SerialFrame) -> SerialFrame | None:
         """``frame`` with its losses, or None where its counters contradict those of the frame before."""
-        if self._last is not None:
-            last = self._last
+        last = self._last
+        if last is not None:
             # frames that are missing held at least a row each, and no more than fits a frame
             missing = (frame.sequence - last.sequence - 1) % 2**32
             dropped = (frame.overruns - last.overruns) % 2**32

@@ -14,7 +14,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,7 @@ from daq.recording.writer import ClosedRun, Ending, RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
-RING_S = 30.0  # that the recorder may be kept from writing
-LEAST_RING_S = 4.0
-RING_BYTES = 2**25  # beyond which a ring holds no more than `LEAST_RING_S`
-SWITCH_S = 0.0005
 IDLE_S = 0.001
-START_S = 60.0
-CLOSE_S = 600.0
 NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")  # words to the run, which then closes the recording
 _BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -75,13 +69,13 @@ class RecorderProcess(ClosedRun):
     ) -> None:
         self.path = Path(path)
         rate_hz, channels = setup.sampling.rate_hz, len(options["channels"])
-        if ring_s is None:
-            ring_s = max(LEAST_RING_S, min(RING_S, RING_BYTES / (2 * channels * rate_hz)))
-        self.ring = Ring.for_seconds(ring_s, rate_hz, block_samples, channels)
+        if ring_s is None:  # the recorder may be kept from writing for half a minute, unless that takes too much memory
+            ring_s = max(4.0, min(30.0, 2**25 / (2 * channels * rate_hz)))
+        self.ring = Ring(max(4, int(np.ceil(ring_s * rate_hz / block_samples)) + 1), block_samples, channels)
         self._patience_s, self._ring_s = patience_s, ring_s
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        shape = (self.ring.slots, block_samples, len(options["channels"]), self.ring.name)
+        shape = (self.ring.slots, block_samples, channels, self.ring.name)
         self._process = context.Process(
             target=_record, args=(theirs, shape, str(path), setup.model_dump_json(), options), name="recorder"
         )
@@ -92,7 +86,7 @@ class RecorderProcess(ClosedRun):
         self._is_open = True
         self._fault = ""  # the recorder's message when it gave up
         try:
-            self._answer("start", START_S)
+            self._answer("start", 60.0)
         except (InputError, OSError):
             self.ring.close()
             raise
@@ -151,7 +145,7 @@ class RecorderProcess(ClosedRun):
         self._is_open = False
         try:
             self._pipe.send(("close", (how, why, expected_samples)))
-            self._answer("close", CLOSE_S)
+            self._answer("close", 600.0)
         except (BrokenPipeError, ConnectionResetError, EOFError) as error:
             said = self._fault or f"{self.path}: the recorder is gone; run: bench recover {self.path}"
             raise OSError(said) from error
@@ -215,7 +209,7 @@ def _record(
     ring = Ring(*shape)
     gc.collect()  # a collection later would pause the recorder
     gc.freeze()
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(0.0005)
     pipe.send(("ready", ""))
     closing: tuple[Ending, str, int | None] | None = None
     try:
@@ -230,7 +224,13 @@ def _record(
         writer.close(how, why, expected_samples=expected_samples)
         pipe.send(("closed", ""))
     except OSError as error:
-        _give_up(writer, pipe, error)
+        message = str(error)
+        try:  # what there is stays
+            writer.close("failed", message)
+        except OSError as also:
+            message = f"{message}; {also}"
+        with suppress(BrokenPipeError, ConnectionResetError):  # the other side may be gone
+            pipe.send(("error", message))
     finally:
         ring.close()
         ring.unname()
@@ -252,16 +252,3 @@ def _obey(pipe: Connection, writer: RecordingWriter, wait_s: float) -> tuple[End
         else:
             writer.mark_rows(word, what)
     return None
-
-
-def _give_up(writer: RecordingWriter, pipe: Connection, error: OSError) -> None:
-    """Keep what there is and say why; the other side may be gone."""
-    message = str(error)
-    try:
-        writer.close("failed", message)
-    except OSError as also:
-        message = f"{message}; {also}"
-    try:
-        pipe.send(("error", message))
-    except (BrokenPipeError, ConnectionResetError):
-        return

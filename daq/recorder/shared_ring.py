@@ -62,11 +62,6 @@ class Ring:
         if self._owner:
             self._counters[:] = 0
 
-    @classmethod
-    def for_seconds(cls, seconds: float, rate_hz: float, block_samples: int, channels: int) -> Ring:
-        """A ring that holds at least ``seconds`` of frames."""
-        return cls(max(4, int(np.ceil(seconds * rate_hz / block_samples)) + 1), block_samples, channels)
-
     @property
     def name(self) -> str:
         """By which another process attaches."""
