@@ -22,22 +22,13 @@ ITERATIONS = 4  # most refinements of a fit whose guess was off by more than a s
 
 @dataclass(frozen=True)
 class Lag:
-    """Place of a recorded piece among the played samples.
+    """Place of a recorded piece among the played samples."""
 
-    Attributes
-    ----------
-    samples, sigma
-        Lag and its standard deviation; infinite where the drive does not determine it.
-    rms_v
-        Root mean square residual of the fit.
-    gain
-        Recorded volts a played volt.
-    """
-
+    # samples, sigma: lag and its standard deviation; infinite where the drive does not determine it
     samples: float
     sigma: float
-    rms_v: float
-    gain: float
+    rms_v: float  # root mean square residual of the fit
+    gain: float  # recorded volts a played volt
 
 
 @dataclass(frozen=True)

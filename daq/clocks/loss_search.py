@@ -23,22 +23,14 @@ LIKE_NOISE = 0.1  # of the heard drive: what the fit of a latency may leave over
 
 @dataclass(frozen=True)
 class Found:
-    """An answer: frames before ``at`` fit the lag known before, the rest fits ``lag``.
+    """An answer: frames before ``at`` fit the lag known before, the rest fits ``lag``."""
 
-    Attributes
-    ----------
-    lag
-        The lag from there on; None where no played sample fits.
-    at, lost, uncertainty
-        Frame of the piece before which samples are missing, their number, and its uncertainty.
-    gain, rms_v
-        Heard volts a played volt, and the fit's residual.
-    """
-
-    lag: float | None
+    lag: float | None  # the lag from there on; None where no played sample fits
+    # at, lost, uncertainty: frame of the piece before which samples are missing, their number, and its uncertainty
     at: int = -1
     lost: int = 0
     uncertainty: int = 0
+    # gain, rms_v: heard volts a played volt, and the fit's residual
     gain: float = 0.0
     rms_v: float = 0.0
 
@@ -52,22 +44,14 @@ class WhichLatency:
 
     A drive that grows looks like itself a part of a cycle earlier, only smaller: where several latencies fit, a longer
     piece is taken before one is believed.
-
-    Attributes
-    ----------
-    played, heard, first
-        Played samples, recorded loop-back (n,), and the number of its first frame.
-    lost
-        Samples lost so far.
-    last
-        Whether there will be no longer piece.
     """
 
+    # played, heard, first: played samples, recorded loop-back (n,), and the number of its first frame
     played: Stretch
     heard: Floats
     first: int
-    lost: int
-    last: bool
+    lost: int  # samples lost so far
+    last: bool  # whether there will be no longer piece
 
     def answer(self) -> Found:
         """The one latency that fits, or the least of them at last."""
@@ -82,33 +66,20 @@ class WhichLatency:
 
 @dataclass(frozen=True)
 class WhichLoss:
-    """Search for the number and place of the samples missing in a piece.
+    """Search for the number and place of the samples missing in a piece."""
 
-    Attributes
-    ----------
-    played, heard, first
-        Played samples, recorded loop-back (n,), and the number of its first frame.
-    before
-        Loop-back before the piece.
-    lag, gain, usual_v
-        The lag before, the gain of the loop-back, and the usual residual of a fit.
-    chunk
-        Frames that are looked at together.
-    excess_samples
-        Samples by which the blocks' clock ran ahead; None without a clock.
-    counted
-        Whether that clock is the device's own count: a loss that it contradicts by half a period is none.
-    """
-
+    # played, heard, first: played samples, recorded loop-back (n,), and the number of its first frame
     played: Stretch
     heard: Floats
     first: int
-    before: Floats
+    before: Floats  # loop-back before the piece
+    # lag, gain, usual_v: the lag before, the gain of the loop-back, and the usual residual of a fit
     lag: float
     gain: float
     usual_v: float
-    chunk: int
-    excess_samples: float | None
+    chunk: int  # frames that are looked at together
+    excess_samples: float | None  # samples by which the blocks' clock ran ahead; None without a clock
+    # whether that clock is the device's own count: a loss that it contradicts by half a period is none
     counted: bool = False
 
     def answer(self) -> Found:

@@ -26,29 +26,15 @@ MAX_WIRE_BYTES = MAX_PACKET_BYTES + MAX_PACKET_BYTES // 254 + 1  # COBS adds at 
 
 @dataclass(frozen=True)
 class SerialFrame:
-    """One frame of the device.
+    """One frame of the device."""
 
-    Attributes
-    ----------
-    sequence : int
-        Number of the frame since the device started, modulo 2**32.
-    first_sample : int
-        The device's counter of conversions at its first row; conversions that it had to drop are counted too.
-    overruns : int
-        Conversions that the device dropped since it started, modulo 2**32.
-    codes : int16 array (n, channels)
-    lost_before : int
-        Rows missing between the frame before and this one; 0 for the first.
-    dropped_before : int
-        Those of them that the device says it dropped itself; the others were lost on the way.
-    """
-
-    sequence: int
+    sequence: int  # number of the frame since the device started, modulo 2**32
+    # the device's counter of conversions at its first row; conversions that it had to drop are counted too
     first_sample: int
-    overruns: int
-    codes: NDArray[np.int16]
-    lost_before: int = 0
-    dropped_before: int = 0
+    overruns: int  # conversions that the device dropped since it started, modulo 2**32
+    codes: NDArray[np.int16]  # (n, channels)
+    lost_before: int = 0  # rows missing between the frame before and this one; 0 for the first
+    dropped_before: int = 0  # those of them that the device says it dropped itself; the others were lost on the way
 
     @property
     def next_sample(self) -> int:
@@ -58,25 +44,14 @@ class SerialFrame:
 
 @dataclass
 class WireCounts:
-    """Counts of what came over the wire since the decoder was made.
+    """Counts of what came over the wire since the decoder was made."""
 
-    Attributes
-    ----------
-    accepted
-        Good frames.
-    damaged
-        Packets thrown away: no valid COBS, wrong size or version, a CRC that does not fit.
-    stale
-        Good frames thrown away because their counters cannot follow: sent twice, out of order, from a device that
-        started anew.
-    lost_samples
-        Rows declared as lost between accepted frames.
-    """
-
-    accepted: int = 0
-    damaged: int = 0
+    accepted: int = 0  # good frames
+    damaged: int = 0  # packets thrown away: no valid COBS, wrong size or version, a CRC that does not fit
+    # good frames thrown away because their counters cannot follow: sent twice, out of order, from a device that
+    # started anew
     stale: int = 0
-    lost_samples: int = 0
+    lost_samples: int = 0  # rows declared as lost between accepted frames
 
 
 def encode_frame(frame: SerialFrame) -> bytes:

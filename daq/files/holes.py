@@ -18,15 +18,9 @@ from kernels.arrays import Integers
 
 @dataclass(frozen=True)
 class Holes:
-    """Samples of a file that are left.
+    """Samples of a file that are left."""
 
-    Attributes
-    ----------
-    left
-        int64 ``(m, 2)``: their ranges, in order.
-    """
-
-    left: Integers
+    left: Integers  # int64 ``(m, 2)``: their ranges, in order
 
     @classmethod
     def of(cls, lost: Iterable[tuple[int, int]], n_samples: int) -> Holes:

@@ -45,25 +45,15 @@ class Seal:
 
 @dataclass(frozen=True)
 class Checked:
-    """Result of a comparison with the seal.
+    """Result of a comparison with the seal."""
 
-    Attributes
-    ----------
-    patches
-        Offset and right bytes of what differs and is known.
-    lost, mended
-        By column, samples that differ, as ``(first, one past the last)``: for good, or put right by their checksum.
-    where
-        One line for each thing that differs.
-    seal_differs
-        The seal itself is damaged: nothing was compared.
-    """
-
-    patches: tuple[tuple[int, bytes], ...] = ()
+    patches: tuple[tuple[int, bytes], ...] = ()  # offset and right bytes of what differs and is known
+    # lost, mended: by column, samples that differ, as ``(first, one past the last)``: for good, or put right by their
+    # checksum
     lost: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     mended: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
-    where: tuple[str, ...] = ()
-    seal_differs: bool = False
+    where: tuple[str, ...] = ()  # one line for each thing that differs
+    seal_differs: bool = False  # the seal itself is damaged: nothing was compared
 
 
 def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:

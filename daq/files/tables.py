@@ -76,36 +76,17 @@ class BlockFlag(enum.IntFlag):
 
 @dataclass(frozen=True)
 class Block:
-    """Frames of one exchange with a back end.
+    """Frames of one exchange with a back end."""
 
-    Parameters
-    ----------
-    first_sample
-        Index, in the recording, of the first frame (recorded frames only; lost ones are not counted).
-    codes
-        Raw converter codes, int16 ``(n, channels)``.
-    flags
-        `BlockFlag` bits.
-    clock_ns
-        Monotonic clock when the block was complete, nanoseconds; 0 where there is none.
-    lost_before
-        Samples lost between the block before and this one.
-    lost_uncertainty
-        Standard uncertainty of ``lost_before``, in samples (rounded up).
-    adc_ns
-        The device's own time of the first frame, nanoseconds; 0 where it has none.
-    place
-        Place of the first frame among the played samples, where the device knows it (it counts its losses itself, its
-        frames come later, or by another clock); None where it goes on from the block before.
-    """
-
-    first_sample: int
-    codes: NDArray[np.int16]
-    flags: int = 0
-    clock_ns: int = 0
-    lost_before: int = 0
-    lost_uncertainty: int = 0
-    adc_ns: int = 0
+    first_sample: int  # Index, in the recording, of the first frame (recorded frames only; lost ones are not counted)
+    codes: NDArray[np.int16]  # raw converter codes, int16 ``(n, channels)``
+    flags: int = 0  # `BlockFlag` bits
+    clock_ns: int = 0  # monotonic clock when the block was complete, nanoseconds; 0 where there is none
+    lost_before: int = 0  # samples lost between the block before and this one
+    lost_uncertainty: int = 0  # standard uncertainty of ``lost_before``, in samples (rounded up)
+    adc_ns: int = 0  # the device's own time of the first frame, nanoseconds; 0 where it has none
+    # place of the first frame among the played samples, where the device knows it (it counts its losses itself, its
+    # frames come later, or by another clock); None where it goes on from the block before
     place: int | None = None
 
     def pieces(self, n: int) -> Iterator[Block]:

@@ -28,30 +28,15 @@ _RIFFS = (b"RIFF", b"RIFX", b"RF64")
 
 @dataclass(frozen=True)
 class Wav:
-    """An open WAV file.
-
-    Attributes
-    ----------
-    rate_hz : float
-    channels : int
-    n_samples : int
-        Samples a channel.
-    path : Path
-    start : int
-        Byte at which the samples start.
-    width : int
-        Bytes a sample in the file; 3 is read as 4.
-    dtype : dtype
-        Of the samples as they are read.
-    """
+    """An open WAV file."""
 
     rate_hz: float
     channels: int
-    n_samples: int
+    n_samples: int  # samples a channel
     path: Path
-    start: int
-    width: int
-    dtype: np.dtype[Any]
+    start: int  # byte at which the samples start
+    width: int  # bytes a sample in the file; 3 is read as 4
+    dtype: np.dtype[Any]  # of the samples as they are read
 
     def codes(self, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Samples ``start`` to ``stop`` as they are, (n, channels); 24 bit are the upper ones of 32."""

@@ -76,20 +76,11 @@ class ImportSummary:
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Choices of the caller for an import.
+    """Choices of the caller for an import."""
 
-    Attributes
-    ----------
-    mapping
-        Columns by role where their names do not say it.
-    rate_hz
-        Sample rate where there is no time column.
-    note, extra
-        Stored in the recording.
-    """
-
-    mapping: Mapping[str, Column] = field(default_factory=dict)
-    rate_hz: float | None = None
+    mapping: Mapping[str, Column] = field(default_factory=dict)  # columns by role where their names do not say it
+    rate_hz: float | None = None  # sample rate where there is no time column
+    # note, extra: stored in the recording
     note: str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 

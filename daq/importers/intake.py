@@ -27,42 +27,26 @@ LONGEST_S = 9e9  # longest span that 64 bits of nanoseconds hold
 
 @dataclass
 class Intake:
-    """Rows taken in so far: checks of each piece, and properties of all of them.
+    """Rows taken in so far: checks of each piece, and properties of all of them."""
 
-    Attributes
-    ----------
-    source, columns
-        The foreign file, and its columns by role.
-    scales
-        By channel, volts of one unit of what is stored, and the offset.
-    setup
-        Ranges of the channels.
-    origin, origin_s, last_s
-        The first time as it stands in the file and in seconds; the last one, in seconds after it.
-    n_rows
-    quantum_s, spacing_s
-        Rounding step of the time column, and coarsest step of its floating-point type.
-    repeated
-        The first row whose time equals the one before.
-    set_values
-        By role, from which row on a value was set.
-    peak_v
-        Largest magnitude of each channel.
-    """
-
+    # source, columns: the foreign file, and its columns by role
     source: Source
     columns: Mapping[str, Column]
-    scales: Mapping[str, tuple[float, float]]
-    setup: Setup
+    scales: Mapping[str, tuple[float, float]]  # by channel, volts of one unit of what is stored, and the offset
+    setup: Setup  # ranges of the channels
+    # origin, origin_s, last_s: the first time as it stands in the file and in seconds; the last one, in seconds after
+    # it
     origin: Any = 0
     origin_s: float = 0.0
     last_s: float = -np.inf
     n_rows: int = 0
+    # quantum_s, spacing_s: rounding step of the time column, and coarsest step of its floating-point type
     quantum_s: float = np.inf
     spacing_s: float = 0.0
-    repeated: str = ""
+    repeated: str = ""  # the first row whose time equals the one before
+    # by role, from which row on a value was set
     set_values: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
-    peak_v: dict[str, float] = field(default_factory=dict)
+    peak_v: dict[str, float] = field(default_factory=dict)  # largest magnitude of each channel
 
     @property
     def rounding_s(self) -> float:

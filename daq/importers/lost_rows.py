@@ -55,22 +55,13 @@ def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
 
 @dataclass(frozen=True)
 class _Jump:
-    """Phases of the tones before and after a border of two steps.
+    """Phases of the tones before and after a border of two steps."""
 
-    Attributes
-    ----------
-    before, after
-        Unit phasors of the tones at sample 0 by the mean frequency, (k,).
-    sigma_rad
-        Uncertainty of the phase between them, (k,).
-    turns
-        Cycles of each tone in a sample, (k,).
-    """
-
+    # before, after: unit phasors of the tones at sample 0 by the mean frequency, (k,)
     before: Complexes
     after: Complexes
-    sigma_rad: Floats
-    turns: Floats
+    sigma_rad: Floats  # uncertainty of the phase between them, (k,)
+    turns: Floats  # cycles of each tone in a sample, (k,)
 
     @classmethod
     def at(cls, last: FoundStep, step: FoundStep, rate_hz: float) -> Self:

@@ -34,13 +34,7 @@ class Scratch(Closing):
         self._files = {name: tempfile.TemporaryFile(dir=folder, buffering=0) for name in dtypes}  # noqa: SIM115
 
     def append(self, name: str, values: NDArray[Any]) -> None:
-        """Add values to the end of a column.
-
-        Raises
-        ------
-        OSError
-            Naming the folder, when the disk refuses.
-        """
+        """Add values to the end of a column; raises OSError naming the folder, when the disk refuses."""
         left = np.ascontiguousarray(values, self._dtypes[name]).data.cast("B")
         try:
             while len(left):

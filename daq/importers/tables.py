@@ -36,36 +36,20 @@ _WORKBOOKS = (b"PK", b"\xd0\xcf\x11\xe0")  # beginnings of .xlsx and .xls
 
 @dataclass(frozen=True)
 class Sheet:
-    """One sheet of a workbook, or a text table, whose name is empty.
-
-    Attributes
-    ----------
-    name
-    rows
-        Cells by row; an empty cell is an empty text.
-    hidden
-        Whether the workbook hides the sheet.
-    """
+    """One sheet of a workbook, or a text table, whose name is empty."""
 
     name: str
-    rows: list[list[Cell]]
-    hidden: bool = False
+    rows: list[list[Cell]]  # cells by row; an empty cell is an empty text
+    hidden: bool = False  # whether the workbook hides the sheet
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers.
+    """Columns of numbers."""
 
-    Attributes
-    ----------
-    headings
-        Of each column in lower case, with its unit where a row of units stands below; empty where there is none.
-    values : array, shape (rows, columns)
-        NaN where a cell holds no number.
-    """
-
+    # of each column in lower case, with its unit where a row of units stands below; empty where there is none
     headings: list[str]
-    values: Floats
+    values: Floats  # (rows, columns) NaN where a cell holds no number
 
     def numbers(self, column: int) -> Floats:
         """The numbers of a column, shape (n,)."""
@@ -196,13 +180,7 @@ def _workbook(path: Path, data: bytes) -> tuple[list[Sheet], bool]:
 
 
 def text_rows(path: Path, data: bytes) -> list[list[Cell]]:
-    """Rows of a text table; blank lines and comments (``#``) are left out.
-
-    Raises
-    ------
-    InputError
-        The file is no text.
-    """
+    """Rows of a text table; blank lines and comments (``#``) are left out (raises InputError: the file is no text)."""
     encoding = encoding_of(data)
     if encoding != "utf-16" and b"\x00" in data[:4096]:
         raise InputError(f"{path}: neither text nor a known spreadsheet, sound, video or recording; is it damaged?")

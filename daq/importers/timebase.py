@@ -23,23 +23,12 @@ _STRIDE = 1000
 
 @dataclass(frozen=True)
 class Timebase:
-    """Sampling of a time column.
+    """Sampling of a time column."""
 
-    Attributes
-    ----------
-    rate_hz
-        Samples a second.
-    uniform
-        Whether every time is where the rate says, up to the column's rounding (or 1 % of a sample).
-    jitter_s
-        Root mean square distance from the even grid.
-    gaps
-        int64 ``(n, 3)``: first sample after the pause, samples missing, standard uncertainty of that number.
-    """
-
-    rate_hz: float
-    uniform: bool
-    jitter_s: float
+    rate_hz: float  # samples a second
+    uniform: bool  # whether every time is where the rate says, up to the column's rounding (or 1 % of a sample)
+    jitter_s: float  # root mean square distance from the even grid
+    # int64 ``(n, 3)``: first sample after the pause, samples missing, standard uncertainty of that number
     gaps: Integers
 
 

@@ -30,27 +30,15 @@ TOP_BUCKETS = 1024
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of a recording's extremes in the file.
+    """Places of a recording's extremes in the file."""
 
-    Attributes
-    ----------
-    key
-        Hash of the channels, checksums and gaps that the pyramid was made of.
-    rate_hz, n_samples
-    channels
-        Name, type and scale (volts a code, volts at zero) of each channel.
-    gaps
-        ``(first sample after it, samples lost)`` each.
-    levels
-        Number of levels.
-    """
-
-    key: str
+    key: str  # hash of the channels, checksums and gaps that the pyramid was made of
     rate_hz: float
     n_samples: int
+    # Name, type and scale (volts a code, volts at zero) of each channel
     channels: tuple[tuple[str, str, float, float], ...]
-    gaps: tuple[tuple[int, int], ...]
-    levels: int
+    gaps: tuple[tuple[int, int], ...]  # ``(first sample after it, samples lost)`` each
+    levels: int  # number of levels
 
     @classmethod
     def of(cls, recording: Recording, key: str) -> Layout:

@@ -24,30 +24,18 @@ WIDEST = 8192
 
 @dataclass(frozen=True)
 class View:
-    """One stretch of a recording.
+    """One stretch of a recording."""
 
-    Attributes
-    ----------
-    start_s, stop_s
-        Its ends on the recording's time axis, lost samples included.
-    time_s
-        Times (n,) of the samples, or of the middles of the columns.
-    low_v, high_v
-        By channel, the least and the greatest voltage (n,) of each column, NaN where it has no sample; the same array
-        where the samples themselves are shown.
-    samples_per_point
-        Samples that one column stands for; 1 where the samples themselves are shown.
-    lost
-        ``(start_s, stop_s, samples)`` (m, 3) of the gaps; those that touch within a column are one.
-    """
-
+    # start_s, stop_s: its ends on the recording's time axis, lost samples included
     start_s: float
     stop_s: float
-    time_s: Floats
+    time_s: Floats  # times (n,) of the samples, or of the middles of the columns
+    # low_v, high_v: by channel, the least and the greatest voltage (n,) of each column, NaN where it has no sample;
+    # the same array where the samples themselves are shown
     low_v: dict[str, Floats]
     high_v: dict[str, Floats]
-    samples_per_point: float
-    lost: Floats
+    samples_per_point: float  # samples that one column stands for; 1 where the samples themselves are shown
+    lost: Floats  # ``(start_s, stop_s, samples)`` (m, 3) of the gaps; those that touch within a column are one
 
 
 class Pyramid:

@@ -29,42 +29,27 @@ SMALL_BYTES = 32 << 20
 
 @dataclass(frozen=True)
 class Header:
-    """One recording in plain values, as JSON knows them.
+    """One recording in plain values, as JSON knows them."""
 
-    Attributes
-    ----------
-    identity
-        `daq.recording.identity.stored_id`: the same for each copy of a run; empty where the run is not closed.
-    state, where
-        As in `daq.recording.verify.VerifyReport`, of what was compared.
-    all_bytes
-        Whether the samples were compared with the seal as well.
-    attrs
-        Root attributes.
-    setup
-        The setup as a JSON object (`daq.setup.setup.Setup`).
-    rate_hz, n_samples, lost_samples, channels
-        Samples a second, samples a channel, samples declared as lost, names of the channels.
-    gammas, achieved_gammas, ratios
-        Of each step; None where it is not known.
-    notes
-        Sample, Unix time (ns) and text of each note of the run.
-    """
-
+    # `daq.recording.identity.stored_id`: the same for each copy of a run; empty where the run is not closed
     identity: str
+    # state, where: as in `daq.recording.verify.VerifyReport`, of what was compared
     state: str
     where: tuple[str, ...]
-    all_bytes: bool
-    attrs: dict[str, Any]
-    setup: dict[str, Any]
+    all_bytes: bool  # whether the samples were compared with the seal as well
+    attrs: dict[str, Any]  # root attributes
+    setup: dict[str, Any]  # the setup as a JSON object (`daq.setup.setup.Setup`)
+    # rate_hz, n_samples, lost_samples, channels: samples a second, samples a channel, samples declared as lost, names
+    # of the channels
     rate_hz: float
     n_samples: int
     lost_samples: int
     channels: tuple[str, ...]
+    # gammas, achieved_gammas, ratios: of each step; None where it is not known
     gammas: tuple[float | None, ...] = ()
     achieved_gammas: tuple[float | None, ...] = ()
     ratios: tuple[int, ...] = ()
-    notes: tuple[tuple[int, int, str], ...] = ()
+    notes: tuple[tuple[int, int, str], ...] = ()  # Sample, Unix time (ns) and text of each note of the run
 
 
 @dataclass(frozen=True)

@@ -36,39 +36,21 @@ class Note:
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the notebook.
+    """One entry of the notebook."""
 
-    Attributes
-    ----------
-    at
-        When it was written (UTC, ISO 8601); empty where that is not known.
-    at_s
-        Recorded time before it, s; None for one that was written before or after the run.
-    text
-    """
-
-    at: str
-    at_s: float | None
+    at: str  # when it was written (UTC, ISO 8601); empty where that is not known
+    at_s: float | None  # recorded time before it, s; None for one that was written before or after the run
     text: str
 
 
 @dataclass(frozen=True)
 class Remarks:
-    """Later notes and tags of a recording.
+    """Later notes and tags of a recording."""
 
-    Attributes
-    ----------
-    identity
-        Of the recording they were written for (`daq.recording.identity.stored_id`); empty: whatever has its name.
-    tags
-        In order, each once.
-    notes
-        In the order they were written.
-    """
-
+    # of the recording they were written for (`daq.recording.identity.stored_id`); empty: whatever has its name
     identity: str = ""
-    tags: tuple[str, ...] = ()
-    notes: tuple[Note, ...] = ()
+    tags: tuple[str, ...] = ()  # in order, each once
+    notes: tuple[Note, ...] = ()  # in the order they were written
 
 
 def entries_of(header: Header) -> tuple[Entry, ...]:

@@ -27,24 +27,14 @@ MOST_TRIES = 12
 
 @dataclass(frozen=True)
 class Survey:
-    """Result of reading a file without a seal.
+    """Result of reading a file without a seal."""
 
-    Attributes
-    ----------
-    lost
-        Samples that do not read back, by dataset; and tables that do not, without a range.
-    bad_blocks
-        Blocks of a frames file that do not read, or differ from what was recorded: they are among what is lost.
-    where
-        One line for each fault.
-    opens
-        False where nothing of it reads.
-    """
-
+    # samples that do not read back, by dataset; and tables that do not, without a range
     lost: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+    # blocks of a frames file that do not read, or differ from what was recorded: they are among what is lost
     bad_blocks: list[int] = field(default_factory=list)
-    where: list[str] = field(default_factory=list)
-    opens: bool = True
+    where: list[str] = field(default_factory=list)  # one line for each fault
+    opens: bool = True  # false where nothing of it reads
 
     def checked(self) -> Checked:
         """As a comparison with a seal would have found it."""

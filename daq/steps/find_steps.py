@@ -36,17 +36,10 @@ _READ_AHEAD = 1 << 18
 
 @dataclass(frozen=True)
 class FoundStep(SteadySegment):
-    """One step as found; ``frequency_hz`` is fitted.
-
-    Attributes
-    ----------
-    frequency_sigma_hz
-    tones
-        Complex amplitudes of the tones (in volts, phase at sample 0) over the hold after settling.
-    """
+    """One step as found; ``frequency_hz`` is fitted."""
 
     frequency_sigma_hz: float
-    tones: ToneFit
+    tones: ToneFit  # complex amplitudes of the tones (in volts, phase at sample 0) over the hold after settling
 
 
 def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[FoundStep]:

@@ -46,23 +46,12 @@ _POWERS = powers_of_five()
 
 
 class Rows(NamedTuple):
-    """Numbers read from a block of lines.
+    """Numbers read from a block of lines."""
 
-    Attributes
-    ----------
-    table : array, shape (n_columns, rows)
-    lines : int array, shape (rows,)
-        Number of the line, from 0, of each row.
-    left : int array, shape (m, 4)
-        Fields left to Python: row, column, first byte, end.
-    wrong
-        Line, from 0, of another width; -1 where there is none.
-    """
-
-    table: Floats
-    lines: Integers
-    left: Integers
-    wrong: int
+    table: Floats  # (n_columns, rows)
+    lines: Integers  # (rows,) Number of the line, from 0, of each row
+    left: Integers  # (m, 4) Fields left to Python: row, column, first byte, end
+    wrong: int  # Line, from 0, of another width; -1 where there is none
 
 
 def parse_rows(
