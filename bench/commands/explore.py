@@ -30,7 +30,7 @@ from daq.setup.errors import InputError
 if TYPE_CHECKING:
     from bench.jobs.blocks import Chosen, Driven
     from bench.jobs.explore import Explored
-    from bench.live.onlooker import OnePage
+    from bench.live.onlooker import Onlookers
     from bench.terminal.orders import TypedLines
 
 
@@ -71,7 +71,7 @@ def command(
     """
     from bench.jobs.blocks import Aims, run_seconds
     from bench.jobs.explore import explore
-    from bench.live.onlooker import OnePage
+    from bench.live.onlooker import Onlookers
     from bench.profiles.find import load
     from bench.terminal.orders import typed_lines
 
@@ -86,7 +86,7 @@ def command(
     try:
         out.mkdir(parents=True, exist_ok=True)
         typed = typed_lines()
-        with OnePage(out, (host, port) if live else None) as page:
+        with Onlookers(out, (host, port) if live else None) as page:
             driver = Driver(scenario, seed, quiet, real_time or live, typed, page)
             found = explore(text, out, aims, driver, say=say, ask=_asker(typed) if ask else None, anyway=anyway)
         complete = quiet or _report(found, out, run_seconds(checked))
@@ -162,7 +162,7 @@ class Driver:
     quiet: bool = False
     paced: bool = False
     typed: TypedLines | None = None
-    page: OnePage | None = None
+    page: Onlookers | None = None
 
     def __call__(self, block: Chosen, path: Path, number: int) -> Driven:
         """Drive a block into the new recording ``path``; ``number`` are recorded before it."""
@@ -177,7 +177,7 @@ class Driver:
         profile = parse_profile(block.text, "block")
         backend = make_backend(profile, scenario=self.scenario, seed=self.seed + number, real_time=self.paced)
         request = StopRequest(partial(by_person, block))
-        with nullcontext() if self.page is None else self.page.onlooker(profile, block.text, block.reason) as onlooker:
+        with nullcontext() if self.page is None else self.page.of_run(profile, block.text, block.reason) as onlooker:
             done = record(
                 profile, block.text, backend, path, extra={"chosen_because": block.reason}, quiet=self.quiet,
                 paced=self.paced, onlooker=onlooker, request=request, typed=self.typed,

@@ -69,7 +69,7 @@ def command(
     from bench.jobs.hold_branch import branch_hold
     from bench.jobs.resume import continued
     from bench.jobs.run_ramp import make_backend, record
-    from bench.live.onlooker import onlooking
+    from bench.live.onlooker import Onlookers
     from bench.profiles.find import load
     from bench.profiles.plan import refuse_forbidden
     from bench.terminal.orders import free_keys
@@ -93,7 +93,8 @@ def command(
     hold = branch_hold(checked) if held else None
     paced = real_time or live or watch
     backend = make_backend(checked, scenario=scenario, seed=seed, real_time=paced, replay=replay)
-    with onlooking(checked, out.parent, page=(host, port) if live else None, watch=watch) as onlooker:
+    page = (host, port) if live else None
+    with Onlookers(out.parent, page, watch=watch) as onlookers, onlookers.of_run(checked, text) as onlooker:
         summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-" or watch,
                          paced=paced, onlooker=onlooker, hold=hold)  # fmt: skip
     _report(summary, backend, out, json)

@@ -11,7 +11,7 @@ from bench.outputs import JSON, File, Json, Overwrite, check_outputs
 from bench.terminal.console import EXIT_FAILED, new_table, print_lines, print_table, warn, write_json
 
 if TYPE_CHECKING:
-    from bench.runs.catalogue import Row
+    from bench.runs.query import Row
 
 
 def command(

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from bench.live.reduce import ReducedStep, cut_to, reduce_run
 from bench.live.verdict import predicted, verdict_of
 from bench.terminal.signals import leave_keys_to_the_parent
 from daq.files.seal import Checked
-from daq.recording import Recording, open_recording
+from daq.recording import open_recording
 from daq.recording.opening import open_checked
 from daq.setup.errors import InputError
 from rig.profile import Profile
@@ -29,6 +30,19 @@ LOOK_S = 0.05
 NICE = 5  # behind the run, the recorder and the page
 AGAIN_S, REST = 0.4, 4.0  # between two reductions of a growing step: at least that, and so many times what one takes
 MOVED_S = 2e-5  # change of a flight, as more is known of the instruments, that is worth a message while the run lasts
+
+
+def start_analyst(profile: Profile, board_name: str, *, pictures: bool) -> tuple[Connection, BaseProcess]:
+    """Start the process; ``pictures``: whether a page wants flights and the prediction, besides verdicts.
+
+    Returns the pipe of its results, and the process.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=analyse, args=(theirs, board_name, profile, pictures), name="analyst", daemon=True)
+    process.start()
+    theirs.close()
+    return ours, process
 
 
 def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool) -> None:
@@ -58,14 +72,12 @@ class Analyst:
 
     Parameters
     ----------
-    profile
-        The run's.
-    board
+    profile, board
         Of the run.
     pipe
         Where results go.
     pictures
-        Whether a page wants flights and the prediction, besides verdicts.
+        As of `start_analyst`.
     """
 
     def __init__(self, profile: Profile, board: Board, pipe: Connection, pictures: bool) -> None:
@@ -124,13 +136,17 @@ class Analyst:
         try:
             # closed and checked at the end; unchecked before, as it was written this minute
             with open_recording(path) if is_last else open_checked(path, Checked()) as recording:
-                n_final = len(recording.steps) if is_last else self._finished(recording)
+                rows = recording.steps
+                first, ends = rows["first_sample"], rows["first_sample"] + rows["n_samples"]
+                over = np.isin(first, list(self._ended))
+                over[:-1] = True  # another step has begun since
+                n_final = len(rows) if is_last else int(np.count_nonzero(over & (ends <= recording.n_samples)))
                 looks = is_last or n_final > self._n_final
                 if not looks and not self._pictures:
                     return False
                 if looks and not is_last:  # exactly what is over, and nothing of the step that has begun
-                    cut_to(recording, int(_ends(recording)[n_final - 1]))
-                judged = int(recording.steps["first_sample"][n_final - 1]) if n_final else -1
+                    cut_to(recording, int(ends[n_final - 1]))
+                judged = int(first[n_final - 1]) if n_final else -1
                 steps, seen = reduce_run(recording, self._played_first)
         except (InputError, OSError, RuntimeError):
             self._due_s = time.monotonic() + AGAIN_S
@@ -146,43 +162,16 @@ class Analyst:
         self._due_s = now + max(AGAIN_S, REST * (now - began))
         return True
 
-    def _finished(self, recording: Recording) -> int:
-        """Number of steps that are over and wholly in the file."""
-        steps = recording.steps
-        over = np.isin(steps["first_sample"], list(self._ended))
-        over[:-1] = True  # another one has begun since
-        return int(np.count_nonzero(over & (_ends(recording) <= recording.n_samples)))
-
     def _send(self, k: int, step: ReducedStep, is_final: bool, *, exact: bool) -> None:
         """Send a step that differs from what was sent of it: visibly, or at all at the end (``exact``)."""
         if not self._pictures and not is_final:
             return
         known = self._sent.get(k)
-        if known is not None and known[1] == is_final and not _differ(known[0], step, 0.0 if exact else MOVED_S):
+        if known is not None and known[1] == is_final and known[0].shows(step, 0.0 if exact else MOVED_S):
             return
         self._sent[k] = step, is_final
-        self._pipe.send(
-            {
-                "kind": "flights",
-                "step": k,
-                "final": is_final,
-                "asked": step.asked,
-                "gamma": step.gamma,
-                "label": step.label,
-                "tones": step.tones,
-                "columns": (step.duration_s, step.landing_s, step.residual_s, step.noise_s, step.mark),
-            }
-        )
-
-
-def _ends(recording: Recording) -> np.ndarray:
-    """Sample behind each step."""
-    return np.asarray(recording.steps["first_sample"] + recording.steps["n_samples"])
-
-
-def _differ(a: ReducedStep, b: ReducedStep, by_s: float) -> bool:
-    """Whether two reductions of a step show other flights, or the same ones moved by more than ``by_s``."""
-    if a.label != b.label or not np.array_equal(a.mark, b.mark):
-        return True
-    pairs = ((a.duration_s, b.duration_s), (a.landing_s, b.landing_s), (a.residual_s, b.residual_s))
-    return any(not np.allclose(x, y, rtol=0.0, atol=by_s, equal_nan=True) for x, y in pairs)
+        self._pipe.send({
+            "kind": "flights", "step": k, "final": is_final, "asked": step.asked, "gamma": step.gamma,
+            "label": step.label, "tones": step.tones,
+            "columns": (step.duration_s, step.landing_s, step.residual_s, step.noise_s, step.mark),
+        })  # fmt: skip

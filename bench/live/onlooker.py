@@ -1,12 +1,10 @@
-"""What accompanies a run that was started in a terminal: its page, and the verdict after each step."""
+"""What accompanies runs that were started in a terminal: their page, and the verdict after each step."""
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -19,61 +17,9 @@ if TYPE_CHECKING:
     from bench.live.processes import PageProcess
     from rig.execution.operator import Status
 
-POLL_EVERY = 16  # blocks between two looks for a verdict
-LAST_WORD_S = 20.0  # for the verdict after the last step
-LONGEST = 480  # characters of a reason on the page
 
-
-@contextmanager
-def onlooking(
-    profile: Profile, folder: Path, *, page: tuple[str, int | None] | None, watch: bool
-) -> Iterator[Onlooker | None]:
-    """An onlooker for `bench.jobs.run_ramp.record` while the run lasts; None where nobody looks on.
-
-    Parameters
-    ----------
-    profile
-        Of the run.
-    folder
-        Of the recording.
-    page
-        Address and port of a page; None without one.
-    watch
-        Whether the verdict after each step is printed on standard error.
-
-    Raises
-    ------
-    InputError
-        When the page cannot be served.
-    """
-    if page is None and not watch:
-        yield None
-        return
-    from bench.live.board import Board
-    from bench.live.run_side import RunSide
-
-    board = Board()
-    served = watcher = None
-    try:
-        if page is not None:
-            from bench.live.processes import PageProcess
-
-            served = PageProcess(profile, board, folder, *page)
-            _print(f"watch it at {served.url}")
-        watcher = _Watcher(profile, board.name) if watch else None
-        yield RunSide(board, None if watcher is None else watcher.look)
-        if watcher is not None:
-            watcher.finish()
-    finally:
-        if watcher is not None:
-            watcher.close()
-        if served is not None:
-            served.close()
-        board.close()
-
-
-class OnePage:
-    """One page for several runs, one after another.
+class Onlookers:
+    """One page for several runs, one after another, and the printed verdicts; a context in which they are driven.
 
     Parameters
     ----------
@@ -81,17 +27,17 @@ class OnePage:
         Of the recordings.
     page
         Address and port; None for no page.
+    watch
+        Whether the verdict after each step is printed on standard error.
     """
 
-    def __init__(self, folder: Path, page: tuple[str, int | None] | None) -> None:
-        self._folder, self._page = folder, page
+    def __init__(self, folder: Path, page: tuple[str, int | None] | None, *, watch: bool = False) -> None:
+        self._folder, self._page, self._watch = folder, page, watch
         self._served: PageProcess | None = None
         self._boards: list[Board] = []
-        self._profiles: TemporaryDirectory[str] | None = None
+        self._profiles = TemporaryDirectory()
 
-    def __enter__(self) -> OnePage:
-        if self._page is not None:
-            self._profiles = TemporaryDirectory()
+    def __enter__(self) -> Onlookers:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -99,80 +45,83 @@ class OnePage:
             self._served.close()
         for board in self._boards:
             board.close()
-        if self._profiles is not None:
-            self._profiles.cleanup()
+        self._profiles.cleanup()
 
     @contextmanager
-    def onlooker(self, profile: Profile, text: str, why: str) -> Iterator[Onlooker | None]:
-        """An onlooker for the next run, of ``profile`` with its ``text``; ``why`` it is driven is said on the page.
+    def of_run(self, profile: Profile, text: str, why: str = "") -> Iterator[Onlooker | None]:
+        """An onlooker for `bench.jobs.run_ramp.record` during the next run; None where nobody looks on.
+
+        Parameters
+        ----------
+        profile, text
+            Of the run.
+        why
+            Reason of the run, said on a page that is there already.
 
         Raises
         ------
         InputError
             When the page cannot be served.
         """
-        if self._page is None or self._profiles is None:
+        if self._page is None and not self._watch:
             yield None
             return
         from bench.live.board import Board
+        from bench.live.processes import PageProcess
         from bench.live.run_side import RunSide
 
         board = Board()
         self._boards.append(board)
-        if self._served is None:
-            from bench.live.processes import PageProcess
-
+        if self._page is not None and self._served is None:
             self._served = PageProcess(profile, board, self._folder, *self._page)
             _print(f"watch it at {self._served.url}")
-        else:
+        elif self._page is not None:
             path = Path(self._profiles.name) / f"{len(self._boards)}.toml"
             path.write_text(text, encoding="utf-8")
-            self._boards[-2].events.put(
-                {"kind": "next", "board": board.name, "profile": str(path), "why": why[:LONGEST]}
-            )
-        yield RunSide(board)
+            # the page of the run before goes on to this one; its lane takes a reason of a few lines
+            following = {"kind": "next", "board": board.name, "profile": str(path), "why": why[:480]}
+            self._boards[-2].events.put(following)
+        watcher = _Watcher(profile, board.name) if self._watch else None
+        try:
+            yield RunSide(board, None if watcher is None else watcher.look)
+            if watcher is not None:
+                watcher.print_what_came(within_s=20.0)  # the verdict after the last step is still on its way
+        finally:
+            if watcher is not None:
+                watcher.close()
 
 
 class _Watcher:
     """The analyst of a run, whose verdicts are printed."""
 
     def __init__(self, profile: Profile, board_name: str) -> None:
-        from bench.live.analyst import analyse
+        from bench.live.analyst import start_analyst
 
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe(duplex=False)
-        self._pipe: Connection = ours
-        self._process = context.Process(
-            target=analyse, args=(theirs, board_name, profile, False), name="analyst", daemon=True
-        )
-        self._process.start()
-        theirs.close()
+        self._pipe, self._process = start_analyst(profile, board_name, pictures=False)
         self._blocks = 0
         self._printed: dict[int, str] = {}  # by step
 
     def look(self, status: Status) -> None:
-        """Print what has come; never waits."""
+        """Print what has come, after every 16th block; never waits."""
         self._blocks += 1
-        if self._blocks % POLL_EVERY == 0:
-            self._print_what_came(0.0)
-
-    def finish(self) -> None:
-        """Print what is still on its way."""
-        self._print_what_came(LAST_WORD_S)
+        if self._blocks % 16 == 0:
+            self.print_what_came(0.0)
 
     def close(self) -> None:
         """End the analyst."""
         self._process.terminate()
         self._process.join(2.0)
 
-    def _print_what_came(self, within_s: float) -> None:
+    def print_what_came(self, within_s: float) -> None:
+        """Print what comes within a time."""
         try:
             while self._pipe.poll(within_s):
-                message = self._pipe.recv()
+                message: dict[str, Any] = self._pipe.recv()
                 if message["kind"] == "verdict":
-                    _print(*verdict_lines(message))
+                    candidates = (f"    - {one}" for one in message["candidates"])
+                    _print(f"  {message['headline']}", *candidates, *(f"    {line}" for line in message["lines"]))
                 elif message["kind"] == "flights":
-                    line = f"step {message['step'] + 1}: gamma {message['gamma']:.4f}, {message['label']}"
+                    line = f"step {message['step']}: gamma {message['gamma']:.4f}, {message['label']}"
                     if self._printed.get(message["step"]) != line:  # the end may correct it
                         _print(line)
                     self._printed[message["step"]] = line
@@ -180,13 +129,8 @@ class _Watcher:
             return  # it is done, or gone: the run goes on without
 
 
-def verdict_lines(message: dict[str, Any]) -> list[str]:
-    """A verdict as lines of text."""
-    return [f"  {message['headline']}", *(f"    - {c}" for c in message["candidates"]),
-            *(f"    {line}" for line in message["lines"])]  # fmt: skip
-
-
 def _print(*lines: str) -> None:
+    """Lines on standard error."""
     try:
         for line in lines:
             sys.stderr.write(f"{line}\n")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import multiprocessing
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,13 +27,7 @@ LINGER_S = 3.0  # in which browsers get the last word of a run
 
 
 def sections() -> tuple[str, ...]:
-    """Modules of the desk's sections that there are.
-
-    Raises
-    ------
-    InputError
-        Where the packages of the page are not installed.
-    """
+    """Modules of the desk's sections that there are; raises `InputError` without the packages of the page."""
     require_packages()
     return tuple(name for name in SECTIONS if importlib.util.find_spec(name.rpartition(".")[0]) is not None)
 
@@ -42,9 +37,7 @@ class PageProcess:
 
     Parameters
     ----------
-    profile
-        Of the run.
-    board
+    profile, board
         Of the run.
     folder
         Of the runs.
@@ -92,27 +85,26 @@ class PageProcess:
 def _serve_run(
     pipe: Connection, modules: tuple[str, ...], profile: Profile, board: str, folder: str, host: str, port: int | None
 ) -> None:
-    """The page's process beside a run."""
+    """The page's process during a run."""
     from bench.web.section import Place
     from bench.web.serve import bind, serve
+
+    def answer(url: str, fault: str) -> None:
+        pipe.send((url, fault))
+        pipe.close()
 
     leave_keys_to_the_parent()
     try:
         listening, access = bind(host, port)
     except InputError as error:
-        pipe.send(("", str(error)))
+        answer("", str(error))
         return
     place = Place(Path(folder).resolve(), {"live": {"watched": (profile, board)}})
-    serve(listening, access, modules, place, on_ready=lambda: _answer(pipe, access.url), own_signals=False)
+    serve(listening, access, modules, place, on_ready=lambda: answer(access.url, ""), own_signals=False)
 
 
-def _answer(pipe: Connection, url: str) -> None:
-    pipe.send((url, ""))
-    pipe.close()
-
-
-def serve_desk(folder: Path, offered: list[str], host: str, port: int | None, say: Any) -> None:
-    """`bench live`: serve until Ctrl-C; ``say`` is told the address.
+def serve_desk(folder: Path, offered: list[str], host: str, port: int | None, say: Callable[[str], None]) -> None:
+    """`bench live`: serve until Ctrl-C; ``say`` is called with the address.
 
     Raises
     ------
@@ -163,9 +155,8 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
     try:
         checked, text = load(profile)
         refuse_forbidden(profile, checked)
-        hidden = Path(scenario) if scenario else None
         seed = asked.seed if checked.backend.kind == "simulated" else 0
-        backend = make_backend(checked, scenario=hidden, seed=seed, real_time=True)
+        backend = make_backend(checked, scenario=Path(scenario) if scenario else None, seed=seed, real_time=True)
         record(
             checked, text, backend, asked.out, note=asked.note, extra=asked.keys or None, quiet=True, paced=True,
             onlooker=side,

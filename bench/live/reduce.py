@@ -55,6 +55,14 @@ class ReducedStep:
     mark: NDArray[np.uint8]
     tones: list[dict[str, Any]]
 
+    def shows(self, other: ReducedStep, within_s: float) -> bool:
+        """Whether another reduction of the step shows the same flights, none moved by more than ``within_s``."""
+        if self.label != other.label or not np.array_equal(self.mark, other.mark):
+            return False
+        columns = ("duration_s", "landing_s", "residual_s")
+        pairs = ((getattr(self, name), getattr(other, name)) for name in columns)
+        return all(np.allclose(x, y, rtol=0.0, atol=within_s, equal_nan=True) for x, y in pairs)
+
 
 def cut_to(recording: Recording, n_samples: int) -> None:
     """Leave out of an open recording what came after its first ``n_samples``."""
@@ -82,7 +90,12 @@ def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[l
     """
     flights = flights_of(recording)
     seen = observed(recording, flights)
-    residual, noise = _residuals(flights, seen, recording.setup)
+    residual, noise = np.full(len(flights), np.nan), np.full(len(flights), np.nan)
+    if (judged := seen.scored).any():
+        model = ForwardModel(seen, resolve(recording.setup.declared_values()))
+        row = np.minimum(np.searchsorted(flights.landing_s, seen.measured.landing_s - 1e-9), len(flights) - 1)[judged]
+        residual[row] = model.residuals({}).landing_s[judged]
+        noise[row] = model.uncertainty({}).landing_total_s[judged]
     mark = np.where(flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE), DOUBTFUL, PLAIN)
     mark = np.where(flights.has(_POOR), POOR, mark).astype(np.uint8)
     labels, steps = {one.step: one.label for one in classify(flights)}, []
@@ -104,19 +117,6 @@ def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[l
     return steps, seen
 
 
-def _residuals(flights: Flights, seen: Observations, setup: Setup) -> tuple[Floats, Floats]:
-    """Landing residuals at the declared model and their uncertainty, one a flight."""
-    residual, noise = np.full(len(flights), np.nan), np.full(len(flights), np.nan)
-    if not seen.scored.any():
-        return residual, noise
-    model = ForwardModel(seen, resolve(setup.declared_values()))
-    row = np.minimum(np.searchsorted(flights.landing_s, seen.measured.landing_s - 1e-9), len(flights) - 1)
-    kept = seen.scored
-    residual[row[kept]] = model.residuals({}).landing_s[kept]
-    noise[row[kept]] = model.uncertainty({}).landing_total_s[kept]
-    return residual, noise
-
-
 def _tones(flights: Flights, step: int, setup: Setup, row: np.void, first_played: int) -> list[dict[str, Any]]:
     """Amplitude and phase of each forcing tone of a step, on the plate and asked for."""
     plate, rows, gamma = flights.plate.steps[step], [], float(row["gamma"])
@@ -125,13 +125,9 @@ def _tones(flights: Flights, step: int, setup: Setup, row: np.void, first_played
     turn = 2.0 * math.pi * setup.forcing.frequency_hz * (recorded_s - first_played / setup.sampling.rate_hz)
     for multiple, displacement in setup.forcing.displacement_tones():
         target = -setup.g_mps2.value * gamma * multiple * multiple * displacement
-        found: dict[str, Any] = {
-            "multiple": multiple,
-            "target_mps2": abs(target),
-            "target_deg": math.degrees(cmath.phase(target)) if target else 0.0,
-            "mps2": None,
-            "deg": None,
-        }
+        target_deg = math.degrees(cmath.phase(target)) if target else 0.0
+        found: dict[str, Any] = {"multiple": multiple, "target_mps2": abs(target), "target_deg": target_deg}
+        found |= {"mps2": None, "deg": None}
         if plate is not None and multiple in plate.multiples:
             z = plate.acceleration.amplitudes[plate.multiples.index(multiple)] * cmath.exp(1j * multiple * turn)
             found["mps2"], found["deg"] = float(abs(z)), math.degrees(cmath.phase(z))

@@ -130,7 +130,7 @@ def _next_steps(setup: Setup, promising: tuple[Promising, ...], upcoming: tuple[
         means = [_mean_ms(setup, _effects(setup, one), upcoming[k]) for one in acting]
         difference_ms = abs(means[0] - means[1])
         if difference_ms > LEAST_DIFFERENCE_MS:
-            where = f"step {step + 2 + k} (\u0393 {shown * upcoming[k]:.3g})"
+            where = f"step {step + 1 + k} (\u0393 {shown * upcoming[k]:.3g})"
             lines.append(f"{where}: {names[0]} and {names[1]} differ by {difference_ms:.2g} ms of flight")
     return lines or [f"the steps to come will hardly tell {names[0]} from {names[1]}"]
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.gamma import gamma_scale
-from bench.live.analyst import analyse
+from bench.live.analyst import start_analyst
 from bench.live.board import Board, Message
 from bench.live.scope_data import MinMax, PlateHeight, bin_for, flights_piece, scope_piece, spectrum_piece
+from daq.files.json_values import json_object
+from daq.files.tables import Block
 from daq.recorder.shared_ring import RingReader
 from rig.profile import Profile
 from rig.programme.ramp import peaks, plan
@@ -24,6 +25,7 @@ from rig.programme.sequencer import STILL
 SPECTRUM_S, SPECTRUM_SAMPLES = 1.0, 1 << 15
 HEIGHT_CODES = 30000.0  # for the largest displacement that the limits allow
 LONGEST_LOG = 200  # commands that a browser gets to see which opens the page late
+LIMIT_UNITS = {"drive_v": "V", "plate_mps2": "m/s\u00b2", "velocity_mps": "m/s", "displacement_m": "m"}
 STANDING = tuple(state.value for state in STILL)
 UNKNOWN = -32768  # code of a displacement that is not known
 Tell = Callable[..., None]
@@ -65,13 +67,7 @@ class WatchedRun:
         self._shifted = 0  # samples lost so far
         self._recent: list[NDArray[np.int16]] = []
         self._spectrum_at = 0.0
-        ours, theirs = multiprocessing.get_context("spawn").Pipe(duplex=False)
-        self._pipe = ours
-        self._analyst = multiprocessing.get_context("spawn").Process(
-            target=analyse, args=(theirs, board.name, profile, True), name="analyst", daemon=True
-        )
-        self._analyst.start()
-        theirs.close()
+        self._pipe, self._analyst = start_analyst(profile, board.name, pictures=True)
         self._say(self._plan())
 
     def command(self, command: Message) -> None:
@@ -89,7 +85,8 @@ class WatchedRun:
         """Take in what is new and tell it."""
         for event in self.board.events.read()[0]:
             self._take_in(event)
-        self._read_scope()
+        if self._ring is not None and (blocks := self._ring.read()):
+            self._send_scope(blocks)
         self._read_analyst()
 
     def close(self) -> None:
@@ -122,12 +119,7 @@ class WatchedRun:
             "ratio": profile.forcing.ratio,
             "rate_hz": profile.sampling.rate_hz,
             "duration_s": programme.n_samples / programme.rate_hz,
-            "limits": {
-                "drive_v": [limits.drive_v, "V"],
-                "plate_mps2": [limits.plate_mps2, "m/s\u00b2"],
-                "velocity_mps": [limits.velocity_mps, "m/s"],
-                "displacement_m": [limits.displacement_m, "m"],
-            },
+            "limits": {name: [getattr(limits, name), unit] for name, unit in LIMIT_UNITS.items()},
             "contact_cycles": limits.contact_cycles,
             "declared": sorted(profile.declared_values()),
         }
@@ -183,11 +175,8 @@ class WatchedRun:
         out.append({"name": "plate height", "volts": height, "si": height})
         return out
 
-    def _read_scope(self) -> None:
+    def _send_scope(self, blocks: Sequence[Block]) -> None:
         """New frames as pieces of the scope, and the spectrum once a second."""
-        blocks = self._ring.read() if self._ring is not None else []
-        if not blocks:
-            return
         pieces, first = [], -1
         for block in blocks:
             self._shifted += block.lost_before
@@ -224,10 +213,11 @@ class WatchedRun:
                 return  # it is done, or gone: the page goes on without
             if message["kind"] == "flights":
                 piece = flights_piece(message, self._factor)
-                words = {key: message[key] for key in ("step", "final", "asked", "label", "tones")}
-                words |= {"kind": "reduced", "gamma": message["gamma"] if np.isfinite(message["gamma"]) else None}
-                packed = json.dumps(words)
-                self._steps[message["step"]] = piece, packed
+                words = json_object(
+                    {key: message[key] for key in ("step", "final", "asked", "label", "tones", "gamma")}
+                )
+                words["kind"] = "reduced"
+                self._steps[message["step"]] = piece, json.dumps(words)
                 self._tell(piece)
                 self._tell(words)
             elif message["kind"] == "model":

@@ -1,29 +1,33 @@
-"""The catalogue of a folder: brought up to date at each call by size and time of change, asked by queries."""
+"""The catalogue of a folder: what its files hold, in memory and in one JSON file that is replaced whole. Decision 400.
+
+All in it is made from the files, each known by its size and time of change: what another process does not find in the
+JSON file it reads again. A file of a newer version is left as it is, a damaged one is made anew.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import functools
-import sqlite3
+import json
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.runs import query as queries
-from bench.runs.database import Opened, open_database, replace
-from bench.runs.folder import Found, files_below
-from bench.runs.loops import Loop, saved_loops
-from bench.runs.run import COLUMNS, Run, run_of, stated_quantities
+from bench.runs.folder import PLACE, Found, files_below
+from bench.runs.query import Query, Row
+from bench.runs.rows import run_of, stated_quantities
 from daq.files.disk import Closing
-from daq.recording.header import Header, Unread, read_headers
+from daq.files.json_values import json_values
+from daq.files.whole_file import write_whole
+from daq.recording.header import Header, read_headers
 from daq.recording.notebook import ENDING, Entry, Remarks, change_remarks, notebook, read_remarks, side_file
+from daq.recording.subprocess_reader import in_subprocess
 from daq.setup.errors import InputError
 
-Progress = Callable[[str, float], None]
-Row = dict[str, Any]
-BATCH_S = 1.0  # what was read is saved at least so often
+VERSION = 3
+SAVE_S = 10.0  # what was read is saved at least so often
 
 
 class Catalogue(Closing):
@@ -34,15 +38,14 @@ class Catalogue(Closing):
     folder
         The runs' folder.
     anew
-        Make the database anew from the files: it is empty here until `update`, which puts it in place of the old one
-        in one transaction.
+        Make the catalogue anew from the files: it is empty here, and unchanged for others, until `update` is done.
 
     Attributes
     ----------
     folder
         Absolute.
     path
-        The database; None where it is kept in memory.
+        Its file; None where the catalogue is only in memory.
     said
         What a person should know of that, in a sentence; empty where there is nothing.
 
@@ -56,16 +59,29 @@ class Catalogue(Closing):
         if not folder.is_dir():
             raise InputError(f"{folder}: wanted the folder of the recordings; there is none of that name")
         self.folder = folder.resolve()
-        opened: Opened = open_database(self.folder, anew=anew)
-        self._connection, self.path, self.said = opened.connection, opened.path, opened.said
-        self._lock, self._updating = threading.RLock(), threading.Lock()
+        path = self.folder / PLACE / "runs.json"
+        self.path: Path | None = path
+        self.said = ""
+        self._files: dict[str, dict[str, Any]] = {}  # by path below the folder
+        self._seen: tuple[int, ...] = ()  # state of the catalogue's file when it was read or written
+        self._anew = False
+        self._lock, self._updating = threading.RLock(), threading.RLock()
+        self._take_in()
+        try:
+            path.parent.mkdir(exist_ok=True)
+            with tempfile.TemporaryFile(dir=path.parent):
+                pass
+        except OSError as error:
+            why = error.strerror or error
+            self.path = None
+            self.said = f"{path}: cannot be written ({why}); the catalogue is kept in memory for this call"
+        if anew:
+            self._files, self._anew = {}, True
 
     def close(self) -> None:
-        """Close the database."""
-        with self._lock:
-            self._connection.close()
+        """Nothing is held open."""
 
-    def update(self, *, all_bytes: bool = False, progress: Progress | None = None) -> int:
+    def update(self, *, all_bytes: bool = False, progress: Callable[[str, float], None] | None = None) -> int:
         """Read the files that are new or have changed, and forget those that are gone.
 
         Parameters
@@ -82,58 +98,82 @@ class Catalogue(Closing):
         """
         found = {file.path: file for file in files_below(self.folder)}
         with self._updating:
-            known = {row["path"]: (row["size"], row["mtime_ns"]) for row in self._all("SELECT * FROM files")}
-            unchecked = {row["path"] for row in self._all("SELECT path FROM runs WHERE NOT all_bytes")}
-            gone = [path for path in known if path not in found]
-            if gone:
-                with self._writing():
-                    self._connection.executemany("DELETE FROM files WHERE path = ?", [(path,) for path in gone])
-            changed = [
-                file
-                for file in found.values()
-                if known.get(file.path) != (file.size, file.mtime_ns) or (all_bytes and file.path in unchecked)
-            ]
-            self._read(changed, all_bytes=all_bytes, progress=progress)
-            with self._writing():
-                replace(self._connection)
+            self._take_in()
+            with self._lock:
+                gone = self._files.keys() - found.keys()
+                for path in gone:
+                    del self._files[path]
+                changed = [file for file in found.values() if self._is_new(file, all_bytes=all_bytes)]
+            saved = time.monotonic()
+            for done, (file, entry) in enumerate(self._read(changed, all_bytes=all_bytes), start=1):
+                with self._lock:
+                    self._files[file.path] = _plain(entry | {"size": file.size, "mtime_ns": file.mtime_ns})
+                if progress is not None:
+                    progress("reading recordings", done / len(changed))
+                if time.monotonic() - saved > SAVE_S:
+                    self._save()
+                    saved = time.monotonic()
+            if changed or gone or self._anew:
+                self._anew = False
+                self._save()
         return len(changed)
 
-    def runs(self, query: queries.Query | None = None) -> list[Row]:
-        """Rows of the runs that a query asks for, in its order; see `as_json` for what they hold."""
-        return [_row(found) for found in self._all(*queries.sql(query or queries.Query()))]
+    def runs(self, query: Query | None = None) -> list[Row]:
+        """Rows of the runs that a query asks for, in its order; see `bench.runs.rows.run_of` for what they hold.
+
+        To that come ``tags``, all ``notes``, ``remarks_problem`` and the latest verdict on the run as ``loop``.
+        """
+        with self._lock:
+            self._take_in()
+            loops = self._loops()
+            rows = [self._row(entry["run"], loops) for entry in self._files.values() if "run" in entry]
+        return (query or Query()).of(rows)
 
     def run(self, id: str) -> Row | None:
         """The run of that short name; None where there is none."""
-        found = self._all(f"SELECT * FROM ({queries.BASE}) WHERE id = ?", [id])
-        return _row(found[0]) if found else None
+        with self._lock:
+            self._take_in()
+            found = (entry["run"] for entry in self._files.values() if "run" in entry and entry["run"]["id"] == id)
+            return next((self._row(run, self._loops()) for run in found), None)
 
     def counts(self) -> dict[str, list[str]]:
         """Profiles and tags that occur."""
-        profiles = [row[0] for row in self._all("SELECT DISTINCT profile FROM runs WHERE profile <> '' ORDER BY 1")]
-        tags = [row[0] for row in self._all("SELECT DISTINCT tags FROM remarks WHERE tags <> ''")]
-        return {"profiles": profiles, "tags": sorted({tag for text in tags for tag in text.split()})}
+        rows = self.runs()
+        return {
+            "profiles": sorted({row["profile"] for row in rows if row["profile"]}),
+            "tags": sorted({tag for row in rows for tag in row["tags"]}),
+        }
 
     def loops(self, identity: str) -> list[Row]:
         """Verdicts on the recording of that identity, the latest first."""
-        rows = self._all("SELECT * FROM loops WHERE identity = ? AND identity <> '' ORDER BY at DESC", [identity])
-        return [dict(row) for row in rows]
+        with self._lock:
+            return self._loops().get(identity, []) if identity else []
 
     def quantities(self, ids: Sequence[str] = ()) -> list[Row]:
         """Calibrations and effects, as profiles state and verdicts fit them, by date; of all runs, or of some.
 
         Each has id, path, date, name, value, sigma, unit and origin; of a verdict, the latest on the run counts.
         """
-        marks = ", ".join("?" * len(ids))
-        chosen = f"AND runs.id IN ({marks})" if ids else ""
-        text = f"""
-            SELECT runs.id, runs.path, runs.date, q.name, q.value, q.sigma, q.unit, q.origin
-            FROM quantities AS q JOIN runs ON
-              CASE WHEN q.origin = 'profile' THEN q.path = runs.path
-              ELSE q.identity = runs.identity AND q.identity <> '' AND q.path = (
-                SELECT l.path FROM loops AS l WHERE l.identity = runs.identity ORDER BY l.at DESC, l.path LIMIT 1) END
-            WHERE runs.date IS NOT NULL {chosen} ORDER BY q.name, runs.date"""
-        rows = [dict(row) for row in self._all(text, list(ids))]
-        return rows + list(_fitted_sensitivities(rows))
+        with self._lock:
+            loops, entries = self._loops(), [entry for entry in self._files.values() if "run" in entry]
+        out: list[Row] = []
+        fitted: list[Row] = []
+        for entry in entries:
+            run = entry["run"]
+            if run["date"] is None or (ids and run["id"] not in ids):
+                continue
+            about = {name: run[name] for name in ("id", "path", "date")}
+            verdicts = loops.get(run["identity"], [])[:1] if run["identity"] else []
+            own = [about | q for q in (*entry["quantities"], *(q for loop in verdicts for q in loop["quantities"]))]
+            out += own
+            # the sensitivity by a verdict: as stated, times the factor by which the accelerometer reads too much
+            stated = next((q for q in own if q["name"] == "accelerometer.sensitivity"), None)
+            for q in own:
+                if stated is not None and q["name"] == "accelerometer_gain.relative" and q["origin"] == "verdict":
+                    value = stated["value"] * (1.0 + q["value"])
+                    sigma = None if q["sigma"] is None else abs(stated["value"]) * q["sigma"]
+                    fitted.append(stated | {"value": value, "sigma": sigma, "origin": "verdict"})
+        return sorted(out, key=lambda q: (q["name"], q["date"])) + sorted(fitted, key=lambda q: q["date"])
 
     def file_of(self, row: Row) -> Path:
         """The file of a run; never one outside the folder.
@@ -167,149 +207,123 @@ class Catalogue(Closing):
         """
         changed = change_remarks(self.file_of(row), row["identity"], change)
         name = row["path"] + ENDING
-        with self._writing():
-            self._connection.execute("DELETE FROM files WHERE path = ?", [name])
+        with self._lock:
+            self._take_in()
+            self._files.pop(name, None)
             with contextlib.suppress(FileNotFoundError):
                 state = (self.folder / name).stat()
-                self._put_remarks(Found(name, state.st_size, state.st_mtime_ns))
+                about = {"size": state.st_size, "mtime_ns": state.st_mtime_ns}
+                self._files[name] = _plain(self._remarks(name) | about)
+            self._save()
         return changed
 
-    def _read(self, changed: Iterable[Found], *, all_bytes: bool, progress: Progress | None) -> None:
-        """Read files and keep what they hold."""
-        files = {file.path: file for file in changed}
-        total = max(len(files), 1)
-        pending: list[Callable[[], None]] = []
-        last, done = time.monotonic(), 0
+    def _is_new(self, file: Found, *, all_bytes: bool) -> bool:
+        """Whether a file is to be read."""
+        entry = self._files.get(file.path)
+        if entry is None or (entry["size"], entry["mtime_ns"]) != (file.size, file.mtime_ns):
+            return True
+        return all_bytes and "run" in entry and not entry["run"]["all_bytes"]
 
-        def keep(put: Callable[[], None] | None) -> None:
-            nonlocal last, done
-            if put is not None:
-                pending.append(put)
-                done += 1
-                if progress is not None:
-                    progress("reading recordings", done / total)
-            if pending and (put is None or time.monotonic() - last > BATCH_S):
-                with self._writing():
-                    for one in pending:
-                        one()
-                pending.clear()
-                last = time.monotonic()
-
+    def _read(self, changed: Iterable[Found], *, all_bytes: bool) -> Iterator[tuple[Found, dict[str, Any]]]:
+        """What files hold, as they are read."""
+        files = {self.folder / file.path: file for file in changed}
         for file in files.values():
             if file.kind == "remarks":
-                keep(functools.partial(self._put_remarks, file))
-        hdf5 = [self.folder / file.path for file in files.values() if file.kind == "hdf5"]
-        loops = [self.folder / file.path for file in files.values() if file.kind == "loop"]
+                yield file, self._remarks(file.path)
+        hdf5 = [path for path, file in files.items() if file.kind == "hdf5"]
         for path, header in read_headers(hdf5, all_bytes=all_bytes):
-            file = files[path.relative_to(self.folder).as_posix()]
-            keep(functools.partial(self._put_run, file, header))
-        for path, loop in saved_loops(loops) if loops else ():
-            file = files[path.relative_to(self.folder).as_posix()]
-            keep(functools.partial(self._put_loop, file, loop))
-        keep(None)
+            entry: dict[str, Any] = {}
+            if isinstance(header, Header):
+                entry = {"run": run_of(files[path].path, header), "quantities": stated_quantities(header)}
+            elif header.damaged:  # else it is HDF5 of something else
+                entry = {"run": run_of(files[path].path, header), "quantities": []}
+            yield files[path], entry
+        left = [str(path) for path, file in files.items() if file.kind == "loop"]
+        while left:  # another process reads them, which may die of one
+            answer = in_subprocess("bench.runs.loop_reader:look", left)
+            if not answer.died:
+                yield from ((files[Path(name)], {"loop": loop}) for name, loop in answer.value.items())
+                return
+            culprit = answer.at if answer.at in left else left[0]
+            left.remove(culprit)
+            yield files[Path(culprit)], {"loop": None}
 
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        """One transaction that writes; others wait for it."""
-        with self._lock:
-            try:
-                self._connection.execute("BEGIN IMMEDIATE")
-                try:
-                    yield
-                except BaseException:
-                    self._connection.execute("ROLLBACK")
-                    raise
-                self._connection.execute("COMMIT")
-            except sqlite3.OperationalError as error:
-                raise InputError(
-                    f"{self.path}: the catalogue cannot be written ({error}); end the process that holds it, make room "
-                    "on the disk, or remove the file: it is made again from the recordings"
-                ) from error
-
-    def _put_file(self, file: Found) -> None:
-        """The file is known; what was read of it before is forgotten."""
-        self._connection.execute("DELETE FROM files WHERE path = ?", [file.path])
-        self._connection.execute("INSERT INTO files VALUES (?, ?, ?)", [file.path, file.size, file.mtime_ns])
-
-    def _put_run(self, file: Found, header: Header | Unread) -> None:
-        self._put_file(file)
-        if isinstance(header, Unread) and not header.damaged:
-            return  # HDF5 of something else
-        run: Run = run_of(file, header)
-        marks = ", ".join("?" * len(COLUMNS))
-        values = [_storable(getattr(run, name)) for name in COLUMNS]
-        self._connection.execute(f"INSERT INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", values)
-        for q in stated_quantities(header) if isinstance(header, Header) else ():
-            self._connection.execute(
-                "INSERT INTO quantities VALUES (?, ?, ?, ?, ?, ?, ?)",
-                [file.path, run.identity, _storable(q.name), q.value, q.sigma, _storable(q.unit), q.origin],
-            )
-
-    def _put_loop(self, file: Found, loop: Loop | None) -> None:
-        self._put_file(file)
-        if loop is None:
-            return
-        values = [loop.verdict, loop.summary, len(loop.identities), loop.before_us, loop.after_us, loop.floor_us]
-        for identity in dict.fromkeys(loop.identities):
-            self._connection.execute(
-                "INSERT INTO loops VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", [file.path, identity, file.mtime_ns, *values]
-            )
-            for q in loop.quantities:
-                self._connection.execute(
-                    "INSERT INTO quantities VALUES (?, ?, ?, ?, ?, ?, ?)",
-                    [file.path, identity, q.name, q.value, q.sigma, q.unit, q.origin],
-                )
-
-    def _put_remarks(self, file: Found) -> None:
-        self._put_file(file)
-        remarks, problem = Remarks(), ""
+    def _remarks(self, name: str) -> dict[str, Any]:
+        """The entry of a side file."""
+        remarks, problem = Remarks(), None
         try:
-            remarks = read_remarks(self.folder / file.path)
+            remarks = read_remarks(self.folder / name)
         except InputError as error:
             problem = str(error)
-        later = "\n".join(note.text for note in remarks.notes)
-        run = file.path.removesuffix(ENDING)
-        self._connection.execute(
-            "INSERT INTO remarks VALUES (?, ?, ?, ?, ?, ?)",
-            [file.path, run, remarks.identity, _storable(later), _storable(" ".join(remarks.tags)), problem],
-        )
+        notes = "\n".join(note.text for note in remarks.notes)
+        return {"remarks": {"identity": remarks.identity, "notes": notes, "tags": remarks.tags, "problem": problem}}
 
-    def _all(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
-        with self._lock:
-            return self._connection.execute(text, values).fetchall()
+    def _loops(self) -> dict[str, list[Row]]:
+        """Verdicts by the identity of a recording, the latest first."""
+        out: dict[str, list[Row]] = {}
+        latest_first = sorted(self._files.items(), key=lambda item: (-item[1]["mtime_ns"], item[0]))
+        for path, entry in latest_first:
+            if loop := entry.get("loop"):
+                row = loop | {"path": path, "together": len(loop["identities"])}
+                for identity in dict.fromkeys(loop["identities"]):
+                    out.setdefault(identity, []).append(row)
+        return out
 
-
-def _fitted_sensitivities(rows: list[Row]) -> Iterator[Row]:
-    """The accelerometer's sensitivity by a verdict: as stated, times the factor by which it reads too much."""
-    stated = {row["id"]: row for row in rows if row["name"] == "accelerometer.sensitivity"}
-    for row in rows:
-        if row["name"] == "accelerometer_gain.relative" and row["id"] in stated and row["origin"] == "verdict":
-            by = stated[row["id"]]
-            sigma = None if row["sigma"] is None else abs(by["value"]) * row["sigma"]
-            value = by["value"] * (1.0 + row["value"])
-            yield by | {"value": value, "sigma": sigma, "origin": "verdict"}
-
-
-def _storable(value: Any) -> Any:
-    """A value as SQLite takes it; text that is not Unicode has marks in its place."""
-    return value.encode("utf-8", "replace").decode("utf-8") if isinstance(value, str) else value
-
-
-def _row(found: Any) -> Row:
-    """One row of a query as JSON has it."""
-    row = dict(found)
-    loop = None
-    if row["verdict"] is not None:
-        loop = {
-            "verdict": row["verdict"], "summary": row["summary"], "file": row["loop_path"],
-            "recordings": row["together"], "before_us": row["before_us"], "after_us": row["after_us"],
-            "floor_us": row["floor_us"],
+    def _row(self, run: Row, loops: dict[str, list[Row]]) -> Row:
+        """A recording with the remarks on it and the latest verdict."""
+        identity = run["identity"]
+        remarks = self._files.get(run["path"] + ENDING, {}).get("remarks")
+        if remarks is None or (remarks["identity"] and identity and remarks["identity"] != identity):
+            remarks = {"notes": "", "tags": [], "problem": None}  # none, or of another recording of that name
+        loop = next(iter(loops.get(identity, ())), None) if identity else None
+        about = ("verdict", "summary", "before_us", "after_us", "floor_us")
+        return run | {
+            "tags": remarks["tags"],
+            "notes": f"{run['notes']}\n{remarks['notes']}".strip("\n"),
+            "remarks_problem": remarks["problem"],
+            "loop": None if loop is None else {
+                **{name: loop[name] for name in about}, "file": loop["path"], "recordings": loop["together"],
+            },
         }  # fmt: skip
-    return {name: row[name] for name in COLUMNS} | {
-        "all_bytes": bool(row["all_bytes"]),
-        "simulated": bool(row["simulated"]),
-        "tags": row["tags"].split(),
-        "notes": row["shown_note"],
-        "remarks_problem": row["remarks_problem"] or None,
-        "loop": loop,
-    }
+
+    def _take_in(self) -> None:
+        """Read the catalogue's file where it is another one than was read or written here last."""
+        if self.path is None or self._anew or not self._updating.acquire(blocking=False):
+            return  # another thread brings it up to date
+        try:
+            state = self.path.stat()
+            seen = state.st_mtime_ns, state.st_size, state.st_ino
+            if seen == self._seen:
+                return
+            found = json.loads(self.path.read_bytes())
+            self._seen = seen
+            if found["version"] > VERSION:
+                self.said = (
+                    f"{self.path}: was made by a newer version of this software (catalogue {found['version']}, this "
+                    f"one knows {VERSION}) and is left as it is; the recordings are read anew for this call: update, "
+                    "or remove that file"
+                )
+                self.path = None
+            elif found["version"] == VERSION:
+                self._files = dict(found["files"])
+        except OSError:
+            pass  # there is none yet, or it is being replaced
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            self.said = f"{self.path}: was damaged ({error}) and is made again from the recordings"
+        finally:
+            self._updating.release()
+
+    def _save(self) -> None:
+        """Replace the catalogue's file; one that cannot be written now is written the next time."""
+        if self.path is None or self._anew:
+            return
+        with self._lock, contextlib.suppress(OSError):
+            write_whole(self.path, json.dumps({"version": VERSION, "files": self._files}))
+            state = self.path.stat()
+            self._seen = state.st_mtime_ns, state.st_size, state.st_ino
+
+
+def _plain(entry: dict[str, Any]) -> dict[str, Any]:
+    """An entry as JSON has it; text that is not Unicode has marks in its place."""
+    plain: dict[str, Any] = json.loads(json.dumps(json_values(entry), ensure_ascii=False).encode("utf-8", "replace"))
+    return plain

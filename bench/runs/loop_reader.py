@@ -2,22 +2,55 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict
-from analysis.loop.verdict_json import loop_json
+from analysis.loop.verdicts import VERDICTS, short_verdict
+from bench.runs.rows import quantity, unit_of
+from daq.files.json_values import json_object
 from daq.recording.subprocess_reader import Tell
 from daq.setup.errors import InputError
 
+NORMAL_95 = 1.959964  # half width of a 95 % interval, in standard deviations
+
 
 def look(names: list[str], tell: Tell) -> dict[str, Any]:
-    """Verdicts as JSON by file name; None for a file that holds none."""
+    """Verdicts by file name, as the catalogue holds them; None for a file that holds none."""
     found: dict[str, Any] = {}
     for name in names:
         tell(name)
         try:
-            found[name] = loop_json(load_verdict(Path(name)))
+            loop = load_verdict(Path(name))
+            found[name] = json_object(_verdict(loop)) if loop.verdict in VERDICTS else None
         except InputError:
             found[name] = None
     return found
+
+
+def _verdict(loop: ClosedLoop) -> dict[str, Any]:
+    """The recordings, the verdict in words, its errors in us, parameters of added effects and fitted calibrations."""
+    names = [effect.name for effect in loop.effects]
+    others = len(loop.ties) - 1
+    words = short_verdict(loop.verdict) + (f": {', '.join(names)}" if names else "")
+    quantities = []
+    for effect in loop.effects:
+        for parameter, (value, low, high) in effect.parameters.items():
+            sigma = (high - low) / (2.0 * NORMAL_95)
+            quantities.append((effect.name, parameter, value, sigma if math.isfinite(sigma) else None))
+    quantities += [(x.effect, x.parameter, x.value, x.sigma) for x in loop.calibrations]
+    return {
+        "identities": [source.identity for source in loop.sources if source.identity],
+        "verdict": loop.verdict,
+        "summary": words + (f" (or {others} other sets)" if others > 0 else ""),
+        "before_us": loop.before.landing_rms_us,
+        "after_us": loop.after.landing_rms_us,
+        "floor_us": loop.noise_floor_us,
+        "quantities": [
+            quantity(f"{effect}.{parameter}", value, sigma, unit_of(effect, parameter), "verdict")
+            for effect, parameter, value, sigma in quantities
+            if math.isfinite(value)
+        ],
+    }

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.runs.catalogue import Row
 from bench.runs.folder import PLACE
+from bench.runs.query import Row
 from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key

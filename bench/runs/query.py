@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from analysis.loop.verdicts import VERDICTS
 from daq.setup.errors import InputError
 
+Row = dict[str, Any]
+
 SORTS = {
     "date": "date", "name": "path", "profile": "profile", "c": "c", "gamma": "gamma_high", "steps": "steps",
-    "length": "seconds", "lost": "lost_samples", "ended": "ended", "verdict": "summary", "note": "shown_note",
-    "tags": "tags",
+    "length": "seconds", "lost": "lost_samples", "ended": "ended", "verdict": "", "note": "notes", "tags": "tags",
 }  # fmt: skip
-"""Keys to sort by, and the expressions behind them."""
+"""Words to sort by, and the column behind each; a verdict is in the row's loop."""
 ENDS = ("complete", "stopped", "failed", "incomplete", "damaged")
 FIRST_DATE = "0001-01-01T00:00:00"
 WITH_NONE = (*VERDICTS, "none")
@@ -42,8 +44,8 @@ class Query:
         Every word of it occurs in the file's name, the profile, a note, a tag, the reason of an end or the verdict.
     lost
         Only runs that lost samples.
-    sort, backwards, limit, offset
-        One of `SORTS`; how many rows, from which on.
+    sort, backwards, limit
+        One of `SORTS`; how many rows at most, -1: all.
     """
 
     profile: str = ""
@@ -59,7 +61,6 @@ class Query:
     sort: str = "date"
     backwards: bool = False
     limit: int = -1
-    offset: int = 0
 
     def __post_init__(self) -> None:
         """Refuse words that are none of those known."""
@@ -75,59 +76,37 @@ class Query:
             except ValueError as error:
                 raise InputError(f"--{option} {value}: wanted a date, as 2026-11-20, or its beginning") from error
 
+    def of(self, rows: Iterable[Row]) -> list[Row]:
+        """The rows that meet the conditions, in the order asked for; what is not known comes last either way."""
 
-BASE = """
-SELECT runs.*, coalesce(remarks.tags, '') AS tags, coalesce(remarks.note, '') AS later_notes,
-  coalesce(remarks.problem, '') AS remarks_problem,
-  trim(runs.notes || char(10) || coalesce(remarks.note, ''), char(10)) AS shown_note,
-  loops.verdict AS verdict, loops.summary AS summary, loops.together AS together, loops.before_us AS before_us,
-  loops.after_us AS after_us, loops.floor_us AS floor_us, loops.path AS loop_path
-FROM runs
-LEFT JOIN remarks ON remarks.run = runs.path
-  AND (remarks.identity = '' OR runs.identity = '' OR remarks.identity = runs.identity)
-LEFT JOIN loops ON runs.identity <> '' AND loops.rowid = (
-  SELECT l.rowid FROM loops AS l WHERE l.identity = runs.identity ORDER BY l.at DESC, l.path LIMIT 1)
-"""
+        def key(row: Row) -> Any:
+            return _summary(row) or None if self.sort == "verdict" else row[SORTS[self.sort]]
 
+        found = sorted((row for row in rows if self._meets(row)), key=lambda row: row["path"], reverse=self.backwards)
+        known = sorted((row for row in found if key(row) is not None), key=key, reverse=self.backwards)
+        ordered = known + [row for row in found if key(row) is None]
+        return ordered if self.limit < 0 else ordered[: self.limit]
 
-def sql(query: Query) -> tuple[str, list[Any]]:
-    """The statement of a query, and its values."""
-    where: list[str] = []
-    values: list[Any] = []
-
-    def add(condition: str, *given: Any) -> None:
-        where.append(condition)
-        values.extend(given)
-
-    if query.profile:
-        add("profile LIKE ? ESCAPE '\\'", _part(query.profile))
-    if query.c is not None:
-        add("c = ?", query.c)
-    if query.gamma is not None:
-        add("gamma_high >= ? AND gamma_low <= ?", *query.gamma)
-    for tag in query.tags:
-        add("instr(' ' || tags || ' ', ' ' || ? || ' ') > 0", tag)
-    if query.verdict:
-        add("verdict IS NULL") if query.verdict == "none" else add("verdict = ?", query.verdict)
-    if query.ended:
-        add("ended = ?", query.ended)
-    if query.since:
-        add("date >= ?", query.since)
-    if query.until:
-        add("substr(date, 1, ?) <= ?", len(query.until), query.until)
-    if query.lost:
-        add("lost_samples > 0")
-    for word in query.text.split():
-        fields = ("path", "profile", "shown_note", "tags", "why", "coalesce(summary, '')")
-        add("(" + " OR ".join(f"{f} LIKE ? ESCAPE '\\'" for f in fields) + ")", *[_part(word)] * len(fields))
-    order = SORTS[query.sort]
-    direction = "DESC" if query.backwards else "ASC"
-    text = f"SELECT * FROM ({BASE})" + (f" WHERE {' AND '.join(where)}" if where else "")
-    text += f" ORDER BY {order} IS NULL, {order} {direction}, path {direction} LIMIT ? OFFSET ?"
-    return text, [*values, query.limit, query.offset]
+    def _meets(self, row: Row) -> bool:
+        """Whether a row meets every condition."""
+        date = row["date"] or ""
+        verdict = row["loop"]["verdict"] if row["loop"] else "none"
+        texts = [row["path"], row["profile"] or "", row["notes"], " ".join(row["tags"]), row["why"], _summary(row)]
+        low, high = row["gamma_low"], row["gamma_high"]
+        return (
+            self.profile.casefold() in (row["profile"] or "").casefold()
+            and self.c in (None, row["c"])
+            and (self.gamma is None or (low is not None and high >= self.gamma[0] and low <= self.gamma[1]))
+            and set(self.tags) <= set(row["tags"])
+            and self.verdict in ("", verdict)
+            and self.ended in ("", row["ended"])
+            and date >= self.since
+            and (not self.until or "" < date[: len(self.until)] <= self.until)
+            and (not self.lost or (row["lost_samples"] or 0) > 0)
+            and all(any(word in text.casefold() for text in texts) for word in self.text.casefold().split())
+        )
 
 
-def _part(text: str) -> str:
-    """Pattern of texts that hold this one."""
-    escaped = text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_")
-    return f"%{escaped}%"
+def _summary(row: Row) -> str:
+    """The verdict in words; empty without one."""
+    return str(row["loop"]["summary"]) if row["loop"] else ""

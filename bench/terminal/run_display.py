@@ -102,8 +102,8 @@ def narrow_lines(status: Status) -> str:
 
 
 def step_line(status: Status) -> str:
-    """The step, and its state."""
-    return f"step {status.step.index + 1}/{status.n_steps}, {status.state.value}"
+    """The step, counted from 0 as in every table, and its state."""
+    return f"step {status.step.index} (last {status.n_steps - 1}), {status.state.value}"
 
 
 def health_line(status: Status) -> str:

@@ -151,7 +151,7 @@ function state(m) {
   $("state-word").textContent = m.stopping && m.state !== "done" ? `${m.state} (${m.stopping.replace("_", " ")})` : m.state;
   $("state-word").className = m.state === "paused" || m.stopping ? "warn" : "";
   const f = plan ? plan.factor : 1;
-  $("state-step").textContent = `step ${m.step + 1} of ${m.n_steps}`;
+  $("state-step").textContent = `step ${m.step} (last ${m.n_steps - 1})`;
   const achieved = m.achieved_gamma === null ? "" : `, last achieved ${(f * m.achieved_gamma).toFixed(4)} \u00b1 ${(f * (m.achieved_gamma_uncertainty ?? 0)).toPrecision(1)}`;
   $("state-gamma").textContent = `\u0393${plan && plan.factor !== 1 ? " peak" : ""} commanded ${(f * m.gamma).toFixed(4)}${achieved}`;
   const left = plan ? m.left_samples / plan.rate_hz : 0;
@@ -194,7 +194,7 @@ function bar(key, name, part, limit) {
 
 function reduced(m) {
   if (m.step < present) return;
-  $("cycle").textContent = `step ${m.step + 1}: ${m.label}${m.final ? "" : " ..."}`;
+  $("cycle").textContent = `step ${m.step}: ${m.label}${m.final ? "" : " ..."}`;
   $("tones").tBodies[0].replaceChildren(...m.tones.map((t) => {
     const row = document.createElement("tr"), hz = plan ? plan.frequency_hz * t.multiple : 0;
     const off = t.mps2 === null || !t.target_mps2 ? null : 100 * (t.mps2 / t.target_mps2 - 1);

@@ -55,7 +55,7 @@ export class Diagram extends Picture {
   // Rows of all flights, for saving.
   table() {
     const rows = [["step", "gamma as shown", "flight time (ms)", "landing since the step began (s)", "mark (0 plain, 1 unsure, 2 not counted)"]];
-    for (const s of this.steps.values()) for (let i = 0; i < s.tau.length; i++) rows.push([s.step + 1, s.gamma, s.tau[i], s.landing[i], s.mark[i]]);
+    for (const s of this.steps.values()) for (let i = 0; i < s.tau.length; i++) rows.push([s.step, s.gamma, s.tau[i], s.landing[i], s.mark[i]]);
     return rows;
   }
   onLayer(s) {
@@ -153,7 +153,7 @@ export class Residuals extends Picture {
   }
   table() {
     const rows = [["step", "gamma as shown", "landing less prediction (us)", "noise, 1 sigma (us)"]];
-    for (const s of this.steps.values()) for (let i = 0; i < s.residual.length; i++) if (isFinite(s.residual[i])) rows.push([s.step + 1, s.gamma, s.residual[i], s.noise[i]]);
+    for (const s of this.steps.values()) for (let i = 0; i < s.residual.length; i++) if (isFinite(s.residual[i])) rows.push([s.step, s.gamma, s.residual[i], s.noise[i]]);
     return rows;
   }
   draw() {

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import multiprocessing
 import shutil
-import sqlite3
 import threading
 from pathlib import Path
 
@@ -15,8 +15,7 @@ from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import save_verdict
 from bench.jobs.keep_verdict import keep_verdict
 from bench.runs import catalogue as catalogue_module
-from bench.runs.catalogue import Catalogue
-from bench.runs.database import VERSION
+from bench.runs.catalogue import VERSION, Catalogue
 from bench.runs.query import Query
 from daq.recording import open_recording, verify
 from daq.recording.identity import content_id, stored_id
@@ -105,7 +104,7 @@ def test_unknown_words_are_refused(folder: Path) -> None:
 
 
 def test_tags_and_notes_lie_beside_the_recording(folder: Path) -> None:
-    """A lost database loses none of them, and the sealed recording is byte for byte what it was."""
+    """A lost catalogue loses none of them, and the sealed recording is byte for byte what it was."""
     before = (folder / "one" / "a.h5").read_bytes()
     with Catalogue(folder) as catalogue:
         catalogue.update()
@@ -265,29 +264,26 @@ def test_a_folder_that_cannot_be_written(folder: Path) -> None:
         assert len(catalogue.runs()) == 3
 
 
-def test_a_database_of_a_newer_version(folder: Path) -> None:
+def test_a_catalogue_of_a_newer_version(folder: Path) -> None:
     """It is left as it is, which is said with what to do; the recordings are listed all the same."""
     with Catalogue(folder) as catalogue:
         catalogue.update()
         path = catalogue.path
     assert path is not None
-    with sqlite3.connect(path) as connection:
-        connection.execute(f"PRAGMA user_version = {VERSION + 1}")
-    connection.close()
+    newer = json.dumps({"version": VERSION + 1, "rows": []})
+    path.write_text(newer)
     for anew in (False, True):
         with Catalogue(folder, anew=anew) as catalogue:
             assert "newer version" in catalogue.said and "remove that file" in catalogue.said
             assert catalogue.update() == 3
-    with sqlite3.connect(path) as connection:
-        assert connection.execute("PRAGMA user_version").fetchone() == (VERSION + 1,)
-    connection.close()
+    assert path.read_text() == newer
 
 
-@pytest.mark.parametrize("spoil", [b"no database at all", b"SQLite format 3\x00" + b"\xff" * 4000])
-def test_a_damaged_database_is_made_again(folder: Path, spoil: bytes) -> None:
-    """Rubbish in place of the database costs nothing but the time to read the files."""
+@pytest.mark.parametrize("spoil", [b"no catalogue at all", b"[" * 100_000, b'{"version": 3}', b"\xff\xfe", b"{}"])
+def test_a_damaged_catalogue_is_made_again(folder: Path, spoil: bytes) -> None:
+    """Rubbish in place of the catalogue costs nothing but the time to read the files."""
     (folder / ".shakerbench").mkdir()
-    (folder / ".shakerbench" / "runs.sqlite").write_bytes(spoil)
+    (folder / ".shakerbench" / "runs.json").write_bytes(spoil)
     with Catalogue(folder) as catalogue:
         assert "made again" in catalogue.said
         assert catalogue.update() == 3

@@ -37,7 +37,7 @@ def test_the_lines_hold_every_figure(tmp_path: Path) -> None:
     """Step, commanded and achieved gamma, contact, lost samples and each limit, in lines of at most 80 characters."""
     statuses = seen(tmp_path, [LostFrames(30_000, 100, declared=True)])
     before, last = statuses[10], statuses[-1]
-    assert step_line(before) == "step 1/2, fading"
+    assert step_line(before) == "step 0 (last 1), fading"
     assert "achieved -;" in health_line(before) and "contact alive; 0 samples lost" in health_line(before)
     held = next(s for s in statuses if s.step.index == 1 and s.achieved_gamma > 0.1)
     assert health_line(held).startswith(("gamma 0.9, achieved 0.39", "gamma 0.9, achieved 0.40"))
