@@ -7,6 +7,7 @@ a recording is never written over. Decision 102.
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,13 +59,10 @@ PICTURE = Form("a picture", (".png", ".pdf", ".svg"), only=True)
 PYTHON = Form("an effect (Python)", (".py",), only=True)
 ROWS = Form("summaries", (".rows", ".jsonl"))
 NOTES = Form("notes", (".txt",))
-FORMS = (
-    JSON, PACKED_CSV, NPZ, HDF5, PARQUET, NETCDF, MATLAB, UFF, TDMS, PROFILE, HTML, PDF, TABLE, PICTURE, PYTHON,
-    ROWS, NOTES,
-)  # fmt: skip
-KNOWN = {suffix for form in FORMS for suffix in form.suffixes} | {
-    ".gz", ".npy", ".tsv", ".dat", ".lvm", ".wav", ".mat", ".xls", ".xlsx", ".zip", ".html", ".htm", ".md", ".avi",
-    ".mp4", ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
+KNOWN = {
+    ".json", ".txt", ".csv", ".npz", ".h5", ".hdf5", ".parquet", ".pq", ".nc", ".mat", ".uff", ".unv", ".tdms", ".toml",
+    ".html", ".htm", ".pdf", ".png", ".svg", ".py", ".rows", ".jsonl", ".csv.gz", ".gz", ".npy", ".tsv", ".dat", ".lvm",
+    ".wav", ".xls", ".xlsx", ".zip", ".md", ".avi", ".mp4", ".mov", ".jpg", ".jpeg", ".tif", ".tiff",
 }  # fmt: skip
 """Endings that mean a form to everybody; an ending that is not here may stand for anything."""
 
@@ -170,16 +168,20 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
     """One file: no input, no folder, a name that fits, in a folder that is there, nothing lost."""
     _refuse_input(path, named, read)
     if path.is_dir() or str(output.path).endswith(("/", os.sep)):
-        raise InputError(f"{named}: is a folder; wanted the name of a file, as {path / _example(output)}")
+        example = path / f"result{output.form.suffixes[0]}"
+        raise InputError(f"{named}: is a folder; wanted the name of a file, as {example}")
     _refuse_input(path.with_name(f"{path.name}.part"), named, read)  # where some forms grow until they are whole
     _check_suffix(output.form, path, named)
-    if path.exists() and not path.is_file():
-        return  # a device or a pipe: nothing is lost
     if not path.exists():
-        _check_parent(path, named)
+        folder = path.resolve().parent  # where a link that leads nowhere would put it
+        if not folder.exists():
+            raise InputError(f"{named}: the folder {folder} does not exist; create it first, or name another")
+        if not folder.is_dir():
+            raise InputError(f"{named}: {folder} is a file; wanted a folder")
+        _probe(folder)
         return
-    if output.continues is not None and output.continues(path):
-        return
+    if not path.is_file() or (output.continues is not None and output.continues(path)):
+        return  # to a device or a pipe nothing is lost
     if output.kept:
         raise InputError(
             f"{named}: exists already; recordings are never overwritten, not even with --overwrite; choose another name"
@@ -223,25 +225,12 @@ def _check_suffix(form: Form, path: Path, named: str) -> None:
     """Refuse a name that stands for another form."""
     suffix = path.suffix.lower()
     packed = Path(path.stem).suffix.lower() + suffix if suffix == ".gz" else suffix
-    if packed in form.suffixes or (not form.only and suffix not in KNOWN):
-        return
-    raise InputError(f"{named}: wanted a name ending in {' or '.join(form.suffixes)}, {form.name} is written there")
-
-
-def _check_parent(path: Path, named: str) -> None:
-    """Refuse a file whose folder is not there or cannot be written."""
-    folder = path.resolve().parent  # where a link that leads nowhere would put it
-    if not folder.exists():
-        raise InputError(f"{named}: the folder {folder} does not exist; create it first, or name another")
-    if not folder.is_dir():
-        raise InputError(f"{named}: {folder} is a file; wanted a folder")
-    _probe(folder)
+    if packed not in form.suffixes and (form.only or suffix in KNOWN):
+        raise InputError(f"{named}: wanted a name ending in {' or '.join(form.suffixes)}, {form.name} is written there")
 
 
 def _probe(folder: Path) -> None:
     """Write into ``folder`` a file without a name; raises OSError."""
-    import tempfile
-
     with tempfile.TemporaryFile(dir=folder):
         pass
 
@@ -273,7 +262,3 @@ def _files(given: Path | str) -> list[Path]:
     except OSError:
         pass  # an input that cannot be read is refused where it is read
     return [path]
-
-
-def _example(output: File) -> str:
-    return f"result{output.form.suffixes[0]}"

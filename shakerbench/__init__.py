@@ -26,37 +26,15 @@ if TYPE_CHECKING:
 refuse_shadowed()
 
 _HOME = {
-    "open_recording": "measuring",
-    "find_flights": "measuring",
-    "plate_motion": "measuring",
-    "compare": "measuring",
-    "close_loop": "measuring",
-    "drop": "measuring",
-    "make_ball": "predicting",
-    "attractor": "predicting",
-    "diagram": "predicting",
-    "bifurcations": "predicting",
-    "predict": "predicting",
-    "load_profile": "running",
-    "run": "running",
+    "measuring": ("open_recording", "find_flights", "plate_motion", "compare", "close_loop", "drop"),
+    "predicting": ("make_ball", "attractor", "diagram", "bifurcations", "predict"),
+    "running": ("load_profile", "run"),
 }
 
 __all__ = [
-    "__version__",
-    "attractor",
-    "bifurcations",
-    "close_loop",
-    "compare",
-    "diagram",
-    "drop",
-    "find_flights",
-    "load_profile",
-    "make_ball",
-    "open_recording",
-    "plate_motion",
-    "predict",
-    "run",
-]
+    "__version__", "attractor", "bifurcations", "close_loop", "compare", "diagram", "drop", "find_flights",
+    "load_profile", "make_ball", "open_recording", "plate_motion", "predict", "run",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -65,11 +43,12 @@ def __getattr__(name: str) -> Any:
         from daq.setup.provenance import software_version
 
         return software_version()
-    if name not in _HOME:
-        raise AttributeError(f"module 'shakerbench' has no attribute {name!r}; it has {', '.join(__all__)}")
     import importlib
 
-    return getattr(importlib.import_module(f"shakerbench.{_HOME[name]}"), name)
+    for module, names in _HOME.items():
+        if name in names:
+            return getattr(importlib.import_module(f"shakerbench.{module}"), name)
+    raise AttributeError(f"module 'shakerbench' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 
 def __dir__() -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,42 +34,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FLIGHT_UNITS = {
-    "takeoff_s": "s",
-    "landing_s": "s",
-    "duration_s": "s",
-    "uncertainty_s": "s",
-    "takeoff_phase": "rad",
-    "landing_phase": "rad",
-    "step": "1",
-    "gamma": "1",
-    "flags": "",
-}
+    "takeoff_s": "s", "landing_s": "s", "duration_s": "s", "uncertainty_s": "s", "takeoff_phase": "rad",
+    "landing_phase": "rad", "step": "1", "gamma": "1", "flags": "",
+}  # fmt: skip
 PLATE_UNITS = {
-    "step": "1",
-    "gamma": "1",
-    "gamma_uncertainty": "1",
-    "gamma_peak": "1",
-    "gamma_drive": "1",
-    "frequency_hz": "Hz",
-    "frequency_uncertainty_hz": "Hz",
-    "masked": "1",
-}
+    "step": "1", "gamma": "1", "gamma_uncertainty": "1", "gamma_peak": "1", "gamma_drive": "1", "frequency_hz": "Hz",
+    "frequency_uncertainty_hz": "Hz", "masked": "1",
+}  # fmt: skip
 COMPARISON_UNITS = {
-    "step": "1",
-    "gamma": "1",
-    "gamma_peak": "1",
-    "measured": "",
-    "predicted": "",
-    "mean_ratio": "1",
-    "rms_s": "s",
-    "within_sample": "1",
-    "unfit_reason": "",
-}
+    "step": "1", "gamma": "1", "gamma_peak": "1", "measured": "", "predicted": "", "mean_ratio": "1", "rms_s": "s",
+    "within_sample": "1", "unfit_reason": "",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
 class FlightTable(Table):
-    """Flights of a recording, one a row; ``flights`` holds every column, the plate and what the edges were worth."""
+    """Flights of a recording, one a row; ``flights`` holds every column, the plate and the uncertainty of edges."""
 
     flights: Flights | None = None
 
@@ -135,13 +116,10 @@ class LoopResult:
 
     def errors(self) -> Table:
         """Errors on the held-out steps before and after, one row each; landings and take-offs in us."""
-        told = self.to_dict()
-        names = [name for name in told["before"] if name in told["after"]]
+        errors = [self.to_dict()[when] for when in ("before", "after")]
+        names = [name for name in errors[0] if name in errors[1]]
         columns: dict[str, Any] = {"which": np.array(["before", "after"])}
-        columns |= {
-            name: np.array([np.nan if told[when][name] is None else told[when][name] for when in ("before", "after")])
-            for name in names
-        }
+        columns |= {name: np.array([one[name] for one in errors], dtype=np.float64) for name in names}  # None: NaN
         units = {name: "us" if "_us" in name else "1" for name in names} | {"which": ""}
         return Table(columns, units, {"noise_floor_us": self.loop.noise_floor_us}, "which")
 
@@ -154,6 +132,16 @@ class LoopResult:
     def write_improved(self, path: str | Path) -> list[str]:
         """Write the recording's profile with the found effects declared, in SI units; returns what was written."""
         return write_improved(self.loop, self.recordings[0], Path(path))
+
+
+@contextmanager
+def _opened(recording: Recording | str | Path) -> Iterator[Recording]:
+    """An open recording, which stays open, or one behind a path."""
+    if isinstance(recording, Recording):
+        yield recording
+    else:
+        with open_file(recording) as opened:
+            yield opened
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -173,11 +161,6 @@ def open_recording(path: str | Path) -> Recording:
     ------
     InputError
         Where the file is missing, not HDF5, or not a recording.
-
-    Examples
-    --------
-    >>> with open_recording("run.h5") as recording:  # doctest: +SKIP
-    ...     recording.read_v("accelerometer", 0, 1000)
     """
     return open_file(path)
 
@@ -199,18 +182,12 @@ def find_flights(recording: Recording | str | Path) -> FlightTable:
     ------
     InputError
         Where the file is no recording.
-
-    Examples
-    --------
-    >>> find_flights("run.h5").to_dataframe()  # doctest: +SKIP
     """
-    if not isinstance(recording, Recording):
-        with open_file(recording) as opened:
-            return find_flights(opened)
-    flights = flights_of(recording)
+    with _opened(recording) as opened:
+        flights = flights_of(opened)
+        attrs = {"recording": opened.path.name, "simulated": int(bool(opened.attrs.get("simulated")))}
     columns: dict[str, Any] = {name: getattr(flights, name) for name in COLUMNS}
     columns["flags"] = np.array([flag_names(int(flags)) for flags in flights.flags], dtype=np.str_)
-    attrs = {"recording": recording.path.name, "simulated": int(bool(recording.attrs.get("simulated")))}
     return FlightTable(columns, FLIGHT_UNITS, attrs, "flight", flights)
 
 
@@ -231,15 +208,9 @@ def plate_motion(recording: Recording | str | Path) -> PlateTable:
     ------
     InputError
         Where the file is no recording.
-
-    Examples
-    --------
-    >>> plate_motion("run.h5")["gamma"]  # doctest: +SKIP
     """
-    if not isinstance(recording, Recording):
-        with open_file(recording) as opened:
-            return plate_motion(opened)
-    motion = plate_of(recording)
+    with _opened(recording) as opened:
+        motion = plate_of(opened)
     fitted = [step for step in motion.steps if step is not None]
     columns = {name: np.array([getattr(step, name) for step in fitted]) for name in PLATE_UNITS}
     return PlateTable(columns, PLATE_UNITS, {"noise_mps2": motion.noise_mps2}, "step", motion)
@@ -270,31 +241,24 @@ def compare(
         Where the file is no recording, or the profile does not fit it.
     ValueError
         For effects that the model does not know.
-
-    Examples
-    --------
-    >>> print(*compare("run.h5").summary, sep="\\n")  # doctest: +SKIP
     """
-    if not isinstance(recording, Recording):
-        with open_file(recording) as opened:
-            return compare(opened, profile=profile, ideal=ideal)
-    if profile is not None:
-        recording.measure_with(load_measuring(profile)[0])
-    flights = flights_of(recording)
-    held = compare_flights(flights, recording.setup, effects={} if ideal else None, steps_table=recording.steps)
+    with _opened(recording) as opened:
+        if profile is not None:
+            opened.measure_with(load_measuring(profile)[0])
+        setup, flights = opened.setup, flights_of(opened)
+        held = compare_flights(flights, setup, effects={} if ideal else None, steps_table=opened.steps)
     columns: dict[str, Any] = {
-        name: np.array([getattr(step, name) for step in held.steps]) for name in COMPARISON_UNITS if name != "measured"
+        name: np.array([step.measured.label if name == "measured" else getattr(step, name) for step in held.steps])
+        for name in COMPARISON_UNITS
     }
-    columns["measured"] = np.array([step.measured.label for step in held.steps], dtype=np.str_)
-    columns = {name: columns[name] for name in COMPARISON_UNITS}
-    summary = tuple(sentences(held, gamma_scale(recording.setup.forcing, held.ratio)))
+    summary = tuple(sentences(held, gamma_scale(setup.forcing, held.ratio)))
     return ComparisonTable(columns, COMPARISON_UNITS, {"effects": ", ".join(held.effects)}, "step", held, summary)
 
 
 def close_loop(
     recordings: Sequence[str | Path] | str | Path, *, profile: str | Path | None = None, anyway: bool = False
 ) -> LoopResult:
-    """Find where measurement and model part, name the missing effect, and tell the error before and after.
+    """Find where measurement and model part, name the missing effect, and report the error before and after.
 
     Parameters
     ----------
@@ -314,11 +278,6 @@ def close_loop(
     ------
     InputError
         Where a file is no recording, contradicts its profile, or holds too few steps.
-
-    Examples
-    --------
-    >>> close_loop(["run.h5"]).verdict  # doctest: +SKIP
-    'explained'
     """
     paths = tuple(Path(p) for p in ([recordings] if isinstance(recordings, str | Path) else recordings))
     setup = None if profile is None else load_measuring(profile)[0]
@@ -360,11 +319,6 @@ def drop(
     ------
     InputError
         For what is no drop test, with the file and what to do.
-
-    Examples
-    --------
-    >>> drop("bounces.wav")["chosen"]  # doctest: +SKIP
-    'constant_restitution'
     """
     paths = tuple(Path(p) for p in ([files] if isinstance(files, str | Path) else files))
     request = Request(paths, fps, scale_m, heights_m=tuple(heights_m), gravity_mps2=g_mps2, seed=seed)

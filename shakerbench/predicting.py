@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.predict.bifurcations import gamma_peak_over_gamma
 from bench.predict.profile_ramp import ramp_json, with_profile
-from bench.predict.request import Request
+from bench.predict.request import Request, gamma_peak_over_gamma
 from model.bifurcations.find import find_bifurcations
 from model.orbits import make_ball as balls
 from model.orbits.attractor import Attractor, Ball
@@ -185,14 +184,8 @@ def diagram(ball: PredictedBall, gammas: ArrayLike, *, carried: bool = False) ->
     """
     values = np.atleast_1d(np.asarray(gammas, dtype=np.float64))
     rows = swept(ball.ball, values) if carried else rows_at(ball.ball, values)
-    columns: dict[str, Any] = {
-        "gamma": rows.gamma,
-        "kind": np.array(KINDS)[rows.kind],
-        "period": rows.period,
-        "flights": rows.flights,
-        "resets": rows.resets,
-        "locked": rows.locked,
-    }
+    names = ("gamma", "kind", "period", "flights", "resets", "locked")
+    columns: dict[str, Any] = {name: getattr(rows, name) for name in names} | {"kind": np.array(KINDS)[rows.kind]}
     units = {name: "1" for name in columns} | {"kind": "", "locked": ""}
     return Diagram(columns, units, {"c": ball.c}, "gamma_index", rows, ball)
 
@@ -254,18 +247,10 @@ def predict(profile: str | Path) -> Table:
     ------
     InputError
         Where there is no such profile, or it has no ramp.
-
-    Examples
-    --------
-    >>> predict("simulated").units["mean_flight_time_s"]  # doctest: +SKIP
-    's'
     """
     rows = ramp_json(with_profile(Request(), str(profile)), str(profile))
-    columns: dict[str, Any] = {
-        name: np.array([row[name] or 0 for row in rows]) for name in ("step", "asked_gamma", "gamma")
-    }
-    columns["kind"] = np.array([row["kind"] for row in rows], dtype=np.str_)
-    columns |= {name: np.array([row[name] or 0 for row in rows]) for name in ("period", "flights")}
+    names = ("step", "asked_gamma", "gamma", "kind", "period", "flights")
+    columns: dict[str, Any] = {name: np.array([row[name] or 0 for row in rows]) for name in names}
     times = [row["flight_time_s"] or [math.nan] for row in rows]
     columns["mean_flight_time_s"] = np.array([float(np.mean(t)) for t in times])
     units = {name: "1" for name in columns} | {"kind": "", "mean_flight_time_s": "s"}

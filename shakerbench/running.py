@@ -19,16 +19,9 @@ from rig.profile import Profile, parse_profile
 from shakerbench.tables import Table
 
 PLAN_UNITS = {
-    "step": "1",
-    "gamma": "1",
-    "gamma_peak": "1",
-    "drive_v": "V",
-    "acceleration_mps2": "m/s^2",
-    "velocity_mps": "m/s",
-    "displacement_m": "m",
-    "start_s": "s",
-    "length_s": "s",
-}
+    "step": "1", "gamma": "1", "gamma_peak": "1", "drive_v": "V", "acceleration_mps2": "m/s^2", "velocity_mps": "m/s",
+    "displacement_m": "m", "start_s": "s", "length_s": "s",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -141,11 +134,6 @@ def run(
     ------
     InputError
         Where a limit forbids a step, the recording exists, or the back end cannot be opened.
-
-    Examples
-    --------
-    >>> run("simulated", "first.h5", scenario="friction", seed=1).how  # doctest: +SKIP
-    'complete'
     """
     own = profile if isinstance(profile, RigProfile) else load_profile(profile)
     refuse_forbidden(own.name, own.profile)

@@ -225,8 +225,10 @@ def _next(
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
     known = weighed(model, fitter, best, judged.ties)
     hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
-    if why := _reached(loop, best, aims, hidden):
-        return None, why
+    if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
+        return None, f"{' + '.join(loop.names)} explains everything"
+    if loop.verdict == "nothing_missing" and not hidden:
+        return None, "nothing is missing, down to the sizes asked for"
     if loop.verdict == "explained":  # only what explains as much is left to be distinguished
         known = known.among([best.names, *(rival.names for rival in judged.ties)])
     wanted = [key for key in aims.until if key in best.free]
@@ -285,15 +287,6 @@ def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]
         side = "below" if block.option.rising else "above"
         words += f"; at gamma = {', '.join(f'{g:g}' for g in twice)} two motions exist, this one comes from {side}"
     return words
-
-
-def _reached(loop: ClosedLoop, best: Hypothesis, aims: Aims, hidden: Mapping[ParameterId, float]) -> str:
-    """Why the aims are reached, or an empty text."""
-    if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
-        return f"{' + '.join(loop.names)} explains everything"
-    if loop.verdict == "nothing_missing" and not hidden:
-        return "nothing is missing, down to the sizes asked for"
-    return ""
 
 
 def _not_shown(loop: ClosedLoop, aims: Aims, known: Weighed) -> dict[ParameterId, float]:

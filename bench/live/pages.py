@@ -88,14 +88,13 @@ class Desk:
             await asyncio.sleep(due - time.monotonic())
 
     def _follow(self, watch: WatchedRun) -> None:
-        """WatchedRun the run that follows the one watched so far, where it was announced."""
-        told = watch.successor
-        if told is None:
+        """Watch the run that follows the one watched so far, where it was announced."""
+        following, watch.successor = watch.successor, None
+        if following is None:
             return
-        watch.successor = None
         with contextlib.suppress(OSError, InputError):  # it is over, or gone: what was watched stays
-            profile, board = load_profile(told["profile"])[0], Board(told["board"])
-            self.hub.tell({"kind": "started", "profile": profile.name, "out": "", "why": told["why"]})
+            profile, board = load_profile(following["profile"])[0], Board(following["board"])
+            self.hub.tell({"kind": "started", "profile": profile.name, "out": "", "why": following["why"]})
             self.watch = WatchedRun(profile, board, self.hub.tell)
             watch.close()
 
@@ -104,14 +103,12 @@ class Desk:
         await self.hub.serve(browser, self._greet, self._obey)
 
     async def _greet(self, browser: Browser) -> None:
-        browser.send(json.dumps(self._offer()))
+        offer = {"kind": "offer", "profiles": self._offered, "scenarios": scenario_names()}
+        browser.send(json.dumps(offer | {"can_start": self._can_start}))
         if self._findings is not None:
             browser.send(json.dumps(self._findings))
         for message in self.watch.history() if self.watch is not None else []:
             browser.send(message)
-
-    def _offer(self) -> Message:
-        return {"kind": "offer", "profiles": self._offered, "scenarios": scenario_names(), "can_start": self._can_start}
 
     @property
     def _can_start(self) -> bool:
@@ -152,7 +149,7 @@ class Desk:
         self._checked = f"{profile}|{scenario}"
         self._passed.discard(self._checked)
         self._check = context.Process(
-            target=run_check, args=(theirs, profile, self._scenario(scenario)), name="check", daemon=True
+            target=run_check, args=(theirs, profile, _known_scenario(scenario)), name="check", daemon=True
         )
         self._check.start()
         theirs.close()
@@ -173,9 +170,6 @@ class Desk:
         self._findings = {"kind": "checked", "key": self._checked, "passed": passed, **found}
         self.hub.tell(self._findings)
 
-    def _scenario(self, name: str) -> str | None:
-        return name if name in scenario_names() else None
-
     def _start_run(self, browser: Browser, said: Message) -> None:
         """Start a ramp whose check was green, in a process of its own that outlives this one."""
         profile, scenario = str(said.get("profile", "")), str(said.get("scenario", ""))
@@ -192,11 +186,15 @@ class Desk:
             self.watch.close()
         board = Board()
         self._run = multiprocessing.get_context("spawn").Process(
-            target=run_profile, args=(profile, board.name, self._scenario(scenario), asked), name="run"
+            target=run_profile, args=(profile, board.name, _known_scenario(scenario), asked), name="run"
         )
         self._run.start()
         self.hub.tell({"kind": "started", "profile": profile, "out": asked.out.name})
         self.watch = WatchedRun(known, board, self.hub.tell)
+
+
+def _known_scenario(name: str) -> str | None:
+    return name if name in scenario_names() else None
 
 
 def _refuse(browser: Browser, why: str) -> None:

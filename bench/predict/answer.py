@@ -1,4 +1,4 @@
-"""The answer to a request of `bench predict`: an orbit, a list of bifurcations, a diagram or a figure of the paper.
+"""The answer to a request of `bench predict`: an orbit, a list of bifurcations, or a diagram.
 
 With ``--json -`` standard output carries the JSON and nothing else; progress goes to standard error.
 """
@@ -7,79 +7,62 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import h5py
 
 from bench.outputs import HDF5, JSON, PICTURE, File, check_outputs
-from bench.predict.bifurcations import bifurcations
 from bench.predict.diagram import diagram
 from bench.predict.orbit import orbit
-from bench.predict.request import Request, ball_for, forcing_of, parse_effects
-from bench.terminal.console import EXIT_USAGE, fail, write_json
+from bench.predict.request import Request, ball_for, forcing_of, gamma_peak_over_gamma, parse_effects
+from bench.terminal.console import write_json
 from daq.setup.errors import InputError
+from model.bifurcations.find import find_bifurcations
+from model.orbits.attractor import Ball
 
 
 def run(request: Request) -> None:
-    """Answer ``request``; leaves with status 2 and one line where it cannot be answered."""
-    with _stopped_at_once() if request.out is None else nullcontext():
+    """Answer ``request``; raises `InputError`, and `ValueError` for what the model refuses."""
+    if request.out is not None or threading.current_thread() is not threading.main_thread():
         _answer(request)
-
-
-@contextmanager
-def _stopped_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process: a compiled search heeds no exception, and no file is half written."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
         return
+    # Ctrl-C ends the process at once: a compiled search heeds no exception, and no file is half written
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        yield
+        _answer(request)
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 def _answer(request: Request) -> None:
     """The branch for each kind of request."""
-    try:
-        _refuse_unwritten(request)
-        check_outputs(
-            File("--out", request.out, HDF5, continues=None if request.overwrite else _is_diagram),
-            File("--figure", request.figure, PICTURE),
-            File("--json", request.json, JSON),
-            inputs=[request.profile], overwrite=request.overwrite,
-        )  # fmt: skip
-        if request.profile is not None:
-            from bench.predict.profile_ramp import print_ramp, ramp_json, with_profile  # pydantic is slow to import
+    _refuse_unwritten(request)
+    check_outputs(
+        File("--out", request.out, HDF5, continues=None if request.overwrite else _is_diagram),
+        File("--figure", request.figure, PICTURE), File("--json", request.json, JSON),
+        inputs=[request.profile], overwrite=request.overwrite,
+    )  # fmt: skip
+    if request.profile is not None:
+        from bench.predict.profile_ramp import print_ramp, ramp_json, with_profile  # pydantic is slow to import
 
-            request = with_profile(request, request.profile)
-            if request.gamma is None and request.gamma_peak is None and request.gamma_range is None:
-                rows = ramp_json(request, str(request.profile))
-                write_json(rows, request.json)
-                if request.json is None:
-                    print_ramp(rows)
-                return
-        ball = ball_for(request)
-        if request.gamma_range is None:
-            orbit(ball, request)
-        elif request.bifurcations:
-            bifurcations(ball, request)
-        else:
-            diagram(ball, request, forcing_of(request), parse_effects(request.effects))
-    except ValueError as error:
-        fail(str(error), EXIT_USAGE)
+        request = with_profile(request, request.profile)
+        if request.gamma is None and request.gamma_peak is None and request.gamma_range is None:
+            rows = ramp_json(request, str(request.profile))
+            write_json(rows, request.json)
+            if request.json is None:
+                print_ramp(rows)
+            return
+    ball = ball_for(request)
+    if request.gamma_range is None:
+        orbit(ball, request)
+    elif request.bifurcations:
+        _bifurcations(ball, request, *request.gamma_range)
+    else:
+        diagram(ball, request, forcing_of(request), parse_effects(request.effects))
 
 
 def _refuse_unwritten(request: Request) -> None:
-    """Refuse a picture or an HDF5 file of what is no diagram: none would be written.
-
-    Raises
-    ------
-    InputError
-        With the option, and what it goes with.
-    """
+    """Refuse a picture or an HDF5 file of what is no diagram: none would be written (raises `InputError`)."""
     if request.gamma_range is not None and not request.bifurcations:
         return
     for option, path in (("--out", request.out), ("--figure", request.figure)):
@@ -96,3 +79,22 @@ def _is_diagram(path: Path) -> bool:
             return "job" in file.attrs and "chunk_done" in file
     except OSError:
         return False
+
+
+def _bifurcations(ball: Ball, request: Request, low: float, high: float) -> None:
+    """Print or write every bifurcation in the gamma range of ``request``."""
+    peak = gamma_peak_over_gamma(forcing_of(request))
+    found = find_bifurcations(ball, low, high, narrowest=request.narrowest, sweep=request.sweep)
+    found = [b for b in found if b.gamma > low]  # what happens at the very start is not a change within the range
+    rows = [
+        {
+            "gamma": b.gamma, "gamma_peak": b.gamma * peak, "type": b.type, "period_before": b.before.period,
+            "period_after": b.after.period,
+        }
+        for b in found
+    ]  # fmt: skip
+    write_json(rows, request.json)
+    if request.json is None:
+        print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")
+        for b in found:
+            print(f"{b.gamma:16.10f} {b.gamma * peak:16.10f}  {b.type:<22} {b.before.period} -> {b.after.period}")

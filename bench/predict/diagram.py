@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.predict.request import Request, check_adaptive
+from bench.predict.request import Request, check_adaptive, seconds_of
 from bench.terminal.console import write_json
 from daq.setup.errors import InputError
 from model.orbits.attractor import Ball
@@ -37,8 +37,6 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     InputError
         For options that contradict one another.
     """
-    if request.steps > MOST_GAMMAS:
-        raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.steps:,}")
     job = _job(request, effects)
     ensemble.check(job)
     if request.json is not None and not request.adaptive:
@@ -53,14 +51,14 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
         if request.sweep or request.grid or request.workers > 1 or request.cluster:
             raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")
         check_adaptive(request.steps)
-        low, high = request.gamma_range or (0.0, 0.0)
-        rows = adaptive(partial(rows_at, ball), low, high, request.steps)
+        rows = adaptive(partial(rows_at, ball), *(request.gamma_range or (0.0, 0.0)), request.steps)
         if request.out is not None:
             ensemble.save(job, rows, request.out)
     else:
         rows = _flown(job, request)
     if request.json is not None:
-        write_json(_rows_json(rows, job), request.json)
+        _check_json(rows.gamma.size, job)
+        write_json([_row_json(rows, i, job) for i in range(rows.gamma.size)], request.json)
     if request.figure is not None and not job.axes:
         from bench.predict.figures import diagram_picture  # matplotlib is slow to import
 
@@ -68,50 +66,42 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
 
 
 def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemble.Job:
+    """The diagram as a job of points, which may be flown in part and gone on with; raises `InputError`."""
+    if request.steps > MOST_GAMMAS:
+        raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.steps:,}")
     low, high = request.gamma_range or (0.0, 0.0)
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
         raise InputError(f"--gamma-range wants a smaller and a larger number, neither negative, not {low:g} {high:g}")
-    gammas = np.linspace(low, high, request.steps)
-    if request.sweep == "down":
-        gammas = gammas[::-1]
+    gammas = np.linspace(low, high, request.steps)[:: -1 if request.sweep == "down" else 1]
+    axes = []
+    for text in request.grid:
+        name, equals, values = text.partition("=")
+        wanted = f"--grid wants name.parameter=from:to:count, such as restitution.e0=0:0.9:10, not {text!r}"
+        try:
+            first, last, count = values.split(":")
+            if int(count) > MOST_GAMMAS:
+                raise OverflowError(f"--grid wants at most {MOST_GAMMAS:,} values of {name}, not {int(count):,}")
+            numbers = np.linspace(float(first), float(last), int(count))
+        except ValueError as error:
+            raise InputError(wanted) from error
+        except OverflowError as error:
+            raise InputError(str(error)) from error
+        if not (equals and "." in name and numbers.size and np.all(np.isfinite(numbers))):
+            raise InputError(wanted)
+        axes.append(ensemble.Axis(name.strip(), tuple(numbers.tolist())))
     return ensemble.Job(
-        ratio=request.ratio,
-        gammas=tuple(gammas.tolist()),
-        phase_rad=math.radians(request.phase_deg),
-        effects=effects,
-        axes=tuple(_axis(text) for text in request.grid),
-        frequency_hz=request.frequency_hz,
-        sweep=request.sweep is not None,
-        keep=request.keep,
-        g_mps2=request.g_mps2,
-    )
-
-
-def _axis(text: str) -> ensemble.Axis:
-    name, equals, values = text.partition("=")
-    try:
-        low, high, count = values.split(":")
-        if int(count) > MOST_GAMMAS:
-            raise InputError(f"--grid wants at most {MOST_GAMMAS:,} values of {name}, not {int(count):,}")
-        numbers = np.linspace(float(low), float(high), int(count))
-    except InputError:
-        raise
-    except ValueError:
-        numbers = np.empty(0)
-    if not (equals and "." in name and numbers.size and np.all(np.isfinite(numbers))):
-        raise InputError(f"--grid wants name.parameter=from:to:count, such as restitution.e0=0:0.9:10, not {text!r}")
-    return ensemble.Axis(name.strip(), tuple(numbers.tolist()))
+        request.ratio, tuple(gammas.tolist()), math.radians(request.phase_deg), effects, tuple(axes),
+        frequency_hz=request.frequency_hz, sweep=request.sweep is not None, keep=request.keep, g_mps2=request.g_mps2,
+    )  # fmt: skip
 
 
 def _flown(job: ensemble.Job, request: Request) -> Rows:
+    """The rows of a job, flown into its file; none where nobody asks for them."""
     with tempfile.TemporaryDirectory() as folder:
         path = request.out or Path(folder) / "diagram.h5"
-        ensemble.run(
-            job, path, workers=request.workers, cluster=request.cluster,
-            progress=Progress("points"),
-        )  # fmt: skip
+        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=Progress("points"))
         if request.figure is not None and job.axes:
-            from bench.predict.map_picture import map_picture  # matplotlib is slow to import
+            from bench.predict.figures import map_picture  # matplotlib is slow to import
 
             map_picture(path, job, request.figure)
         if (request.figure is None or job.axes) and request.json is None:
@@ -129,34 +119,22 @@ class Progress:
     def __call__(self, done: int, total: int) -> None:
         """Say how far it is."""
         now = time.monotonic()
-        if now - self.said < 1.0:
-            return
-        self.said = now
-        sys.stderr.write(f"{done} of {total} {self.what}, {now - self.began:.0f} s\n")
+        if now - self.said >= 1.0:
+            self.said = now
+            sys.stderr.write(f"{done} of {total} {self.what}, {now - self.began:.0f} s\n")
 
 
 def _check_json(size: int, job: ensemble.Job) -> None:
+    """Refuse more rows than a JSON is good for (raises `InputError`)."""
     if size > MOST_ROWS_AS_JSON or job.axes:
         raise InputError(f"as JSON at most {MOST_ROWS_AS_JSON} gammas and no --grid; give --out for HDF5")
 
 
-def _rows_json(rows: Rows, job: ensemble.Job) -> list[dict[str, Any]]:
-    _check_json(rows.gamma.size, job)
-    out = []
-    for i in range(rows.gamma.size):
-        tau = rows.tau[i][np.isfinite(rows.tau[i])].tolist()
-        seconds = None if job.frequency_hz is None else [t / (2.0 * math.pi * job.frequency_hz) for t in tau]
-        out.append(
-            {
-                "c": job.ratio,
-                "gamma": float(rows.gamma[i]),
-                "kind": KINDS[int(rows.kind[i])],
-                "period": int(rows.period[i]) or None,
-                "flights": int(rows.flights[i]),
-                "resets": int(rows.resets[i]),
-                "locked": bool(rows.locked[i]),
-                "tau": tau,
-                "flight_time_s": seconds,
-            }
-        )
-    return out
+def _row_json(rows: Rows, i: int, job: ensemble.Job) -> dict[str, Any]:
+    """The attractor of a row as scripts read it."""
+    tau = rows.tau[i][np.isfinite(rows.tau[i])].tolist()
+    return {
+        "c": job.ratio, "gamma": float(rows.gamma[i]), "kind": KINDS[int(rows.kind[i])],
+        "period": int(rows.period[i]) or None, "flights": int(rows.flights[i]), "resets": int(rows.resets[i]),
+        "locked": bool(rows.locked[i]), "tau": tau, "flight_time_s": seconds_of(tau, job.frequency_hz),
+    }  # fmt: skip

@@ -1,35 +1,44 @@
-"""Pictures of `bench predict`: bifurcation diagrams with their forbidden zones.
+"""Pictures of `bench predict`: diagrams with their forbidden zones, and maps of periods.
 
 An axis says which gamma it shows, and whether a time is in seconds or in forcing periods.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
 
+import h5py
+import matplotlib
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
 
 from analysis.report.figures import style
 from analysis.report.figures.zones import draw_zones, zones_over
 from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
 from bench.predict.request import Request
 from daq.setup.errors import InputError
+from kernels.arrays import Integers
 from model.bifurcations.events import bifurcations
 from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import Rows
+from model.surveys.ensemble import Job
 from model.tones import Forcing
 
 ZONE_GAMMAS = 400
+DOTS = 1600  # of the picture along each axis, at most
+PERIODS = (1, 2, 3, 4, 6, 8, 12, 16, 32, 64)  # lower bounds of the colours
+CHAOTIC, AT_REST = -1, 0
+NAMES = {"restitution.e0": "restitution e", "coulomb_friction.mu": "friction μ"}
 STYLE: dict[Any, Any] = style.STYLE | {"xtick.top": True, "savefig.dpi": 200}
 
 
 def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) -> None:
-    """Draw one diagram; the forbidden zones are those of the ideal ball and are drawn for it alone."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
+    """Draw one diagram; the forbidden zones are those of the ideal ball and are drawn for it only."""
     ideal = not request.effects and not request.sweep
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 4.4), layout="constrained")
@@ -86,14 +95,50 @@ def _marks(ax: Any, forcing: Forcing, low: float, high: float, scale: float) -> 
             ax.axvline(event.gamma * scale, color=style.EVENT, lw=0.6, ls=(0, (4, 3)), zorder=0)
             if event.gamma - last > (high - low) / 40.0:
                 ax.text(
-                    event.gamma * scale,
-                    0.985,
-                    f" {kinds[event.type]}",
-                    rotation=90,
-                    va="top",
-                    ha="left",
-                    fontsize=7,
-                    color=style.EVENT,
-                    transform=ax.get_xaxis_transform(),
-                )
+                    event.gamma * scale, 0.985, f" {kinds[event.type]}", rotation=90, va="top", ha="left", fontsize=7,
+                    color=style.EVENT, transform=ax.get_xaxis_transform(),
+                )  # fmt: skip
             last = event.gamma
+
+
+def map_picture(path: Path, job: Job, picture: Path) -> None:
+    """Draw the map of ``job``, whose points are in the file ``path``: the period of the attractor reached from rest.
+
+    Grey is chaos, white is rest. A picture of fewer dots than points shows every n-th: a mean of periods says nothing.
+    """
+    rows, columns = job.shape
+    step = -(-max(rows, columns) // DOTS)
+    with h5py.File(path, "r") as file:
+        period = np.array([_periods(file, i * columns, (i + 1) * columns, step) for i in range(0, rows, step)])
+    axis, gammas = job.axes[0], job.gammas
+    with matplotlib.rc_context(style.STYLE):
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        ax = figure.subplots()
+        colours = colormaps["viridis"](np.linspace(0.0, 1.0, len(PERIODS)))
+        shades = ListedColormap(["0.6", "white", *colours])
+        norm = BoundaryNorm([-1.5, -0.5, *(p - 0.5 for p in PERIODS), 2 * PERIODS[-1]], shades.N)
+        extent = (gammas[0], gammas[-1], axis.values[0], axis.values[-1])
+        shown = ax.imshow(
+            period, origin="lower", aspect="auto", extent=extent, cmap=shades, norm=norm, interpolation="nearest"
+        )
+        ax.set_xlabel(GAMMA_LABEL)
+        ax.set_ylabel(NAMES.get(axis.name, axis.name))
+        bar = figure.colorbar(
+            shown, ax=ax, spacing="uniform", label="period of the attractor from rest, forcing periods"
+        )
+        edges = norm.boundaries
+        bar.set_ticks(0.5 * (edges[:-1] + edges[1:]))
+        last = [f"{PERIODS[-1]} and more"]
+        labels = [f"{a}" if b == a + 1 else f"{a} to {b - 1}" for a, b in itertools.pairwise(PERIODS)] + last
+        bar.set_ticklabels(["chaotic", "at rest", *labels])
+        ax.set_title(
+            f"c = {job.ratio}: {columns} x {rows} points" + (f", one of {step} x {step} shown" if step > 1 else "")
+        )
+        figure.savefig(picture, dpi=200)
+
+
+def _periods(file: h5py.File, start: int, stop: int, step: int) -> Integers:
+    some = slice(start, stop, step)
+    flights, kind = file["flights"][some], file["kind"][some]
+    period = np.minimum(file["period"][some], PERIODS[-1])
+    return np.where(kind == 2, CHAOTIC, np.where(flights == 0, AT_REST, period))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.predict.request import Request, forcing_of
+from bench.predict.request import Request, forcing_of, seconds_of
 from bench.terminal.console import CYCLES, print_lines, write_json
 from daq.setup.errors import InputError
 from model.orbits.attractor import Attractor, Ball, attractor, sweep
@@ -17,7 +17,15 @@ SWEEP_STEPS = 400  # gammas of the sweep that leads to a single gamma
 
 def orbit(ball: Ball, request: Request) -> None:
     """Print or write the attractor at the gamma of ``request``; raises `InputError` where it names none."""
-    gamma = _gamma(request)
+    if (request.gamma is None) == (request.gamma_peak is None):
+        raise InputError("give one of --gamma, --gamma-peak (at c = 1), --gamma-range and --profile")
+    gamma = request.gamma
+    if gamma is None:
+        if request.ratio != 1:
+            raise InputError("--gamma-peak goes with --c 1 only; give --gamma, the paper's A w^2 / g")
+        gamma = (request.gamma_peak or 0.0) / forcing_of(request).amplitude[0]
+    if not (math.isfinite(gamma) and gamma >= 0.0):
+        raise InputError(f"gamma wants a number that is not negative, not {gamma!r}")
     if request.sweep is None:
         found = attractor(ball, gamma)
     else:
@@ -36,32 +44,8 @@ def orbit(ball: Ball, request: Request) -> None:
 
 def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float | None) -> dict[str, Any]:
     """One orbit as scripts read it."""
-    tau = [float(t) for t in found.tau]
-    seconds = None if frequency_hz is None else [t / (2.0 * math.pi * frequency_hz) for t in tau]
-    return {
-        "c": ratio,
-        "gamma": gamma,
-        "kind": found.kind,
-        "period": found.period,
-        "flights": found.flights,
-        "resets": found.resets,
-        "locked": found.locked,
-        "tau": tau,
-        "flight_time_s": seconds,
-    }
-
-
-def _gamma(request: Request) -> float:
-    """The one gamma that is asked for, given as such or as gamma_peak."""
-    if (request.gamma is None) == (request.gamma_peak is None):
-        raise InputError("give one of --gamma, --gamma-peak (at c = 1), --gamma-range and --profile")
-    if request.gamma is not None:
-        value = request.gamma
-    else:
-        if request.ratio != 1:
-            raise InputError("--gamma-peak goes with --c 1 alone; give --gamma, the paper's A w^2 / g")
-        first = forcing_of(request).amplitude[0]
-        value = (request.gamma_peak or 0.0) / first
-    if not (math.isfinite(value) and value >= 0.0):
-        raise InputError(f"gamma wants a number that is not negative, not {value!r}")
-    return value
+    row: dict[str, Any] = {"c": ratio, "gamma": gamma}
+    row |= {name: getattr(found, name) for name in ("kind", "period", "flights", "resets", "locked")}
+    row["tau"] = [float(t) for t in found.tau]
+    row["flight_time_s"] = seconds_of(row["tau"], frequency_hz)
+    return row

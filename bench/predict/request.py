@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.setup.errors import InputError
+from model.flight.branches import q_and_slope
+from model.flight.first_landing import turning_points
 from model.orbits.attractor import Ball
 from model.orbits.make_ball import make_ball
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
@@ -91,3 +93,13 @@ def check_adaptive(steps: int) -> None:
     """Refuse more gammas than an adaptive diagram, kept in memory, can be refined from."""
     if steps > MOST_ADAPTIVE:
         raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
+
+
+def seconds_of(tau: list[float], frequency_hz: float | None) -> list[float] | None:
+    """Flight times in seconds; None without a frequency."""
+    return None if frequency_hz is None else [t / (2.0 * math.pi * frequency_hz) for t in tau]
+
+
+def gamma_peak_over_gamma(forcing: Forcing) -> float:
+    """Peak acceleration of the plate over A w^2, dimensionless."""
+    return max(q_and_slope(forcing.tones, float(p))[0] for p in turning_points(forcing))

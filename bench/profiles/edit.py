@@ -71,7 +71,11 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
         table: MutableMapping[str, Any] = document
         for depth, name in enumerate(tables):
             table = _table(table, name, where, holds_tables=depth + 1 < len(tables))
-        table[key] = _item(value)
+        if isinstance(value, Mapping):
+            table[key] = tomlkit.inline_table()
+            table[key].update(value)
+        else:
+            table[key] = value
         plain = wanted
         for name in tables:
             plain = plain.setdefault(name, {})
@@ -123,15 +127,6 @@ def _table(parent: MutableMapping[str, Any], name: str, where: str, *, holds_tab
     if not isinstance(found, MutableMapping):
         raise InputError(f"{where}: {name}: expected a table, found {found!r}")
     return found
-
-
-def _item(value: Any) -> Any:
-    """A mapping as an inline table; anything else as it is."""
-    if not isinstance(value, Mapping):
-        return value
-    item = tomlkit.inline_table()
-    item.update(value)
-    return item
 
 
 def _quantity(one: Quantity, on: datetime.date) -> dict[str, Any]:

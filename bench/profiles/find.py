@@ -32,24 +32,12 @@ def scenario_names() -> list[str]:
 
 
 def find_profile(name_or_path: str | Path) -> Path:
-    """The profile's file.
-
-    Raises
-    ------
-    daq.setup.errors.InputError
-        When there is neither such a file nor such a shipped profile.
-    """
+    """The profile's file; raises `InputError` where there is neither such a file nor such a shipped profile."""
     return _find(Path(name_or_path), "rig_profiles", "profile", shipped_names())
 
 
 def find_scenario(name_or_path: str | Path) -> Path:
-    """The scenario's file.
-
-    Raises
-    ------
-    daq.setup.errors.InputError
-        When there is neither such a file nor such a shipped scenario.
-    """
+    """The scenario's file; raises `InputError` where there is neither such a file nor such a shipped scenario."""
     return _find(Path(name_or_path), "scenarios", "scenario", scenario_names())
 
 
@@ -83,12 +71,10 @@ def load_measuring(name_or_path: str | Path) -> tuple[Setup, str]:
 
 def _check_declared(setup: Setup, path: Path) -> None:
     """Refuse declared effects that the model does not know; neither `rig` nor `daq` imports the model."""
-    if not setup.declared:
-        return
-    from model.effects.registry import resolve
-
     faults = []
     for name, values in setup.declared_values().items():
+        from model.effects.registry import resolve  # slow, and most profiles declare nothing
+
         try:
             resolve({name: values})
         except ValueError as error:

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 from daq.files.json_values import json_object
 
 if TYPE_CHECKING:
-    from analysis.flights.compare import Comparison, StepComparison
+    from analysis.flights.compare import Comparison
     from analysis.report.gamma import GammaScale
+
+BAND = ("low_s", "high_s", "observed", "expected", "p_value")
 
 
 def unfit_steps(held: Comparison) -> list[str]:
@@ -26,8 +28,7 @@ def unfit_steps(held: Comparison) -> list[str]:
 
 def sentences(held: Comparison, scale: GammaScale) -> list[str]:
     """The result of a comparison in sentences, gamma as ``scale`` shows it."""
-    effects = ", ".join(held.effects) if held.effects else "no effects (ideal)"
-    out = [f"model with {effects}"]
+    out = [f"model with {', '.join(held.effects) or 'no effects (ideal)'}"]
     if held.short_by == held.short_by:
         size, way = abs(100 * held.short_by), "shorter" if held.short_by >= 0 else "longer"
         out.append(
@@ -55,60 +56,42 @@ def sentences(held: Comparison, scale: GammaScale) -> list[str]:
     if bands:
         observed, expected = sum(b.observed for b in bands), sum(b.expected for b in bands)
         out.append(f"flights in the ideal ball's forbidden bands: {observed} (their neighbourhood: {expected:.0f})")
-    out.append(scale.definition)
-    return out
+    return [*out, scale.definition]
 
 
 def comparison_json(held: Comparison) -> dict[str, Any]:
     """The comparison for a machine; times in s, None for what does not exist."""
-    first = held.first
-    bracket = None if first.measured is None else [first.measured.gamma_before, first.measured.gamma_after]
-    return json_object(
+    first, change = held.first, held.first.measured
+    steps = [
         {
-            "model_effects": list(held.effects),
-            "flights_short_by": held.short_by,
-            "within_one_sample": held.within_sample,
-            "periodic_flights": held.periodic_flights,
-            "double_hits": held.double_hits,
-            "first_bifurcation": {
-                "measured_type": None if first.measured is None else first.measured.type,
-                "measured_bracket_gamma": bracket,
-                "predicted_type": first.predicted_type or None,
-                "predicted_gamma": first.predicted_gamma,
-                "predicted_gamma_same_type": first.same_type_gamma,
-                "measured_over_predicted": first.ratio,
-            },
-            "changes": [
-                {
-                    "type": c.type,
-                    "bracket_gamma": [c.gamma_before, c.gamma_after],
-                    "before": c.before.label,
-                    "after": c.after.label,
-                }
-                for c in held.changes
-            ],
-            "steps": [_step_json(s) for s in held.steps],
+            "step": s.step, "gamma": s.gamma, "gamma_peak": s.gamma_peak, "measured": s.measured.label,
+            "flights": s.measured.flights, "double_hits": s.measured.double_hits, "predicted": s.predicted,
+            "unfit_reason": s.unfit_reason or None, "predicted_flight_times_s": s.predicted_s,
+            "mean_flight_time_ratio": s.mean_ratio, "rms_s": s.rms_s, "within_one_sample": s.within_sample,
+            "forbidden_bands": [{name: getattr(band, name) for name in BAND} for band in s.bands],
         }
-    )
-
-
-def _step_json(own: StepComparison) -> dict[str, Any]:
-    """One step for a machine."""
-    return {
-        "step": own.step,
-        "gamma": own.gamma,
-        "gamma_peak": own.gamma_peak,
-        "measured": own.measured.label,
-        "flights": own.measured.flights,
-        "double_hits": own.measured.double_hits,
-        "predicted": own.predicted,
-        "unfit_reason": own.unfit_reason or None,
-        "predicted_flight_times_s": own.predicted_s,
-        "mean_flight_time_ratio": own.mean_ratio,
-        "rms_s": own.rms_s,
-        "within_one_sample": own.within_sample,
-        "forbidden_bands": [
-            {"low_s": b.low_s, "high_s": b.high_s, "observed": b.observed, "expected": b.expected, "p_value": b.p_value}
-            for b in own.bands
+        for s in held.steps
+    ]  # fmt: skip
+    return json_object({
+        "model_effects": list(held.effects),
+        "flights_short_by": held.short_by,
+        "within_one_sample": held.within_sample,
+        "periodic_flights": held.periodic_flights,
+        "double_hits": held.double_hits,
+        "first_bifurcation": {
+            "measured_type": None if change is None else change.type,
+            "measured_bracket_gamma": None if change is None else [change.gamma_before, change.gamma_after],
+            "predicted_type": first.predicted_type or None,
+            "predicted_gamma": first.predicted_gamma,
+            "predicted_gamma_same_type": first.same_type_gamma,
+            "measured_over_predicted": first.ratio,
+        },
+        "changes": [
+            {
+                "type": c.type, "bracket_gamma": [c.gamma_before, c.gamma_after], "before": c.before.label,
+                "after": c.after.label,
+            }
+            for c in held.changes
         ],
-    }
+        "steps": steps,
+    })  # fmt: skip

@@ -16,11 +16,6 @@ from rig.execution.operator import StopRequest
 from rig.programme.sequencer import Stop
 
 
-def _numbers() -> list[signal.Signals]:
-    """Those of them that this system has (Windows has no SIGHUP and no SIGQUIT)."""
-    return [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
-
-
 def leave_keys_to_the_parent() -> None:
     """Ignore what the keys of a terminal send to all its processes: Ctrl-C, and Ctrl-\\ where there is SIGQUIT."""
     for name in ("SIGINT", "SIGQUIT"):
@@ -46,7 +41,9 @@ def stop_on_signals(request: StopRequest | None = None) -> Iterator[StopRequest]
         if name != "SIGHUP":
             asked.append(name)
 
-    before = {number: signal.signal(number, handle) for number in _numbers()}
+    # Windows has no SIGHUP and no SIGQUIT
+    known = [signal.Signals[n] for n in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, n)]
+    before = {number: signal.signal(number, handle) for number in known}
     try:
         yield request
     finally:

@@ -14,7 +14,9 @@ import sys
 import unicodedata
 import warnings
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import TextIO, cast
+
+from bench.terminal.console import warn
 
 FALLBACK = "nearest"
 PLAIN = {
@@ -101,10 +103,4 @@ def make_safe() -> None:
     if not sys.warnoptions:
         # a number that is not finite is answered where it matters; the line of a library helps no one at a bench
         warnings.simplefilter("ignore", RuntimeWarning)
-        warnings.showwarning = _one_line
-
-
-def _one_line(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    """A warning without the source line it comes from."""
-    del category, where, more
-    sys.stderr.write(f"warning: {' '.join(str(message).split())}\n")
+        warnings.showwarning = lambda message, *_, **__: warn(" ".join(str(message).split()))

@@ -11,9 +11,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import socket
-from collections.abc import MutableMapping
 from dataclasses import dataclass
-from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -26,8 +24,7 @@ from daq.setup.errors import InputError
 LOOPBACK = "127.0.0.1"
 COOKIE = "shakerbench_token"
 MOST_BODY_BYTES = 1_000_000
-_SAFE = ("GET", "HEAD")
-_REFUSED = 4403  # close code of a websocket
+REFUSED = 4403  # close code of a websocket
 
 
 @dataclass(frozen=True)
@@ -110,7 +107,7 @@ class Guard:
             await self._app(scope, _bounded(receive), confined)
         elif scope["type"] == "websocket":
             await receive()  # the connection's opening
-            await send({"type": "websocket.close", "code": _REFUSED, "reason": "refused"})
+            await send({"type": "websocket.close", "code": REFUSED, "reason": "refused"})
         else:
             await answer(scope, receive, confined)
 
@@ -119,13 +116,12 @@ class Guard:
         hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or not self._access.knows_host(hosts[0]):
             return PlainTextResponse("421: this server is not known by that name", 421)
-        method = scope.get("method", "")
-        if origins or method not in _SAFE:  # a websocket has no method: it must have an origin
-            if origins != [f"http://{hosts[0]}"]:
-                return PlainTextResponse("403: only pages of this server may ask for that", 403)
-        elif (
-            headers.get("sec-fetch-site") in ("cross-site", "same-site") and headers.get("sec-fetch-dest") != "document"
-        ):
+        # a websocket has no method: like all that changes something it must come from a page of this server
+        must_be_ours = bool(origins) or scope.get("method", "") not in ("GET", "HEAD")
+        foreign = headers.get("sec-fetch-site") in ("cross-site", "same-site")
+        if must_be_ours and origins != [f"http://{hosts[0]}"]:
+            return PlainTextResponse("403: only pages of this server may ask for that", 403)
+        if not must_be_ours and foreign and headers.get("sec-fetch-dest") != "document":
             return PlainTextResponse("403: pages of other sites may only link to this one", 403)
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > MOST_BODY_BYTES:
@@ -133,11 +129,9 @@ class Guard:
         return None
 
     def _without_token(self, scope: Scope, headers: Headers) -> Response | None:
-        """Answer to a request without the token; it is taken once from the address and kept as a cookie."""
+        """Answer to a request without the token; it is taken once from the address and stored as a cookie."""
         token = self._access.token
-        if token is None:
-            return None
-        if _same(cookie_parser(headers.get("cookie", "")).get(COOKIE, ""), token):
+        if token is None or _same(cookie_parser(headers.get("cookie", "")).get(COOKIE, ""), token):
             return None
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
         if scope["type"] == "http" and scope["method"] == "GET" and _same(dict(query).get("token", ""), token):
@@ -150,6 +144,7 @@ class Guard:
 
 
 def _same(given: str, wanted: str) -> bool:
+    """Whether two secrets are one, in a time that does not depend on where they differ."""
     return hmac.compare_digest(given.encode(), wanted.encode())
 
 
@@ -171,25 +166,7 @@ def _bounded(receive: Receive) -> Receive:
 
 def _confined(send: Send, host: str) -> Send:
     """``send`` with headers that let a page load from this server only; a route's own headers stay."""
-
-    async def confined(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            headers = MutableHeaders(scope=_with_headers(message))
-            for name, value in _headers(host).items():
-                headers.setdefault(name, value)
-        await send(message)
-
-    return confined
-
-
-def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    message.setdefault("headers", [])
-    return message
-
-
-def _headers(host: str) -> dict[str, str]:
-    """Headers of every answer."""
-    return {
+    confining = {
         "content-security-policy": (
             "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
             f"connect-src 'self' ws://{host}; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
@@ -201,3 +178,13 @@ def _headers(host: str) -> dict[str, str]:
         "cross-origin-resource-policy": "same-origin",
         "cache-control": "no-store",
     }
+
+    async def confined(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message.setdefault("headers", [])
+            headers = MutableHeaders(scope=message)
+            for name, value in confining.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return confined

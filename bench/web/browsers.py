@@ -147,15 +147,11 @@ class Hub:
         """Tell every browser whether it holds the controls."""
         lease = self.lease
         for one in self.browsers:
-            message = {
-                "kind": "lease",
-                "mine": lease.may(one.name),
-                "free": lease.holder is None,
-                "asked": lease.asked_by is not None,
-                "asked_by_me": lease.asked_by == one.name,
+            one.send(json.dumps({
+                "kind": "lease", "mine": lease.may(one.name), "free": lease.holder is None,
+                "asked": lease.asked_by is not None, "asked_by_me": lease.asked_by == one.name,
                 "browsers": len(self.browsers),
-            }
-            one.send(json.dumps(message))
+            }))  # fmt: skip
 
     def tell(self, message: Mapping[str, Any] | bytes, *, passing: bool = False) -> None:
         """Tell all browsers."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
@@ -56,11 +55,6 @@ class Section:
     routes: Sequence[BaseRoute]
     static: Path | None = None
     running: Callable[[], AbstractAsyncContextManager[None]] | None = None
-
-
-def load_sections(modules: Sequence[str], place: Place) -> list[Section]:
-    """The sections of ``modules`` (dotted names), each made by its function ``section(place)``."""
-    return [importlib.import_module(name).section(place) for name in modules]
 
 
 def templates_of(folder: Path) -> Jinja2Templates:

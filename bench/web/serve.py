@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import secrets
 import socket
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +12,7 @@ import uvicorn
 
 from bench.web.access import LOOPBACK, Access, is_loopback
 from bench.web.application import make_app
-from bench.web.section import Place, load_sections
+from bench.web.section import Place
 from daq.setup.errors import InputError
 
 PORT = 8625
@@ -69,7 +70,7 @@ def serve(
     listening, access
         Of `bind`.
     modules
-        Dotted names (`bench.web.section.load_sections`).
+        Dotted names of modules whose function ``section(place)`` makes a section.
     place
         What the sections are made for.
     on_ready
@@ -78,7 +79,7 @@ def serve(
         Whether Ctrl-C and SIGTERM end the server.
     """
     config = uvicorn.Config(
-        make_app(access, load_sections(modules, place)),
+        make_app(access, [importlib.import_module(name).section(place) for name in modules]),
         log_level="warning",
         access_log=False,
         server_header=False,
