@@ -161,6 +161,11 @@ def open_recording(path: str | Path) -> Recording:
     ------
     InputError
         Where the file is missing, not HDF5, or not a recording.
+
+    Examples
+    --------
+    >>> with open_recording("run.h5") as recording:  # doctest: +SKIP
+    ...     recording.read_v("accelerometer", 0, 1000)
     """
     return open_file(path)
 
@@ -182,6 +187,10 @@ def find_flights(recording: Recording | str | Path) -> FlightTable:
     ------
     InputError
         Where the file is no recording.
+
+    Examples
+    --------
+    >>> find_flights("run.h5").to_dataframe()  # doctest: +SKIP
     """
     with _opened(recording) as opened:
         flights = flights_of(opened)
@@ -208,6 +217,10 @@ def plate_motion(recording: Recording | str | Path) -> PlateTable:
     ------
     InputError
         Where the file is no recording.
+
+    Examples
+    --------
+    >>> plate_motion("run.h5")["gamma"]  # doctest: +SKIP
     """
     with _opened(recording) as opened:
         motion = plate_of(opened)
@@ -241,6 +254,10 @@ def compare(
         Where the file is no recording, or the profile does not fit it.
     ValueError
         For effects that the model does not know.
+
+    Examples
+    --------
+    >>> print(*compare("run.h5").summary, sep="\\n")  # doctest: +SKIP
     """
     with _opened(recording) as opened:
         if profile is not None:
@@ -278,6 +295,11 @@ def close_loop(
     ------
     InputError
         Where a file is no recording, contradicts its profile, or holds too few steps.
+
+    Examples
+    --------
+    >>> close_loop(["run.h5"]).verdict  # doctest: +SKIP
+    'explained'
     """
     paths = tuple(Path(p) for p in ([recordings] if isinstance(recordings, str | Path) else recordings))
     setup = None if profile is None else load_measuring(profile)[0]
@@ -319,6 +341,11 @@ def drop(
     ------
     InputError
         For what is no drop test, with the file and what to do.
+
+    Examples
+    --------
+    >>> drop("bounces.wav")["chosen"]  # doctest: +SKIP
+    'constant_restitution'
     """
     paths = tuple(Path(p) for p in ([files] if isinstance(files, str | Path) else files))
     request = Request(paths, fps, scale_m, heights_m=tuple(heights_m), gravity_mps2=g_mps2, seed=seed)

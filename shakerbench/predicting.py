@@ -247,6 +247,11 @@ def predict(profile: str | Path) -> Table:
     ------
     InputError
         Where there is no such profile, or it has no ramp.
+
+    Examples
+    --------
+    >>> predict("simulated").units["mean_flight_time_s"]  # doctest: +SKIP
+    's'
     """
     rows = ramp_json(with_profile(Request(), str(profile)), str(profile))
     names = ("step", "asked_gamma", "gamma", "kind", "period", "flights")

@@ -134,6 +134,11 @@ def run(
     ------
     InputError
         Where a limit forbids a step, the recording exists, or the back end cannot be opened.
+
+    Examples
+    --------
+    >>> run("simulated", "first.h5", scenario="friction", seed=1).how  # doctest: +SKIP
+    'complete'
     """
     own = profile if isinstance(profile, RigProfile) else load_profile(profile)
     refuse_forbidden(own.name, own.profile)

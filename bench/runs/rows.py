@@ -33,9 +33,9 @@ def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
     note, notes
         As `bench ramp` was given it; that one and those typed during the run, a line each.
     """
-    known = isinstance(header, Header)
-    attrs: Mapping[str, Any] = header.attrs if isinstance(header, Header) else {}
-    row: dict[str, Any] = {"id": run_id(path), "path": path, "identity": header.identity if known else ""}
+    attrs: Mapping[str, Any] = {} if isinstance(header, Unread) else header.attrs
+    identity = "" if isinstance(header, Unread) else header.identity
+    row: dict[str, Any] = {"id": run_id(path), "path": path, "identity": identity}
     nothing = (
         "date", "profile", "c", "frequency_hz", "gamma_low", "gamma_high", "steps", "seconds", "rate_hz", "n_samples",
         "lost_samples",
