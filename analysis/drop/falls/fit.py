@@ -135,6 +135,7 @@ def fit_falls(
     found = least_squares(left, np.array(begin), jac=slopes, x_scale="jac", max_nfev=60, ftol=1e-6)
     freedom = max(int(bounds[-1]) - len(found.x) + len(judged), 1)
     sigma = float(np.sqrt(found.fun @ found.fun / freedom))
-    wide = np.sqrt(np.maximum(np.diag(np.linalg.pinv(found.jac.T @ found.jac)), 0.0)) * sigma
+    steep = slopes(found.x)
+    wide = np.sqrt(np.maximum(np.diag(np.linalg.pinv(steep.T @ steep)), 0.0)) * sigma
     residuals = np.split(found.fun[: bounds[-1]], bounds[1:-1])
     return FallFit(tuple(names), named(found.x), named(wide), residuals, sigma)

@@ -122,11 +122,11 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, share: Mapping[str, float]
     # does not is no disagreement between them.
     alike, scaled = tried(*_RICHEST), tried(*_RICHEST, "axis_scale")
     more = float(scaled.scores.sum() - alike.scores.sum()) > LEAST_GAIN_NATS and scaled.plausible
-    made = {_RICHEST: scaled if more else alike}
+    together = scaled if more else alike
     own = ("axis_scale",) if more else ()
     candidates = (
         _candidate(FREE_FALL, falls, setting, worth, None),
-        *(made.get(causes) or tried(*causes, *own, near=made[_RICHEST].fit) for causes in _TOGETHER),
+        *(together if c == _RICHEST else tried(*c, *own, near=together.fit) for c in _TOGETHER),
     )
     fast = max(float(np.ptp(f.height_m) / np.ptp(f.time_s)) for f in falls) > _STOKES_MPS
     able = [c for c in candidates if c.plausible and not (fast and "c_per_s" in c.model.parameters)]
