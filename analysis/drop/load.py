@@ -18,11 +18,11 @@ from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
 from analysis.drop.read.contents import read_tables
 from analysis.drop.read.readings import Points
-from analysis.drop.read.tables import read_grids
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file, unheard
 from daq.files.wav import is_wav
+from daq.importers.tables import read_sheets
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
@@ -125,7 +125,7 @@ def events_in(path: Path, corrections: Corrections, known: Known) -> Floats:
     if (heard := _heard(path, known)) is not None:
         times = heard[0].times_s
     elif path.suffix.lower() not in FILMS:
-        found = [item for _, item in read_tables(read_grids(path), str(path)).found]
+        found = [item for _, item in read_tables(read_sheets(path), str(path)).found]
         times = found[0] if len(found) == 1 and not isinstance(found[0], Points) else np.empty(0)
     else:
         return np.empty(0)
@@ -208,7 +208,7 @@ def _corrected(clip: Clip, frame_s: float | None, corrections: Corrections) -> C
 
 def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
     """Every drop of a table; one that is refused is named, and the others are read."""
-    contents = read_tables(read_grids(path), str(path))
+    contents = read_tables(read_sheets(path), str(path))
     if corrections.add_s and len(contents.found) > 1:
         raise InputError(
             f"{path}: holds {len(contents.found)} drops, each with times of its own, so an impact to be added could "

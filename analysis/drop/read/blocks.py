@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from itertools import pairwise
 
-from analysis.drop.read.tables import Grid
-from daq.files.text_table import Cell
+from daq.importers.tables import Cell, Sheet
 
 Rows = list[list[Cell]]
 
@@ -18,7 +17,7 @@ _ALONG_ROWS = {"t", "time", "times", "zeit", "tempo", "temps", "dt", "interval",
 _LEAST_ROWS = 3
 
 
-def blocks_of(grid: Grid) -> list[Grid]:
+def blocks_of(grid: Sheet) -> list[Sheet]:
     """Every table of a sheet; the sheet itself where it holds one."""
     stacked = [_upright(part) for part in _stacked(grid)]
     blocks = [part for one in stacked for part in _side_by_side(one)]
@@ -26,25 +25,25 @@ def blocks_of(grid: Grid) -> list[Grid]:
     return [part for one in repeated for part in _by_number(one)]
 
 
-def _upright(grid: Grid) -> Grid:
+def _upright(grid: Sheet) -> Sheet:
     """A table whose drops, or whose times and heights, are rows: turned, so that they are columns."""
     rows = [row for row in grid.rows if any(cell != "" for cell in row)]
     width = max(len(row) for row in rows)
     rows = [[*row, *[""] * (width - len(row))] for row in rows]
     labelled = [isinstance(row[0], str) and row[0] != "" and _count(row[1:]) >= _LEAST_ROWS for row in rows]
     if width > len(rows) and sum(labelled) >= max(1, len(rows) - 1):
-        return Grid(grid.name, [list(column) for column in zip(*rows, strict=True)])
+        return Sheet(grid.name, [list(column) for column in zip(*rows, strict=True)])
     head = rows[0]
     stems = {re.sub(r"[\W_]*\d+\W*$", "", str(cell)).strip().lower() for cell in head[1:] if cell != ""}
     counted = all(isinstance(cell, str) for cell in head) and len(head) >= _LEAST_ROWS + 1 and len(stems) == 1
     body = [row for row in rows[1:] if _count(row) >= 2]
     if counted and body and stems <= _ALONG_ROWS:  # t1, t2, t3, ...: a drop in each row
         named = [[f"{min(stems)} {_short(row[0])}", *row[1:]] for row in body]
-        return Grid(grid.name, [list(column) for column in zip(*named, strict=True)])
+        return Sheet(grid.name, [list(column) for column in zip(*named, strict=True)])
     return grid
 
 
-def _stacked(grid: Grid) -> list[Grid]:
+def _stacked(grid: Sheet) -> list[Sheet]:
     """Tables below each other: cut where the heading comes again, or after an empty row where the time starts anew."""
     starts: list[int] = []
     head: tuple[str, ...] | None = None
@@ -70,7 +69,7 @@ def _stacked(grid: Grid) -> list[Grid]:
     return [_named(grid, f"table {k + 1}", part) for k, part in enumerate(named)]
 
 
-def _side_by_side(grid: Grid) -> list[Grid]:
+def _side_by_side(grid: Sheet) -> list[Sheet]:
     """Tables with an empty column between them; columns that differ belong to one table."""
     width = max(len(row) for row in grid.rows)
     used = [any(j < len(row) and row[j] != "" for row in grid.rows) for j in range(width)]
@@ -84,7 +83,7 @@ def _side_by_side(grid: Grid) -> list[Grid]:
     return [_named(grid, f"block {k + 1}", part) for k, part in enumerate(full)]
 
 
-def _repeated(grid: Grid) -> list[Grid]:
+def _repeated(grid: Sheet) -> list[Sheet]:
     """Tables without a gap whose headings repeat: t, y, t, y."""
     head = _heading(grid.rows)
     width = max(len(row) for row in grid.rows)
@@ -99,7 +98,7 @@ def _repeated(grid: Grid) -> list[Grid]:
     return [grid]
 
 
-def _by_number(grid: Grid) -> list[Grid]:
+def _by_number(grid: Sheet) -> list[Sheet]:
     """One long table with a column that numbers the drops, or names them: A, B."""
     head = _heading(grid.rows) or []
     for j, cell in enumerate(head):
@@ -125,8 +124,8 @@ def _holds_numbers(rows: Rows) -> bool:
     return sum(_count(row) > 0 for row in rows) >= _LEAST_ROWS
 
 
-def _named(grid: Grid, more: str, rows: Rows) -> Grid:
-    return Grid(", ".join(part for part in (grid.name, more) if part), rows)
+def _named(grid: Sheet, more: str, rows: Rows) -> Sheet:
+    return Sheet(", ".join(part for part in (grid.name, more) if part), rows)
 
 
 def _short(value: Cell) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from analysis.drop.read import readings
 from analysis.drop.read.blocks import blocks_of
 from analysis.drop.read.readings import Columns, Points
-from analysis.drop.read.tables import Grid
+from daq.importers.tables import Sheet, table_of
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
@@ -29,9 +29,9 @@ class Contents:
 class _Table:
     """One block and what it may be: times with their intervals, positions, or else columns of bare times."""
 
-    def __init__(self, block: Grid) -> None:
+    def __init__(self, block: Sheet) -> None:
         self.name = block.name
-        self.columns: Columns = readings.columns_of(block)
+        self.columns: Columns = Columns(**vars(table_of(block.rows)))
         self.times = readings.event_times(self.columns)
         self.paths: list[Item] = []
         if self.times is None:
@@ -46,11 +46,11 @@ class _Table:
 
     @property
     def neither(self) -> str:
-        heading = ", ".join(name for name in self.columns.names[:6] if name) or "no heading"
+        heading = ", ".join(name for name in self.columns.headings[:6] if name) or "no heading"
         return f"{self.label} ({heading}): neither impact times nor positions with their times"
 
 
-def read_tables(grids: list[Grid], where: str) -> Contents:
+def read_tables(grids: list[Sheet], where: str) -> Contents:
     """Every drop of a file, and what was not read.
 
     Raises
@@ -79,7 +79,7 @@ def read_tables(grids: list[Grid], where: str) -> Contents:
     hint = f"; cells such as {clocks[0]!r} are times of day or dates: give seconds, as plain numbers" if clocks else ""
     raise InputError(
         f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
-        f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0].columns.names[:6]) or 'none'}"
+        f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0].columns.headings[:6]) or 'none'}"
         + (hint if len(clocks) >= _CLOCK_TEXT else "")
         + "".join(f"; {words}" for table in tables for words in table.words[:3])
     )

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.read.tables import Grid
-from daq.files.text_table import Cell
+from daq.importers.tables import Sheet, Table, split_unit
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
@@ -38,7 +37,6 @@ _SUMMARY = {
 }  # fmt: skip
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
-_UNITS = {*_METRES, *_SECONDS, "px", "pixel", "pixels", "frame", "frames", "deg", "rad", "1", ""}
 _MOST_REBOUNDS = 40
 _LEAST_POSITIONS = 6
 
@@ -56,66 +54,21 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """A table split into headings and numbers."""
-
-    names: list[str]
-    values: Floats  # (rows, columns) NaN where there is no number
+class Columns(Table):
+    """A table's columns, by the words of their headings."""
 
     @property
     def words(self) -> list[set[str]]:
-        """Words of each heading."""
-        return [_words(name) for name in self.names]
-
-    def numbers(self, j: int) -> Floats:
-        """The numbers of a column."""
-        return np.asarray(self.values[np.isfinite(self.values[:, j]), j], dtype=np.float64)
+        """Words of each heading, its unit in brackets left out."""
+        return [_words(heading) for heading in self.headings]
 
     def second_s(self, j: int) -> float:
         """A column's unit of time, s."""
-        return _unit_factor(self.names[j], _SECONDS) or 1.0
+        return _SECONDS.get(split_unit(self.headings[j], _SECONDS)[1], 1.0)
 
 
-def columns_of(grid: Grid) -> Columns:
-    """Split a grid into headings and numbers: data are the rows with as many numbers as most have."""
-    counts = np.array([sum(isinstance(cell, float) for cell in row) for row in grid.rows])
-    data = np.flatnonzero(counts >= max(1, 0.5 * int(np.median(counts[counts > 0]))))
-    width = max(len(grid.rows[i]) for i in data)
-    values = np.full((len(data), width), np.nan)
-    for k, i in enumerate(data):
-        for j, cell in enumerate(grid.rows[i]):
-            if isinstance(cell, float):
-                values[k, j] = cell
-    return Columns(_names([row for row in grid.rows[: data[0]] if row], width), values)
-
-
-def _names(heads: list[list[Cell]], width: int) -> list[str]:
-    """Headings of the fullest row above the data, with a row of units right below it joined on."""
-    if not heads:
-        return [""] * width
-
-    def holds_units(row: list[Cell]) -> bool:
-        bare = [re.sub(r"[\^*²]\d*$", "", str(c).strip("()[] ").lower()) for c in row if str(c)]  # m/s^2 is one, too
-        return all(part.strip("^2²") in _UNITS for text in bare for part in re.split(r"[/·* ]", text))
-
-    full = max(range(len(heads)), key=lambda i: (sum(bool(str(c)) for c in heads[i]), i))
-    rows = [heads[full]]
-    if full > 0 and holds_units(heads[full]):
-        rows = [heads[full - 1], heads[full]]
-    elif full + 1 < len(heads) and holds_units(heads[full + 1]):
-        rows.append(heads[full + 1])
-    return [" ".join(str(row[j]) for row in rows if j < len(row)).strip().lower() for j in range(width)]
-
-
-def _words(name: str) -> set[str]:
-    """Words of a heading, its unit in brackets left out."""
-    return set(re.split(r"[^\w]+|_", re.sub(r"[(\[].*?[)\]]", " ", name))) - {""}
-
-
-def _unit_factor(name: str, table: dict[str, float]) -> float | None:
-    """Factor to the SI unit named in a heading as ``y (cm)``, ``y [cm]``, ``y / cm`` or ``y_cm``."""
-    found = re.findall(r"[(\[]\s*([a-z]+)\s*[)\]]|/\s*([a-z]+)$|[_ ]([a-z]+)$", name)
-    return next((table[unit] for token in found if (unit := "".join(token)) in table), None)
+def _words(heading: str) -> set[str]:
+    return set(re.split(r"[^\w]+|_", re.sub(r"[(\[].*?[)\]]", " ", heading))) - {""}
 
 
 def refuse_heights(columns: Columns, where: str) -> None:
@@ -128,7 +81,7 @@ def refuse_heights(columns: Columns, where: str) -> None:
         counted = np.all(np.isfinite(v[:, [a, b]])) and np.all(np.diff(v[:, a]) == 1.0)
         if counted and np.all((ratio > 0.0) & (ratio < 1.0)):
             raise InputError(
-                f"{where}: columns {columns.names[a]!r} and {columns.names[b]!r} look like rebound heights by "
+                f"{where}: columns {columns.headings[a]!r} and {columns.headings[b]!r} look like rebound heights by "
                 "number; heights read off are not judged here: give impact times, or positions with their times"
             )
 
@@ -165,13 +118,13 @@ def event_times(columns: Columns) -> Floats | None:
 def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Floats]], list[str]]:
     """Columns of times or intervals, each a drop, or rows of times; and what was not taken for one, with the reason."""
     v = columns.values
-    if v.shape[1] >= 3 and v.shape[1] > v.shape[0] and not any(columns.names):
+    if v.shape[1] >= 3 and v.shape[1] > v.shape[0] and not any(columns.headings):
         rows = [(k, row[np.isfinite(row)]) for k, row in enumerate(v)]
         times = [(k, row) for k, row in rows if len(row) >= 3 and _is_rising(row) and not _is_even(row)]
         return [(f"{label} row {k + 1}".strip(), row) for k, row in times], []
     found: list[tuple[str, Floats]] = []
     not_taken: list[str] = []
-    for j, heading in enumerate(columns.names):
+    for j, heading in enumerate(columns.headings):
         column, words = columns.numbers(j), columns.words[j]
         name = f"{label} {heading}".strip() or f"column {j + 1}"
         rising, counting = _is_rising(column), len(column) > 1 and np.ptp(np.diff(column)) < 1e-9
@@ -211,10 +164,10 @@ def further_heights(label: str, columns: Columns, n_read: int) -> list[str]:
     heights = [j for j, own in enumerate(words) if own & _HEIGHT]
     varied = [j for j in heights if len(v := columns.numbers(j)) >= _LEAST_POSITIONS and np.std(v) > 0.0]
     said = "more heights; another ball, or the same once more: give each a file of its own"
-    return [f"{label}, {columns.names[j]}: {said}" for j in varied[n_read:]]
+    return [f"{label}, {columns.headings[j]}: {said}" for j in varied[n_read:]]
 
 
-def wide_tracks(grid: Grid) -> Points | None:
+def wide_tracks(grid: Sheet) -> Points | None:
     """ImageJ's table: frame, then x, y (and a flag) for each track; blanks may have been lost on the way."""
     head = next((row for row in grid.rows[:8] if len(row) >= 3 and _words(str(row[0]).lower()) & _FRAME), None)
     if head is None or not re.fullmatch(r"x\s*_?1", str(head[1]).strip().lower()):
@@ -233,7 +186,7 @@ def wide_tracks(grid: Grid) -> Points | None:
 
 def paths_of(label: str, columns: Columns) -> list[tuple[str, Floats | Points]]:
     """Paths of a table: one, or one for each of several heights that are numbered alike."""
-    names = columns.names
+    names = columns.headings
     stems = [re.sub(r"[\W_]*\d+$", "", re.sub(r"[(\[].*?[)\]]", "", name).strip()) for name in names]
     numbered = [j for j, name in enumerate(names) if re.search(r"\d\s*$", re.sub(r"[(\[].*", "", name))]
     across = any(_words(stem) & _ACROSS for stem in stems)
@@ -273,7 +226,7 @@ def _positions(columns: Columns) -> Points | None:
     rows = rows[np.argsort(rows[:, chosen], kind="stable")]
     if _is_rising(rows[:, height]):
         return None  # what only grows with its row is a list of times
-    unit = _unit_factor(columns.names[height], _METRES)
+    unit = _METRES.get(split_unit(columns.headings[height], _METRES)[1])
     y = rows[:, height] * (unit or 1.0)
     x = rows[:, across] * (unit or 1.0) if across is not None else np.zeros_like(y)
     time = rows[:, chosen]

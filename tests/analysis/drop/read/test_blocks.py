@@ -9,7 +9,7 @@ import pytest
 from analysis.drop.load import load_all
 from analysis.drop.read.contents import read_tables
 from analysis.drop.read.readings import Points
-from analysis.drop.read.tables import Grid, read_grids
+from daq.importers.tables import Sheet, read_sheets
 from daq.setup.errors import InputError
 
 DROPS = [1.0 + np.concatenate(([0.0], np.cumsum(first * 0.85 ** np.arange(9)))) for first in (0.5, 0.45, 0.4)]
@@ -49,27 +49,27 @@ def test_blocks_side_by_side(gap: int) -> None:
     rows = [["Time (s)", "Interval (s)", *[""] * gap] * 3]
     parts = [_events(times) for times in DROPS]
     rows += [[cell for part in parts for cell in (*part[i], *[""] * gap)] for i in range(10)]
-    _is_all_three(read_tables([Grid("", rows)], "x").found)
+    _is_all_three(read_tables([Sheet("", rows)], "x").found)
 
 
 def test_drops_numbered_in_a_column() -> None:
     """A long table with the drop's number in a column."""
     rows = [["Drop", "Time (s)", "Interval (s)"]]
     rows += [[float(k + 1), *row] for k, times in enumerate(DROPS) for row in _events(times)]
-    _is_all_three(read_tables([Grid("", rows)], "x").found)
+    _is_all_three(read_tables([Sheet("", rows)], "x").found)
 
 
 def test_a_column_for_each_drop() -> None:
     """Columns of times without intervals, one a drop."""
     rows = [[f"Drop {k}" for k in (1, 2, 3)], *[[float(times[i]) for times in DROPS] for i in range(10)]]
-    _is_all_three(read_tables([Grid("", rows)], "x").found)
+    _is_all_three(read_tables([Sheet("", rows)], "x").found)
 
 
 def test_heights_of_several_drops_beside_one_clock() -> None:
     """One clock and y1, y2: two paths, each with its own heights."""
     times = np.arange(40) / 100
     rows = [["t (s)", "y1 (m)", "y2 (m)"], *[[float(t), 1 - 4.9 * t * t, 0.8 - 4.9 * t * t] for t in times]]
-    found = read_tables([Grid("", rows)], "x").found
+    found = read_tables([Sheet("", rows)], "x").found
     assert [item.y[0] for _, item in found if isinstance(item, Points)] == [1.0, 0.8]
 
 
@@ -77,23 +77,23 @@ def test_rebound_heights_are_refused_in_words(tmp_path: Path) -> None:
     """A bounce number and a falling height is neither times nor positions, and the error says what it looks like."""
     (tmp_path / "h.csv").write_text("bounce,height (cm)\n1,80\n2,64\n3,51\n4,41\n5,33\n6,26\n7,21\n", encoding="utf-8")
     with pytest.raises(InputError, match="rebound heights"):
-        read_tables(read_grids(tmp_path / "h.csv"), "h.csv")
+        read_tables(read_sheets(tmp_path / "h.csv"), "h.csv")
 
 
 def test_a_row_for_each_drop() -> None:
     """Drops as rows, with a row or a column of headings, are read as columns are."""
     named = [["impact", *range(1, 11)], *[[f"Drop {k}", *map(float, times)] for k, times in enumerate(DROPS)]]
     named[0] = ["impact", *[float(k) for k in range(1, 11)]]
-    _is_all_three(read_tables([Grid("", named)], "x").found)
+    _is_all_three(read_tables([Sheet("", named)], "x").found)
     counted = [["Drop", *[f"t{k}" for k in range(10)]], *[[float(k), *map(float, t)] for k, t in enumerate(DROPS)]]
-    _is_all_three(read_tables([Grid("", counted)], "x").found)
+    _is_all_three(read_tables([Sheet("", counted)], "x").found)
 
 
 def test_times_and_heights_in_two_rows() -> None:
     """A path in two long rows, time above height, is a path."""
     times = np.arange(40) / 100
     rows = [["t (s)", *map(float, times)], ["y (m)", *map(float, 1 - 4.9 * times * times)]]
-    ((_, found),) = read_tables([Grid("", rows)], "x").found
+    ((_, found),) = read_tables([Sheet("", rows)], "x").found
     assert isinstance(found, Points) and found.y[0] == 1.0 and len(found.clock) == 40
 
 
@@ -102,7 +102,7 @@ def test_tables_below_each_other() -> None:
     rows: list[list[float | str]] = []
     for k, times in enumerate(DROPS):
         rows += [[f"Drop {k + 1}"], ["n", "Time (s)"], *[[float(i), float(t)] for i, t in enumerate(times)], []]
-    _is_all_three(read_tables([Grid("", rows)], "x").found)
+    _is_all_three(read_tables([Sheet("", rows)], "x").found)
 
 
 def test_what_is_not_read_is_named(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_thousands_are_read(tmp_path: Path) -> None:
     """Numbers grouped by thousands, "1,004.17" or "1.004,17", are numbers, and no row is lost."""
     rows = "\n".join(f'"{1e3 * t:,.2f}","{k}"' for k, t in enumerate(DROPS[0]))
     (tmp_path / "t.csv").write_text(f"time (ms),n\n{rows}\n", encoding="utf-8")
-    ((_, times),) = read_tables(read_grids(tmp_path / "t.csv"), "x").found
+    ((_, times),) = read_tables(read_sheets(tmp_path / "t.csv"), "x").found
     assert times == pytest.approx(DROPS[0], abs=1e-5)
 
 
@@ -139,7 +139,7 @@ def test_formulas_without_values_are_refused_in_words(tmp_path: Path) -> None:
         book.active.append([f"=0.4*{k}"])
     book.save(tmp_path / "f.xlsx")
     with pytest.raises(InputError, match="formulas without saved values"):
-        read_grids(tmp_path / "f.xlsx")
+        read_sheets(tmp_path / "f.xlsx")
 
 
 def test_rounded_times_are_whole_frames(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from analysis.drop.read.contents import read_tables
 from analysis.drop.read.readings import Points
-from analysis.drop.read.tables import read_grids
+from daq.importers.tables import read_sheets
 from daq.setup.errors import InputError
 
 TIMES = [1.5, 1.9, 2.26, 2.58]
@@ -40,14 +40,14 @@ def test_event_times_in_any_dialect(tmp_path: Path, name: str) -> None:
     """The same impacts come out of every dialect."""
     file = tmp_path / "events.csv"
     file.write_text(EVENTS[name], encoding="utf-8")
-    assert read_tables(read_grids(file), name).found[0][1] == pytest.approx(TIMES)
+    assert read_tables(read_sheets(file), name).found[0][1] == pytest.approx(TIMES)
 
 
 def test_intervals_alone_become_times(tmp_path: Path) -> None:
     """A lone column of intervals is summed; the first impact is at 0."""
     file = tmp_path / "intervals.csv"
     file.write_text("Intervall (s)\n0,4\n0,36\n0,32\n", encoding="utf-8")
-    assert read_tables(read_grids(file), "x").found[0][1] == pytest.approx([0.0, 0.4, 0.76, 1.08])
+    assert read_tables(read_sheets(file), "x").found[0][1] == pytest.approx([0.0, 0.4, 0.76, 1.08])
 
 
 @pytest.mark.parametrize("name", PATHS)
@@ -60,7 +60,7 @@ def test_positions_in_any_dialect(tmp_path: Path, name: str) -> None:
         lines = [line.replace(".", ",").replace("-", "\N{MINUS SIGN}") for line in lines]
     file = tmp_path / "path.csv"
     file.write_text(head + "".join(lines), encoding="utf-8" if name == "typographic minus" else "latin-1")
-    found = read_tables(read_grids(file), name).found[0][1]
+    found = read_tables(read_sheets(file), name).found[0][1]
     assert isinstance(found, Points) and found.in_seconds
     assert found.clock == pytest.approx(times)
     assert found.y * metre == pytest.approx(1 - 4.9 * times**2, abs=1e-4)
@@ -77,7 +77,7 @@ def test_imagej_tracks(tmp_path: Path, separator: str) -> None:
     text = "\n".join(separator.join(row) for row in rows) + summary
     file = tmp_path / "tracks.csv"
     file.write_text(text, encoding="utf-8")
-    found = read_tables(read_grids(file), "x").found[0][1]
+    found = read_tables(read_sheets(file), "x").found[0][1]
     assert isinstance(found, Points) and not found.in_seconds
     assert len(found.y) == 30 and found.y.max() == 120.25
 
@@ -94,7 +94,7 @@ def test_a_workbook_with_localised_sheets(tmp_path: Path) -> None:
         sheet.append(row)
     book.create_sheet("Metadaten Gerät").append(["version", "1.1.8"])
     book.save(tmp_path / "x.xlsx")
-    assert read_tables(read_grids(tmp_path / "x.xlsx"), "x").found[0][1] == pytest.approx(TIMES)
+    assert read_tables(read_sheets(tmp_path / "x.xlsx"), "x").found[0][1] == pytest.approx(TIMES)
 
 
 @pytest.mark.parametrize(
@@ -105,4 +105,4 @@ def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "odd.xls"
     file.write_bytes(content)
     with pytest.raises(InputError, match=r"odd\.xls"):
-        read_grids(file)
+        read_sheets(file)

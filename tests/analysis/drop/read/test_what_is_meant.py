@@ -9,15 +9,15 @@ import pytest
 
 from analysis.drop.load import Path2D, load_all
 from analysis.drop.read.contents import read_tables
-from analysis.drop.read.tables import Grid, read_grids
+from daq.importers.tables import Sheet, read_sheets
 from daq.setup.errors import InputError
 
 TIMES = 0.5 + np.concatenate(([0.0], np.cumsum(0.4 * 0.8 ** np.arange(9))))
 
 
-def _column(heading: str, values: list[float]) -> Grid:
+def _column(heading: str, values: list[float]) -> Sheet:
     head = [[heading]] if heading else []
-    return Grid("", [*head, *([value] for value in values)])
+    return Sheet("", [*head, *([value] for value in values)])
 
 
 def test_bare_numbers_that_shrink_are_not_taken_for_intervals() -> None:
@@ -48,7 +48,7 @@ def test_hidden_sheets_and_charts_of_a_workbook(tmp_path: Path) -> None:
             sheet.append(row)
     book.create_chartsheet("chart").add_chart(openpyxl.chart.LineChart())
     book.save(tmp_path / "book.xlsx")
-    contents = read_tables(read_grids(tmp_path / "book.xlsx"), "book.xlsx")
+    contents = read_tables(read_sheets(tmp_path / "book.xlsx"), "book.xlsx")
     assert len(contents.found) == 1 and np.asarray(contents.found[0][1]) == pytest.approx(TIMES)
     assert any("old" in words and "hidden" in words for words in contents.not_read)
 
