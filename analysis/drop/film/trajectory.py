@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from analysis.drop.film.flights import Flight, jitter
 from analysis.drop.laws.flight_law import FlightLaw
@@ -29,27 +30,22 @@ _TILT = 0.01  # standard deviation of c times the span of heights: the scale cha
 _LENS = 0.02  # of d times the square of the span: what is seen half way is off by a quarter of a per cent of the span
 _BEYOND = 1.5  # of the reach, where the distortion stays what it is: nothing was seen there
 _MOST_DRAG = 3.0  # so strong that a fall through the reach is all at terminal speed
-_HIGHEST = 10.0  # an apex, in ranges of height: a step of the fit may go further astray than any ball
+_OTHER_G = 4.0  # times as large or small as from single arcs: a strong drag would make any gravity a straight line
 _HUBER = 2.5
 _ROUNDING = 1e-12  # of a normal matrix
 
 
 @dataclass(frozen=True)
-class Block:
-    """Normal equations of one flight: shape parameters, apex time and apex height."""
+class Seen:
+    """One flight under a shape, at the apex that suits it best; the apex is eliminated from the slopes."""
 
-    normal: Floats  # (p + 2, p + 2)
-    rhs: Floats  # (p + 2,)
-    squares: float
-    count: int
-
-    def schur(self, damping: float = 0.0) -> tuple[Floats, Floats, Floats, Floats]:
-        """Normal matrix and right side of the shape with the apex eliminated, and what gives the apex back."""
-        p = len(self.rhs) - 2
-        normal = self.normal + damping * np.diag(np.diag(self.normal))
-        local = np.asarray(np.linalg.pinv(normal[p:, p:], rcond=1e-13, hermitian=True), dtype=np.float64)
-        gain = normal[:p, p:] @ local
-        return normal[:p, :p] - gain @ normal[p:, :p], self.rhs[:p] - gain @ self.rhs[p:], local, gain
+    # at, top: frame and height of the apex
+    at: float
+    top: float
+    residual: Floats  # (n,) measured less seen over the noise; far ones count less (Huber)
+    slopes: Floats  # (n, p) of what is seen by the shape's values, the apex following
+    local: Floats  # (2, 2) covariance of the apex, in squares of the noise
+    gain: Floats  # (2, p) by which the apex follows the values
 
 
 @dataclass(frozen=True)
@@ -58,19 +54,26 @@ class Shape:
 
     name: str  # of `SHAPES`
     values: Floats  # (p,) ``g`` (unit/frame^2), ``f``, ``k`` (1/unit), as the shape has them
-    # apex_frame, apex_height: (flights,)
-    apex_frame: Floats
-    apex_height: Floats
     covariance: Floats  # (p, p) of ``values``, scaled by the residuals
-    blocks: list[Block]
-    noise: float  # by which the blocks' residuals were divided
+    seen: list[Seen]  # each flight
+    noise: float  # by which residuals were divided
     sigma: float  # rms residual, unit
-    prior: Floats  # (p,) precision of the prior on each value, in the blocks' unit of chi-square
+    prior: Floats  # (p,) precision of the prior on each value, in squares of the noise
     reach: float  # height at which the picture's distortion is none, from the middle
+
+    @property
+    def apex_frame(self) -> Floats:
+        """Frame of each flight's apex, shape (flights,)."""
+        return np.array([one.at for one in self.seen])
+
+    @property
+    def apex_height(self) -> Floats:
+        """Height of each flight's apex, shape (flights,)."""
+        return np.array([one.top for one in self.seen])
 
     def seen_at(self, flight: int, frame: Floats) -> Floats:
         """Height at which the ball of one of the flights is seen at ``frame`` (n,)."""
-        height = self.apex_height[flight] - self.law.drop_m(frame - self.apex_frame[flight])
+        height = self.seen[flight].top - self.law.drop_m(frame - self.seen[flight].at)
         c, d = self.values[-2:]
         near = np.clip(height, -_BEYOND * self.reach, _BEYOND * self.reach)
         return np.asarray(height + (c + d * near) * (near**2 - self.reach**2))
@@ -102,10 +105,7 @@ def fit_shape(
     near: Floats | None = None,
     unit: float = 1.0,
 ) -> Shape:
-    """Fit one shape to all flights: Levenberg-Marquardt, each flight's apex eliminated (Schur complement).
-
-    Flights are many and each has an apex of its own, and how far an error may go before it counts less (Huber) is a
-    matter of each flight: no general solver takes both.
+    """Fit one shape to all flights: least squares of its values, with each flight's apex the best for them.
 
     Parameters
     ----------
@@ -119,41 +119,39 @@ def fit_shape(
     widths = {"c": _TILT / whole, "d": _LENS / whole**2}
     prior = np.array([unit / widths[key] ** 2 if key in widths else 0.0 for key in SHAPES[name]])
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span, "c": 0.0, "d": 0.0}
-    values = np.array([start[p] for p in SHAPES[name]]) if near is None else near
-    apex = np.array([_first_apex(f, acceleration) for f in flights])
-    ends = np.array([[2 * f.frame[0] - f.frame[-1] - 2.0, 2 * f.frame[-1] - f.frame[0] + 2.0] for f in flights])
+    low, high = _limits(name, reach)
+    low[0], high[0] = acceleration / _OTHER_G, acceleration * _OTHER_G
+    begin = np.array([start[key] for key in SHAPES[name]]) if near is None else near
+    inside = np.where(np.isfinite(high) & np.isfinite(low), 1e-6 * (high - low), 0.0)
+    begin = np.clip(begin, low + inside, high - inside)
+    apexes, least = [_first_apex(flight, acceleration) for flight in flights], np.inf
 
-    def blocks_at(values: Floats, apex: Floats) -> tuple[list[Block], float]:
-        blocks = [_block(name, values, a[0], a[1], f, noise) for a, f in zip(apex.tolist(), flights, strict=True)]
-        return blocks, sum(b.squares for b in blocks) + float(prior @ values**2)
+    def seen_under(values: Floats) -> list[Seen]:
+        nonlocal apexes, least
+        found = [_seen(name, values, apex, f, noise) for apex, f in zip(apexes, flights, strict=True)]
+        squares = sum(float(one.residual @ one.residual) for one in found) + float(prior @ values**2)
+        if squares <= least:  # the next ones are near these
+            apexes, least = [(one.at, one.top) for one in found], squares
+        return found
 
-    damping, best = 1e-3, np.inf
-    blocks, here = blocks_at(values, apex)
-    for _ in range(60):
-        moved, moved_apex = _step(values, apex, blocks, prior, damping, _limits(name, reach))
-        moved_apex[:, 0] = np.clip(moved_apex[:, 0], ends[:, 0], ends[:, 1])
-        moved_apex[:, 1] = np.clip(moved_apex[:, 1], -_HIGHEST * whole, _HIGHEST * whole)
-        trial, there = blocks_at(moved, moved_apex)
-        if there <= here * (1 + 1e-12):
-            values, apex, blocks, here, damping = moved, moved_apex, trial, there, max(damping * 0.2, 1e-12)
-            if best - there < 1e-6 * (1.0 + there) and damping < 1e-2:
-                break
-            best = there
-        else:
-            damping *= 8.0
-        if damping > 1e10:
-            break
-    freedom = sum(b.count for b in blocks) - len(values) - 2 * len(blocks)
-    spread = sum(b.squares for b in blocks) / max(freedom, 1)
-    # The apexes' elimination leaves differences of large numbers: eigenvalues that are nothing but rounding, negative
-    # ones among them, are left wide.
-    normal = sum(b.schur()[0] for b in blocks) + np.diag(prior)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(sum(b.normal for b in blocks))[: len(values)] + prior, 1e-300))
-    size, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
-    vectors = vectors * scale[:, None]
+    def left(values: Floats) -> Floats:
+        return np.concatenate([*(one.residual for one in seen_under(values)), -np.sqrt(prior) * values])
+
+    def slopes(values: Floats) -> Floats:
+        return -np.concatenate([*(one.slopes for one in seen_under(values)), np.diag(np.sqrt(prior))])
+
+    scale = np.array([{"g": acceleration, "f": 0.1, "k": 0.1 / span}.get(key) or widths[key] for key in SHAPES[name]])
+    found = least_squares(left, begin, slopes, (low, high), x_scale=scale, ftol=1e-9, xtol=1e-9, max_nfev=60)
+    values, seen = found.x, seen_under(found.x)
+    count = sum(len(flight.frame) for flight in flights)
+    spread = sum(float(one.residual @ one.residual) for one in seen) / max(count - len(values) - 2 * len(flights), 1)
+    # Eigenvalues that are nothing but rounding are left wide.
+    normal = sum(one.slopes.T @ one.slopes for one in seen) + np.diag(prior)
+    own = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    size, vectors = np.linalg.eigh(normal * np.outer(own, own))
+    vectors = vectors * own[:, None]
     covariance = (vectors / np.maximum(size, _ROUNDING)) @ vectors.T * max(spread, 1e-12)
-    sigma = noise * float(np.sqrt(spread))
-    return Shape(name, values, apex[:, 0], apex[:, 1], covariance, blocks, noise, sigma, prior, reach)
+    return Shape(name, values, covariance, seen, noise, noise * float(np.sqrt(spread)), prior, reach)
 
 
 def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
@@ -166,34 +164,49 @@ def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
     return float(flight.frame.mean() + at), float(c[0] + c[1] * at / 2.0)
 
 
-def _block(name: str, values: Floats, at: float, top: float, flight: Flight, noise: float) -> Block:
-    """Normal equations of one flight with its apex at ``(at, top)``; far samples count less (Huber)."""
-    since = flight.frame - at
-    law = law_of(name, values)
+def _seen(name: str, values: Floats, apex: tuple[float, float], flight: Flight, noise: float) -> Seen:
+    """A flight at its best apex, by Gauss-Newton from ``apex``."""
+    law, (c, d) = law_of(name, values), values[-2:]
+
+    def at_apex(at: float, top: float) -> tuple[Floats, Floats, Floats]:
+        """Signed root of Huber's function of the residual, its derivative, and its slopes by the apex."""
+        since = flight.frame - at
+        height = top - law.drop_m(since)
+        near = np.clip(height, -_BEYOND * flight.reach, _BEYOND * flight.reach)
+        beyond = near**2 - flight.reach**2
+        residual = (flight.height - height - (c + d * near) * beyond) / noise
+        size = np.abs(residual)
+        loose = _HUBER * max(1.0, mad_sigma(size))
+        root = np.where(size <= loose, size, np.sqrt(np.maximum(2.0 * loose * size - loose**2, loose**2)))
+        factor = np.where(size <= loose, 1.0, loose / root.clip(1e-12))
+        bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)  # of the seen by the true height
+        by_apex = np.column_stack([-law.velocity_mps(since), np.ones_like(since)]) * (bent * factor / noise)[:, None]
+        return np.sign(residual) * root, factor, by_apex
+
+    root, factor, by_apex = at_apex(*apex)
+    for _ in range(12):
+        change = np.linalg.lstsq(by_apex, root, rcond=1e-10)[0]
+        moved = (apex[0] + float(change[0]), apex[1] + float(change[1]))
+        there = at_apex(*moved)
+        if not there[0] @ there[0] < root @ root * (1.0 - 1e-12):  # arrived; or a step too far, of few samples
+            break
+        apex, (root, factor, by_apex) = moved, there
+    since = flight.frame - apex[0]
     drop = law.drop_m(since)
-    height = top - drop
-    c, d = values[-2:]
+    height = apex[1] - drop
     near = np.clip(height, -_BEYOND * flight.reach, _BEYOND * flight.reach)
     beyond = near**2 - flight.reach**2
-    residual = (flight.height - height - (c + d * near) * beyond) / noise
-    p = len(values)
-    jacobian = np.zeros((len(since), p + 2))
+    bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)
+    slopes = np.empty((len(since), len(values)))
     least = {"g": 1e-9, "f": 1e-4, "k": 100.0 / max(float(drop.max()), 1e-12)}  # a drag too small to be seen is 1e-8
-    for j in range(p - 2):
-        moved = values.copy()
-        step = 1e-6 * max(abs(values[j]), least[SHAPES[name][j]])
-        moved[j] += step
-        jacobian[:, j] = -(law_of(name, moved).drop_m(since) - drop) / step
-    jacobian[:, p] = -law.velocity_mps(since)
-    jacobian[:, p + 1] = 1.0
-    jacobian *= (1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2))[:, None]  # of the seen by the true height
-    jacobian[:, p - 2], jacobian[:, p - 1] = beyond, near * beyond
-    jacobian /= noise
-    size = np.abs(residual)
-    loose = _HUBER * max(1.0, mad_sigma(size))
-    weighted = jacobian * np.minimum(1.0, loose / np.maximum(size, 1e-12))[:, None]
-    squares = np.where(size <= loose, size**2, 2 * loose * size - loose**2).sum()
-    return Block(weighted.T @ jacobian, weighted.T @ residual, float(squares), len(since))
+    for j, key in enumerate(SHAPES[name][:-2]):
+        step = 1e-6 * max(abs(values[j]), least[key])
+        moved_values = values + step * (np.arange(len(values)) == j)
+        slopes[:, j] = -(law_of(name, moved_values).drop_m(since) - drop) / step * bent
+    slopes[:, -2], slopes[:, -1] = beyond, near * beyond
+    slopes *= (factor / noise)[:, None]
+    back = np.linalg.pinv(by_apex, rcond=1e-10)
+    return Seen(*apex, root, slopes - by_apex @ (back @ slopes), back @ back.T, -back @ slopes)
 
 
 def _limits(name: str, reach: float) -> tuple[Floats, Floats]:
@@ -204,25 +217,6 @@ def _limits(name: str, reach: float) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _step(
-    values: Floats, apex: Floats, blocks: list[Block], prior: Floats, damping: float, limits: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Values and apexes after one damped step."""
-    parts = [b.schur(damping) for b in blocks]
-    normal = sum(x[0] for x in parts) + np.diag(prior)
-    change = _solved(normal, sum(x[1] for x in parts) - prior * values, 1e-12)
-    moved = np.clip(values + change, *limits)
-    p, change = len(values), moved - values
-    return moved, apex + np.array([x[2] @ b.rhs[p:] - x[3].T @ change for x, b in zip(parts, blocks, strict=True)])
-
-
-def _solved(normal: Floats, right: Floats, rcond: float) -> Floats:
-    """Solution of normal equations whose unknowns have different units."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    solution = np.linalg.lstsq(normal * scale * scale[:, None], right * scale, rcond=rcond)[0]
-    return np.asarray(scale * solution, dtype=np.float64)
-
-
 def surprise(known: Shape, flight: Flight, noise: float, sigma: float, worth: float) -> float:
     """Minus the log likelihood of a flight under a shape fitted to other flights, less terms common to all shapes.
 
@@ -230,31 +224,17 @@ def surprise(known: Shape, flight: Flight, noise: float, sigma: float, worth: fl
     (Woodbury), so a shape that the other flights hardly fix is not blamed for where its best value happens to lie.
     ``sigma`` is the error of a position, ``worth`` the independent samples a sample is worth.
     """
-    block, p = _at_apex(known, flight, noise), len(known.values)
+    one = _seen(known.name, known.values, _first_apex(flight, known.law.g_mps2), flight, noise)
     unit = worth * noise**2 / sigma**2
-    normal, right = (part * unit for part in block.schur()[:2])
     prior = known.covariance * (sigma / max(known.sigma, 1e-12)) ** 2 / worth
     scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
-    prior, normal, right = prior / np.outer(scale, scale), normal * np.outer(scale, scale), right * scale
-    inner = np.eye(p) + prior @ normal
+    prior, slopes = prior / np.outer(scale, scale), one.slopes * scale
+    normal, right = unit * slopes.T @ slopes, unit * slopes.T @ one.residual
+    inner = np.eye(len(scale)) + prior @ normal
     freed = float(right @ np.linalg.solve(inner, prior @ right))
     spread = float(np.linalg.slogdet(inner)[1])
-    return 0.5 * (block.squares * unit - freed + spread) + worth * block.count * float(np.log(sigma))
-
-
-def _at_apex(shape: Shape, flight: Flight, noise: float) -> Block:
-    """Normal equations of one flight at its best apex under a given shape."""
-    at, top = _first_apex(flight, shape.law.g_mps2)
-    block = _block(shape.name, shape.values, at, top, flight, noise)
-    p = len(shape.values)
-    for _ in range(12):
-        change = np.linalg.lstsq(block.normal[p:, p:], block.rhs[p:], rcond=None)[0]
-        at, top = at + float(change[0]), top + float(change[1])
-        moved = _block(shape.name, shape.values, at, top, flight, noise)
-        if not moved.squares < block.squares:  # arrived; or a step too far, which a flight of few samples may take
-            break
-        block = moved
-    return block
+    squares = float(one.residual @ one.residual)
+    return 0.5 * (squares * unit - freed + spread) + worth * len(one.residual) * float(np.log(sigma))
 
 
 def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 1.0) -> tuple[Floats, Floats, Floats]:
@@ -263,14 +243,16 @@ def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 
     The shape's draws have the wider of the fit's covariance and a bootstrap over flights; ``worth`` is how many
     independent samples a sample is worth.
     """
-    p, n = len(shape.values), len(shape.blocks)
-    parts = [b.schur() for b in shape.blocks]
+    p, n = len(shape.values), len(shape.seen)
+    normals = np.array([one.slopes.T @ one.slopes for one in shape.seen])
+    rights = np.array([one.slopes.T @ one.residual for one in shape.seen])
     boot = np.empty((count, p))
     for b in range(count):
         weight = np.bincount(rng.integers(n, size=n), minlength=n)
-        normal = sum(w * x[0] for w, x in zip(weight, parts, strict=True)) + np.diag(shape.prior)
-        right = sum(w * x[1] for w, x in zip(weight, parts, strict=True)) - shape.prior * shape.values
-        boot[b] = _solved(normal, right, 1e-10)
+        normal = np.tensordot(weight, normals, 1) + np.diag(shape.prior)
+        own = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))  # unknowns have different units
+        right = (weight @ rights - shape.prior * shape.values) * own
+        boot[b] = own * np.linalg.lstsq(normal * np.outer(own, own), right, rcond=1e-10)[0]
     wide = [mad_sigma(column) for column in boot.T] if n >= 4 else np.zeros(p)
     sigma = np.maximum(np.sqrt(np.diag(shape.covariance)), 1e-300)
     stretch = np.maximum(1.0, np.minimum(wide / sigma, 5.0))
@@ -278,9 +260,8 @@ def draws_of(shape: Shape, rng: np.random.Generator, count: int, worth: float = 
     change = rng.multivariate_normal(np.zeros(p), correlation, size=count, method="svd") * sigma * stretch
     values = np.clip(shape.values + change, *_limits(shape.name, shape.reach))
     apex = np.empty((2, count, n))
-    for i, (_, _, local, gain) in enumerate(parts):
+    for i, one in enumerate(shape.seen):
         spread = (max(shape.sigma, 1e-12) / shape.noise) ** 2 / worth
-        own = rng.multivariate_normal(np.zeros(2), local * spread, size=count, method="svd")
-        own -= (values - shape.values) @ gain
-        apex[:, :, i] = own.T + np.array([[shape.apex_frame[i]], [shape.apex_height[i]]])
+        own = rng.multivariate_normal(np.array([one.at, one.top]), one.local * spread, size=count, method="svd")
+        apex[:, :, i] = (own + (values - shape.values) @ one.gain.T).T
     return values, apex[0], apex[1]
