@@ -27,6 +27,8 @@ _USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
 _FEW_DROPS = 6
 _BOOTS = 200
 _NUDGE = 1e-5  # of a parameter, for derivatives
+_PASSES = 4
+_SETTLED = 1e-7  # of every parameter
 
 
 @dataclass(frozen=True)
@@ -85,16 +87,24 @@ def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator)
         theta = converge(model, theta, rows, widths, g_mps2)
         widths = _widths(model, theta, rows, g_mps2, widths)
     theta = converge(model, theta, rows, widths, g_mps2)
-    last = step(model, theta, rows, widths, g_mps2)
+    covariance, jacobian, white = linearised(model, theta, rows, widths, g_mps2)
     residuals = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), np.nan)
-    draws = _bootstrap(theta, last, rng)
+    # The bootstrap draws drops, or flights where there are few drops.
+    owner = np.nonzero(rows.valid)[0]
+    groups = owner if len(np.unique(owner)) >= _FEW_DROPS else np.arange(len(white))
+    names, group = np.unique(groups, return_inverse=True)
+    draws = np.empty((_BOOTS, len(theta)))
+    for b in range(_BOOTS):
+        weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
+        normal = (jacobian * weight[:, None]).T @ jacobian
+        draws[b] = theta + _inverse(normal) @ (jacobian.T @ (weight * white))
     # Errors of times that neighbours share cancel in part. Were all that is left scatter of the restitution, nothing
     # would cancel; the data cannot say which, so the wider of both is stated.
     relative = (residuals / rows.after_s)[rows.flights]
     spread = float(theta[0]) * float(np.sqrt((relative**2).sum() / max(len(relative) - len(theta), 1)))
-    as_scatter = step(model, theta, rows, _SMALLEST._replace(scatter=max(spread, _SMALLEST.scatter)), g_mps2)
-    covariance = wider(last.covariance, as_scatter.covariance)
-    return Fit(model, theta, covariance, widths, residuals, last.white, draws, rows.count - len(theta))
+    as_scatter = _SMALLEST._replace(scatter=max(spread, _SMALLEST.scatter))
+    covariance = wider(covariance, linearised(model, theta, rows, as_scatter, g_mps2)[0])
+    return Fit(model, theta, covariance, widths, residuals, white, draws, rows.count - len(theta))
 
 
 def wider(covariance: Floats, other: Floats) -> Floats:
@@ -102,34 +112,6 @@ def wider(covariance: Floats, other: Floats) -> Floats:
     own, rival = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(other))
     stretch = np.maximum(rival / np.maximum(own, 1e-300), 1.0)
     return np.asarray(covariance * np.outer(stretch, stretch))
-
-
-@dataclass(frozen=True)
-class Step:
-    """One Gauss-Newton step: where it leads, and what was measured where it started."""
-
-    theta: Floats
-    covariance: Floats
-    chi_square: float
-    jacobian: Floats  # whitened, (rows, p)
-    white: Floats  # whitened residuals, (rows,)
-    owner: Integers  # drop of each row
-
-
-def step(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mps2: float, damping: float = 0.0) -> Step:
-    """One (damped) generalised least-squares step from ``theta``."""
-    residual_s = rows.after_s - predict_s(model, theta, rows, g_mps2)
-    stack = np.concatenate([sensitivities(model, theta, rows, g_mps2), residual_s[..., None]], axis=-1)
-    stack = np.where(rows.valid[..., None], stack, 0.0)
-    lower = noise_of(model, theta, rows, g_mps2).lower(widths)
-    white = np.asarray(np.linalg.solve(lower, stack)[rows.valid], dtype=np.float64)
-    jacobian, residual = white[:, :-1], white[:, -1]
-    normal = jacobian.T @ jacobian
-    damped = _inverse(normal + damping * np.diag(np.diag(normal)))
-    low, high = np.array([BOUNDS[name] for name in model.parameters]).T
-    reached = np.clip(theta + damped @ (jacobian.T @ residual), low, high)
-    owner = np.nonzero(rows.valid)[0]
-    return Step(reached, _inverse(normal), float(residual @ residual), jacobian, residual, owner)
 
 
 def _inverse(normal: Floats) -> Floats:
@@ -144,24 +126,44 @@ def sensitivities(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float) 
     return np.stack([(predict_s(model, one, rows, g_mps2) - base) / _NUDGE for one in moved], axis=-1)
 
 
-def converge(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mps2: float) -> Floats:
-    """Levenberg-Marquardt to the minimum at fixed widths.
+def _whitened(lower: Floats, rows: Rows, values: Floats) -> Floats:
+    """Values (drops, longest, m) in units of the noise, shape (rows, m)."""
+    known = np.where(rows.valid[..., None], values, 0.0)
+    return np.asarray(np.linalg.solve(lower, known)[rows.valid], dtype=np.float64)
 
-    The covariance moves with the parameters, but its change is no part of the slopes: a general solver would trade fit
-    for a covariance that is larger. So this one is our own.
+
+def linearised(
+    model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mps2: float
+) -> tuple[Floats, Floats, Floats]:
+    """Covariance (p, p) at ``theta``, and the whitened slopes (rows, p) and residuals (rows,)."""
+    lower = noise_of(model, theta, rows, g_mps2).lower(widths)
+    jacobian = _whitened(lower, rows, sensitivities(model, theta, rows, g_mps2))
+    residual = (rows.after_s - predict_s(model, theta, rows, g_mps2))[..., None]
+    return _inverse(jacobian.T @ jacobian), jacobian, _whitened(lower, rows, residual)[:, 0]
+
+
+def converge(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mps2: float) -> Floats:
+    """Least squares at fixed widths.
+
+    The covariance moves with the parameters, but its change is no part of the slopes: they would trade fit for a
+    covariance that is larger. So it stands still in each pass.
     """
-    damping = 1e-4
-    here = step(model, theta, rows, widths, g_mps2, damping)
-    for _ in range(12):
-        there = step(model, here.theta, rows, widths, g_mps2, damping)
-        if there.chi_square <= here.chi_square * (1.0 + 1e-9):
-            done = here.chi_square - there.chi_square < 1e-5 * (1.0 + here.chi_square)
-            theta, here, damping = here.theta, there, damping * 0.1
-            if done:
-                break
-        else:
-            damping = max(damping, 1e-4) * 30.0
-            here = step(model, theta, rows, widths, g_mps2, damping)
+    low, high = np.array([BOUNDS[name] for name in model.parameters]).T
+    for _ in range(_PASSES):
+        lower = noise_of(model, theta, rows, g_mps2).lower(widths)
+
+        def left(x: Floats, lower: Floats = lower) -> Floats:
+            return _whitened(lower, rows, (rows.after_s - predict_s(model, x, rows, g_mps2))[..., None])[:, 0]
+
+        def slopes(x: Floats, lower: Floats = lower) -> Floats:
+            return -_whitened(lower, rows, sensitivities(model, x, rows, g_mps2))
+
+        begin = np.clip(theta, low + 1e-9, high - 1e-9)
+        found = optimize.least_squares(left, begin, slopes, (low, high), method="dogbox", x_scale="jac", max_nfev=30)
+        settled = float(np.abs(found.x - theta).max()) < _SETTLED
+        theta = found.x
+        if settled:
+            break
     return theta
 
 
@@ -190,15 +192,3 @@ def _widths(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float, start:
         options={"xatol": 0.03, "fatol": 0.01, "maxiter": 150},
     )
     return Widths(*(float(x) for x in np.exp(found.x)))
-
-
-def _bootstrap(theta: Floats, last: Step, rng: np.random.Generator) -> Floats:
-    """Draws of the parameters: resample drops (or flights, where there are few drops)."""
-    groups = last.owner if len(np.unique(last.owner)) >= _FEW_DROPS else np.arange(len(last.white))
-    names, group = np.unique(groups, return_inverse=True)
-    draws = np.empty((_BOOTS, len(theta)))
-    for b in range(_BOOTS):
-        weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
-        normal = (last.jacobian * weight[:, None]).T @ last.jacobian
-        draws[b] = theta + _inverse(normal) @ (last.jacobian.T @ (weight * last.white))
-    return draws

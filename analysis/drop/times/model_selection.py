@@ -10,7 +10,7 @@ import numpy as np
 from analysis.drop import lack_of_fit
 from analysis.drop.laws.bounce_law import BOUNDS, CONSTANT, FRICTION, MODELS
 from analysis.drop.laws.choice import Candidate, Verdict, choose, stable_choice
-from analysis.drop.times.model_fit import Fit, converge, fit, sensitivities, step, usable_rows, wider
+from analysis.drop.times.model_fit import Fit, converge, fit, linearised, sensitivities, usable_rows, wider
 from analysis.drop.times.one_ahead import Drop, Rows, noise_of, predict_s
 from kernels.arrays import Bools, Floats
 
@@ -127,7 +127,7 @@ def _again(judged: Judged, rows: Rows, g_mps2: float) -> Judged:
     """The same model on other rows, with the widths that it has."""
     whole = judged.fit
     theta = converge(whole.model, whole.theta, rows, whole.widths, g_mps2)
-    covariance = wider(step(whole.model, theta, rows, whole.widths, g_mps2).covariance, whole.covariance)
+    covariance = wider(linearised(whole.model, theta, rows, whole.widths, g_mps2)[0], whole.covariance)
     part = replace(whole, theta=theta, covariance=covariance, freedom=rows.count - len(theta))
     return replace(judged, fit=part, scores=_held_out(part, rows, g_mps2)[0])
 
@@ -168,7 +168,7 @@ def _held_out(whole: Fit, rows: Rows, g_mps2: float) -> tuple[Floats, float]:
         # where its best value happens to lie: the first, longest flight is far outside the others.
         noise = noise_of(model, theta, unseen, g_mps2).lower(widths)
         slope = np.where(held[..., None], sensitivities(model, theta, unseen, g_mps2), 0.0)
-        left_open = slope @ step(model, theta, fitted, widths, g_mps2).covariance @ slope.transpose(0, 2, 1)
+        left_open = slope @ linearised(model, theta, fitted, widths, g_mps2)[0] @ slope.transpose(0, 2, 1)
         lower = np.linalg.cholesky(noise @ noise.transpose(0, 2, 1) + left_open)
         white = np.linalg.solve(lower, np.where(held, residual, 0.0)[..., None])[..., 0]
         log = -0.5 * white**2 - np.log(np.diagonal(lower, axis1=1, axis2=2)) - 0.5 * np.log(2 * np.pi)
