@@ -17,6 +17,7 @@ from kernels.arrays import Floats
 
 Interval = dict[str, float | None]  # value, low, high; None where not known
 
+_KEYS = {"mu": ("mu_up", "mu_down")}  # in the JSON and in the effect library
 _HAND = 0.02  # relative: a hand lets go so much higher or lower
 MOST_SAID = 12  # heights or bounces in a sentence
 
@@ -116,7 +117,7 @@ def payload_of(
     }
 
 
-def model_json(candidate: Candidate, to_si: Mapping[str, float], second_s: float, more: dict[str, Any]) -> Any:
+def model_json(candidate: Candidate, to_si: Mapping[str, float], second_s: float) -> dict[str, Any]:
     """A fitted model for the JSON.
 
     Parameters
@@ -125,14 +126,12 @@ def model_json(candidate: Candidate, to_si: Mapping[str, float], second_s: float
         Factor of each parameter to SI; a parameter that is missing here cannot be given.
     second_s
         The candidate's unit of time, s; NaN where unknown.
-    more
-        What this kind of input adds.
     """
     parameters: dict[str, Interval] = {}
     for name, numbers in candidate.intervals().items():
         if name in to_si:
             entry = interval(*(to_si[name] * number for number in numbers))
-            parameters |= {key: entry for key in _keys_of(name)}
+            parameters |= {key: entry for key in _KEYS.get(name, (name,))}
     rms, held_out = (1e3 * (time * second_s) for time in (candidate.rms, candidate.held_out_rms))
     return {
         "name": candidate.model.name,
@@ -141,13 +140,7 @@ def model_json(candidate: Candidate, to_si: Mapping[str, float], second_s: float
         "held_out_rms_ms": held_out if np.isfinite(held_out) else None,
         "identifiable": candidate.identifiable,
         "zero_excluded": candidate.identifiable and candidate.significant,
-        **more,
     }
-
-
-def _keys_of(parameter: str) -> tuple[str, ...]:
-    """Keys of a parameter in the JSON and in the effect library."""
-    return ("mu_up", "mu_down") if parameter == "mu" else (parameter,)
 
 
 def declared(candidate: Candidate, to_si: Mapping[str, float], source: str) -> list[Measured]:
@@ -158,7 +151,7 @@ def declared(candidate: Candidate, to_si: Mapping[str, float], source: str) -> l
         sigma = half / LEVEL_SIGMAS * factor
         if np.isfinite(sigma) and abs(value * factor) > LEVEL_SIGMAS * sigma:
             numbers = round(value * factor, 8), round(sigma, 8)
-            out += [Measured(effect or "restitution", key, *numbers, source) for key in _keys_of(name)]
+            out += [Measured(effect or "restitution", key, *numbers, source) for key in _KEYS.get(name, (name,))]
     return out
 
 

@@ -18,7 +18,7 @@ from daq.setup.values import STANDARD_GRAVITY_MPS2
 if TYPE_CHECKING:
     from analysis.drop.corrections import Progress
     from analysis.drop.curves import FitPlot
-    from analysis.drop.filmed import Units
+    from analysis.drop.film.outcome import Units
     from analysis.drop.load import Known, Path2D
     from analysis.drop.outcome import Outcome
     from analysis.drop.times.one_ahead import Drop
@@ -217,8 +217,8 @@ def draw(done: DropTest, out: Path) -> None:
 def _from_times(drops: list[Drop], stated: list[Height | None], request: Request) -> tuple[Outcome, FitPlot]:
     """Impact times: the models, judged on held-out bounces."""
     from analysis.drop.curves import times_plot
-    from analysis.drop.timed import of_times
     from analysis.drop.times.model_selection import judge
+    from analysis.drop.times.outcome import of_times
 
     rng = np.random.default_rng(request.seed)
     g, without_heights = request.gravity_mps2, None
@@ -266,7 +266,7 @@ def _from_paths(
     """Films and tracked positions: flights, restitution, the models; and the impacts in each file's own time."""
     from analysis.drop.curves import camera_plot
     from analysis.drop.film.camera_fit import fit_camera
-    from analysis.drop.filmed import of_camera
+    from analysis.drop.film.outcome import of_camera
 
     if request.use_height == "data":
         raise InputError("--use-height data: a film or a path measures the height itself; say --use-height check")
@@ -289,7 +289,7 @@ def _from_paths(
 
 def _units(paths: list[Path2D], request: Request) -> Units:
     """Seconds a frame and metres a unit: what was said on the command line first, then what the files say."""
-    from analysis.drop.filmed import Units
+    from analysis.drop.film.outcome import Units
 
     rates = [item.frame_s or 0.0 for item in paths]
     if request.fps is None and max(rates) > 1.01 * min(rates):

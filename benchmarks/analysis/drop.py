@@ -22,15 +22,15 @@ import numpy as np
 
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.flights import Clip, flights_of
+from analysis.drop.film.outcome import Units, of_camera
 from analysis.drop.film.tracking import track_film
-from analysis.drop.filmed import Units, of_camera
 from analysis.drop.laws.choice import Verdict, choose
 from analysis.drop.load import Path2D, load
-from analysis.drop.timed import of_times
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
+from analysis.drop.times.outcome import of_times
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from analysis.drop.film.camera_fit import fit_camera
-from analysis.drop.filmed import Units, of_camera
+from analysis.drop.film.outcome import Units, of_camera
 from analysis.drop.load import Path2D, load
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats

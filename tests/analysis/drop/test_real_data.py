@@ -8,9 +8,9 @@ import pytest
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.laws.choice import Verdict
 from analysis.drop.load import Path2D, load
-from analysis.drop.timed import of_times
 from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.outcome import of_times
 
 G = 9.80665
 pytestmark = pytest.mark.data

@@ -10,8 +10,8 @@ import pytest
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.flights import Clip
 from analysis.drop.film.linking import ball_of
+from analysis.drop.film.outcome import Units, of_camera
 from analysis.drop.film.tracking import track_film
-from analysis.drop.filmed import Units, of_camera
 from analysis.drop.laws.choice import choose
 from daq.setup.errors import InputError
 

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.flights import Clip
-from analysis.drop.filmed import Units, of_camera
+from analysis.drop.film.outcome import Units, of_camera
 from analysis.drop.outcome import Outcome
 from daq.setup.errors import InputError
 

@@ -5,10 +5,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from analysis.drop.timed import of_times
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.model_selection import judge
 from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.outcome import of_times
 
 G = 9.80665
 

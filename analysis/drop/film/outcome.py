@@ -60,10 +60,11 @@ def of_camera(
     verdict = judge_camera(fit)
     film = _Film(fit, verdict.candidate(verdict.best), units)
     gravity, quality = film.gravity(names[0]), film.quality()
-    film.refuse_slow_motion(names[0])
+    slow = film.playback(names[0])
     verdict = replace(verdict, doubts=(*verdict.doubts, *film.doubts(quality, gravity)))
-    frame = film.seen.frame
+    frame, seconds = film.seen.frame, film.frame_s if film.timed else 1.0
     impacts_s = (frame * film.frame_s).tolist() if film.timed else []
+    flights = zip(fit.flights, film.shape.apex_frame, strict=True)
     payload = outcome.payload_of("camera", names, impacts_s, verdict, film.height()) | {
         "impacts_frames": frame.tolist(),
         "models": [film.model(one) for one in fit.candidates],
@@ -74,9 +75,19 @@ def of_camera(
         "g_mps2": gravity,
         "scale_m_per_unit": {"value": film.scale if film.timed else None, "from_gravity": units.scale_m is None},
         "fit": quality,
-        "flights": film.flights(),
+        "flights": [
+            {
+                "file": flight.clip,
+                "order": flight.order,
+                "first_frame": float(flight.frame[0]),
+                "last_frame": float(flight.frame[-1]),
+                "samples": len(flight.frame),
+                "apex_s" if film.timed else "apex_frame": float(apex) * seconds,
+            }
+            for flight, apex in flights
+        ],
     }
-    words = _in_words(payload, units, len(names)) + film.playback_in_words()
+    words = _in_words(payload, units, len(names)) + slow
     check = outcome.against_stated(payload["drop_height_m"], stated) if stated is not None else {}
     if stated is not None and "sigmas_off" in check:
         payload["stated_height_m"] = check
@@ -120,29 +131,23 @@ class _Film:
             )
         common = np.hypot(self.unit_uncertainty, _SCALE_FLOOR)
         sigma = value * float(np.hypot(self.draws[:, 0].std() / self.g, common))
-        return outcome.interval(value, value - thresholds.LEVEL_SIGMAS * sigma, value + thresholds.LEVEL_SIGMAS * sigma)
+        return outcome.around(value, thresholds.LEVEL_SIGMAS * sigma)
 
-    def refuse_slow_motion(self, where: str) -> None:
-        """Refuse a film whose playback rate would make the fall, or the ball, larger than any."""
-        if not self.units.assumed_rate or not self.timed:
-            return
-        fall, ball = self.fall * self.scale, (self.units.ball or 0.0) * self.scale
-        if fall > thresholds.TALLEST_FALL_M or ball > thresholds.LARGEST_BALL_M:
-            size = f" and a ball of {ball:.2g} m" if self.units.ball else ""
-            raise InputError(
-                f"{where}: at its playback rate of {1.0 / self.frame_s:.4g} frames per second it would show a fall of "
-                f"{fall:.1f} m{size}: it was filmed faster. Say --fps with the rate of the camera (or the file's own, "
-                "if it is so)"
-            )
-
-    def playback_in_words(self) -> list[str]:
-        """A reminder that a film may have been taken faster than it plays."""
+    def playback(self, where: str) -> list[str]:
+        """A reminder that a film may play slower than it was taken; refused where its fall or ball is too large."""
         if not self.units.assumed_rate or not self.timed:
             return []
-        size = f", a ball {1e3 * self.scale * self.units.ball:.0f} mm high," if self.units.ball else ""
+        fall, ball, fps = self.fall * self.scale, (self.units.ball or 0.0) * self.scale, 1.0 / self.frame_s
+        if fall > thresholds.TALLEST_FALL_M or ball > thresholds.LARGEST_BALL_M:
+            size = f" and a ball of {ball:.2g} m" if ball else ""
+            raise InputError(
+                f"{where}: at its playback rate of {fps:.4g} frames per second it would show a fall of {fall:.1f} m"
+                f"{size}: it was filmed faster. Say --fps with the rate of the camera (or the file's own, if it is so)"
+            )
+        size = f", a ball {1e3 * ball:.0f} mm high," if ball else ""
         return [
-            f"The {1.0 / self.frame_s:.4g} frames a second are those at which the film plays. If that fall{size} or "
-            "the speeds look too large, it was filmed faster: say --fps; restitution and friction stay as they are."
+            f"The {fps:.4g} frames a second are those at which the film plays. If that fall{size} or the speeds look "
+            "too large, it was filmed faster: say --fps; restitution and friction stay as they are."
         ]
 
     def doubts(self, quality: dict[str, Any], g: outcome.Interval | None) -> list[str]:
@@ -175,9 +180,8 @@ class _Film:
 
     def friction(self) -> outcome.Interval:
         """Coulomb friction over the weight, whatever model was chosen."""
-        value = float(self.fit.shapes["friction"].values[1])
-        half = thresholds.LEVEL_SIGMAS * float(self.fit.values["friction"][:, 1].std())
-        return outcome.interval(value, value - half, value + half)
+        spread = float(self.fit.values["friction"][:, 1].std())
+        return outcome.around(float(self.fit.shapes["friction"].values[1]), thresholds.LEVEL_SIGMAS * spread)
 
     def friction_each_way(self) -> dict[str, outcome.Interval] | None:
         """Friction going up and coming down, each by itself, by the gravity that is known; None without a scale."""
@@ -189,8 +193,7 @@ class _Film:
         for way, sign in _SIGNS:
             value = sign * (float(g) * factor * (1.0 + sign * float(f)) - 1.0)
             spread = (draws[:, 0] * factor * (1.0 + sign * draws[:, 1])).std()
-            half = thresholds.LEVEL_SIGMAS * float(np.hypot(spread, self.unit_uncertainty))
-            out[way] = outcome.interval(value, value - half, value + half)
+            out[way] = outcome.around(value, thresholds.LEVEL_SIGMAS * float(np.hypot(spread, self.unit_uncertainty)))
         return out
 
     def accelerations(self, rng: np.random.Generator) -> dict[str, outcome.Interval]:
@@ -211,17 +214,12 @@ class _Film:
 
     def model(self, one: CameraCandidate) -> dict[str, Any]:
         """A model for the JSON."""
-        law = one.law
-        more = {
+        law, covariance = one.law, self.fit.shapes[one.shape].covariance.tolist()
+        entry: dict[str, Any] = outcome.model_json(one, self.to_si, self.frame_s if self.timed else np.nan) | {
             "restitution_scatter": law.scatter,
             "chi_square": {"value": law.chi_square, "freedom": law.freedom, "chance": law.chance},
-            "covariance": {
-                "of": list(SHAPES[one.shape]),
-                "matrix": self.fit.shapes[one.shape].covariance.tolist(),
-                "unit": "the file's unit and frames",
-            },
+            "covariance": {"of": list(SHAPES[one.shape]), "matrix": covariance, "unit": "the file's unit and frames"},
         }
-        entry: dict[str, Any] = outcome.model_json(one, self.to_si, self.frame_s if self.timed else np.nan, more)
         return entry
 
     def height(self) -> outcome.Interval:
@@ -253,20 +251,6 @@ class _Film:
             entry["restitution"] = outcome.of_draws(ratio, seen.out_draws[:, i] / seen.in_draws[:, i])
             out.append(entry)
         return out
-
-    def flights(self) -> list[dict[str, Any]]:
-        """Each flight's file, order, first and last frame, and apex."""
-        return [
-            {
-                "file": flight.clip,
-                "order": flight.order,
-                "first_frame": float(flight.frame[0]),
-                "last_frame": float(flight.frame[-1]),
-                "samples": len(flight.frame),
-                "apex_s" if self.timed else "apex_frame": float(apex) * (self.frame_s if self.timed else 1.0),
-            }
-            for flight, apex in zip(self.fit.flights, self.shape.apex_frame, strict=True)
-        ]
 
     def quality(self) -> dict[str, Any]:
         """Quality of each shape's fit: rms against the noise of single positions."""
