@@ -46,7 +46,7 @@ def row(name: str, request: Request) -> str:
     try:
         payload = measure(request).outcome.payload
     except InputError as error:
-        return f"| {name} | refused: {str(error).removeprefix(str(request.files[0]))[:WORDS]} | | | |"
+        return f"| {name} | refused: {str(error).removeprefix(f'{request.files[0]}: ')[:WORDS]} | | | |"
     unit = "m" if payload["kind"] == "falls" else "ms"
     models = {model["name"]: model for model in payload["models"]}
     errors = [models[which][f"held_out_rms_{unit}"] for which in (payload["models"][0]["name"], payload["best"])]

@@ -18,9 +18,9 @@ from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
 from analysis.drop.read.contents import read_tables
 from analysis.drop.read.readings import Points
-from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.impact_chain import Onsets, drops_of, unheard
 from analysis.drop.times.one_ahead import Drop
-from analysis.drop.times.onsets import Onsets, contact_onsets, onsets_of_file, unheard
+from analysis.drop.times.onsets import contact_onsets, onsets_of_file
 from daq.files.wav import is_wav
 from daq.importers.tables import read_sheets
 from daq.setup.errors import InputError
@@ -152,12 +152,11 @@ def _drops(
     path: Path, events: Onsets, uncertainty_s: float, corrections: Corrections, sound: bool = False
 ) -> list[Drop]:
     """Every drop among the events of a file, those that a person added included."""
-    used = corrections.keeps(events.times_s, _IGNORE_REACH_S)
     added = np.array(corrections.add_s)
-    times = np.concatenate([events.times_s[used], added])
-    strength = np.concatenate([events.strength[used], np.full(len(added), _BY_HAND)])
-    loudness = np.concatenate([events.loudness[used], np.full(len(added), np.nan)])
-    found = drops_of(times, str(path), uncertainty_s, strength, loudness)
+    by_hand = Onsets(added, np.full(len(added), _BY_HAND), np.full(len(added), np.nan))
+    heard = events.part(corrections.keeps(events.times_s, _IGNORE_REACH_S))
+    used = Onsets(*(np.concatenate(both) for both in zip(heard, by_hand, strict=True)))
+    found = drops_of(used, str(path), uncertainty_s)
     numbers = [f" ({k + 1} of {len(found)})" if len(found) > 1 else "" for k in range(len(found))]
     impacts = np.concatenate([bounces.impacts_s for bounces in found])
     said = tuple(
@@ -166,7 +165,7 @@ def _drops(
         if np.abs(impacts - when).min() > _SAME_S
     )
     drops = [Drop(path.name + n, bounces, file=path, sound=sound) for n, bounces in zip(numbers, found, strict=True)]
-    return [replace(drops[0], remarks=said, events_s=np.sort(times)), *drops[1:]]
+    return [replace(drops[0], remarks=said, events_s=np.sort(used.times_s)), *drops[1:]]
 
 
 def _film(path: Path, progress: Progress | None, corrections: Corrections, known: Known) -> Path2D:

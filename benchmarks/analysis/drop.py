@@ -26,7 +26,7 @@ from analysis.drop.film.outcome import Units, of_camera
 from analysis.drop.film.tracking import track_film
 from analysis.drop.laws.choice import Verdict, choose
 from analysis.drop.load import Path2D, load
-from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.impact_chain import Onsets, drops_of
 from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
@@ -116,12 +116,12 @@ def single_drops(count: int, seed: int, heard: bool, echo: float = 0.03, speech:
         rng = np.random.default_rng([seed, k])
         truth = _random_truth(cam, CAUSES[k % 4], rng)
         if heard:
-            events, strength, loudness, impacts, due = _heard(cam, truth, rng, echo, speech)
+            events, impacts, due = _heard(cam, truth, rng, echo, speech)
         else:
-            events, strength, loudness, impacts, due = _tabled(cam, truth, rng)
+            events, impacts, due = _tabled(cam, truth, rng)
         tally["due"] += int(due.sum())
         try:
-            found = drops_of(events, f"drop {k}", strength=strength, loudness=loudness)
+            found = drops_of(events, f"drop {k}")
             drop = Drop("x", max(found, key=lambda bounces: len(bounces.impacts_s)))
         except InputError:
             matrix[CAUSES[k % 4], "refused"] += 1
@@ -146,7 +146,7 @@ def _random_truth(cam: ModuleType, cause: str, rng: np.random.Generator) -> Any:
 
 def _heard(
     cam: ModuleType, truth: Any, rng: np.random.Generator, echo: float = 0.03, speech: float | None = None
-) -> tuple[Floats, Floats | None, Floats | None, Floats, Floats]:
+) -> tuple[Onsets | Floats, Floats, Floats]:
     """Events in a microphone recording, with noise, hum, talk, clicks and unheard impacts."""
     room = cam.Room(
         rate_hz=float(rng.choice([16000, 22050, 44100, 48000, 96000])),
@@ -164,13 +164,10 @@ def _heard(
     samples, impacts, loud = cam.sound(truth, room, rng)
     apart = np.diff(impacts, prepend=impacts[0] - 1.0) > 0.03
     due = apart & (loud > 8.0 * np.hypot(room.noise, room.speech))
-    times, strength, loudness = sound_onsets(samples, room.rate_hz, "x")
-    return times, strength, loudness, impacts, due
+    return sound_onsets(samples, room.rate_hz, "x"), impacts, due
 
 
-def _tabled(
-    cam: ModuleType, truth: Any, rng: np.random.Generator
-) -> tuple[Floats, Floats | None, Floats | None, Floats, Floats]:
+def _tabled(cam: ModuleType, truth: Any, rng: np.random.Generator) -> tuple[Onsets | Floats, Floats, Floats]:
     """Events as a phone lists them: impacts with jitter, one perhaps missing, one perhaps false, none under 0.1 s."""
     _, impacts = cam.path(truth, np.array([20.0]), 1e-4, settle_mps=0.05, rng=rng)
     impacts = impacts[np.diff(impacts, append=impacts[-1]) > 0.1]
@@ -178,7 +175,7 @@ def _tabled(
     due[rng.integers(1, len(impacts))] = rng.random() < 0.5
     events = impacts + 10 ** rng.uniform(-5, -3) * rng.standard_normal(len(impacts))
     false = rng.uniform(impacts[0] - 1.0, impacts[-1], int(rng.integers(0, 2)))
-    return np.concatenate([events[due], false]), None, None, impacts, due
+    return np.concatenate([events[due], false]), impacts, due
 
 
 def _count(

@@ -11,7 +11,7 @@ import numpy as np
 from analysis.drop.falls.fall import Fall, axis_of
 from analysis.drop.falls.fit import DROP, OWNER, PRIORS, FallFit, Setting, fit_falls
 from analysis.drop.laws.bounce_law import BounceModel
-from analysis.drop.laws.choice import Candidate, Verdict, choose
+from analysis.drop.laws.choice import Candidate, Verdict, choose, worth_of
 from analysis.drop.thresholds import LARGEST_MISFIT, LEAST_GAIN_NATS, LEVEL_SIGMAS
 from kernels.arrays import Floats
 
@@ -27,7 +27,6 @@ _TOGETHER = (
     ("quadratic_drag", "axis_distortion", "steady_wind"),
 )  # fmt: skip
 _RICHEST = ("quadratic_drag", "axis_distortion")
-_MOST_WORTH = 0.5  # of a sample: a person who marks a ball, or a tracker, errs alike over several frames
 _STOKES_MPS = 1.0  # beyond which no ball that can be seen has a linear drag in air: a millimetre has Reynolds number 70
 
 
@@ -109,9 +108,7 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, share: Mapping[str, float]
     richest = ("k_per_m", "bend", "scale")
     # Residuals are correlated from sample to sample: how much a sample is worth, and so what weighs against a prior.
     first = fit_falls(falls, richest, setting)
-    product = sum(float(r[1:] @ r[:-1]) for r in first.left)
-    rho = min(max(product / max(sum(float(r @ r) for r in first.left), 1e-300), 0.0), 0.95)
-    worth = min((1.0 - rho) / (1.0 + rho), _MOST_WORTH)
+    worth = worth_of(first.left)
     setting = replace(setting, prior_m=first.sigma_m / float(np.sqrt(worth)))
 
     def tried(*causes: str, near: FallFit | None = first) -> FallCandidate:

@@ -26,7 +26,7 @@ from analysis.drop.laws.bounce_law import (
     SPEED_FRICTION,
     BounceModel,
 )
-from analysis.drop.laws.choice import Candidate
+from analysis.drop.laws.choice import Candidate, worth_of
 from analysis.drop.laws.flight_law import FlightLaw
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.errors import InputError
@@ -44,7 +44,6 @@ _SHAPE_OF = {
 _DRAWS = 300
 _IMPACT_FRAMES = 0.8  # around an impact, in which an exposure may show both flights
 _LEAST_CLEAR = 4  # samples of a flight outside
-_MOST_WORTH = 0.5  # a tracker errs alike over several frames (the same pixels, the same edge), seen or not
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     noise = noise_of(flights)
     flights = _clear_of_impacts(flights, fit_shape("friction", flights, acceleration, noise))
     richest = fit_shape("friction+drag", flights, acceleration, noise)
-    worth = _worth(richest, flights)
+    worth = worth_of([f.height - richest.seen_at(i, f.frame) for i, f in enumerate(flights)])
     unit = (richest.sigma / noise) ** 2 / worth
     shapes = {name: fit_shape(name, flights, acceleration, noise, unit=unit) for name in SHAPES}
     shapes = {name: replace(s, covariance=s.covariance / worth) for name, s in shapes.items()}
@@ -157,17 +156,6 @@ def _clear_of_impacts(flights: list[Flight], shape: Shape) -> list[Flight]:
             flight = replace(flight, frame=flight.frame[clear], height=flight.height[clear])
         out.append(flight)
     return out
-
-
-def _worth(shape: Shape, flights: Sequence[Flight]) -> float:
-    """Independent samples per sample, from the lag-one correlation of the residuals within flights."""
-    product = square = 0.0
-    for i, flight in enumerate(flights):
-        residual = flight.height - shape.seen_at(i, flight.frame)
-        product += float((residual[1:] * residual[:-1]).sum())
-        square += float((residual**2).sum())
-    rho = min(max(product / max(square, 1e-300), 0.0), 0.95)
-    return min((1.0 - rho) / (1.0 + rho), _MOST_WORTH)
 
 
 def _position_scores(shape: Shape, flights: list[Flight], noise: float, worth: float) -> Floats:

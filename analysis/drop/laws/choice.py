@@ -78,6 +78,16 @@ class Verdict(Generic[C]):
         return next(one for one in self.candidates if one.model.name == name)
 
 
+def worth_of(residuals: Sequence[Floats]) -> float:
+    """Independent samples per sample, from the lag-one correlation of what is left within each flight or fall.
+
+    At most a half: a tracker, or a person who marks a ball, errs alike over several frames, seen or not.
+    """
+    product = sum(float(one[1:] @ one[:-1]) for one in residuals)
+    rho = min(max(product / max(sum(float(one @ one) for one in residuals), 1e-300), 0.0), 0.95)
+    return min((1.0 - rho) / (1.0 + rho), 0.5)
+
+
 def gain_of(rival: Candidate, than: Candidate) -> tuple[float, bool]:
     """Held-out gain of ``rival`` in nats, and whether it is beyond doubt.
 

@@ -8,6 +8,7 @@ and a bounce that breaks the pattern (an edge, a hand) ends a run.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,19 +62,25 @@ class Bounces:
         return np.flatnonzero(single[:-1] & single[1:] & ~self.broken[1:-1]) + 1
 
 
-@dataclass(frozen=True)
-class _Events:
-    """Event times, increasing, with strength and loudness."""
+class Onsets(NamedTuple):
+    """Events among which a ball's impacts are, in order of time."""
 
-    times_s: Floats
-    strength: Floats
-    loudness: Floats
+    times_s: Floats  # (n,)
+    strength: Floats  # (n,) how much of an impact each is, 0 to 1: its loudness among its neighbours
+    loudness: Floats  # (n,) natural logarithm of the peak; NaN where it is clipped or not known
 
-    def part(self, chosen: Bools | slice) -> _Events:
-        return _Events(self.times_s[chosen], self.strength[chosen], self.loudness[chosen])
+    def part(self, chosen: Bools | slice | Integers) -> Onsets:
+        """Only these of the events."""
+        return Onsets(*(values[chosen] for values in self))
 
-    def without(self, times_s: Floats) -> _Events:
+    def without(self, times_s: Floats) -> Onsets:
+        """All but the events at these times."""
         return self.part(~np.isin(self.times_s, times_s))
+
+
+def unheard(times_s: Floats) -> Onsets:
+    """Events of full strength, of whose loudness nothing is known."""
+    return Onsets(times_s, np.ones(len(times_s)), np.full(len(times_s), np.nan))
 
 
 @dataclass(frozen=True)
@@ -85,37 +92,26 @@ class _Refused:
     by_chance: bool
 
 
-def drops_of(
-    events_s: Floats,
-    where: str,
-    uncertainty_s: float = 0.0,
-    strength: Floats | None = None,
-    loudness: Floats | None = None,
-) -> list[Bounces]:
-    """All drops among ``events_s``, in order of time: a ball may be dropped several times in one recording.
+def drops_of(events: Onsets | Floats, where: str, uncertainty_s: float = 0.0) -> list[Bounces]:
+    """All drops among some events, in order of time: a ball may be dropped several times in one recording.
 
     Parameters
     ----------
-    events_s : (n,) float64
-        Candidate times, s, any order.
-    where : str
+    events
+        Events in any order; bare times, s, are of full strength.
+    where
         File, for the error text.
-    uncertainty_s : float
+    uncertainty_s
         Passed on.
-    strength : (n,) float64, optional
-        How much of an impact each event is, 0 to 1: loudness against its neighbours. All 1 where left out.
-    loudness : (n,) float64, optional
-        Logarithm of the peak; NaN where not known.
 
     Raises
     ------
     InputError
         Fewer than three impacts that follow each other, or a chain that is none of a ball's.
     """
-    times, first = np.unique(np.asarray(events_s, dtype=np.float64), return_index=True)
-    weight = np.ones(len(times)) if strength is None else np.asarray(strength, dtype=np.float64)[first]
-    loud = np.full(len(times), np.nan) if loudness is None else np.asarray(loudness, dtype=np.float64)[first]
-    events = _Events(times, weight, loud)
+    events = events if isinstance(events, Onsets) else unheard(np.asarray(events, dtype=np.float64))
+    events = events.part(np.unique(events.times_s, return_index=True)[1])
+    times = events.times_s
     found: list[Bounces] = []
     reasons: list[str] = []
     for window in _windows(times):
@@ -158,7 +154,7 @@ def _windows(times: Floats) -> list[slice]:
     return out
 
 
-def _search(events: _Events, uncertainty_s: float, found: list[Bounces], reasons: list[str]) -> None:
+def _search(events: Onsets, uncertainty_s: float, found: list[Bounces], reasons: list[str]) -> None:
     """Every drop among some events: the best chain, then what lies before and after it."""
     rest = [(events, _TRIES)]
     best = 0
@@ -186,7 +182,7 @@ def _search(events: _Events, uncertainty_s: float, found: list[Bounces], reasons
         rest += [(part.part(part.times_s > drop.impacts_s[-1]), tries)]
 
 
-def _one_drop(events: _Events, uncertainty_s: float, everything: _Events) -> Bounces | _Refused | None:
+def _one_drop(events: Onsets, uncertainty_s: float, everything: Onsets) -> Bounces | _Refused | None:
     """The best chain of some events; why it is no drop among everything heard, where it is none."""
     chain, missed, broken = best_chain(events.times_s, events.strength)
     whole = [not a and not b and not cut for a, b, cut in zip(missed, missed[1:], broken[1:], strict=False)]
@@ -202,7 +198,7 @@ def _one_drop(events: _Events, uncertainty_s: float, everything: _Events) -> Bou
 
 
 def _without_strays(
-    heard: _Events, chain: list[int], missed: list[int], broken: list[bool], uncertainty_s: float
+    heard: Onsets, chain: list[int], missed: list[int], broken: list[bool], uncertainty_s: float
 ) -> Bounces:
     """The chain as bounces, ends that belong to something else given up."""
     events = heard.times_s
@@ -254,7 +250,7 @@ def _a_loop(drops: list[Bounces], events: Floats) -> bool:
     return False
 
 
-def _two_at_once(drops: list[Bounces], events: _Events) -> bool:
+def _two_at_once(drops: list[Bounces], events: Onsets) -> bool:
     """Whether two chains shrink steadily at the same time, neither of them the other's echo."""
     left = sum(len(drop.false_s) + int(drop.broken.sum()) for drop in drops)
     if left < _LEAST_OF_FURTHER - 1:

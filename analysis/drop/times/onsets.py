@@ -8,13 +8,14 @@ information criterion of a two-part signal (Maeda 1985).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import linalg, signal
 
 from analysis.drop.corrections import Progress
+from analysis.drop.times.impact_chain import Onsets
 from analysis.statistics import mad_sigma
 from daq.files.wav import open_wav
 from daq.recording import Recording, open_recording
@@ -45,19 +46,6 @@ _CLEAR_RISE = 1.0  # in natural logarithms: less is a ring, or a clipped swing, 
 _REST_S = 20.0  # how long a plate is looked at
 _AT_REST_MPS2 = 1.0  # what a plate at rest reads at most
 _BLOCK = 1 << 20  # samples of a contact channel read at once
-
-
-class Onsets(NamedTuple):
-    """Onsets in a sound."""
-
-    times_s: Floats  # (n,)
-    strength: Floats  # (n,) loudness among the neighbours, 0 to 1
-    loudness: Floats  # (n,) natural logarithm of the peak; NaN where it is clipped
-
-
-def unheard(times_s: Floats) -> Onsets:
-    """Events of full strength, of whose loudness nothing is known."""
-    return Onsets(times_s, np.ones(len(times_s)), np.full(len(times_s), np.nan))
 
 
 def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets, float]:

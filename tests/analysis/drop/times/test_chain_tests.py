@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.impact_chain import drops_of, unheard
 from analysis.drop.times.onsets import onsets_of_file, sound_onsets
 from daq.setup.errors import InputError
 
@@ -50,9 +50,9 @@ def test_loudness_goes_with_energy() -> None:
     """A chain that shrinks but grows louder is none of a ball's."""
     times = _impacts(0.8, 0.5, 10, 1.0)
     quieter, louder = -0.25 * np.arange(11.0), 0.25 * np.arange(11.0)
-    assert len(drops_of(times, "x", loudness=quieter)[0].impacts_s) == 11
+    assert len(drops_of(unheard(times)._replace(loudness=quieter), "x")[0].impacts_s) == 11
     with pytest.raises(InputError, match="grow quieter"):
-        drops_of(times, "x", loudness=louder)[0]
+        drops_of(unheard(times)._replace(loudness=louder), "x")[0]
 
 
 @pytest.mark.parametrize("rate_hz", [8000.0, 44100.0])
@@ -67,7 +67,7 @@ def test_a_clipped_first_impact_is_timed(rate_hz: float) -> None:
         tap = np.sin(2 * np.pi * 120.0 * since) + 0.3 * rng.standard_normal(len(since))
         sound[first:] += 20.0 * 0.8**k * tap * np.exp(-since / 0.02)
     onsets = sound_onsets(np.clip(sound, -1.0, 1.0), rate_hz, "x")
-    found = drops_of(onsets.times_s, "x", strength=onsets.strength, loudness=onsets.loudness)[0]
+    found = drops_of(onsets, "x")[0]
     assert found.impacts_s[0] == pytest.approx(impacts[0], abs=1e-3)
     assert np.isnan(onsets.loudness[0])
 
@@ -81,6 +81,6 @@ def test_a_long_file_is_read_in_pieces(tmp_path: Path, synthetic: ModuleType) ->
     sound[18 * rate : 18 * rate + len(tap)] += tap
     wavfile.write(tmp_path / "long.wav", rate, (sound * 32767 * 0.5).astype(np.int16))
     onsets, _ = onsets_of_file(tmp_path / "long.wav")
-    drops = drops_of(onsets.times_s, "long.wav", strength=onsets.strength, loudness=onsets.loudness)
+    drops = drops_of(onsets, "long.wav")
     assert len(drops) == 1
     assert drops[0].impacts_s[:6] == pytest.approx(18.0 + impacts[:6], abs=1e-3)

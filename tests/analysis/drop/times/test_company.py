@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.times.chain_tests import ends_that_stray, ends_unlike_in_loudness
-from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.impact_chain import drops_of, unheard
 from analysis.drop.times.onsets import sound_onsets
 from daq.setup.errors import InputError
 
@@ -19,9 +19,9 @@ def test_a_faint_sound_before_the_drop_is_no_first_impact() -> None:
     """It fits the intervals, but the first impact is the fastest and cannot be the faintest."""
     times = np.concatenate(([-0.5], _impacts(0.8, 8)))  # 0.5 s before: just as an impact would
     loudness = 1.3 * np.log(np.append(np.diff(times), 0.06)) + 0.1 * np.sin(np.arange(len(times)))
-    assert drops_of(times, "x", loudness=loudness)[0].impacts_s == pytest.approx(times)
+    assert drops_of(unheard(times)._replace(loudness=loudness), "x")[0].impacts_s == pytest.approx(times)
     loudness[0] -= 3.0
-    assert drops_of(times, "x", loudness=loudness)[0].impacts_s == pytest.approx(times[1:])
+    assert drops_of(unheard(times)._replace(loudness=loudness), "x")[0].impacts_s == pytest.approx(times[1:])
 
 
 def test_a_knock_after_the_drop_is_no_last_impact() -> None:
@@ -68,7 +68,7 @@ def test_an_echo_is_no_second_ball() -> None:
     """Every impact heard again 31 ms later is one ball in a large room."""
     impacts = _impacts(0.8, 8)
     weight = np.concatenate((np.ones(9), np.full(9, 0.4)))
-    found = drops_of(np.concatenate((impacts, impacts + 0.031)), "x", strength=weight)
+    found = drops_of(unheard(np.concatenate((impacts, impacts + 0.031)))._replace(strength=weight), "x")
     assert found[0].impacts_s[:6] == pytest.approx(impacts[:6])
 
 

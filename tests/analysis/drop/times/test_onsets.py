@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.load import load
-from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.impact_chain import drops_of, unheard
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from daq.files.tables import Block
@@ -21,7 +21,7 @@ def test_onsets_to_the_sample(synthetic: ModuleType) -> None:
     truth = synthetic.Truth(height_m=0.25, e0=0.82, hold_s=0.3)
     sound, impacts = synthetic.taps(truth, 3.0, 44100.0, np.random.default_rng(4))
     times, strength, _ = sound_onsets(sound, 44100.0, "x")
-    found = drops_of(times, "x", strength=strength)[0].impacts_s
+    found = drops_of(unheard(times)._replace(strength=strength), "x")[0].impacts_s
     off = 44100.0 * np.abs(found[:, None] - impacts[None]).min(axis=0)
     assert len(found) == len(impacts)
     assert off.max() < 3.0 and np.median(off) <= 1.0
@@ -43,7 +43,7 @@ def test_onsets_in_an_ordinary_room(synthetic: ModuleType, room: dict[str, float
     setting = synthetic.Room(**room)
     sound, impacts, loud = synthetic.sound(truth, setting, np.random.default_rng(6))
     times, strength, _ = sound_onsets(sound, setting.rate_hz, "x")
-    found = drops_of(times, "x", strength=strength)[0].impacts_s
+    found = drops_of(unheard(times)._replace(strength=strength), "x")[0].impacts_s
     due = impacts[(loud > 10.0 * (setting.noise + setting.speech)) & (np.diff(impacts, prepend=0.0) > 0.04)]
     off = np.abs(found[:, None] - due[None]).min(axis=0)
     assert len(due) >= 6 and off.max() < 1e-3 and np.median(off) < 1e-4
