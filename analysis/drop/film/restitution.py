@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from kernels.arrays import Floats
@@ -52,8 +52,8 @@ def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: boo
         theta, width = np.append(constant.theta, 0.0), np.append(constant.half_width, np.inf)
         return RestitutionFit(theta, width, constant.scatter, constant.predicted, constant.held_out, constant.scores)
     basis = np.column_stack([np.ones(n), -speed]) if with_speed else np.ones((n, 1))
-    theta, covariance, scatter = _weighted(basis, ratio, sigma)
     freedom = n - basis.shape[1]
+    theta, covariance, scatter = _weighted(basis, ratio, sigma)
     held_out, scores = np.full(n, np.nan), np.zeros(n)
     if n >= _LEAST_FOR_HOLD_OUT + basis.shape[1] - 1:
         for i in range(n):
@@ -62,9 +62,9 @@ def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: boo
             held_out[i] = basis[i] @ part
             total = sigma[i] ** 2 + max(own, scatter) ** 2 + basis[i] @ spread @ basis[i]
             scores[i] = stats.t.logpdf(ratio[i], max(freedom - 1, 1), held_out[i], np.sqrt(total))
-    weight = 1.0 / np.maximum(sigma, 1e-9)
+    weight = 1.0 / np.maximum(sigma, 1e-9)  # without extra scatter
     rows = basis * weight[:, None]
-    left = weight * ratio - rows @ np.linalg.lstsq(rows, weight * ratio)[0]  # without extra scatter
+    left = weight * ratio - rows @ np.linalg.lstsq(rows, weight * ratio)[0]
     wide = float(stats.t.ppf(0.975, freedom)) if freedom >= 1 and scatter > 0.0 else LEVEL_SIGMAS
     half = wide * np.sqrt(np.diag(covariance))
     return RestitutionFit(theta, half, scatter, basis @ theta, held_out, scores, float(left @ left), freedom)
@@ -72,20 +72,17 @@ def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: boo
 
 def _weighted(basis: Floats, ratio: Floats, sigma: Floats) -> tuple[Floats, Floats, float]:
     """Weighted least squares with a common extra scatter that brings chi-square to its degrees of freedom."""
-    n, p = basis.shape
+    freedom = basis.shape[0] - basis.shape[1]
     floor = max(1e-6, 1e-3 * float(np.median(sigma)))
-    scatter = 0.0
-    for _ in range(40):
+
+    def fitted(scatter: float) -> tuple[Floats, Floats, float]:
         weight = 1.0 / (sigma**2 + scatter**2 + floor**2)
         covariance = np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True)
         theta = covariance @ (basis.T @ (weight * ratio))
-        squares = (ratio - basis @ theta) ** 2
-        excess = float((weight * squares).sum()) - (n - p)
-        slope = float((weight**2 * squares).sum())
-        if n <= p or slope <= 0.0:
-            break
-        moved = max(scatter**2 + excess / slope, 0.0)
-        if abs(moved - scatter**2) < 1e-12:
-            break
-        scatter = float(np.sqrt(moved))
-    return theta, np.asarray(covariance, dtype=np.float64), scatter
+        return theta, covariance, float((weight * (ratio - basis @ theta) ** 2).sum()) - freedom
+
+    scatter = 0.0
+    if freedom > 0 and fitted(0.0)[2] > 0.0:
+        scatter = float(optimize.brentq(lambda s: fitted(s)[2], 0.0, 10.0 * float(np.ptp(ratio)) + floor, xtol=1e-9))
+    theta, covariance, _ = fitted(scatter)
+    return theta, covariance, scatter
