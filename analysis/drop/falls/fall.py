@@ -80,7 +80,7 @@ def fallen_m(since_s: Floats, g_mps2: float, k_per_m: float, c_per_s: float) -> 
     if abs(k_per_m) < 1e-9:
         return 0.5 * g_mps2 * since_s**2
     size = abs(k_per_m)
-    x = np.sqrt(size * g_mps2) * np.abs(since_s)
+    x = np.sqrt(max(size * g_mps2, 0.0)) * np.abs(since_s)  # a step of a fit may try a gravity below zero
     slowed = (since_s >= 0.0) == (k_per_m > 0.0)
     with np.errstate(over="ignore"):
         way = np.where(slowed, x + np.log1p(np.exp(-2.0 * x)) - np.log(2.0), -np.log(np.cos(np.minimum(x, 1.5))))

@@ -118,7 +118,7 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, share: Mapping[str, float]
     # Whether each drop has a scale of its own comes first, by all the evidence: that one drop needs it and another
     # does not is no disagreement between them.
     alike, scaled = tried(*_RICHEST), tried(*_RICHEST, "axis_scale")
-    more = float(scaled.scores.sum() - alike.scores.sum()) > LEAST_GAIN_NATS and scaled.plausible
+    more = float(scaled.scores.sum() - alike.scores.sum()) > LEAST_GAIN_NATS
     together = scaled if more else alike
     own = ("axis_scale",) if more else ()
     candidates = (
@@ -126,7 +126,7 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, share: Mapping[str, float]
         *(together if c == _RICHEST else tried(*c, *own, near=together.fit) for c in _TOGETHER),
     )
     fast = max(float(np.ptp(f.height_m) / np.ptp(f.time_s)) for f in falls) > _STOKES_MPS
-    able = [c for c in candidates if c.plausible and not (fast and "c_per_s" in c.model.parameters)]
+    able = [c for c in candidates if not (fast and "c_per_s" in c.model.parameters)]
     verdict = Verdict(candidates, choose(able))
     best = verdict.candidate(verdict.best)
     doubts = []

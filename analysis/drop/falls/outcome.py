@@ -162,6 +162,8 @@ def _in_words(judged: Judged, payload: dict[str, Any]) -> list[str]:
         words.append("No ball was dropped twice: nothing beyond free fall can be borne out by another drop.")
     words += outcome.ties_in_words(payload)
     instead = best.model.name.replace("quadratic_drag", "linear_drag")
+    if not best.plausible:
+        words.append("A scale is more than 15 % off: no distance from the camera makes that; clock or marks are wrong.")
     linear = next((c for c in verdict.candidates if c.model.name == instead), best)
     if linear is not best and linear.held_out_rms < 1.1 * best.held_out_rms:
         words.append("A linear drag fits as well, but no ball in air has one at such speeds (Stokes).")

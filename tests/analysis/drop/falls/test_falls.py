@@ -14,14 +14,17 @@ from analysis.drop.read.balls import read_balls
 G = 9.80665
 
 
-def falls_of(drags: dict[str, float], bend: float, rng: np.random.Generator, tall: float = 36.0) -> list[Fall]:
-    """Two drops a ball, 15 samples a second at uneven times, noise of 4 cm."""
+def falls_of(
+    drags: dict[str, float], bend: float, rng: np.random.Generator, tall: float = 36.0, scale: float = 0.0
+) -> list[Fall]:
+    """Two drops a ball, 15 samples a second at uneven times, noise of 4 cm, each seen at a scale of its own."""
     axis = Axis(0.5 * tall, 0.5 * tall)
     found = []
     for ball, k in drags.items():
         for number in (1, 2):
             time = np.arange(0.0, 4.0, 1.0 / 15.0) + rng.uniform(0.0, 0.002, 60)
-            height = tall - fallen_m(np.maximum(time - 0.1, 0.0), G, k, 0.0)
+            own = G * (1.0 + scale * rng.standard_normal())
+            height = tall - fallen_m(np.maximum(time - 0.1, 0.0), own, k, 0.0)
             keep = height > 0.0
             seen = axis.seen_m(height[keep], bend) + 0.04 * rng.standard_normal(int(keep.sum()))
             found.append(Fall(f"{ball} {number}", ball, time[keep], seen))
@@ -69,6 +72,18 @@ def test_drag_and_distortion_are_found_and_a_heavy_balls_drag_is_not() -> None:
     assert [one["drag"] for one in payload["balls"]] == ["measured", "measured", "cannot be told"]
     assert payload["g_mps2"]["low"] < G < payload["g_mps2"]["high"]
     assert payload["balls"][0]["drag_coefficient"]["low"] > 0.3
+
+
+def test_scales_of_drops_are_found_and_the_error_without_them_is_said() -> None:
+    """Drops seen at scales 5 % apart: named, drags in their intervals, and the error of an unfitted scale is larger."""
+    drags = {"light": 0.045, "middle": 0.015, "heavy": 0.005}
+    judged = judge_falls(falls_of(drags, -0.1, np.random.default_rng(390), scale=0.05), G, {})
+    assert judged.verdict.best == "quadratic_drag+axis_distortion+axis_scale"
+    result = of_falls(judged, {})
+    for one in result.payload["balls"]:
+        assert one["k_per_m"]["low"] <= drags[one["ball"]] <= one["k_per_m"]["high"]
+        assert one["held_out_rms_m"]["after"] < 0.08 < one["held_out_rms_m"]["after_unscaled"]
+    assert any("scale is not fitted" in words for words in result.sentences)
 
 
 def test_free_fall_is_enough_for_a_heavy_ball_on_a_true_axis() -> None:
