@@ -21,7 +21,6 @@ from kernels.arrays import Floats
 
 Curve = tuple[Floats, Floats]
 
-_GRID = 200
 _FLIGHT_GRID = 60
 
 
@@ -73,7 +72,7 @@ def times_plot(drops: Sequence[Drop], verdict: Verdict[Judged], g_mps2: float) -
         befores.append(flights[n - 1])
         data.append((1e3 * flights[n - 1], flights[n] / flights[n - 1]))
     all_before = np.concatenate(befores)
-    grid = np.linspace(float(all_before.min()), float(all_before.max()), _GRID)
+    grid = np.linspace(float(all_before.min()), float(all_before.max()), 200)
     models = []
     for name in dict.fromkeys(["constant_restitution", verdict.best]):
         candidate = verdict.candidate(name)

@@ -14,9 +14,6 @@ from analysis.drop.film.tracking import Tracked
 from analysis.drop.times.one_ahead import Drop
 from daq.files.wav import open_wav
 
-_ROWS = 6  # drops of a sound, at most
-_COLUMNS = 3000
-
 
 def draw_track(tracked: Tracked, title: str, target: Path) -> Path:
     """The track over a composite of frames: every measured centre should sit in the middle of a ball."""
@@ -64,14 +61,14 @@ def draw_fit(plot: FitPlot, title: str, target: Path) -> Path:
 def draw_sound(path: Path, drops: Sequence[Drop], target: Path) -> Path:
     """The waveform with the detected impacts marked; a row for each drop, six at most."""
     wav = open_wav(path)
-    shown = drops[:_ROWS]
+    shown = drops[:6]  # drops of a sound, at most
     figure = Figure(figsize=(12, 1.0 + 2.2 * len(shown)), layout="constrained")
     rows: Any = np.atleast_1d(np.asarray(figure.subplots(len(shown), 1)))
     for axes, drop in zip(rows, shown, strict=True):
         bounces = drop.bounces
         start = max(float(bounces.impacts_s[0]) - 0.3, 0.0)
         stop = min(float(bounces.impacts_s[-1]) + 0.3, wav.n_samples / wav.rate_hz)
-        at, low, high = wav.envelope(start, stop, _COLUMNS)
+        at, low, high = wav.envelope(start, stop, 3000)
         axes.fill_between(at, low, high, color="0.6", lw=0)
         top = 1.1 * max(float(high.max(initial=1e-9)), -float(low.min(initial=-1e-9)))
         axes.vlines(bounces.impacts_s, -top, top, color="tab:blue", lw=0.8, label="impact")

@@ -15,7 +15,6 @@ from analysis.drop.times.model_fit import Fit
 from analysis.drop.times.one_ahead import Rows
 from kernels.arrays import Floats, Integers
 
-_LEAST_ROWS = 8  # of residuals in which a trend is looked for
 _LEAST_WANDER_PX = 0.15
 _WANDER_OF_JITTER = 3.0
 
@@ -68,7 +67,7 @@ def _chance_of_trend(fit: Fit, rows: Rows) -> float:
     from_flight = ~rows.from_height[rows.valid]
     white, length = fit.white[from_flight], np.log(rows.before_s[rows.valid])[from_flight]
     n = len(white)
-    if n < _LEAST_ROWS or float(np.ptp(length)) < 1e-9:
+    if n < 8 or float(np.ptp(length)) < 1e-9:  # of residuals in which a trend is looked for
         return 1.0
     basis = np.vander((length - length.mean()) / float(np.ptp(length)), 3)
     left = white - basis @ np.linalg.lstsq(basis, white, rcond=None)[0]

@@ -18,7 +18,6 @@ from kernels.arrays import Floats
 Interval = dict[str, float | None]  # value, low, high; None where not known
 
 _KEYS = {"mu": ("mu_up", "mu_down")}  # in the JSON and in the effect library
-_HAND = 0.02  # relative: a hand lets go so much higher or lower
 MOST_SAID = 12  # heights or bounces in a sentence
 
 
@@ -82,7 +81,7 @@ def pooled_height(heights: Sequence[Interval]) -> Interval:
         return good[0][0] if good else UNKNOWN
     value = np.array([h["value"] for h, _ in good], dtype=np.float64)
     own = np.array([sigma for _, sigma in good])
-    sigma = np.maximum(own, np.maximum(_HAND * value, 1e-9))
+    sigma = np.maximum(own, np.maximum(0.02 * value, 1e-9))  # relative: a hand lets go so much higher or lower
     mean = float((value / sigma**2).sum() / (1.0 / sigma**2).sum())
     if float((((value - mean) / sigma) ** 2).sum()) > float(stats.chi2.ppf(0.999, len(value) - 1)):
         return UNKNOWN

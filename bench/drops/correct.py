@@ -15,7 +15,6 @@ from daq.setup.errors import InputError
 ENDING = ".drop.json"
 _SAME_S = 1e-7
 _PLAIN = {field.name for field in fields(Request)} - {"files", "corrections", "heights_m"}
-_PLACES = 7  # decimals of a second of a person's mark
 
 
 def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
@@ -39,7 +38,7 @@ def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: 
         if back:
             ignored = tuple(t for t in ignored if t not in back)
         else:
-            added = (*added, round(new_s, _PLACES))
+            added = (*added, round(new_s, 7))  # decimals of a second of a person's mark
     return replace(part, ignore_s=ignored, add_s=added)
 
 

@@ -27,7 +27,6 @@ from daq.setup.errors import InputError
 
 TICK_S = 0.05
 MOST_FILES = 24  # of one drop test
-MOST_OFFERED = 500  # in the list of a folder
 MOST_MARKS = 2000  # corrections of a file: more is no correction by hand
 SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
 NUMBERS = ("fps", "scale_m", "ball_size_m", "mass_kg", "diameter_m", "gravity_mps2")
@@ -97,7 +96,7 @@ class DropDesk:
             hidden = any(part.startswith(".") for part in inside.parts)
             if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
                 found.append(inside.as_posix())
-        return found[:MOST_OFFERED]
+        return found[:500]  # in the list of a folder
 
     def _form(self) -> Message:
         """The request as the form shows it."""

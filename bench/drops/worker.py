@@ -14,7 +14,6 @@ from bench.terminal.signals import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 
 NICENESS = 10
-_EVERY_S = 0.2  # between two messages of progress
 
 
 def work(pipe: Connection, gives_way: bool) -> None:
@@ -44,7 +43,7 @@ def _measured(request: Any, known: Any, pipe: Connection) -> tuple[Any, ...]:
 
     def progress(what: str, done: int, total: int) -> None:
         nonlocal sent_at
-        if time.monotonic() - sent_at > _EVERY_S:
+        if time.monotonic() - sent_at > 0.2:  # between two messages of progress
             sent_at = time.monotonic()
             pipe.send(("progress", what, done, total))
 

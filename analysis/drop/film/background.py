@@ -24,9 +24,6 @@ _CUT_SHARE = 0.2
 _MOST_SAMPLES = 31
 _LIVELY_SHARE = 0.25
 _ENDS = 9  # first and last frames that are compared
-_LEAST_APART = 6.0  # levels
-_LEAST_PART = 2e-4  # of the picture
-_LEAST_CLEAR = 3  # frames in which a pixel is seen without the ball
 _ROWS = 64  # of a picture that are held at once for all frames
 
 
@@ -99,11 +96,11 @@ def still_by_order(film: Film, still: Still) -> Still:
     early = _median([f for f in first if float(np.percentile(np.abs(f - start), 99.9)) < _CHANGED_LEVELS])
     late = _median(last)
     change = cv2.GaussianBlur(np.abs(early - late).max(axis=2), (0, 0), 1.5)
-    changed = (change > max(4.0 * mad_sigma(change), _LEAST_APART)).astype(np.uint8)
+    changed = (change > max(4.0 * mad_sigma(change), 6.0)).astype(np.uint8)  # levels
     mask = cv2.dilate(changed, np.ones((5, 5), np.uint8), iterations=2)
     _, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
     background = late.copy()
-    big = [k for k in range(1, len(stats)) if stats[k, cv2.CC_STAT_AREA] > _LEAST_PART * mask.size]
+    big = [k for k in range(1, len(stats)) if stats[k, cv2.CC_STAT_AREA] > 2e-4 * mask.size]  # of the picture
     if len(big) >= 2:
         heights = centres[big, 1]
         middle = 0.5 * (float(heights.min()) + float(heights.max()))
@@ -148,7 +145,7 @@ def still_without(film: Film, still: Still, boxes: dict[int, tuple[float, float,
         ordered = np.sort(values, axis=0)  # NaN last: far faster than nanmedian
         middle = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(frames) - 1)
         low, high = (np.take_along_axis(ordered, at[None, :, :, None], axis=0)[0] for at in middle)
-        enough = count >= _LEAST_CLEAR
+        enough = count >= 3  # frames in which a pixel is seen without the ball
         background[rows][enough] = (0.5 * (low + high))[enough]
     return _still(background, still.n_frames, still.repeated, film)
 

@@ -41,9 +41,7 @@ _SHAPE_OF = {
     SPEED_FRICTION: "friction",
     FRICTION_DRAG: "friction+drag",
 }
-_DRAWS = 300
 _IMPACT_FRAMES = 0.8  # around an impact, in which an exposure may show both flights
-_LEAST_CLEAR = 4  # samples of a flight outside
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     shapes = {name: replace(s, covariance=s.covariance / worth) for name, s in shapes.items()}
     values, impacts, falls = {}, {}, {}
     for name, shape in shapes.items():
-        values[name], at, top_draws = draws_of(shape, rng, _DRAWS, worth)
+        values[name], at, top_draws = draws_of(shape, rng, 300, worth)
         impacts[name], falls[name] = impacts_of(shape, flights, values[name], at, top_draws)
     if not impacts["parabola"].bounced.any():
         raise InputError(f"{clips[0].name}: no impact with a measured speed on both sides; show the fall and a bounce")
@@ -152,7 +150,7 @@ def _clear_of_impacts(flights: list[Flight], shape: Shape) -> list[Flight]:
     for flight in flights:
         when = seen.frame[seen.clip == flight.clip]
         clear = np.abs(flight.frame[:, None] - when[None]).min(axis=1, initial=np.inf) > _IMPACT_FRAMES
-        if clear.sum() >= _LEAST_CLEAR:
+        if clear.sum() >= 4:  # samples of a flight outside
             flight = replace(flight, frame=flight.frame[clear], height=flight.height[clear])
         out.append(flight)
     return out

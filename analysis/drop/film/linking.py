@@ -20,14 +20,11 @@ _WINDOW = 7  # samples in which free flight is looked for
 _LONGEST_GAP = 8.0  # frames a track may be lost
 # Distances at which a point may continue a track, in ranges of height:
 _GATE = 0.012
-_NEW_GATE = 0.04  # a track's first step, across
-_NEW_FALL = 0.15  # the same, up or down
 _RIVAL_SHARE = 0.4  # of the ball's free flight
 _RIVAL_TRAVEL = 0.3  # of the ball's way: the background flickers where the ball comes to rest
 _LEAST_BALLISTIC = 6  # windows
 _STRAIGHT = 0.01  # of the height of a path, by which points of a straight one lie off its line
 _RIGID = 0.03  # of the way, by which the distance of two parts of one body varies
-_LEAST_TILT = 0.0175  # rad; a fall that leans less is measured along the picture's columns
 
 
 @dataclass
@@ -112,7 +109,7 @@ def ball_of(clock: Floats, x: Floats, y: Floats, where: str, axis_deg: float | N
     remarks: tuple[str, ...] = ()
     if axis_deg is None and float(np.ptp(x)) > 0.0:
         angle = _tilt_of_fall(clock[chosen], x[chosen], y[chosen], acceleration)
-        if abs(angle) > _LEAST_TILT:
+        if abs(angle) > 0.0175:  # rad; a fall that leans less is measured along the picture's columns
             x, y = _turned(x, y, angle)
             acceleration /= float(np.cos(angle))
             remarks = (f"the fall leans by {np.degrees(angle):+.1f} degrees in the picture; heights are along it",)
@@ -199,13 +196,13 @@ def _candidates(
     found = []
     for k, track in enumerate(live):
         span = now - track.clock
-        reach = spread * (_GATE if track.steps else _NEW_GATE) * max(1.0, span) ** 0.5
+        reach = spread * (_GATE if track.steps else 0.04) * max(1.0, span) ** 0.5  # a track's first step, across
         ahead = track.velocity * span
         falling = ahead + 0.5 * track.bend * span * (span + 1.0)
         for i in points:
             dx, dy = places[i] - track.position
             miss = min(float(np.hypot(dx - a[0], dy - a[1])) for a in (ahead, falling))
-            most = 1.15 * track.speed * span + reach if track.steps else _NEW_FALL * spread
+            most = 1.15 * track.speed * span + reach if track.steps else 0.15 * spread  # the same, up or down
             if miss <= reach + 0.15 * abs(ahead[1]) + abs(float(track.bend[1])) * span:
                 found.append((miss, k, i))
             elif abs(dx - ahead[0]) <= reach and abs(dy) <= most:

@@ -77,7 +77,7 @@ def _weighted(basis: Floats, ratio: Floats, sigma: Floats) -> tuple[Floats, Floa
 
     def fitted(scatter: float) -> tuple[Floats, Floats, float]:
         weight = 1.0 / (sigma**2 + scatter**2 + floor**2)
-        covariance = np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True)
+        covariance = np.asarray(np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True), dtype=np.float64)
         theta = covariance @ (basis.T @ (weight * ratio))
         return theta, covariance, float((weight * (ratio - basis @ theta) ** 2).sum()) - freedom
 

@@ -21,7 +21,6 @@ Grey = NDArray[np.float32]
 
 _WIDTH = 640
 _COARSE = 4.0  # by which pictures are made smaller first: steps of many pixels
-_LEAST_SHIFT_PX = 0.1  # rms, at the width at which shifts are measured
 _BETTER = 0.75  # of what differs from frame to frame at edges, that may be left after moving frames back
 _EDGES = 0.03  # of the pixels, those with the steepest gradients across, and as many down
 _MARGIN = 4  # pixels
@@ -31,10 +30,8 @@ _LEAST_NOISE = 0.5  # levels
 _STEP_PX = 1.0  # standard deviation of the hand's motion from frame to frame, where no edge shows it
 _ALIKE = 10.0  # neighbouring pixels that err alike: compression, noise that is no pixel's own
 _STRIPS = 6
-_MOST_STEPS = 15  # of the least squares of a frame
 _LONGEST_STEP_PX = 2.0
 _ARRIVED_PX = 5e-3
-_EVERY = 8  # frames, of which one is looked at more closely
 _WATCHED_PX = 0.25
 _LOST = 1.5  # times what usually is left: perhaps a step of many pixels
 
@@ -64,7 +61,7 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
             if fine.difference(large, roughly) < fine.difference(large, shift):
                 shift = roughly
         shifts.append(shift)
-        if number % _EVERY == 1:
+        if number % 8 == 1:  # frames, of which one is looked at more closely
             better.append(fine.share_left(large, shift))
             left.append(fine.difference(large, shift))
             error.append(fine.error_down(large, shift))
@@ -73,7 +70,7 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
     table = np.array(shifts).reshape(-1, 2)
     watched = bool(error) and float(np.median(error)) < _WATCHED_PX
     shaken = float(np.hypot(*np.std(table, axis=0))) if len(table) else 0.0
-    if shaken < _LEAST_SHIFT_PX or not np.median(better) < _BETTER:
+    if shaken < 0.1 or not np.median(better) < _BETTER:  # px rms, at the width of the search
         return replace(film, watched=watched)
     return replace(film, shifts=table / factor, watched=watched)
 
@@ -126,7 +123,7 @@ class _Edges:
     def shift_of(self, grey: Grey, before: Floats) -> Floats:
         """Shift (across, down) of a frame, px; near that of the frame ``before`` in a direction that no edge shows."""
         shift = before
-        for _ in range(_MOST_STEPS):
+        for _ in range(15):  # of the least squares of a frame
             off = self.residual(grey, shift)
             size = max(mad_sigma(off), _LEAST_NOISE)
             weight = np.maximum(1.0 - (off / (_TUKEY * size)) ** 2, 0.0) ** 2

@@ -29,7 +29,6 @@ _MOST_BLOBS = 12
 _SAME_SPAN = 0.6  # of their heights, that two parts on both sides of a rod have in common; less than all if it leans
 _UNSTEADY = 0.12  # spread of a spot's height beyond which its background is suspected
 _STAMP_LEVELS = 40.0
-_STAMPS = 40
 _WIDEST = 0.6  # of the picture: more is a person, or the light
 _LEAST_AREA = 9.0  # of search pixels
 _SHADOW_SHARE = 0.4  # of a spot's contrast: what is fainter is its shadow or its reflection
@@ -270,7 +269,7 @@ def _composite(film: Film, best: _Attempt) -> Image:
     """The background with the ball stamped from some frames of its track."""
     still, clock = best.still.background, best.track.clock
     picture = still.astype(np.uint8)
-    chosen = np.linspace(0, len(clock) - 1, min(_STAMPS, len(clock))).astype(int)
+    chosen = np.linspace(0, len(clock) - 1, min(40, len(clock))).astype(int)
     stamps = {int(clock[i]): best.size[i] for i in chosen}
     for number, frame in enumerate(film.frames()):
         if number in stamps:

@@ -32,7 +32,6 @@ _BEYOND = 1.5  # of the reach, where the distortion stays what it is: nothing wa
 _MOST_DRAG = 3.0  # so strong that a fall through the reach is all at terminal speed
 _OTHER_G = 4.0  # times as large or small as from single arcs: a strong drag would make any gravity a straight line
 _HUBER = 2.5
-_ROUNDING = 1e-12  # of a normal matrix
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ def fit_shape(
     own = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     size, vectors = np.linalg.eigh(normal * np.outer(own, own))
     vectors = vectors * own[:, None]
-    covariance = (vectors / np.maximum(size, _ROUNDING)) @ vectors.T * max(spread, 1e-12)
+    covariance = (vectors / np.maximum(size, 1e-12)) @ vectors.T * max(spread, 1e-12)
     return Shape(name, values, covariance, seen, noise, noise * float(np.sqrt(spread)), prior, reach)
 
 

@@ -20,8 +20,6 @@ Image = NDArray[np.uint8]
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 FILMS = {".avi", ".mp4", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".webm", ".3gp", ".mts", ".cine", ".gif"}
 LEAST_FRAMES = 12
-_LEAST_REGION = 16  # pixels
-_LEAST_DECODED = 0.8  # of the frames that a file states
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class Film:
                 yield got[1]
         finally:
             reader.release()
-        if read < _LEAST_DECODED * self.count:
+        if read < 0.8 * self.count:  # of the frames that a file states
             raise InputError(
                 f"{self.path}: damaged: {read} of {self.count} frames could be read; copy it again or re-encode it"
             )
@@ -153,7 +151,7 @@ def part_of(film: Film, corrections: Corrections) -> Film:
     part = replace(film, first=first, last=last, region=corrections.region)
     if corrections.region is not None:
         shape = next(part.frames()).shape
-        if min(shape[:2]) < _LEAST_REGION:
+        if min(shape[:2]) < 16:  # pixels
             raise InputError(f"{film.path}: --region leaves {shape[1]} x {shape[0]} pixels of the picture")
     return part
 

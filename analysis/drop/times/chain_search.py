@@ -10,7 +10,6 @@ LONGEST_FLIGHT_S = 3.0
 _SHORTEST_FLIGHT_S = 0.008
 _RATIOS = np.linspace(0.20, 0.985, 80)
 _WIDTHS = 0.04 + 0.06 * (1.0 - _RATIOS)  # of the logarithm of a ratio from bounce to bounce
-_LARGEST_LOG_SCATTER = 3.0  # in widths
 _LARGEST_GROWTH = 1.1  # of a flight after an irregular bounce: no bounce adds energy, some of the spin may come back
 _KINDS = np.arange(3)  # impacts that may be missed in one interval
 _LOOK_AHEAD = 6  # events of full strength that may be false between two impacts, plus one
@@ -57,7 +56,7 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
                 if (h, i) not in score:
                     continue
                 offset = np.log(first[:, None]) - np.log(_RATIOS * last_flight[h, i][None])
-                fits = np.abs(offset) < _LARGEST_LOG_SCATTER * _WIDTHS
+                fits = np.abs(offset) < 3.0 * _WIDTHS  # in widths
                 cut_short = np.where(offset - np.log(_LARGEST_GROWTH / _RATIOS) < 0.0, -break_cost, -np.inf)
                 gain = np.where(fits, _GAIN * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]

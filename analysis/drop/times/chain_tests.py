@@ -13,18 +13,13 @@ from analysis.drop.thresholds import CHANCE_CHAINS, STRAY_CHANCE
 from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Floats
 
-_EVEN = 0.988  # of successive flights: no ball rebounds so well
 _LEAST_SCATTER = 0.01  # of the logarithm of a ratio
 _LEAST_TOLERANCE_S = 2e-3
 _UNSTEADY = 0.04  # scatter of the logarithm of a ratio, where other events are near: a ball's is half as large
 _SOME = 3
 _NEAR_S = 5.0
 _LOOK_AHEAD = 6  # events at which a chain by chance may start its next flight
-_LEAST_LOUD = 5  # impacts whose loudness is known, for a trend of it
-_LEAST_RANGE = 0.6  # of the logarithm of the flights
-_LEAST_SLOPE = 0.15  # of log peak over log flight
 _LEAST_OFF = 3e-3  # of the ratio: a ball is no better than that
-_LEAST_ROWS = 5  # without which no end is judged by its ratio
 _POOR = 3.0  # a law of the ratio that leaves so many times more than the best one has no say about an end
 _LEAST_JUDGED = 7  # rows from which laws are compared with each other
 _LOUD_POWER = 1.3
@@ -77,7 +72,7 @@ def why_no_drop(
 
 def _uneven(ratio: Floats, near: int) -> str | None:
     """Reason why intervals with these log ratios are none of a ball's: even, not shrinking, or shrinking unsteadily."""
-    if float(np.median(ratio)) > np.log(_EVEN):
+    if float(np.median(ratio)) > np.log(0.988):  # of successive flights: no ball rebounds so well
         return f"it comes at even intervals (ratio {np.exp(float(np.median(ratio))):.3f}), as a metronome; no ball does"
     if len(ratio) >= 3:
         spread = max(float(ratio.std(ddof=1)), _LEAST_SCATTER)
@@ -94,16 +89,16 @@ def _grows_louder(loudness: Floats, impacts_s: Floats) -> bool:
     """Whether impacts fail to grow quieter with the flights, beyond two standard errors of the slope."""
     flights = np.diff(impacts_s)
     known = np.isfinite(loudness[:-1]) if len(loudness) == len(impacts_s) else np.zeros(0, dtype=bool)
-    if int(known.sum()) < _LEAST_LOUD:
+    if int(known.sum()) < 5:  # impacts whose loudness is known, for a trend of it
         return False
     x, y = np.log(flights[known]), loudness[:-1][known]
-    if float(np.ptp(x)) < _LEAST_RANGE:
+    if float(np.ptp(x)) < 0.6:  # of the logarithm of the flights
         return False
     x = x - x.mean()
     slope = float(x @ y / (x @ x))
     left = y - y.mean() - slope * x
     error = float(np.sqrt((left**2).sum() / max(len(x) - 2, 1) / (x @ x)))
-    return slope + 2.0 * error < _LEAST_SLOPE
+    return slope + 2.0 * error < 0.15  # of log peak over log flight
 
 
 def ends_that_stray(impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
@@ -119,7 +114,7 @@ def ends_that_stray(impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
     """
     flights = np.diff(impacts_s)
     rows = np.flatnonzero(single[1:] & single[:-1])
-    if len(rows) < _LEAST_ROWS:
+    if len(rows) < 5:  # without which no end is judged by its ratio
         return False, False
     before, ratio = flights[rows], np.log(flights[rows + 1] / flights[rows])
     first = rows[0] == 0 and _strays(before, ratio, 0)

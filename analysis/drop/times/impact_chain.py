@@ -18,16 +18,13 @@ from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
 
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
-_TRIES = 2  # chains that are none of a ball's and are set aside to look at what is left
 _WINDOW = 400  # events that are searched at once
 _OVERLAP = 150
 _RING_S = 0.1
-_EVEN_LOG = 0.02  # of the ratio of two intervals of a rhythm
 # Of a rhythm or a recording played in a loop:
 _LEAST_OF_LOOP = 2  # drops
 _SAME_S = 1e-3
 _LOOPED = 0.9  # of the events, that come again
-_PERIODS = 200  # tried
 # Of two chains at the same time:
 _STEADY = 0.01  # scatter of the log ratios
 _SHRINKS = 0.97  # ratio of successive flights
@@ -156,7 +153,7 @@ def _windows(times: Floats) -> list[slice]:
 
 def _search(events: Onsets, uncertainty_s: float, found: list[Bounces], reasons: list[str]) -> None:
     """Every drop among some events: the best chain, then what lies before and after it."""
-    rest = [(events, _TRIES)]
+    rest = [(events, 2)]  # chains that are none of a ball's and are set aside to look at what is left
     best = 0
     while rest:
         part, tries = rest.pop()
@@ -167,7 +164,7 @@ def _search(events: Onsets, uncertainty_s: float, found: list[Bounces], reasons:
                 # A voice or a rally near a drop: look at what is left without the events at even intervals, or
                 # without the whole chain where it has none.
                 chain = drop.impacts_s
-                even = np.abs(np.diff(np.log(np.diff(chain)))) < _EVEN_LOG
+                even = np.abs(np.diff(np.log(np.diff(chain)))) < 0.02  # of the ratio of two intervals of a rhythm
                 own = np.zeros(len(chain), dtype=bool)
                 for shift in range(3):  # the three events of two even intervals
                     own[shift : shift + len(even)] |= even
@@ -241,7 +238,7 @@ def _a_loop(drops: list[Bounces], events: Floats) -> bool:
     impacts = np.concatenate([drop.impacts_s for drop in drops])
     first, length = float(impacts[0]), float(drops[0].impacts_s[-1] - drops[0].impacts_s[0])
     periods = events[(events > first + length) & (events < first + 0.5 * (events[-1] - first) + _SAME_S)] - first
-    for period in periods[:_PERIODS]:
+    for period in periods[:200]:  # more are not tried
         ahead = impacts[impacts + period < events[-1] + _SAME_S] + period
         after = np.clip(np.searchsorted(events, ahead), 1, len(events) - 1)
         off = np.minimum(np.abs(events[after] - ahead), np.abs(events[after - 1] - ahead))

@@ -23,12 +23,9 @@ _SMALLEST = Widths(1e-7, 1e-6, 1e-7)
 _LARGEST = Widths(0.05, 0.5, 0.05)
 _START = Widths(2e-4, 0.01, 1e-4)
 _USUAL_WIDTHS = Widths(2e-4, 5e-3, 1e-4)  # of a phone or a camera, and of balls on floors
-_USUAL_SPREAD = 1.5  # in natural logarithms, one standard deviation
 _FEW_DROPS = 6
 _BOOTS = 200
 _NUDGE = 1e-5  # of a parameter, for derivatives
-_PASSES = 4
-_SETTLED = 1e-7  # of every parameter
 
 
 @dataclass(frozen=True)
@@ -149,7 +146,7 @@ def converge(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mp
     covariance that is larger. So it stands still in each pass.
     """
     low, high = np.array([BOUNDS[name] for name in model.parameters]).T
-    for _ in range(_PASSES):
+    for _ in range(4):
         lower = noise_of(model, theta, rows, g_mps2).lower(widths)
 
         def left(x: Floats, lower: Floats = lower) -> Floats:
@@ -160,7 +157,7 @@ def converge(model: BounceModel, theta: Floats, rows: Rows, widths: Widths, g_mp
 
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
         found = optimize.least_squares(left, begin, slopes, (low, high), method="dogbox", x_scale="jac", max_nfev=30)
-        settled = float(np.abs(found.x - theta).max()) < _SETTLED
+        settled = float(np.abs(found.x - theta).max()) < 1e-7  # of every parameter
         theta = found.x
         if settled:
             break
@@ -181,7 +178,7 @@ def _widths(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float, start:
         lower = noise.lower(Widths(*np.exp(logs)))
         white = np.linalg.solve(lower, residual)
         diagonal = np.diagonal(lower, axis1=1, axis2=2)
-        usual = ((logs - np.log(_USUAL_WIDTHS)) / _USUAL_SPREAD) ** 2
+        usual = ((logs - np.log(_USUAL_WIDTHS)) / 1.5) ** 2  # in natural logarithms, one standard deviation
         return float(np.log(diagonal).sum() + 0.5 * inflate * (white**2).sum() + 0.5 * usual.sum())
 
     found = optimize.minimize(

@@ -16,9 +16,7 @@ from kernels.arrays import Bools, Floats
 
 ANY_DRAG = (0.0, np.inf)
 _ENOUGH_DROPS = 4  # from which whole drops are held out, not bounces
-_SIMPLE = 2  # parameters
 _MOST_FOLDS = 8
-_LEAST_ROWS = 5  # fewer bounces than this leave nothing to hold out
 _LEAST_TRIMMED = 7  # rows, of which one may be left out at an end
 
 
@@ -92,7 +90,7 @@ def judge(
         parts = [[_again(r, part, g_mps2) for r in able] for part in _trimmed(rows)]
         ties = stable_choice([choose(models) for models in (able, *parts)], MODELS)
     else:  # every simple model may be the one
-        simple = [model for model in MODELS if len(model.parameters) <= _SIMPLE]
+        simple = [model for model in MODELS if len(model.parameters) <= 2]
         ties = tuple(model.name for model in simple if model is not FRICTION or with_height)
     best = next(r for r in candidates if r.model.name == ties[0])
     if best.model is CONSTANT and not with_height:
@@ -149,7 +147,7 @@ def _folds(rows: Rows) -> list[Bools]:
     fold_of = np.full(rows.valid.shape, -1)
     if len(with_data) >= _ENOUGH_DROPS:
         fold_of[with_data] = (np.arange(len(with_data)) % _MOST_FOLDS)[:, None]
-    elif rows.count >= _LEAST_ROWS:
+    elif rows.count >= 5:  # fewer bounces than this leave nothing to hold out
         fold_of[rows.valid] = np.arange(rows.count) % min(_MOST_FOLDS, rows.count)
     return [rows.valid & (fold_of == k) for k in range(int(fold_of.max()) + 1)]
 

@@ -22,10 +22,7 @@ from daq.recording import Recording, open_recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
-_SHORTEST_S = 0.05  # of a sound that may hold a drop
-_LONGEST_PIECE_S = 30.0  # of a sound that is read at once
 _CORE_S = 20.0  # of a longer one: the part of each piece whose onsets are taken
-_MARGIN_S = 1.0  # on both sides of it
 _WINDOW_S = 0.006
 _HOP_S = 0.001
 _BEFORE_S = 0.012  # of what is compared at a candidate
@@ -36,15 +33,11 @@ _LOWEST_HZ = 150.0  # below it hum and handling
 _HIGHEST_HZ = 16_000.0
 _SPECTRUM_S = 0.04
 _PREDICTOR = 64  # samples that are looked back
-_WHITE_SHARE = 1e-7  # of the background's power: white noise that keeps the prediction stable
 _LOUDNESS_S = 0.01
-_CLIPPED = 0.985  # of full scale
 _NEIGHBOUR_S = 0.5
 _BEFORE_PEAK_S = 0.006  # before an onset, where the sound must be quieter than after it
 _GAP_S = 0.0005
 _CLEAR_RISE = 1.0  # in natural logarithms: less is a ring, or a clipped swing, of the impact before
-_REST_S = 20.0  # how long a plate is looked at
-_AT_REST_MPS2 = 1.0  # what a plate at rest reads at most
 _BLOCK = 1 << 20  # samples of a contact channel read at once
 
 
@@ -58,11 +51,11 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets
     """
     wav = open_wav(path)
     rate = wav.rate_hz
-    if wav.n_samples < _SHORTEST_S * rate:
+    if wav.n_samples < 0.05 * rate:  # of a sound that may hold a drop
         raise InputError(f"{path}: {wav.n_samples} samples at {rate:.0f} Hz hold no drop; the file may be cut off")
-    if wav.n_samples <= _LONGEST_PIECE_S * rate:
+    if wav.n_samples <= 30.0 * rate:  # of a sound that is read at once
         return sound_onsets(wav.read(), rate, str(path)), rate
-    core, margin = int(_CORE_S * rate), int(_MARGIN_S * rate)
+    core, margin = int(_CORE_S * rate), int(1.0 * rate)  # on both sides of it
     found: list[Onsets] = []
     refused: InputError | None = None
     for start in range(0, wav.n_samples, core):
@@ -122,7 +115,7 @@ def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
     own = np.append(True, (np.diff(times) > _LEAST_SPACING_S) | (strength[1:] > strength[:-1]))
     first = first[own]  # what follows a stronger onset at once is its ring
     peak, top = (_peaks(np.abs(y).max(axis=1), onsets[first], rate_hz) for y in (filtered, x))
-    loudness = np.where(top < _CLIPPED, np.log(np.maximum(peak, 1e-12) + 1e-12), np.nan)
+    loudness = np.where(top < 0.985, np.log(np.maximum(peak, 1e-12) + 1e-12), np.nan)  # of full scale
     return Onsets(times[own], strength[own], loudness)
 
 
@@ -141,7 +134,7 @@ def _without_background(x: Floats, rate_hz: float) -> Floats:
     window = min(int(_SPECTRUM_S * rate_hz), len(x))
     _, power = signal.welch(x, rate_hz, nperseg=window, average="median")
     correlation = np.fft.irfft(power)[: _PREDICTOR + 1]
-    correlation[0] *= 1.0 + _WHITE_SHARE
+    correlation[0] *= 1.0 + 1e-7  # of the background's power: white noise that keeps the prediction stable
     ahead = linalg.solve_toeplitz(correlation[:-1], correlation[1:]) if correlation[0] > 0.0 else np.zeros(_PREDICTOR)
     return np.asarray(signal.lfilter(np.concatenate(([1.0], -ahead)), [1.0], x), dtype=np.float64)
 
@@ -241,10 +234,10 @@ def _refuse_driven(recording: Recording) -> None:
             "rest. To find what a ramp's flights lack, use: bench close-loop"
         )
     if "accelerometer" in recording.channels:
-        stop = min(recording.n_samples, int(_REST_S * recording.rate_hz))
+        stop = min(recording.n_samples, int(20.0 * recording.rate_hz))  # how long a plate is looked at
         volts = recording.read_v("accelerometer", 0, stop)
         shaken = mad_sigma(volts - np.median(volts)) / abs(recording.setup.channels.accelerometer.volts_per_mps2)
-        if shaken > _AT_REST_MPS2:
+        if shaken > 1.0:  # what a plate at rest reads at most
             raise InputError(
                 f"{path}: the plate shakes by {shaken:.2g} m/s^2 (median); a drop test needs the plate at rest"
             )
