@@ -14,7 +14,7 @@ from daq.setup.errors import InputError
 
 ENDING = ".drop.json"
 _SAME_S = 1e-7
-_PLAIN = {field.name for field in fields(Request)} - {"files", "corrections", "heights_m"}
+_PLAIN = {field.name for field in fields(Request)} - {"files", "corrections", "heights_m", "balls"}
 
 
 def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
@@ -64,6 +64,7 @@ def kept_request(target: Path, files: Sequence[Path]) -> Request | None:
         names = [Path(name).name for name in options["files"]]
         parts = [_part(one) for one in options["corrections"]]
         own = {key: options[key] for key in _PLAIN} | {"heights_m": tuple(options["heights_m"])}
+        own["balls"] = Path(options["balls"]) if options.get("balls") is not None else None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{target}: wanted the result of a drop test as JSON; move it away or remove it") from error
     if names != [file.name for file in files] or len(parts) != len(files):

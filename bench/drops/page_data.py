@@ -130,4 +130,6 @@ def command_line(request: Request) -> str | None:
     words += [word for name, value in named if value is not None for word in (name, f"{value:.9g}")]
     if part.region is not None:
         words += ["--region", ",".join(map(str, part.region))]
+    if request.balls is not None:
+        words += ["--balls", str(request.balls)]
     return shlex.join(words)

@@ -42,7 +42,8 @@ def test_an_impact_of_a_film_is_met_within_frames() -> None:
 def test_corrections_come_back_from_the_json(tmp_path: Path) -> None:
     """Options and corrections of a kept result are those of the request; of other files it says nothing."""
     file = tmp_path / "tap.wav"
-    request = Request((file,), fps=240.0, heights_m=(0.3,), corrections=(moved(NOTHING, 1.25, 1.26),))
+    marks = (moved(NOTHING, 1.25, 1.26),)
+    request = Request((file,), fps=240.0, heights_m=(0.3,), corrections=marks, balls=tmp_path / "balls.txt")
     side_file(file).write_text(json.dumps({"options": request.as_json()}), encoding="utf-8")
     assert kept_request(side_file(file), [file]) == request
     assert kept_request(side_file(file), [tmp_path / "other.wav"]) is None
