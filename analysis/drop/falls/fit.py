@@ -132,7 +132,8 @@ def fit_falls(
         elif name == "release_s":
             value = float(first[owner].time_s[0])
         begin.append(near.values.get(name, {}).get(owner, value) if near is not None else value)
-    found = least_squares(left, np.array(begin), jac=slopes, x_scale="jac", max_nfev=60, ftol=1e-6)
+    # MINPACK uses one thread: of matrices as small as these, several only wait for each other.
+    found = least_squares(left, np.array(begin), jac=slopes, method="lm", x_scale="jac", max_nfev=60, ftol=1e-6)
     freedom = max(int(bounds[-1]) - len(found.x) + len(judged), 1)
     sigma = float(np.sqrt(found.fun @ found.fun / freedom))
     steep = slopes(found.x)
