@@ -116,8 +116,8 @@ def record(
             progress = typed.obeyed(request, progress)
         summary: RunSummary | None = None
         try:
-            watching = {"progress": progress, "stop_request": request}
-            summary = run_ramp(profile, backend, writer, **watching, programme=programme, hold=hold)
+            summary = run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme,
+                               hold=hold)  # fmt: skip
             return summary
         finally:
             if onlooker is not None:

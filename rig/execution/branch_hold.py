@@ -37,7 +37,7 @@ SURE = 3.0  # standard uncertainties of a predicted landing that must be within 
 
 @dataclass(frozen=True)
 class Launch:
-    """The drive of one flight: gamma, greater by ``part``, ahead by the phase ``ahead``; and the cycle at that gamma."""
+    """The drive of one flight: gamma, greater by ``part``, earlier by the phase ``ahead``; and the cycle there."""
 
     gamma: float
     point: Point

@@ -40,7 +40,7 @@ class LockedBranch:
 
 @dataclass(frozen=True)
 class Point:
-    """The locked cycle at one gamma: landing phase, multiplier, and the phase's derivative by the logarithm of gamma."""
+    """The locked cycle at one gamma: landing phase, multiplier, and the phase's derivative by log gamma."""
 
     phase: float
     multiplier: float
@@ -65,4 +65,4 @@ class Point:
         return math.copysign(min(size, 1.0 / size, SLOWEST), self.multiplier) if size > 0.0 else 0.0
 
 
-SLOWEST = 0.7  # largest part of a deviation that is left a cycle later; else nothing would bring a ball back near mu = -1
+SLOWEST = 0.7  # largest part of a deviation left a cycle later: near mu = -1 the least correction would leave all

@@ -21,7 +21,7 @@ def stretch(place: float, size: float, rng: np.random.Generator, slope: float = 
 
 
 def test_landings_are_timed_to_a_microsecond_but_for_a_common_offset() -> None:
-    """Forty impacts at any part of a sample: the times agree with the true ones to 1 us, and the claimed sigma holds."""
+    """Forty impacts at any part of a sample: times agree with the true ones to 1 us, and the claimed sigma holds."""
     rng, timer = np.random.default_rng(1), LandingTimer(RATE_HZ)
     places = 80.0 + 10.0 * rng.random(40)
     found = [timer.find(*stretch(place, 40.0, rng)) for place in places]
