@@ -20,14 +20,14 @@ import numba
 from numba.core import event, registry, runtime, serialize, types
 from numba.extending import typeof_impl
 
-from kernels.emit import borrowed, lanes, rows
+from kernels.emit import lanes
 from kernels.fingerprint import fingerprint_of_closure
 from kernels.intrinsic import Intrinsic
 from kernels.kernel import Kernel
 from kernels.machine_code import Kept
 from kernels.watch import watchers
 
-EMITTED = (borrowed, lanes, rows)
+EMITTED = lanes
 """Imported before anything is compiled: numba looks for new types and functions when it begins."""
 TESTED = (0, 63), (0, 69)
 """numba's releases whose private interfaces were tried: from the first, up to and without the second."""

@@ -14,11 +14,14 @@ from kernels.intrinsic import Intrinsic
 
 WIDTH = 16
 """Two registers of 512 bits, four of 256: one alone would wait for the latency of each operation."""
+ROW = 4
+"""Numbers side by side in a table that `gather_rows` reads at once."""
 
 any_of: Any = Intrinsic("lanes", "any_of")
 count: Any = Intrinsic("lanes", "count")
 floor: Any = Intrinsic("lanes", "floor")
 gather: Any = Intrinsic("lanes", "gather")
+gather_rows: Any = Intrinsic("lanes", "gather_rows")
 load: Any = Intrinsic("lanes", "load")
 nearest: Any = Intrinsic("lanes", "nearest")
 root: Any = Intrinsic("lanes", "root")

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import CellType, FunctionType
 from typing import Any
 
-from kernels import lanes, rows
+from kernels import lanes
 
 
 def _select(mask: bool, a: float, b: float) -> float:
@@ -56,7 +56,7 @@ _ONE_NUMBER = {
     id(lanes.root): _root,
     id(lanes.size): _size,
     id(lanes.gather): _gather,
-    id(rows.gather_rows): _gather_row,
+    id(lanes.gather_rows): _gather_row,
     id(lanes.spread): _itself,
 }
 

@@ -87,8 +87,8 @@ def operations(c: int, n: int) -> float:
         s, slope, _ = plain_shape(forcing.tones, phi)
         with np.errstate(all="ignore"):
             land(
-                forcing.tones, float(forcing.tones[:, 1].sum()), table, Counted(gamma), zero, Counted(2 * windows),
-                zero, phi, s, slope,
+                forcing.tones, float(forcing.tones[:, 1].sum()), table, Counted(gamma),
+                (zero, Counted(2 * windows), zero), (phi, s, slope),
             )  # fmt: skip
         flown += 1
     return Counted.done / flown
@@ -126,10 +126,11 @@ def every_flight(c: int, mu: float, e: float, runs: int) -> float:
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
     kept = np.empty((gammas.size, 1))
     turning, flown = first_landing.turning_points(forcing), 0
+    points = cycle_batch.Points(forcing.tones, turning, gammas, laws, False, outcome, kept)
 
     def fly() -> None:
         nonlocal flown
-        flown = batch(forcing.tones, turning, gammas, laws, False, FLIGHTS, outcome, kept)
+        flown = batch(points, FLIGHTS)
 
     fly()
     took = best_of(runs, fly)

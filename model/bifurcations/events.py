@@ -18,11 +18,11 @@ from scipy.optimize import brentq
 
 from model.bifurcations import itinerary_windows
 from model.bifurcations.itinerary_windows import Search, Window
-from model.bifurcations.locked_windows import Map, locked_beside, locked_within
+from model.bifurcations.locked_windows import locked_beside, locked_within
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import State
 from model.orbits.cycles import FLIGHTS, PERIOD
-from model.orbits.exact_ball import Itinerary
+from model.orbits.exact_ball import ExactBall, Itinerary
 
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
@@ -62,7 +62,7 @@ class Bifurcation:
 
 
 def bifurcations(
-    ball: Map, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
+    ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
 ) -> list[Bifurcation]:
     """All bifurcations between ``low`` and ``high`` of the cycle reached from rest, in order.
 
@@ -101,7 +101,7 @@ def check_range(low: float, high: float) -> None:
 
 
 def cycle_windows(
-    ball: Map, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
+    ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
 ) -> list[Window]:
     """The windows of gamma, wider than ``narrowest``, with one cycle of at most ``longest`` flights each, in order.
 
@@ -140,7 +140,7 @@ def _near(gamma: float, others: Iterable[float]) -> bool:
     return any(abs(gamma - g) < SAME for g in others)
 
 
-def _edges(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
+def _edges(ball: ExactBall, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
     """One event an edge, edges that two windows share taken once; ``cuts`` are no edges of their own."""
     out = []
     ends = sorted([(w.high, w, True) for w in windows] + [(w.low, w, False) for w in windows], key=lambda e: e[0])
@@ -160,7 +160,7 @@ def _edges(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcat
     return out
 
 
-def _event(ball: Map, gamma: float, left: Window | None, right: Window | None) -> Bifurcation:
+def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | None) -> Bifurcation:
     known = (left.how[1] if left is not None else "") or (right.how[0] if right is not None else "")
     before = _side(left) if left is not None else _side_at(ball, gamma, -1, [])
     after = _side(right) if right is not None else _side_at(ball, gamma, +1, [])
@@ -227,7 +227,7 @@ def _side(window: Window) -> Side:
     return Side(window.period, window.flights, window.resets)
 
 
-def _side_at(ball: Map, gamma: float, direction: int, windows: list[Window]) -> Side:
+def _side_at(ball: ExactBall, gamma: float, direction: int, windows: list[Window]) -> Side:
     """The cycle just beside ``gamma``: from the windows, else from the orbit from rest there."""
     beside = gamma + direction * 64 * np.spacing(max(gamma, 1.0))
     for window in windows:
@@ -239,7 +239,7 @@ def _side_at(ball: Map, gamma: float, direction: int, windows: list[Window]) -> 
     return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[1])) if row[FLIGHTS] > 0 else Side()
 
 
-def _accumulations(ball: Map, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
+def _accumulations(ball: ExactBall, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
     """Points in the gaps between windows at which a landing of the orbit from rest falls on an unstable cycle."""
     out: list[Bifurcation] = []
     for left, right in pairwise(windows):
@@ -253,7 +253,7 @@ def _accumulations(ball: Map, windows: list[Window], cuts: list[float]) -> list[
     return out
 
 
-def _falls_on_cycle(ball: Map, low: float, high: float, n: int) -> float | None:
+def _falls_on_cycle(ball: ExactBall, low: float, high: float, n: int) -> float | None:
     """The gamma between two at which the orbits' last common landing falls on an unstable cycle of ``n`` flights."""
     below, above = ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights)
     m = min(below.symbol.size, above.symbol.size)

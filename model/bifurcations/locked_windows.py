@@ -1,4 +1,4 @@
-"""The windows of gamma of cycles that never stick, and the protocol of a ball whose bifurcations can be found.
+"""The windows of gamma of cycles that never stick.
 
 Without restitution every locked cycle begins where a landing meets a threshold, and its family is
 followed from there (`model.bifurcations.locked_family`); with restitution there is no such place, and locked cycles are
@@ -7,57 +7,18 @@ met by running orbits and followed from where they were met (`model.bifurcations
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
-from kernels.arrays import Floats, Integers
 from model.bifurcations import locked_family
 from model.bifurcations.continuation import follow_both_ways
 from model.bifurcations.itinerary_windows import Window
-from model.orbits.attractor import Ball, attractor
-from model.orbits.exact_ball import Itinerary
+from model.orbits.attractor import attractor
+from model.orbits.exact_ball import ExactBall
 
 MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 
 
-class Map(Ball, Protocol):
-    """A ball whose orbits from rest close at a threshold, so that their windows can be told by whole numbers."""
-
-    def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
-        """See `model.orbits.exact_ball.IdealBall.itinerary_codes`."""
-        ...
-
-    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
-        """See `model.orbits.exact_ball.IdealBall.itinerary`."""
-        ...
-
-    def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
-        """See `model.orbits.cycles.locked_family_of`."""
-        ...
-
-    @property
-    def bounces(self) -> bool:
-        """Whether an impact can throw it back; then the state after a landing is a phase and a speed."""
-        ...
-
-    @property
-    def most_flights(self) -> int:
-        """Before an orbit from rest is given up in the search: the way into the cycle and the cycle."""
-        ...
-
-    @property
-    def coarse(self) -> float:
-        """Spacing in gamma of the search that goes everywhere."""
-        ...
-
-    @property
-    def take_off_levels(self) -> tuple[Floats, Floats]:
-        """See `model.orbits.exact_ball.IdealBall.take_off_levels`."""
-        ...
-
-
-def locked_beside(ball: Map, window: Window) -> list[Window]:
+def locked_beside(ball: ExactBall, window: Window) -> list[Window]:
     """Windows of the locked cycles that begin where the last stick of ``window`` is lost."""
     if window.resets != 1 or ball.bounces:
         return []
@@ -86,7 +47,7 @@ def locked_beside(ball: Map, window: Window) -> list[Window]:
     return out
 
 
-def locked_within(ball: Map, stretches: list[tuple[float, float]], spacing: float) -> list[Window]:
+def locked_within(ball: ExactBall, stretches: list[tuple[float, float]], spacing: float) -> list[Window]:
     """Windows of locked cycles met by sampling the orbits from rest: all there is to do where a landing has a speed."""
     if not ball.bounces:
         return []

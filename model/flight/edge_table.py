@@ -1,7 +1,8 @@
 """Tables of the window edges of many gammas at once, with the plate's s, s' and q' there.
 
 As `model.flight.branches.fill_edges`, a gamma a lane (`kernels.lanes`): what does not depend on gamma, the turning
-points and the forcing there, is computed once for all.
+points and the forcing there, is computed once for all. A table is named by its place and the number of its edges, of
+each lane its own.
 """
 
 from __future__ import annotations
@@ -12,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from kernels.arrays import Floats
-from kernels.lanes import WIDTH, any_of, load, root, select, size, spread, store
-from kernels.rows import ROW
+from kernels.lanes import ROW, WIDTH, any_of, floor, gather, load, root, select, size, spread, store
 from model.flight.branches import TWO_PI
-from model.flight.numerics import compiled, inlined, sincos
+from model.flight.numerics import Number, compiled, inlined, sincos
 from model.flight.plate_lanes import plate
 
 TABLE = ROW  # numbers a table holds of an edge: its phase, and s, s' and q' there
@@ -131,3 +131,23 @@ def _arrange(found: Floats, lane: int, m: int, table: Floats, base: int) -> int:
         table[end + k] = table[base + k]
     table[end] += TWO_PI
     return count // 2
+
+
+@inlined
+def fold_onto(table: Floats, base: Number, phi: Number) -> Number:
+    """``phi`` shifted by whole turns onto a table's period."""
+    first = gather(table, base)
+    folded = phi - TWO_PI * floor((phi - first) * (1.0 / TWO_PI))
+    folded = select(folded < first, folded + TWO_PI, folded)
+    return select(folded >= first + TWO_PI, folded - TWO_PI, folded)
+
+
+@inlined
+def branch_at(table: Floats, base: Number, last: Number, phi: Number) -> Number:
+    """`model.flight.branches.branch_of` in a table."""
+    i = 0.0 * phi
+    after = (i + 1.0 < last) & (phi >= gather(table, base + TABLE))
+    while any_of(after):
+        i = select(after, i + 1.0, i)
+        after = after & (i + 1.0 < last) & (phi >= gather(table, base + TABLE * (i + 1.0)))
+    return i

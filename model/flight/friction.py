@@ -18,20 +18,12 @@ from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
 from model.flight.chatter import tail_of_chatter
 from model.flight.ideal import RESTS
 from model.flight.numerics import compiled, inlined
-from model.flight.records import EdgeTables, FrictionRestitution, Segment
-from model.flight.segment import (
-    UNDECIDED,
-    motion,
-    root_in_concave,
-    root_in_convex,
-    segment_from,
-    standstill,
-    surely_above,
-    total_speed,
-)
+from model.flight.records import EdgeTables, FrictionRestitution, Segment, Tangent
+from model.flight.segment import UNDECIDED, landing_or_standstill, motion, segment_from, standstill, total_speed
 from model.flight.short_bounce import short_bounce
 
 HUNG = 8
+MOST_SEGMENTS_OF_TANGENT = 1000  # of a flight whose tangent is asked for
 MOST_SEGMENTS = 100_000  # ups, hangs and falls in one flight; beyond it the ball is said to stay on the rod
 
 
@@ -70,62 +62,6 @@ def rise(tones: Floats, gamma: float, up: Floats, n_up: int, segment: Segment) -
         lo = up[i]
 
 
-@compiled
-def _fall_for_ever(tones: Floats, gamma: float, segment: Segment) -> tuple[bool, float, float, float, int]:
-    """`fall` where the plate never stops a falling ball: one concave branch, any point below ends the bracket."""
-    reach = 1.0
-    while motion(tones, gamma, segment, segment.phase + reach, reach)[0] > 0.0:
-        reach *= 2.0
-    guess = segment.phase + min(math.sqrt(max(2.0 * segment.height / -segment.acceleration, 0.0)), reach)
-    x, speed = root_in_concave(tones, gamma, segment, 0.0, segment.phase, segment.phase + reach, guess)
-    return True, x - segment.phase, x, speed, 0
-
-
-@compiled
-def fall(
-    tones: Floats, gamma: float, down: Floats, n_down: int, segment: Segment
-) -> tuple[bool, float, float, float, int]:
-    """A fall from a standstill: ``(landed, time, phase, impact speed, flag)``; not landed means that it stood still."""
-    phi0 = segment.phase
-    if n_down == 0:
-        return _fall_for_ever(tones, gamma, segment)
-    safe_from, safe_to = surely_above(tones, gamma, segment)
-    safe_from = max(
-        safe_from, (segment.speed + gamma * (segment.slope + total_speed(tones))) / segment.pull
-    )  # and surely falling
-    lo = phi0
-    i = branch_of(down, n_down, lo)
-    turns = 0.0
-    flag = 0
-    while True:
-        hi = down[i + 1]
-        tau = hi - phi0 + turns
-        h, v, _ = motion(tones, gamma, segment, hi, tau)
-        if i % 2 == 1:
-            if h <= 0.0:
-                guess = (
-                    lo + math.sqrt(2.0 * segment.height / -segment.acceleration)
-                    if lo == phi0 and segment.acceleration < 0.0
-                    else 0.5 * (lo + hi)
-                )
-                x, speed = root_in_concave(tones, gamma, segment, turns, lo, hi, guess)
-                return True, x - phi0 + turns, x, speed, flag
-            if safe_from < tau < safe_to - TWO_PI:
-                turns += TWO_PI * math.floor((safe_to - tau) / TWO_PI)
-        elif h <= 0.0 or v >= 0.0:
-            found, x, speed, graze = root_in_convex(tones, gamma, segment, turns, lo, hi)
-            flag |= graze
-            if not found:
-                speed = 0.0
-                x = standstill(tones, gamma, segment, turns, lo, hi, hi, True)
-            return found, x - phi0 + turns, x, speed, flag
-        i += 1
-        if i == 2 * n_down:
-            i = 0
-            turns += TWO_PI
-        lo = down[i]
-
-
 @inlined
 def hang(up: Floats, n_up: int, down: Floats, n_down: int, phi: float) -> tuple[bool, float, float, bool]:
     """Next motion of a ball standing in mid-air at ``phi``: ``(rises, waiting time, phase, at a threshold)``."""
@@ -154,7 +90,7 @@ def next_event(
     if rising:
         tau, phi = rise(tones, gamma, up, n_up, segment)
         return False, tau, phi, 0.0, 0
-    return fall(tones, gamma, down, n_down, segment)
+    return landing_or_standstill(tones, gamma, down, n_down, segment, True)
 
 
 @inlined
@@ -230,12 +166,51 @@ def rebound_or_rest(
 
 
 @compiled
-def next_take_off(up: Floats, n_up: int, phi: float, v: float) -> tuple[float, bool]:
-    """Where a ball on the plate at ``phi``, rebounding with ``v``, leaves: ``(phase, from rest at a threshold)``."""
-    at = fold(phi, up[0])
-    if v > 0.0:
-        return at, False
-    i = branch_of(up, n_up, at)
-    if i % 2 == 0 and at > up[i]:
-        return at, False
-    return up[2 * (((i + 1) // 2) % n_up)], True
+def _landing_tangent(law: FrictionRestitution, speed: float, pull: float, shift: Tangent) -> Tangent:
+    """The tangent of a flight from the shifts of height and speed with take-off phase and speed, at a landing."""
+    h_phi, w_phi, h_v, w_v = shift
+    if speed <= 0.0:
+        return math.nan, math.nan, math.nan, math.nan
+    phi_phi, phi_v = h_phi / speed, h_v / speed
+    e_slope = law.e0 - 2.0 * law.e1 * speed if law.e0 > law.e1 * speed else 0.0
+    return phi_phi, phi_v, -e_slope * (w_phi + pull * phi_phi), -e_slope * (w_v + pull * phi_v)
+
+
+@compiled
+def flight_and_tangent(
+    tones: Floats,
+    gamma: float,
+    tables: EdgeTables,
+    law: FrictionRestitution,
+    phi0: float,
+    v0: float,
+    at_threshold: bool,
+) -> tuple[float, float, float, Tangent]:
+    """One flight with its tangent: ``(tau, landing phase, impact speed, tangent)``; tau is inf when it never lands.
+
+    A shift of the take-off moves height and speed at a fixed time by ``(-v0, -h''(take-off))``, a change of ``v0`` by
+    ``(0, 1)``; both then move freely. At a standstill the pull changes and the speed's shift with it, in proportion;
+    hanging takes the speed's shift away, because the release does not know when the ball stopped.
+    """
+    up, n_up, down, n_down = tables
+    at = fold(phi0, up[0])
+    rising = True
+    segment = next_segment(tones, gamma, law, rising, (at, 0.0, v0, at_threshold))
+    h_phi, w_phi, h_v, w_v = -v0, -segment.acceleration, 0.0, 1.0
+    total = 0.0
+    for _ in range(MOST_SEGMENTS_OF_TANGENT):
+        landed, tau, phi, speed, _ = next_event(tones, gamma, up, n_up, down, n_down, segment, rising)
+        h, _, pull = motion(tones, gamma, segment, phi, tau)
+        h_phi += w_phi * tau
+        h_v += w_v * tau
+        total += tau
+        if landed or h <= 0.0:
+            speed = max(speed, 0.0)
+            return total, phi, speed, _landing_tangent(law, speed, pull, (h_phi, w_phi, h_v, w_v))
+        rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
+        total += wait
+        segment = next_segment(tones, gamma, law, rising, (phi, h, 0.0, at_edge))
+        factor = 0.0 if wait > 0.0 or pull == 0.0 else segment.acceleration / pull
+        w_phi *= factor
+        w_v *= factor
+    return math.inf, phi, 0.0, (math.nan, math.nan, math.nan, math.nan)

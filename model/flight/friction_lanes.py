@@ -22,7 +22,7 @@ from kernels.arrays import Floats
 from kernels.lanes import WIDTH, floor, load, root, select, spread
 from model.flight.branches import TWO_PI
 from model.flight.numerics import Number, inlined
-from model.flight.plate_lanes import root_in_branch, standstill_in_branch, start_of_root
+from model.flight.plate_lanes import root_in_branch, start_of_root
 from model.flight.records import Segment
 from model.flight.segment import SHORT, height
 
@@ -60,16 +60,6 @@ def _branch(flat: Floats, row: int) -> Branch:
 
 
 @inlined
-def _either(mask: Any, a: Branch, b: Branch) -> Branch:
-    """``a`` where ``mask``, else ``b``."""
-    return Branch(
-        select(mask, a.lo, b.lo), select(mask, a.hi, b.hi), select(mask, a.seen_lo, b.seen_lo),
-        select(mask, a.seen_hi, b.seen_hi), select(mask, a.per_gain, b.per_gain), select(mask, a.bend_lo, b.bend_lo),
-        select(mask, a.bend_hi, b.bend_hi),
-    )  # fmt: skip
-
-
-@inlined
 def _end_of_rise(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number) -> Any:
     """The branch in which a rise ends, and the turns until then."""
     row, windows = rows
@@ -83,10 +73,8 @@ def _end_of_rise(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number
         more = TWO_PI * select(enough > after, enough, after)
         sooner = branch.hi + more < end
         end, turns, found = (
-            select(sooner, branch.hi + more, end),
-            select(sooner, more, turns),
-            _either(sooner, branch, found),
-        )
+            select(sooner, branch.hi + more, end), select(sooner, more, turns), select(sooner, branch, found)
+        )  # fmt: skip
     return found, turns
 
 
@@ -104,10 +92,8 @@ def _end_of_fall(flat: Floats, rows: Any, phi0: Number, m: Number, level: Number
         more = TWO_PI * (floor((phi0 - branch.hi) * TURN) + 1.0)
         sooner = (branch.seen_hi + level * more <= m) & (branch.hi + more < end)
         end, turns, found = (
-            select(sooner, branch.hi + more, end),
-            select(sooner, more, turns),
-            _either(sooner, branch, found),
-        )
+            select(sooner, branch.hi + more, end), select(sooner, more, turns), select(sooner, branch, found)
+        )  # fmt: skip
     return found, turns, end < math.inf
 
 
@@ -141,7 +127,7 @@ def _standstill(
     x = _start_of_standstill(branch, m - level * turns)
     take_off = (phi0 - turns, s0, slope0, v0, h0, level)
     bracket = (branch.lo, branch.hi)
-    x, h, v, s, slope, q, away = standstill_in_branch(tones, gamma, take_off, bracket, x, wanted)
+    x, (h, v, s, slope, q), away = root_in_branch(tones, gamma, take_off, bracket, x, True, wanted)
     return x - phi0 + turns, x, h, v, (s, slope, q), ~away
 
 
@@ -204,13 +190,7 @@ def _branch_of_landing(flat: Floats, rows: Any, gamma: Number, segment: Segment,
         more = -TWO_PI * floor((edge[0] - phi0 - below_from) * TURN)
         sooner = edge[0] + more < end
         end, turns = select(sooner, edge[0] + more, end), select(sooner, more, turns)
-        left = (
-            select(sooner, before[0], left[0]),
-            select(sooner, before[1], left[1]),
-            select(sooner, before[2], left[2]),
-        )
-        right = select(sooner, edge[0], right[0]), select(sooner, edge[1], right[1]), select(sooner, edge[2], right[2])
-        before = edge
+        left, right, before = select(sooner, before, left), select(sooner, edge, right), edge
     return left, right, turns
 
 
@@ -236,17 +216,15 @@ def land_in_lanes(
     h_lo, v_lo = height(gamma, segment, s_lo, slope_lo, lo - phi0 + turns)
     h_hi, v_hi = height(gamma, segment, s_hi, slope_hi, hi - phi0 + turns)
     begins, a_lo, a_hi = lo + turns <= phi0, 0.0 * phi0, 0.0 * phi0
-    lo, h_lo = select(begins, phi0 - turns, lo), select(begins, h0, h_lo)
-    v_lo, a_lo = select(begins, v0, v_lo), select(begins, a0, a_lo)
+    lo, h_lo, v_lo, a_lo = select(begins, (phi0 - turns, h0, v0, a0), (lo, h_lo, v_lo, a_lo))
     tau_stop, h_stop, q_stop = stop
     stops = tau_stop < hi - phi0 + turns
-    hi, h_hi = select(stops, phi0 + tau_stop - turns, hi), select(stops, h_stop, h_hi)
-    v_hi, a_hi = select(stops, 0.0, v_hi), select(stops, gamma * q_stop - level, a_hi)
-    never = wanted & ~wanted
+    standing = phi0 + tau_stop - turns, h_stop, 0.0 * phi0, gamma * q_stop - level
+    hi, h_hi, v_hi, a_hi = select(stops, standing, (hi, h_hi, v_hi, a_hi))
     chord = lo + (hi - lo) * h_lo / (h_lo - h_hi)
-    x = start_of_root((lo, h_lo, v_lo, a_lo), (hi, h_hi, v_hi, a_hi), chord, never)
+    x = start_of_root((lo, h_lo, v_lo, a_lo), (hi, h_hi, v_hi, a_hi), chord)
     take_off = (phi0 - turns, s0, slope0, v0, h0, level)
-    x, _, v, s, slope, q, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, never, wanted)
+    x, (_, v, s, slope, q), away = root_in_branch(tones, gamma, take_off, (lo, hi), x, False, wanted)
     tau = x - phi0 + turns
     surely = ((v < 0.0) & (tau >= SHORT)) | (v < -PLAIN_SPEED)
     plain = ~away & surely & (tau >= PLAIN_TIME) & (h_lo > 0.0) & (h_hi <= 0.0)

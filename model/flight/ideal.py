@@ -1,40 +1,22 @@
-"""One ideal flight, compiled: the first landing, proven first, and the next take-off.
+"""One ideal flight, compiled: the first landing, proven first, and how it stretches a small shift of the take-off.
 
 A landing is returned only when every earlier branch of the flight (`model.flight.branches`) is
-proven free of roots (`model.flight.segment`).
+proven free of roots (`model.flight.segment`). `tables_of`, `flight`, `flight_and_tangent` and `after_impact` are what
+`model.orbits.cycles` takes of a ball.
 """
 
 from __future__ import annotations
 
-import math
+import numpy as np
 
 from kernels.arrays import Floats
-from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
-from model.flight.numerics import compiled
-from model.flight.records import Segment
-from model.flight.segment import UNDECIDED, motion, root_in_concave, root_in_convex, shape, surely_above
+from model.flight.branches import branch_of, fill_edges, fold, q_and_slope
+from model.flight.numerics import compiled, inlined
+from model.flight.records import EdgeTables, FrictionRestitution, Segment, Tangent
+from model.flight.segment import UNDECIDED, landing_or_standstill, motion, shape
 
 RESTS = 4  # the ball does not leave at this phase
 TINY = 1e-7  # a window left sooner than this may have lifted the ball by less than rounding
-
-
-@compiled
-def _guess_in_concave(segment: Segment, lo: float, hi: float, h_hi: float, h1_hi: float) -> float:
-    """Where a parabola through the branch's end, with the slope there and the full pull, crosses zero."""
-    pull = -0.5 * segment.pull
-    root = math.sqrt(max(h1_hi * h1_hi - 4.0 * pull * h_hi, 0.0))
-    return max(hi + 2.0 * h_hi / (root - h1_hi), lo)
-
-
-@compiled
-def _land_below_threshold(tones: Floats, gamma: float, segment: Segment) -> tuple[float, float, float, int]:
-    """`land` where the plate never lifts a ball: the flight is concave for ever, any point below ends the bracket."""
-    phi0 = segment.phase
-    reach = 1.0
-    while motion(tones, gamma, segment, phi0 + reach, reach)[0] > 0.0:
-        reach *= 2.0
-    x, speed = root_in_concave(tones, gamma, segment, 0.0, phi0, phi0 + reach, phi0 + min(2.0 * segment.speed, reach))
-    return x - phi0, x, speed, 0
 
 
 @compiled
@@ -62,52 +44,53 @@ def land(
     """
     s0, slope0, _ = shape(tones, phi0)
     segment = Segment(phi0, s0, slope0, a0, v0, 0.0, 1.0)
-    if n_windows == 0:
-        return _land_below_threshold(tones, gamma, segment)
-    safe_from, safe_to = surely_above(tones, gamma, segment)
     i = branch_of(edge, n_windows, phi0)
-    turns, lo, slope_lo, flag = 0.0, phi0, v0, 0
-    if i % 2 == 0:  # lifted through the rest of the window
-        lo = edge[i + 1]
-        tau = lo - phi0
-        if tau < TINY and motion(tones, gamma, segment, lo, tau)[0] <= 0.0:  # by less than rounding
+    if n_windows > 0 and i % 2 == 0:
+        tau = edge[i + 1] - phi0
+        if tau < TINY and motion(tones, gamma, segment, edge[i + 1], tau)[0] <= 0.0:  # lifted by less than rounding
             return 3.0 * tau, fold(phi0 + 3.0 * tau, edge[0]), 0.0, UNDECIDED
-        i += 1
-    while True:
-        if i % 2 == 1:
-            hi = edge[i + 1]
-            h, slope_lo, _ = motion(tones, gamma, segment, hi, hi - phi0 + turns)
-            if h <= 0.0:
-                guess = _guess_in_concave(segment, lo, hi, h, slope_lo)
-                x, speed = root_in_concave(tones, gamma, segment, turns, lo, hi, guess)
-                return x - phi0 + turns, x, speed, flag
-            tau = hi - phi0 + turns
-            if safe_from < tau < safe_to - TWO_PI:
-                skipped = TWO_PI * math.floor((safe_to - tau) / TWO_PI)
-                turns += skipped
-                slope_lo -= skipped
-        elif slope_lo < 0.0:
-            found, x, speed, graze = root_in_convex(tones, gamma, segment, turns, edge[i], edge[i + 1])
-            flag |= graze
-            if found:
-                return x - phi0 + turns, x, speed, flag
-        i += 1
-        if i == 2 * n_windows:
-            i = 0
-            turns += TWO_PI
-        lo = edge[i]
+    _, tau, phi, speed, flag = landing_or_standstill(tones, gamma, edge, n_windows, segment, False)
+    return tau, phi, speed, flag
 
 
 @compiled
-def next_take_off(
-    tones: Floats, gamma: float, edge: Floats, n_windows: int, phi: float
-) -> tuple[float, float, int, bool]:
-    """Where a ball at rest at the folded phase ``phi`` leaves: ``(phase, a0, window, reset)``.
+def tables_of(tones: Floats, turning: Floats, gamma: float, law: FrictionRestitution) -> EdgeTables:
+    """The one table of the ideal ball, for both ways."""
+    edge = np.zeros(turning.shape[0] + 2)
+    n_windows = fill_edges(tones, turning, gamma, edge)
+    return EdgeTables(edge, n_windows, edge, n_windows)
 
-    At once inside a window (``reset`` False, ``window`` -1), else at the next threshold, where ``a0 = 0``.
-    """
-    i = branch_of(edge, n_windows, phi)
-    if i % 2 == 0 and phi > edge[i]:
-        return phi, max(gamma * q_and_slope(tones, phi)[0] - 1.0, 0.0), -1, False
-    window = ((i + 1) // 2) % n_windows
-    return edge[2 * window], 0.0, window, True
+
+@compiled
+def take_off_pull(tones: Floats, gamma: float, phi0: float, at_threshold: bool) -> float:
+    """``h''`` at a take-off inside a window: exactly 0 at its threshold."""
+    return 0.0 if at_threshold else max(gamma * q_and_slope(tones, phi0)[0] - 1.0, 0.0)
+
+
+@inlined
+def flight(
+    tones: Floats, gamma: float, tables: EdgeTables, law: FrictionRestitution, phi0: float, v0: float,
+    at_threshold: bool,
+) -> tuple[float, float, float, int]:  # fmt: skip
+    """`land` with the arguments of `model.flight.friction.land_with_friction`."""
+    a0 = gamma * q_and_slope(tones, phi0)[0] - 1.0 if v0 > 0.0 else take_off_pull(tones, gamma, phi0, at_threshold)
+    return land(tones, gamma, tables.up, tables.n_up, phi0, a0, v0)
+
+
+@compiled
+def flight_and_tangent(
+    tones: Floats, gamma: float, tables: EdgeTables, law: FrictionRestitution, phi0: float, v0: float,
+    at_threshold: bool,
+) -> tuple[float, float, float, Tangent]:  # fmt: skip
+    """A flight from rest, and its tangent: ``d landing / d take-off = -tau h''(take-off) / impact speed``."""
+    a0 = take_off_pull(tones, gamma, phi0, at_threshold)
+    tau, landing, speed, _ = land(tones, gamma, tables.up, tables.n_up, phi0, a0, 0.0)
+    return tau, landing, speed, (-tau * a0 / speed, 0.0, 0.0, 0.0)
+
+
+@inlined
+def after_impact(
+    tones: Floats, gamma: float, law: FrictionRestitution, phi: float, speed: float
+) -> tuple[float, float]:
+    """As `model.flight.friction.rebound_or_rest`: the ball stays where it lands."""
+    return 0.0, 0.0

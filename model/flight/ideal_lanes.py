@@ -11,9 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from kernels.arrays import Floats
-from kernels.lanes import any_of, select, size, spread
-from kernels.rows import gather_rows
-from model.flight.branch_walk import branch_after, odd, step_on
+from kernels.lanes import any_of, floor, gather_rows, select, size, spread
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE
 from model.flight.numerics import Number, inlined
@@ -22,6 +20,38 @@ from model.flight.segment import SHORT, clear_times
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
 DIPS = 8  # halvings of a dip, at most
+
+
+@inlined
+def _odd(i: Number) -> Any:
+    """Whether a whole number is odd: a concave branch."""
+    return (i - 2.0 * floor(0.5 * i)) == 1.0
+
+
+@inlined
+def _branch_after(i: Number, last: Number) -> Number:
+    """The next of a table's branches, round and round."""
+    return select(i + 1.0 >= last, 0.0, i + 1.0)
+
+
+@inlined
+def _step_on(far: Number, t: Number, i: Number, last: Number, clear: Any, v: Number, level: Number, end: Any) -> Any:
+    """From the ``end`` (h, h') of a branch, at ``far`` and ``t`` after the start, on to the next branch.
+
+    Whole turns during which the ball is surely above the plate (between the times ``clear``) are left out.
+
+    Returns
+    -------
+    phase, h, h', turns
+        Of the next branch's start; the turns, in radians, are those to be added.
+    """
+    h, h1 = end
+    clear_from, clear_to = clear
+    skips = (t > clear_from) & (t < clear_to)
+    skipped = select(skips, TWO_PI * floor((clear_to - t) * (1.0 / TWO_PI) + 1.0), 0.0)
+    wraps = i + 1.0 >= last
+    phase, turns = select(wraps, far - TWO_PI, far), select(wraps, skipped + TWO_PI, skipped)
+    return phase, h + skipped * (v - level * (t + 0.5 * skipped)), h1 - level * skipped, turns
 
 
 @inlined
@@ -55,8 +85,8 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
         near = unsure & (size(h) <= PLAIN_GRAZE)
         falls = unsure & ~touches & (h1 < 0.0)
         ends = unsure & (touches | (h1 >= 0.0))
-        dl, hl, sl = select(falls, y, dl), select(falls, h, hl), select(falls, h1, sl)
-        dr, hr, sr = select(ends, y, dr), select(ends, h, hr), select(ends, h1, sr)
+        dl, hl, sl = select(falls, (y, h, h1), (dl, hl, sl))
+        dr, hr, sr = select(ends, (y, h, h1), (dr, hr, sr))
         touched, undecided = touched | touches, undecided | near
         meet = (hr - hl - sr * (dr - dl)) / (sl - sr)
         unsure = unsure & ~(touches | near) & (hl + sl * meet <= PLAIN_GRAZE)
@@ -66,26 +96,25 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
 
 
 @inlined
-def _either(mask: Any, a: Any, b: Any) -> Any:
-    """Of two points (phase, h, h') the first where ``mask``."""
-    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
+def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: Any, take_off: Any) -> Any:
+    """First landings after take-offs in the windows of each lane.
 
-
-@inlined
-def land_lanes(
-    tones: Floats, highest: float, table: Floats, gamma: Any, base: Any, last: Any, k: Any, phi0: Any, s0: Any,
-    slope0: Any,
-) -> Any:  # fmt: skip
-    """First landings after take-offs at ``phi0`` in the windows ``k`` of each lane.
+    Parameters
+    ----------
+    place
+        Of each lane's table and its last edge, and the branch of the take-off, a window.
+    take_off
+        Phase, s and s' there.
 
     Returns
     -------
     x, turns, speed, (s, s') there, plain
     """
+    (base, last, i), (phi0, s0, slope0) = place, take_off
     v = gamma * slope0
     clear_from, clear_to = clear_times(highest, gamma, s0, 0.0, v, 1.0)
     clear = clear_from, clear_to - TWO_PI
-    i = k + 1.0
+    i = i + 1.0
     edge, s, slope, _ = gather_rows(table, base + TABLE * i)
     tau = edge - phi0
     h = gamma * (s0 + slope0 * tau - s) - 0.5 * tau * tau
@@ -100,10 +129,10 @@ def land_lanes(
         g = gamma * (s0 + slope0 * t - s) - 0.5 * t * t
         g1 = gamma * (slope0 - slope) - t
         width = far - edge
-        concave = odd(i)
+        concave = _odd(i)
         found = searching & (g <= 0.0)
         tangent = select(found, select(concave, far - g / g1, edge - h / h1), tangent)
-        left, right = _either(found, (edge, h, h1), left), _either(found, (far, g, g1), right)
+        left, right = select(found, (edge, h, h1), left), select(found, (far, g, g1), right)
         total = select(found, turns, total)
         meet = (g - h - g1 * width) / (h1 - g1)
         unsure = searching & ~concave & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
@@ -113,16 +142,16 @@ def land_lanes(
             )
             found, plain = found | touches, plain & ~undecided
             tangent = select(touches, near[0] - near[1] / near[2], tangent)
-            left, right = _either(touches, near, left), _either(touches, past, right)
+            left, right = select(touches, near, left), select(touches, past, right)
             total = select(touches, turns, total)
         grazes = searching & ~plain
         searching = searching & ~(found | grazes)
-        edge, h, h1, more = step_on(far, t, i, last, clear, v, 1.0, (g, g1))
-        turns, i = turns + more, select(searching, branch_after(i, last), i)
+        edge, h, h1, more = _step_on(far, t, i, last, clear, v, 1.0, (g, g1))
+        turns, i = turns + more, select(searching, _branch_after(i, last), i)
     lo, hi = left[0], right[0]
     chord = lo + (hi - lo) * left[1] / (left[1] - right[1])
-    x = start_of_root((*left, 0.0), (*right, 0.0), 0.5 * (chord + tangent), plain & ~plain)
-    take_off = (phi0 - total, s0, slope0, 0.0, 0.0, 1.0)
-    x, _, v, s, slope, _, away = root_in_branch(tones, gamma, take_off, (lo, hi), x, plain & ~plain, plain)
+    x = start_of_root((*left, 0.0), (*right, 0.0), 0.5 * (chord + tangent))
+    begun = (phi0 - total, s0, slope0, 0.0, 0.0, 1.0)
+    x, (_, v, s, slope, _), away = root_in_branch(tones, gamma, begun, (lo, hi), x, False, plain)
     plain = plain & ~away & (x - phi0 + total >= SHORT) & (v < 0.0)
     return x, total, -v, (s, slope), plain

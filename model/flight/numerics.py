@@ -39,6 +39,20 @@ C4, C6, C8, C10, C12, C14, C16, C18 = ((-1) ** m / math.factorial(2 * m) for m i
 
 
 @inlined
+def sine_series(y: Number) -> Number:
+    """``(sin x - x) / x^3`` by its Taylor series in ``y = x^2``, to rounding for ``|x| < 1``."""
+    z = y * y
+    return (S3 + y * S5) + z * (S7 + y * S9) + z * z * ((S11 + y * S13) + z * (S15 + y * S17))
+
+
+@inlined
+def cosine_series(y: Number) -> Number:
+    """``(cos x - 1 + x^2 / 2) / x^4``, as `sine_series`."""
+    z = y * y
+    return (C4 + y * C6) + z * (C8 + y * C10) + z * z * ((C12 + y * C14) + z * (C16 + y * C18))
+
+
+@inlined
 def sincos(x: Number) -> tuple[Number, Number]:
     """``sin x`` and ``cos x`` for ``|x| < 1e6``, each to 1.2e-16: Taylor series after taking out multiples of pi/2.
 
@@ -48,7 +62,7 @@ def sincos(x: Number) -> tuple[Number, Number]:
     r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
     y = r * r
     z = y * y
-    sine = r + r * y * ((S3 + y * S5) + z * (S7 + y * S9) + z * z * ((S11 + y * S13) + z * (S15 + y * S17)))
+    sine = r + r * y * sine_series(y)
     cosine = 1.0 - 0.5 * y + z * ((C4 + y * C6) + z * (C8 + y * C10) + z * z * ((C12 + y * C14) + z * C16))
     quarter = k - 4.0 * floor(0.25 * k)
     odd = (quarter == 1.0) | (quarter == 3.0)

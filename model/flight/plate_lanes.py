@@ -71,8 +71,8 @@ def turned(angle: tuple[Number, Number], d: Number) -> tuple[Number, Number]:
 
 
 @inlined
-def start_of_root(left: Any, right: Any, guess: Number, stops: Any) -> Number:
-    """Where the polynomial through ``left`` and ``right`` (phase, h, h', h'') vanishes; where it ``stops``, its slope.
+def start_of_root(left: Any, right: Any, guess: Number) -> Number:
+    """Where the polynomial through ``left`` and ``right`` (phase, h, h', h'') vanishes.
 
     ``guess`` is a place between; a step that leaves the bracket is not taken.
     """
@@ -87,21 +87,32 @@ def start_of_root(left: Any, right: Any, guess: Number, stops: Any) -> Number:
     a5 = 6.0 * r - 3.0 * r1 + 0.5 * r2
     u = (guess - lo) / w
     for _ in range(ON_POLYNOMIAL):
-        p = h + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5))))
-        p1 = a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * (5.0 * a5))))
-        p2 = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * (20.0 * a5)))
-        p3 = 6.0 * a3 + u * (24.0 * a4 + u * (60.0 * a5))
-        f, f1, f2 = select(stops, p1, p), select(stops, p2, p1), select(stops, p3, p2)
+        f = h + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5))))
+        f1 = a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * (5.0 * a5))))
+        f2 = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * (20.0 * a5)))
         new = u - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
         u = select((new > 0.0) & (new < 1.0), new, u)
     return lo + w * u
 
 
 @inlined
+def _heights(gamma: Number, take_off: Any, x: Number, motion: Any) -> Any:
+    """h and its four derivatives at ``x``, where the plate's ``motion`` (`plate`) is given."""
+    phi0, s0, slope0, v0, h0, level = take_off
+    s, slope, q, jerk, snap = motion
+    t = x - phi0
+    h = h0 + gamma * (s0 + slope0 * t - s) + t * (v0 - 0.5 * level * t)
+    return h, gamma * (slope0 - slope) + v0 - level * t, gamma * q - level, gamma * jerk, -gamma * snap
+
+
+@inlined
 def root_in_branch(
-    tones: Floats, gamma: Number, take_off: Any, bracket: Any, x: Number, stops: Any, away: Any
+    tones: Floats, gamma: Number, take_off: Any, bracket: Any, x: Number, of_speed: bool, away: Any
 ) -> Any:  # fmt: skip
-    """The one root of ``h'`` (where it ``stops``) or of ``h`` in each bracket, for the lanes ``away`` from it.
+    """The one root of ``h``, or ``of_speed`` ``h'``, in the bracket of every lane that is ``away`` from it.
+
+    From a good start, by steps of third order; for a standstill one of Halley's comes before, for which the sine and
+    cosine are turned. Seldom must any lane do so twice.
 
     Parameters
     ----------
@@ -114,71 +125,40 @@ def root_in_branch(
 
     Returns
     -------
-    phase, h, h', s, s', q, lanes that have not converged
+    phase, (h, h', s, s', q) there, lanes that have not converged
     """
-    phi0, s0, slope0, v0, h0, level = take_off
     lo, hi = bracket
-    h_end, v_end, s_end, slope_end, q_end = x, x, x, x, x
+    end = (x, x, x, x, x)
     for _ in range(ROUNDS):
-        s, slope, q, jerk, snap = plate(tones, x)
-        t = x - phi0
-        h = h0 + gamma * (s0 + slope0 * t - s) + t * (v0 - 0.5 * level * t)
-        h1 = gamma * (slope0 - slope) + v0 - level * t
-        h2, h3, h4 = gamma * q - level, gamma * jerk, -gamma * snap
-        f, f1, f2, f3 = select(stops, h1, h), select(stops, h2, h1), select(stops, h3, h2), select(stops, h4, h3)
-        g = f1 * f1
-        step = 3.0 * f * (2.0 * g - f * f2) / (6.0 * f1 * (g - f * f2) + f * f * f3)
-        new = x - step
-        inside = (new > lo) & (new <= hi)
-        gentle = (size(step) <= CONVERGED) & (size(step * f2) <= CONVERGED * size(f1))
-        third, sixth = step * (1.0 / 3.0), step * (1.0 / 6.0)
-        h_end = select(away, h - step * (h1 - 0.5 * step * (h2 - third * h3)), h_end)
-        v_end = select(away, h1 - step * (h2 - 0.5 * step * (h3 - third * h4)), v_end)
-        s_end = select(away, s - step * (slope + 0.5 * step * (q - third * jerk)), s_end)
-        slope_end = select(away, slope + step * (q - step * (0.5 * jerk + sixth * snap)), slope_end)
-        q_end = select(away, q - step * (jerk + 0.5 * step * snap), q_end)
-        x = select(away, select(inside, new, select(new > hi, 0.5 * (x + hi), 0.5 * (x + lo))), x)
-        away = away & ~(inside & gentle)
-        if not any_of(away):
-            break
-    return x, h_end, v_end, s_end, slope_end, q_end, away
-
-
-@inlined
-def standstill_in_branch(
-    tones: Floats, gamma: Number, take_off: Any, bracket: Any, x: Number, away: Any
-) -> Any:  # fmt: skip
-    """`root_in_branch` for the root of ``h'``, from a good start: a step of Halley's, and one of third order near by.
-
-    Seldom must any lane do so twice.
-    """
-    phi0, s0, slope0, v0, h0, level = take_off
-    lo, hi = bracket
-    h_end, v_end, s_end, slope_end, q_end = x, x, x, x, x
-    for _ in range(ROUNDS):
+        near = x
         angle = sincos(x)
-        _, slope, q, jerk, _ = plate_at(tones, angle)
-        f, f1, f2 = gamma * (slope0 - slope) + v0 - level * (x - phi0), gamma * q - level, gamma * jerk
-        new = x - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
-        d = select((new > lo) & (new <= hi) & (size(new - x) <= NEAR), new - x, 0.0)
-        near = x + d
-        s, slope, q, jerk, snap = plate_at(tones, turned(angle, d))
-        t = near - phi0
-        h = h0 + gamma * (s0 + slope0 * t - s) + t * (v0 - 0.5 * level * t)
-        f, f1, f2, f3 = gamma * (slope0 - slope) + v0 - level * t, gamma * q - level, gamma * jerk, -gamma * snap
+        if of_speed:  # for ``h`` the start is so good that it would cost more than it saves
+            heights = _heights(gamma, take_off, x, plate_at(tones, angle))
+            f, f1, f2 = heights[1:4]
+            new = x - 2.0 * f * f1 / (2.0 * f1 * f1 - f * f2)
+            d = select((new > lo) & (new <= hi) & (size(new - x) <= NEAR), new - x, 0.0)
+            near = x + d
+            angle = turned(angle, d)
+        s, slope, q, jerk, snap = plate_at(tones, angle)
+        heights = _heights(gamma, take_off, near, (s, slope, q, jerk, snap))
+        f, f1, f2, f3 = heights[1:] if of_speed else heights[:4]
         g = f1 * f1
         step = 3.0 * f * (2.0 * g - f * f2) / (6.0 * f1 * (g - f * f2) + f * f * f3)
         new = near - step
         inside = (new > lo) & (new <= hi)
         gentle = (size(step) <= CONVERGED) & (size(step * f2) <= CONVERGED * size(f1))
+        h, h1, h2, h3, h4 = heights
         third, half = step * (1.0 / 3.0), 0.5 * step
-        h_end = select(away, h - step * (f - half * (f1 - third * f2)), h_end)
-        v_end = select(away, f - step * (f1 - half * (f2 - third * f3)), v_end)
-        s_end = select(away, s - step * (slope + half * (q - third * jerk)), s_end)
-        slope_end = select(away, slope + step * (q - half * (jerk + third * snap)), slope_end)
-        q_end = select(away, q - step * (jerk + half * snap), q_end)
+        there = (
+            h - step * (h1 - half * (h2 - third * h3)),
+            h1 - step * (h2 - half * (h3 - third * h4)),
+            s - step * (slope + half * (q - third * jerk)),
+            slope + step * (q - half * (jerk + third * snap)),
+            q - step * (jerk + half * snap),
+        )
+        end = select(away, there, end)
         x = select(away, select(inside, new, select(new > hi, 0.5 * (near + hi), 0.5 * (near + lo))), x)
         away = away & ~(inside & gentle)
         if not any_of(away):
             break
-    return x, h_end, v_end, s_end, slope_end, q_end, away
+    return x, end, away

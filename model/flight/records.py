@@ -31,6 +31,10 @@ class FrictionRestitution(NamedTuple):
     e1: float = 0.0
 
 
+Tangent = tuple[float, float, float, float]
+"""Derivatives of a flight: of its landing's phase by phase and speed of its take-off, then of its rebound's speed."""
+
+
 class EdgeTables(NamedTuple):
     """Window edges (`model.flight.branches.fill_edges`) at the pulls going up and going down, and their windows."""
 

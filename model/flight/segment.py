@@ -20,28 +20,8 @@ from typing import Any
 
 from kernels.arrays import Floats
 from kernels.lanes import root, select
-from model.flight.numerics import (
-    C4,
-    C6,
-    C8,
-    C10,
-    C12,
-    C14,
-    C16,
-    C18,
-    S3,
-    S5,
-    S7,
-    S9,
-    S11,
-    S13,
-    S15,
-    S17,
-    Number,
-    compiled,
-    inlined,
-    sincos,
-)
+from model.flight.branches import TWO_PI, branch_of
+from model.flight.numerics import Number, compiled, cosine_series, inlined, sincos, sine_series
 from model.flight.records import Segment
 
 UNDECIDED = 2  # a graze closer than double precision can tell
@@ -85,9 +65,7 @@ def _remainders(x: float) -> tuple[float, float, float, float]:
     """``(1 - cos x)/x^2 - 1/2``, ``(x - sin x)/x^2``, ``sin x/x - 1`` and ``(1 - cos x)/x`` without cancellation."""
     y = x * x
     if y < 1.0:
-        z = y * y
-        cosine = y * ((C4 + y * C6) + z * (C8 + y * C10) + z * z * ((C12 + y * C14) + z * (C16 + y * C18)))
-        sine = (S3 + y * S5) + z * (S7 + y * S9) + z * z * ((S11 + y * S13) + z * (S15 + y * S17))
+        cosine, sine = y * cosine_series(y), sine_series(y)
         return -cosine, -x * sine, y * sine, x * (0.5 - cosine)
     sine_half = math.sin(0.5 * x)
     one_minus_cos = 2.0 * sine_half * sine_half
@@ -253,10 +231,62 @@ def clear_times(highest: float, gamma: Number, s0: Number, h0: Number, v: Number
 
 
 @compiled
-def surely_above(tones: Floats, gamma: float, segment: Segment) -> tuple[float, float]:
-    """Times between which the plate at its highest stays below the ball's path; (1, 0) when there are none."""
-    _, s0, slope0, _, v0, h0, level = segment
+def _fall_for_ever(tones: Floats, gamma: float, segment: Segment) -> tuple[bool, float, float, float, int]:
+    """`landing_or_standstill` on a plate that throws no ball: concave for ever, any point below ends the bracket."""
+    phi0, v0 = segment.phase, segment.speed
+    reach = 1.0
+    while motion(tones, gamma, segment, phi0 + reach, reach)[0] > 0.0:
+        reach *= 2.0
+    guess = (v0 + math.sqrt(v0 * v0 + 2.0 * segment.pull * segment.height)) / segment.pull
+    x, speed = root_in_concave(tones, gamma, segment, 0.0, phi0, phi0 + reach, phi0 + min(guess, reach))
+    return True, x - phi0, x, speed, 0
+
+
+@inlined  # with ``stops`` known the compiler leaves out the other half
+def landing_or_standstill(
+    tones: Floats, gamma: float, edge: Floats, n_windows: int, segment: Segment, stops: bool
+) -> tuple[bool, float, float, float, int]:
+    """The first landing after the start of a segment: ``(landed, time, phase, impact speed, flag)``.
+
+    Where it ``stops`` the segment is a fall, and ends unlanded where the ball stands still before; else it goes on. The
+    phase is in the period of ``edge`` (`model.flight.branches.fill_edges`). Each branch before is proven free of roots.
+    """
+    if n_windows == 0:
+        return _fall_for_ever(tones, gamma, segment)
+    phi0, level = segment.phase, segment.pull
     highest = 0.0
     for j in range(tones.shape[0]):
         highest += tones[j, 1]
-    return clear_times(highest, gamma, s0, h0, gamma * slope0 + v0, level)  # type: ignore[no-any-return]
+    start_speed = gamma * segment.slope + segment.speed
+    safe_from, safe_to = clear_times(highest, gamma, segment.s, segment.height, start_speed, level)
+    if stops:  # turns are left out only where it is surely falling, too
+        safe_from = max(safe_from, (segment.speed + gamma * (segment.slope + total_speed(tones))) / level)
+    i = branch_of(edge, n_windows, phi0)
+    lo, before, h, turns, flag = phi0, segment.speed, 0.0, 0.0, 0
+    while True:
+        hi, v = edge[i + 1], before
+        tau, concave = hi - phi0 + turns, i % 2 == 1
+        if concave or stops or before < 0.0:  # through a convex branch a rising ball goes on rising
+            h, v, _ = motion(tones, gamma, segment, hi, tau)
+        if concave:
+            if h <= 0.0:  # begin where a parabola through the end, with its slope and the full pull, crosses zero
+                guess = max(hi + 2.0 * h / (math.sqrt(max(v * v + 2.0 * level * h, 0.0)) - v), lo)
+                x, speed = root_in_concave(tones, gamma, segment, turns, lo, hi, guess)
+                return True, x - phi0 + turns, x, speed, flag
+            if safe_from < tau < safe_to - TWO_PI:
+                skipped = TWO_PI * math.floor((safe_to - tau) / TWO_PI)
+                turns += skipped
+                v -= level * skipped
+        elif (stops or before < 0.0) and (h <= 0.0 or v >= 0.0):
+            found, x, speed, graze = root_in_convex(tones, gamma, segment, turns, lo, hi)
+            flag |= graze
+            if found:
+                return True, x - phi0 + turns, x, speed, flag
+            if stops:
+                x = standstill(tones, gamma, segment, turns, lo, hi, hi, True)
+                return False, x - phi0 + turns, x, 0.0, flag
+        i += 1
+        if i == 2 * n_windows:
+            i = 0
+            turns += TWO_PI
+        lo, before = edge[i], v

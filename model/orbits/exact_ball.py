@@ -2,7 +2,7 @@
 
 A ball knows its plate's tones and its effects and nothing of gamma. Without restitution its state after a landing is
 one phase, and its bifurcations have equations of their own (`model.bifurcations.events`); with restitution it is a
-phase and a speed. The ideal ball has kernels of its own: they fly three to five times as fast. Decision 351.
+phase and a speed. The flight of the ideal ball is a kernel of its own, three to five times as fast. Decision 351.
 """
 
 from __future__ import annotations
@@ -10,20 +10,17 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
-from types import ModuleType
 from typing import ClassVar
 
 import numpy as np
 
 from kernels.arrays import Bools, Floats, Integers
-from model.flight import first_landing, ideal
-from model.flight.branches import TWO_PI, fold, q_and_slope
-from model.flight.friction import edge_tables
+from model.flight import first_landing
+from model.flight.branches import TWO_PI
 from model.flight.precision import check_gamma, lengthened
 from model.flight.records import EdgeTables, FrictionRestitution
-from model.orbits import friction_cycles, ideal_cycles
 from model.orbits.attractor import LockedCycle, Path, State
-from model.orbits.cycles import CHATTERS, CODE_SIZE, SMALL, Flown, room_for
+from model.orbits.cycles import CHATTERS, CODE_SIZE, FRICTION, IDEAL, SMALL, Cycles, Flown, room_for
 from model.tones import Forcing
 
 
@@ -43,22 +40,97 @@ class Itinerary:
 
 @dataclass(frozen=True)
 class ExactBall:
-    """What both balls share: kernels of their own (``cycles``) take the same forcing and law."""
+    """A ball on ``forcing`` whose orbits from rest close at a threshold; ``cycles`` are the kernels that fly it."""
 
     forcing: Forcing
-    cycles: ClassVar[ModuleType]
+    cycles: ClassVar[Cycles]
 
     @property
     def law(self) -> FrictionRestitution:
         """Friction and restitution as the kernels take them."""
         return FrictionRestitution()
 
-    def _check(self, gamma: float | Floats) -> None:
+    @property
+    def bounces(self) -> bool:
+        """Whether an impact can throw it back; then the state after a landing is a phase and a speed."""
+        return False
+
+    @property
+    def most_flights(self) -> int:
+        """Before an orbit from rest is given up in a search for cycles: the way into the cycle and the cycle."""
+        return 64
+
+    @property
+    def coarse(self) -> float:
+        """Spacing in gamma of the search that goes everywhere."""
+        return 1e-5 if not self.bounces else 1e-3
+
+    @property
+    def take_off_levels(self) -> tuple[Floats, Floats]:
+        """Gammas at which a take-off window is born (the least is take-off itself), and at which two merge.
+
+        Friction raises them all by ``1 + mu_up``.
+        """
+        turning = first_landing.turning_points(self.forcing)
+        q = _q(self.forcing, turning)
+        before, after = _q(self.forcing, turning - 1e-3), _q(self.forcing, turning + 1e-3)
+        maximum = (q > before) & (q > after) & (q > 0)
+        minimum = (q < before) & (q < after) & (q > 0)
+        return tuple(np.sort(1.0 / q[which]) * (1.0 + self.law.mu_up) for which in (maximum, minimum))  # type: ignore[return-value]
+
+    def _tables(self, gamma: float) -> EdgeTables:
         check_gamma(self.forcing, gamma, lengthened(self.law.mu_down, self.law.e0))
+        return self.cycles.tables_of(self.forcing.tones, first_landing.turning_points(self.forcing), gamma, self.law)
+
+    def _fly(self, gamma: float, tables: EdgeTables, start: State, max_flights: int) -> tuple[Flown, int, int, State]:
+        """The flights, the first of the cycle, its periods, and the state in which the ball was left."""
+        flown = room_for(max_flights)
+        first, stop, periods, phi, v = self.cycles.fly_until_closed(
+            self.forcing.tones, gamma, tables, self.law, start.phase, start.speed, flown
+        )
+        return flown.upto(stop), first, periods, State(phi, v)
+
+    def fly(self, gamma: float, start: State, max_flights: int) -> Path:
+        """See `model.orbits.attractor.Ball.fly`."""
+        tables = self._tables(gamma)
+        if tables.n_up == 0:
+            return resting(start)
+        flown, first, periods, last = self._fly(gamma, tables, start, max_flights)
+        if flown.tau.size == 0:
+            return resting(last)
+        resets, chatters = flown.threshold >= 0, (flown.mark & CHATTERS) > 0
+        slope = self._slopes(gamma, flown)
+        return Path(flown.tau, flown.phase, flown.speed, slope, resets, chatters, first, periods, last)
+
+    def _slopes(self, gamma: float, flown: Flown) -> Floats:
+        """How each flight stretches a small shift of its take-off's phase; NaN where one number does not tell it."""
+        return np.full(flown.tau.size, math.nan)
+
+    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
+        """Where the orbit from rest at ``gamma`` goes until it closes."""
+        tables = self._tables(gamma)
+        flown, first, _, _ = self._fly(gamma, tables, State(), max_flights)
+        start = tables.up[0]
+        landing = np.mod(flown.phase + flown.tau - start, TWO_PI) + start
+        kept: list[int] = []
+        pending: list[int] = []
+        rests: list[bool] = []
+        entry = -1
+        for k, bits in enumerate(flown.mark):
+            if k == first:
+                entry = len(kept)
+            pending.append(k)
+            if bits & CHATTERS:
+                pending = pending[:1]
+            if bits & CHATTERS or k + 1 == flown.tau.size or not flown.mark[k + 1] & SMALL:
+                kept += pending
+                rests += [False] * (len(pending) - 1) + [bool(bits & CHATTERS)]
+                pending = []
+        return Itinerary(landing[kept], flown.symbol[kept], np.array(rests, dtype=bool), entry)
 
     def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
         """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
-        self._check(gammas)
+        check_gamma(self.forcing, gammas, lengthened(self.law.mu_down, self.law.e0))
         out = np.empty((len(gammas), CODE_SIZE), dtype=np.int64)
         turning = first_landing.turning_points(self.forcing)
         grid = np.ascontiguousarray(gammas)
@@ -68,93 +140,42 @@ class ExactBall:
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
         """See `model.orbits.cycles.locked_family_of`; for a ball that does not rebound."""
         turning = first_landing.turning_points(self.forcing)
-        found: tuple[bool, float, float, float, int] = self.cycles.locked_family(
-            self.forcing.tones, turning, gamma, self.law, window, after, n
+        return self.cycles.locked_family(self.forcing.tones, turning, gamma, self.law, window, after, n)
+
+    def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
+        """See `model.orbits.attractor.Ball.close`."""
+        tables = self._tables(gamma)
+        if tables.n_up == 0:
+            return None
+        cycle = np.empty((4, n))
+        ok, periods, trace, determinant = self.cycles.close_cycle(
+            self.forcing.tones, gamma, tables, self.law, near.phase, near.speed, cycle
         )
-        return found
+        phases = cycle[1]
+        # no cycle of n flights where a shorter one is run through several times
+        shorter = (np.all(np.abs(phases - np.roll(phases, k)) < 1e-9) for k in range(1, n) if n % k == 0)
+        if not ok or any(shorter):
+            return None
+        root = cmath.sqrt(trace * trace / 4.0 - determinant)
+        multiplier = max((trace / 2.0 + root, trace / 2.0 - root), key=abs)
+        size = multiplier.real if multiplier.imag == 0.0 else math.copysign(abs(multiplier), multiplier.real)
+        cycle[1] = np.mod(phases, TWO_PI)
+        taus, phases, speeds, starts = np.roll(cycle, -int(np.argmin(cycle[1])), axis=1)
+        return LockedCycle(phases, starts, taus, speeds, periods, size)
 
 
 @dataclass(frozen=True)
 class IdealBall(ExactBall):
     """The completely inelastic ball on ``forcing``, nothing added."""
 
-    cycles: ClassVar[ModuleType] = ideal_cycles
-    bounces: ClassVar[bool] = False
-    most_flights: ClassVar[int] = 64
-    coarse: ClassVar[float] = 1e-5
+    cycles: ClassVar[Cycles] = IDEAL
 
-    def fly(self, gamma: float, start: State, max_flights: int) -> Path:
-        """See `model.orbits.attractor.Ball.fly`."""
-        edge, n_windows = first_landing.edges(self.forcing, gamma)
-        if n_windows == 0 and start.speed <= 0.0:
-            return resting(start)
-        lead_tau: list[float] = []
-        rest_at, lead_speed, at = start.phase, 0.0, 0.0
-        if start.speed > 0.0:
-            at = fold(start.phase, edge[0])
-            a0 = gamma * q_and_slope(self.forcing.tones, at)[0] - 1.0
-            tau, rest_at, lead_speed, _ = ideal.land(self.forcing.tones, gamma, edge, n_windows, at, a0, start.speed)
-            lead_tau = [tau]
-            if n_windows == 0:
-                return resting(State(rest_at % TWO_PI))
-        flown = room_for(max_flights)
-        first, stop, periods = ideal_cycles.fly_until_closed(self.forcing.tones, gamma, edge, n_windows, rest_at, flown)
-        tau_, phase, speed, _, threshold, _ = flown.upto(stop)
-        lead = len(lead_tau)
-        slope = self._slopes(gamma, phase, tau_, speed, threshold)
-        return Path(
-            np.concatenate([lead_tau, tau_]),
-            np.concatenate([[at] * lead, phase]),
-            np.concatenate([[lead_speed] * lead, speed]),
-            np.concatenate([[math.nan] * lead, slope]),
-            np.concatenate([np.zeros(lead, dtype=bool), threshold >= 0]),
-            np.zeros(stop + lead, dtype=bool),
-            first + lead if first >= 0 else -1,
-            periods,
-            State(float(fold(phase[stop - 1] + tau_[stop - 1], edge[0]))),
-        )
-
-    def _slopes(self, gamma: float, phase: Floats, tau: Floats, speed: Floats, threshold: Integers) -> Floats:
+    def _slopes(self, gamma: float, flown: Flown) -> Floats:
         """``d landing / d take-off = -tau h''(take-off) / impact speed``; 0 at a threshold, where h'' vanishes."""
-        h2 = gamma * _q(self.forcing, phase) - 1.0
-        h2[threshold >= 0] = 0.0
+        h2 = gamma * _q(self.forcing, flown.phase) - 1.0
+        h2[flown.threshold >= 0] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(-tau * h2 / speed)
-
-    def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
-        """See `model.orbits.attractor.Ball.close`."""
-        edge, n_windows = first_landing.edges(self.forcing, gamma)
-        if n_windows == 0:
-            return None
-        phases, taus = np.empty((2, n))
-        ok, _, periods, multiplier = ideal_cycles.close_cycle(
-            self.forcing.tones, gamma, edge, n_windows, near.phase, phases, taus
-        )
-        if not ok or has_shorter(phases):
-            return None
-        turn = int(np.argmin(np.mod(phases, TWO_PI)))
-        phases, taus = np.roll(np.mod(phases, TWO_PI), -turn), np.roll(taus, -turn)
-        forcing = self.forcing
-        speeds = np.array([first_landing.first_landing(forcing, gamma, p).impact_speed for p in phases])
-        return LockedCycle(phases, np.zeros(n), taus, speeds, periods, multiplier)
-
-    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
-        """Where the orbit from rest at ``gamma`` goes until it closes."""
-        edge, n_windows = first_landing.edges(self.forcing, gamma)
-        flown = room_for(max_flights)
-        first, stop, _ = ideal_cycles.fly_until_closed(self.forcing.tones, gamma, edge, n_windows, 0.0, flown)
-        landing = np.mod(flown.phase[:stop] + flown.tau[:stop] - edge[0], TWO_PI) + edge[0]
-        return Itinerary(landing, flown.symbol[:stop], np.zeros(stop, dtype=bool), first)
-
-    @property
-    def take_off_levels(self) -> tuple[Floats, Floats]:
-        """Gammas at which a take-off window is born (the least is take-off itself), and at which two merge."""
-        turning = first_landing.turning_points(self.forcing)
-        q = _q(self.forcing, turning)
-        before, after = _q(self.forcing, turning - 1e-3), _q(self.forcing, turning + 1e-3)
-        maximum = (q > before) & (q > after) & (q > 0)
-        minimum = (q < before) & (q < after) & (q > 0)
-        return np.sort(1.0 / q[maximum]), np.sort(1.0 / q[minimum])
+            return np.asarray(-flown.tau * h2 / flown.speed)
 
     @property
     def peak(self) -> float:
@@ -175,7 +196,7 @@ class FrictionBall(ExactBall):
         If a value is not finite or out of range; with ``mu_down >= 1`` the ball would stay on the rod of a still plate.
     """
 
-    cycles: ClassVar[ModuleType] = friction_cycles
+    cycles: ClassVar[Cycles] = FRICTION
     mu_up: float = 0.0
     mu_down: float = 0.0
     e0: float = 0.0
@@ -207,96 +228,6 @@ class FrictionBall(ExactBall):
             return 64
         return 128 if self.e0 < 0.7 and self.e1 >= 0.0 else 512
 
-    @property
-    def coarse(self) -> float:
-        """Spacing in gamma of the search that goes everywhere."""
-        return 1e-5 if not self.bounces else 1e-3
-
-    def _tables(self, gamma: float) -> EdgeTables:
-        self._check(gamma)
-        return edge_tables(self.forcing.tones, first_landing.turning_points(self.forcing), gamma, self.law)
-
-    def _fly(self, gamma: float, start: State, max_flights: int) -> tuple[Flown, int, int, State]:
-        """The flights, the first of the cycle, its periods, and the state in which the ball was left."""
-        flown = room_for(max_flights)
-        first, stop, periods, phi, v = friction_cycles.fly_until_closed(
-            self.forcing.tones, gamma, self._tables(gamma), self.law, start.phase, start.speed, flown
-        )
-        return flown.upto(stop), first, periods, State(phi, v)
-
-    def fly(self, gamma: float, start: State, max_flights: int) -> Path:
-        """See `model.orbits.attractor.Ball.fly`."""
-        if self._tables(gamma).n_up == 0:
-            return resting(start)
-        flown, first, periods, last = self._fly(gamma, start, max_flights)
-        if flown.tau.size == 0:
-            return resting(last)
-        return Path(
-            flown.tau,
-            flown.phase,
-            flown.speed,
-            np.full(flown.tau.size, math.nan),
-            flown.threshold >= 0,
-            (flown.mark & CHATTERS) > 0,
-            first,
-            periods,
-            last,
-        )
-
-    def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
-        """Where the orbit from rest at ``gamma`` goes until it closes."""
-        flown, first, _, _ = self._fly(gamma, State(), max_flights)
-        start = self._tables(gamma).up[0]
-        landing = np.mod(flown.phase + flown.tau - start, TWO_PI) + start
-        kept: list[int] = []
-        pending: list[int] = []
-        rests: list[bool] = []
-        entry = -1
-        for k, bits in enumerate(flown.mark):
-            if k == first:
-                entry = len(kept)
-            pending.append(k)
-            if bits & CHATTERS:
-                pending = pending[:1]
-            if bits & CHATTERS or k + 1 == flown.tau.size or not flown.mark[k + 1] & SMALL:
-                kept += pending
-                rests += [False] * (len(pending) - 1) + [bool(bits & CHATTERS)]
-                pending = []
-        return Itinerary(landing[kept], flown.symbol[kept], np.array(rests, dtype=bool), entry)
-
-    @property
-    def take_off_levels(self) -> tuple[Floats, Floats]:
-        """See `IdealBall.take_off_levels`: friction raises them all by ``1 + mu_up``."""
-        births, merges = IdealBall(self.forcing).take_off_levels
-        return births * (1.0 + self.mu_up), merges * (1.0 + self.mu_up)
-
-    def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
-        """See `model.orbits.attractor.Ball.close`."""
-        if self._tables(gamma).n_up == 0:
-            return None
-        phases, taus, speeds, starts = np.empty((4, n))
-        ok, periods, trace, determinant = friction_cycles.close_cycle(
-            self.forcing.tones,
-            first_landing.turning_points(self.forcing),
-            gamma,
-            self.law,
-            near.phase,
-            near.speed,
-            n,
-            phases,
-            taus,
-            speeds,
-            starts,
-        )
-        if not ok or has_shorter(phases):
-            return None
-        root = cmath.sqrt(trace * trace / 4.0 - determinant)
-        multiplier = max((trace / 2.0 + root, trace / 2.0 - root), key=abs)
-        size = multiplier.real if multiplier.imag == 0.0 else math.copysign(abs(multiplier), multiplier.real)
-        turn = -int(np.argmin(np.mod(phases, TWO_PI)))
-        phases, starts, taus, speeds = (np.roll(x, turn) for x in (np.mod(phases, TWO_PI), starts, taus, speeds))
-        return LockedCycle(phases, starts, taus, speeds, periods, size)
-
 
 def resting(start: State) -> Path:
     """No flights at all."""
@@ -308,9 +239,3 @@ def resting(start: State) -> Path:
 def _q(forcing: Forcing, phase: Floats) -> Floats:
     n, b, p = forcing.tones.T
     return np.asarray((b * n * n * np.sin(n * phase[:, None] + p)).sum(axis=1))
-
-
-def has_shorter(phases: Floats) -> bool:
-    """Whether a cycle is a shorter one run through several times."""
-    n = phases.size
-    return any(n % k == 0 and bool(np.all(np.abs(phases - np.roll(phases, k)) < 1e-9)) for k in range(1, n))

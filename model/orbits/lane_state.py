@@ -1,21 +1,29 @@
-"""The state of orbits flown side by side, one a lane: named rows of arrays, and how an orbit is begun.
+"""The state of orbits flown side by side, one a lane: named rows of arrays, how an orbit is begun, and its take-offs.
 
 An orbit's parameters and motion are numbers (``work``; after them, with friction, the branches of its rises and falls
 and the edges of its falls), its bookkeeping whole numbers (``whole``); its flights are kept in ``flights`` and
-``marks`` (a row, a lane, a flight).
+``marks`` (a row, a lane, a flight). Rows are named as in ``work[GAMMA, lane]``.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
 
 from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, load
 from model.flight.branches import TWO_PI
-from model.flight.edge_table import TABLE
+from model.flight.edge_table import TABLE, fold_onto
+from model.flight.friction import rebound_or_rest
 from model.flight.friction_lanes import BRANCH_ROWS, EDGE_ROWS
 from model.flight.numerics import Number, compiled, inlined
-from model.flight.records import FrictionRestitution
+from model.flight.records import EdgeTables, FrictionRestitution
+from model.flight.segment import shape
+from model.flight.short_bounce import short_bounce, surely_long
+from model.orbits.cycles import CHATTERS
 
 # rows of ``work``: parameters; places of the tables going up and down, and their edges
 GAMMA, MU_UP, MU_DOWN, E0, E1, UP, UP_LAST, DOWN, DOWN_LAST = range(9)
@@ -35,17 +43,35 @@ TAUS, PHASES, SPEEDS = range(3)  # of ``flights``
 THRESHOLDS, MARKS = range(2)  # of ``marks``
 
 
+class Lanes(NamedTuple):
+    """What orbits side by side are kept in; ``both`` holds the tables going up, a lane after the other, then down."""
+
+    both: Floats
+    work: Floats
+    whole: Integers
+    flights: Floats
+    marks: Integers
+
+
+def room_for_lanes(edges: int, most: int) -> Lanes:
+    """Room for tables of ``edges`` and ``most`` flights of each orbit; nothing flies yet."""
+    windows = (edges - 1) // 2
+    rows = NUMBERS + 2 * BRANCH_ROWS * windows + EDGE_ROWS * (2 * windows + 1)
+    whole = np.zeros((SEEN + 2 * edges, WIDTH), dtype=np.int64)
+    whole[STATUS] = IDLE
+    return Lanes(
+        np.zeros(2 * WIDTH * TABLE * edges),
+        np.zeros((rows, WIDTH)),
+        whole,
+        np.zeros((3, WIDTH, most)),
+        np.zeros((2, WIDTH, most), dtype=np.int64),
+    )
+
+
 @inlined
 def numbers(flat: Floats, name: int) -> Number:
     """A row of the flattened ``work``, all lanes."""
     return load(flat, name * WIDTH)
-
-
-@compiled
-def branch_rows(size: int) -> int:
-    """Rows of ``work`` after `NUMBERS` for tables of ``size`` edges."""
-    windows = (size - 1) // 2
-    return 2 * BRANCH_ROWS * windows + EDGE_ROWS * (2 * windows + 1)
 
 
 @inlined
@@ -104,11 +130,21 @@ def law_of_lane(work: Floats, lane: int) -> FrictionRestitution:
     return FrictionRestitution(work[MU_UP, lane], work[MU_DOWN, lane], work[E0, lane], work[E1, lane])
 
 
+@compiled
+def tables_of_lane(both: Floats, work: Floats, lane: int) -> EdgeTables:
+    """The edges of a lane's tables, for the kernels of one flight."""
+    up, up_last = int(work[UP, lane]), int(work[UP_LAST, lane])
+    down, down_last = int(work[DOWN, lane]), int(work[DOWN_LAST, lane])
+    return EdgeTables(
+        both[up : up + TABLE * (up_last + 1) : TABLE].copy(), up_last // 2,
+        both[down : down + TABLE * (down_last + 1) : TABLE].copy(), down_last // 2,
+    )  # fmt: skip
+
+
 @inlined
-def reset_at(
-    both: Floats, closes: bool, work: Floats, whole: Integers, lane: int, branch: int
-) -> tuple[int, float, bool]:
-    """A ball at rest in ``branch`` waits for the next threshold: its window and phase, and whether that closes."""
+def _wait(lanes: Lanes, closes: bool, lane: int, branch: int) -> int:
+    """The window at whose threshold a ball at rest in ``branch`` leaves; -1 where that closes the orbit."""
+    work, whole = lanes.work, lanes.whole
     n_up = int(work[UP_LAST, lane]) // 2
     window = ((branch + 1) // 2) % n_up
     if branch == 2 * n_up - 1:
@@ -117,6 +153,85 @@ def reset_at(
         whole[FIRST, lane] = whole[SEEN + window, lane]
         whole[PERIODS, lane] = whole[TURN, lane] - whole[SEEN + n_up + window, lane]
         whole[STATUS, lane] = CLOSED
-        return window, 0.0, True
+        return -1
     whole[SEEN + window, lane], whole[SEEN + n_up + window, lane] = whole[COUNT, lane], whole[TURN, lane]
-    return window, both[int(work[UP, lane]) + TABLE * 2 * window], False
+    return window
+
+
+@inlined
+def keep_landing(
+    tones: Floats, lanes: Lanes, lane: int, tau: float, phi: float, speed: float, bounces: bool
+) -> tuple[float, float]:
+    """Keep a landing; phase and speed after the rebound, or where its chatter has ended."""
+    both, work, whole, flights, marks = lanes
+    k, base, v = whole[COUNT, lane], work[UP, lane], 0.0
+    flights[TAUS, lane, k], flights[SPEEDS, lane, k], marks[MARKS, lane, k] = tau, speed, 0
+    if bounces:
+        phi = fold_onto(both, base, phi)
+    turns = flights[PHASES, lane, k] + tau - phi
+    if bounces:
+        v, tail = rebound_or_rest(tones, work[GAMMA, lane], law_of_lane(work, lane), phi, speed)
+        if tail > 0.0:
+            marks[MARKS, lane, k] = CHATTERS
+            turns += phi + tail
+            phi = fold_onto(both, base, phi + tail)
+            turns -= phi
+            work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, phi)
+    whole[TURN, lane] += round(turns / TWO_PI)
+    whole[COUNT, lane] = k + 1
+    return phi, v
+
+
+def leave_of(*, bounces: bool) -> Callable[..., None]:
+    """The kernel that takes a ball off the plate; of one that never ``bounces`` the compiler leaves out the rest."""
+
+    # a call would cost the ideal ball a third of its flight
+    @(compiled if bounces else inlined)
+    def leave(tones: Floats, lanes: Lanes, closes: bool, lane: int) -> None:
+        """From the plate, at LAST_PHI and LAST_V, to the next flight that is not a short bounce; sets the STATUS."""
+        both, work, whole, flights, marks = lanes
+        phi, v = work[LAST_PHI, lane], work[LAST_V, lane] if bounces else 0.0
+        base, last = int(work[UP, lane]), int(work[UP_LAST, lane])
+        gamma, law = work[GAMMA, lane], law_of_lane(work, lane)
+        known = True  # the plate's motion at phi
+        work[MOTION, lane] = RESTS
+        while True:
+            k = whole[COUNT, lane]
+            if k == whole[LIMIT, lane]:
+                if not known:
+                    work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, phi)
+                work[LAST_PHI, lane], work[LAST_V, lane] = phi, v
+                whole[STATUS, lane] = FULL
+                return
+            phi0, window, branch = phi, -1, 0
+            if v <= 0.0:
+                while branch + 1 < last and phi >= both[base + TABLE * (branch + 1)]:
+                    branch += 1
+                if branch % 2 == 1 or phi <= both[base + TABLE * branch]:
+                    window = _wait(lanes, closes, lane, branch)
+                    if window < 0:
+                        return
+                    branch = 2 * window
+                    phi0 = both[base + TABLE * branch]
+            flights[PHASES, lane, k], marks[THRESHOLDS, lane, k] = phi0, window
+            if bounces and v > 0.0 and not (known and surely_long(tones, law, gamma * work[Q_X, lane], v)):
+                short, tau, speed = short_bounce(tones, gamma, law, phi0, v)
+                if short:
+                    phi, v = keep_landing(tones, lanes, lane, tau, phi0 + tau, speed, bounces)
+                    known = False
+                    continue
+            if window >= 0:
+                at = base + TABLE * branch
+                work[S, lane], work[SLOPE, lane] = both[at + 1], both[at + 2]
+            elif known:
+                work[S, lane], work[SLOPE, lane], work[Q, lane] = work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane]
+            else:
+                work[S, lane], work[SLOPE, lane], work[Q, lane] = shape(tones, phi)
+            work[PHI, lane], work[BRANCH, lane], work[AT_EDGE, lane] = phi0, branch, 1.0 if window >= 0 else 0.0
+            if bounces:
+                work[V0, lane], work[H0, lane], work[MOTION, lane] = v, 0.0, RISES
+                work[TOTAL, lane], work[SEGMENTS, lane] = 0.0, 0.0
+            whole[STATUS, lane] = FLIES
+            return
+
+    return leave

@@ -1,65 +1,30 @@
 """Cycles of many parameter points in one compiled call: flights, resets, period and flight times.
 
 The orbits are flown side by side (`model.orbits.ideal_lanes`, `model.orbits.friction_lanes`) until a threshold repeats.
-One that has not closed after `FEW_FLIGHTS` and repeats itself nearly is looked for as a locked cycle by Newton; one
-that does neither within `MAX_FLIGHTS` is chaotic. What that leaves open is marked, for `model.orbits.attractor`.
+One that has not closed after `FIRST_LOOK` flights and repeats itself nearly is looked for as a locked cycle by Newton;
+one that does neither within `MAX_FLIGHTS` is chaotic. What that leaves open is marked, for `model.orbits.attractor`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kernels.arrays import Floats, Integers
-from kernels.borrowed import borrowed
 from kernels.lanes import WIDTH
 from model.flight.branches import fold
 from model.flight.edge_table import FOUND, TABLE, fill_tables
 from model.flight.numerics import compiled
 from model.flight.segment import shape
-from model.orbits import friction_cycles, friction_lanes, ideal_cycles, ideal_lanes
+from model.orbits import friction_lanes, ideal_lanes
+from model.orbits import lane_state as at
 from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LOCKED, NEAR, SLOW
-from model.orbits.cycles import CHATTERS, FLIGHTS, PERIOD, RESETS, nearest_turn, repeating
-from model.orbits.lane_state import (
-    CLOSED,
-    COUNT,
-    DOWN,
-    DOWN_LAST,
-    E0,
-    E1,
-    FIRST,
-    FLIES,
-    FULL,
-    GAMMA,
-    IDLE,
-    LAST_PHI,
-    LAST_V,
-    LIMIT,
-    MARKS,
-    MU_DOWN,
-    MU_UP,
-    NUMBERS,
-    PERIODS,
-    PHASES,
-    Q_X,
-    ROW,
-    S_X,
-    SEEN,
-    SLOPE_X,
-    SPEEDS,
-    STATUS,
-    TAUS,
-    THRESHOLDS,
-    TURN,
-    UP,
-    UP_LAST,
-    branch_rows,
-    keep_branches,
-    law_of_lane,
-)
+from model.orbits.cycles import CHATTERS, FLIGHTS, FRICTION, IDEAL, PERIOD, RESETS, Cycles, nearest_turn, repeating
+from model.orbits.lane_state import Lanes, keep_branches, law_of_lane, room_for_lanes, tables_of_lane
 
 CHATTERING = 3  # column of the outcome: the cycle holds a completed chatter
 LOCKED = 4  # it never sticks
@@ -70,94 +35,95 @@ BLOCK = 512  # rows whose tables are made at once
 FIRST_LOOK = 64  # flights after which a locked cycle is looked for first: many orbits have arrived by then
 
 
+class Points(NamedTuple):
+    """Parameter points, and what comes out for each.
+
+    ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``; ``outcome`` is (m, `OUTCOME_SIZE`), ``kept`` (m, keep) flight
+    times. Unless an orbit ``closes``, all its flights are flown and the last are kept.
+    """
+
+    tones: Floats
+    turning: Floats
+    gammas: Floats
+    laws: Floats
+    closes: bool
+    outcome: Integers
+    kept: Floats
+
+
+class Tables(NamedTuple):
+    """Tables of edges of a block of rows going up and down (2, BLOCK, numbers of a table), and their windows."""
+
+    made: Floats
+    n_up: Integers
+    n_down: Integers
+    scaled: Floats
+    found: Floats
+
+
 @compiled
-def _keep_cycle(flights: Floats, marks: Integers, lane: int, whole: Integers, outcome: Integers, kept: Floats) -> None:
+def _keep_cycle(lanes: Lanes, lane: int, outcome: Integers, kept: Floats) -> None:
     """Write a cycle's outcome, and its flight times from the reset with the smallest phase on."""
-    first, stop = whole[FIRST, lane], whole[COUNT, lane]
+    whole, flights, marks = lanes.whole, lanes.flights, lanes.marks
+    first, stop = whole[at.FIRST, lane], whole[at.COUNT, lane]
     start = first
     for k in range(first, stop):
-        if marks[THRESHOLDS, lane, k] >= 0:
+        if marks[at.THRESHOLDS, lane, k] >= 0:
             outcome[RESETS] += 1
-            if fold(flights[PHASES, lane, k], 0.0) < fold(flights[PHASES, lane, start], 0.0):
+            if fold(flights[at.PHASES, lane, k], 0.0) < fold(flights[at.PHASES, lane, start], 0.0):
                 start = k
-        if marks[MARKS, lane, k] & CHATTERS:
+        if marks[at.MARKS, lane, k] & CHATTERS:
             outcome[CHATTERING] = 1
-    outcome[PERIOD], outcome[FLIGHTS] = whole[PERIODS, lane], stop - first
+    outcome[PERIOD], outcome[FLIGHTS] = whole[at.PERIODS, lane], stop - first
     for k in range(min(stop - first, kept.shape[0])):
         j = start + k
-        kept[k] = flights[TAUS, lane, j if j < stop else j - (stop - first)]
+        kept[k] = flights[at.TAUS, lane, j if j < stop else j - (stop - first)]
 
 
 @compiled
-def _keep_chaos(flights: Floats, marks: Integers, lane: int, count: int, outcome: Integers, kept: Floats) -> None:
+def _keep_chaos(lanes: Lanes, lane: int, outcome: Integers, kept: Floats) -> None:
     """Write the last flights of an orbit that did not close."""
+    count = lanes.whole[at.COUNT, lane]
     outcome[CHAOTIC], outcome[PERIOD], outcome[FLIGHTS] = 1, 0, min(count, CHAOS_SHOWN)
     for k in range(count - outcome[FLIGHTS], count):
-        outcome[RESETS] += marks[THRESHOLDS, lane, k] >= 0
+        outcome[RESETS] += lanes.marks[at.THRESHOLDS, lane, k] >= 0
         if k - count + outcome[FLIGHTS] < kept.shape[0]:
-            kept[k - count + outcome[FLIGHTS]] = flights[TAUS, lane, k]
+            kept[k - count + outcome[FLIGHTS]] = lanes.flights[at.TAUS, lane, k]
 
 
 @compiled
-def _ideal_close(tones: Floats, turning: Floats, work: Floats, lane: int, both: Floats, n: int, cycle: Floats) -> Any:
-    """A locked cycle of ``n`` flights near the lane's last state: ok, periods, largest multiplier in size."""
-    base, last = int(work[UP, lane]), int(work[UP_LAST, lane])
-    edge = both[base : base + TABLE * (last + 1) : TABLE].copy()
-    ok, _, periods, multiplier = ideal_cycles.close_cycle(
-        tones, work[GAMMA, lane], edge, last // 2, work[LAST_PHI, lane], cycle[PHASES, :n], cycle[TAUS, :n]
-    )
-    return ok, periods, abs(multiplier)
-
-
-@compiled
-def _friction_close(
-    tones: Floats, turning: Floats, work: Floats, lane: int, both: Floats, n: int, cycle: Floats
-) -> Any:
-    """As `_ideal_close`."""
-    ok, periods, trace, determinant = friction_cycles.close_cycle(
-        tones, turning, work[GAMMA, lane], law_of_lane(work, lane), work[LAST_PHI, lane], work[LAST_V, lane], n,
-        cycle[PHASES, :n], cycle[TAUS, :n], cycle[SPEEDS, :n], cycle[3, :n],
-    )  # fmt: skip
-    root = 0.25 * trace * trace - determinant
-    return ok, periods, math.sqrt(determinant) if root < 0.0 else 0.5 * abs(trace) + math.sqrt(root)
-
-
-@compiled
-def _take_row(
-    tones: Floats, row: int, slot: int, gammas: Floats, laws: Floats, made: Floats, n_up: Integers, n_down: Integers,
-    limit: int, both: Floats, work: Floats, whole: Integers, lane: int,
-) -> None:  # fmt: skip
+def _take_row(points: Points, row: int, slot: int, tables: Tables, limit: int, lanes: Lanes, lane: int) -> None:
     """Give a lane the orbit of a row, from rest at phase 0, with the tables ``made`` in the row's ``slot``."""
+    made, laws = tables.made, points.laws
+    both, work, whole, _, _ = lanes
     stride = made.shape[2]
-    work[GAMMA, lane] = gammas[row]
-    work[MU_UP, lane], work[MU_DOWN, lane] = laws[row, 0], laws[row, 1]
-    work[E0, lane], work[E1, lane] = laws[row, 2], laws[row, 3]
-    work[UP, lane], work[UP_LAST, lane] = lane * stride, 2 * n_up[slot]
-    work[DOWN, lane], work[DOWN_LAST, lane] = (WIDTH + lane) * stride, 2 * n_down[slot]
+    work[at.GAMMA, lane] = points.gammas[row]
+    work[at.MU_UP, lane], work[at.MU_DOWN, lane] = laws[row, 0], laws[row, 1]
+    work[at.E0, lane], work[at.E1, lane] = laws[row, 2], laws[row, 3]
+    work[at.UP, lane], work[at.UP_LAST, lane] = lane * stride, 2 * tables.n_up[slot]
+    work[at.DOWN, lane], work[at.DOWN_LAST, lane] = (WIDTH + lane) * stride, 2 * tables.n_down[slot]
     for k in range(stride):
         both[lane * stride + k], both[(WIDTH + lane) * stride + k] = made[0, slot, k], made[1, slot, k]
-    work[LAST_PHI, lane], work[LAST_V, lane] = fold(0.0, made[0, slot, 0]), 0.0
-    work[S_X, lane], work[SLOPE_X, lane], work[Q_X, lane] = shape(tones, work[LAST_PHI, lane])
-    whole[ROW, lane], whole[LIMIT, lane] = row, limit
-    whole[COUNT, lane] = whole[TURN, lane] = 0
-    for k in range(SEEN, whole.shape[0]):
+    phi = fold(0.0, made[0, slot, 0])
+    work[at.LAST_PHI, lane], work[at.LAST_V, lane] = phi, 0.0
+    work[at.S_X, lane], work[at.SLOPE_X, lane], work[at.Q_X, lane] = shape(points.tones, phi)
+    whole[at.ROW, lane], whole[at.LIMIT, lane] = row, limit
+    whole[at.COUNT, lane] = whole[at.TURN, lane] = 0
+    for k in range(at.SEEN, whole.shape[0]):
         whole[k, lane] = -1
 
 
-def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
-    """The kernel that looks for the locked cycle that an orbit has reached; ``close`` is Newton's method."""
+def _settle_of(close_cycle: Callable[..., Any]) -> Callable[..., bool]:
+    """The kernel that looks for the locked cycle that an orbit has reached; ``close_cycle`` is Newton's method."""
 
     @compiled
-    def settle(
-        tones: Floats, turning: Floats, both: Floats, work: Floats, whole: Integers, flights: Floats, lane: int,
-        cycle: Floats, outcome: Integers, kept: Floats,
-    ) -> bool:  # fmt: skip
+    def settle(tones: Floats, lanes: Lanes, lane: int, cycle: Floats, outcome: Integers, kept: Floats) -> bool:
         """Whether the orbit of a lane nearly repeats itself; a locked cycle that it has reached is written."""
-        count = whole[COUNT, lane]
-        phases, speeds = flights[PHASES, lane], flights[SPEEDS, lane]
-        near = False
+        both, work, whole, flights, _ = lanes
+        count, phases, speeds = whole[at.COUNT, lane], flights[at.PHASES, lane], flights[at.SPEEDS, lane]
+        phi, v = work[at.LAST_PHI, lane], work[at.LAST_V, lane]
         # flights of a cycle found where the orbit is not: only its doublings can be what the orbit is near
-        tried, stable = 0, False
+        near, tried, stable = False, 0, False
         for n in range(1, LONGEST_LOCKED + 1):
             if n == 2 * tried:
                 tried = n
@@ -166,49 +132,52 @@ def _settle_of(close: Callable[..., Any]) -> Callable[..., bool]:
             if not repeating(phases, speeds, count, n, NEAR):
                 continue
             near = True
-            ok, periods, multiplier = close(tones, turning, work, lane, both, n, cycle)
+            tables, here = tables_of_lane(both, work, lane), cycle[:, :n]
+            ok, periods, trace, determinant = close_cycle(
+                tones, work[at.GAMMA, lane], tables, law_of_lane(work, lane), phi, v, here
+            )
             if not ok:
                 continue
-            if stable and abs(nearest_turn(cycle[PHASES, 0] - cycle[PHASES, n // 2])) < ARRIVED:
+            root = 0.25 * trace * trace - determinant
+            multiplier = math.sqrt(determinant) if root < 0.0 else 0.5 * abs(trace) + math.sqrt(root)
+            if stable and abs(nearest_turn(cycle[at.PHASES, 0] - cycle[at.PHASES, n // 2])) < ARRIVED:
                 break  # the double of a stable cycle is that cycle
             tried, stable = n, multiplier < 1.0
             if not stable:
                 continue
             off, start = math.inf, 0
             for k in range(n):
-                off = min(off, abs(fold(cycle[PHASES, k] - phases[count - 1] + math.pi, 0.0) - math.pi))
-                if fold(cycle[PHASES, k], 0.0) < fold(cycle[PHASES, start], 0.0):
+                off = min(off, abs(fold(cycle[at.PHASES, k] - phases[count - 1] + math.pi, 0.0) - math.pi))
+                if fold(cycle[at.PHASES, k], 0.0) < fold(cycle[at.PHASES, start], 0.0):
                     start = k
             if off < ARRIVED or (count >= FEW_FLIGHTS and multiplier > SLOW and off < NEAR):
                 outcome[LOCKED], outcome[PERIOD], outcome[FLIGHTS] = 1, periods, n
                 for k in range(min(n, kept.shape[0])):
-                    kept[k] = cycle[TAUS, (start + k) % n]
+                    kept[k] = cycle[at.TAUS, (start + k) % n]
                 break
         return near
 
     return settle
 
 
-def _finish_of(settle: Callable[..., bool]) -> Callable[..., bool]:
+def _finish_of(close_cycle: Callable[..., Any]) -> Callable[..., bool]:
     """The kernel that says what became of an orbit."""
+    settle = _settle_of(close_cycle)
 
     @compiled
-    def finish(
-        tones: Floats, turning: Floats, both: Floats, work: Floats, whole: Integers, flights: Floats, marks: Integers,
-        lane: int, cycle: Floats, closes: bool, outcome: Integers, kept: Floats,
-    ) -> bool:  # fmt: skip
+    def finish(points: Points, lanes: Lanes, lane: int, cycle: Floats, outcome: Integers, kept: Floats) -> bool:
         """Write what became of a lane's orbit; False where it is to be flown on."""
-        status, count = whole[STATUS, lane], whole[COUNT, lane]
-        if status == CLOSED:
-            _keep_cycle(flights, marks, lane, whole, outcome, kept)
-        elif status == FULL and not closes:
-            _keep_chaos(flights, marks, lane, count, outcome, kept)
-        elif status == FULL:
-            near = settle(tones, turning, both, work, whole, flights, lane, cycle, outcome, kept)
-            if outcome[LOCKED] == 0 and count < flights.shape[2]:
+        status, most = lanes.whole[at.STATUS, lane], lanes.flights.shape[2]
+        if status == at.CLOSED:
+            _keep_cycle(lanes, lane, outcome, kept)
+        elif status == at.FULL and not points.closes:
+            _keep_chaos(lanes, lane, outcome, kept)
+        elif status == at.FULL:
+            near = settle(points.tones, lanes, lane, cycle, outcome, kept)
+            if outcome[LOCKED] == 0 and lanes.whole[at.COUNT, lane] < most:
                 return False
             if not near:
-                _keep_chaos(flights, marks, lane, count, outcome, kept)
+                _keep_chaos(lanes, lane, outcome, kept)
             elif outcome[LOCKED] == 0:
                 outcome[FLIGHTS] = OPEN
         else:
@@ -218,130 +187,85 @@ def _finish_of(settle: Callable[..., bool]) -> Callable[..., bool]:
     return finish
 
 
-def _tables_of(*, both_ways: bool) -> Callable[..., None]:
-    """The kernel that makes the tables of a block of rows; ``both_ways`` says that falls have a table of their own."""
+@compiled
+def _make_tables(points: Points, begun: int, stop: int, tables: Tables, both_ways: bool) -> None:
+    """Fill the tables of rows ``begun .. stop - 1``; ``both_ways`` says that falls have tables of their own."""
+    made, n_up, n_down, scaled, found = tables
+    tones, turning, gammas, laws = points.tones, points.turning, points.gammas, points.laws
+    padded = WIDTH * ((stop - begun + WIDTH - 1) // WIDTH)
+    for k in range(stop - begun):
+        scaled[k] = gammas[begun + k] / (1.0 + laws[begun + k, 0])
+    fill_tables(tones, turning, scaled[:padded], made[0].reshape(-1), n_up, found)
+    if both_ways:
+        for k in range(stop - begun):
+            scaled[k] = gammas[begun + k] / (1.0 - laws[begun + k, 1])
+        fill_tables(tones, turning, scaled[:padded], made[1].reshape(-1), n_down, found)
+
+
+def _batch_of(kernels: ModuleType, cycles: Cycles, *, both_ways: bool) -> Callable[..., int]:
+    """The cycles of many rows of one kind of ball, a lane that is done taking the next row."""
+    leave, advance, finish = kernels.leave, kernels.advance, _finish_of(cycles.close_cycle)
 
     @compiled
-    def make_tables(tones: Floats, turning: Floats, gammas: Floats, laws: Floats, tables: Any) -> None:
-        """Fill ``made`` (2, BLOCK, numbers of a table) and the numbers of windows."""
-        made, n_up, n_down, scaled, found = tables
-        n = gammas.shape[0]
-        padded = WIDTH * ((n + WIDTH - 1) // WIDTH)
-        for k in range(n):
-            scaled[k] = gammas[k] / (1.0 + laws[k, 0])
-        fill_tables(tones, turning, scaled[:padded], made[0].reshape(-1), n_up, found)
-        if both_ways:
-            for k in range(n):
-                scaled[k] = gammas[k] / (1.0 - laws[k, 1])
-            fill_tables(tones, turning, scaled[:padded], made[1].reshape(-1), n_down, found)
-
-    return make_tables
-
-
-def _fly_of(
-    leave: Callable[..., Any],
-    advance: Callable[..., Any],
-    finish: Callable[..., bool],
-    make_tables: Callable[..., None],
-    *,
-    both_ways: bool,
-) -> Callable[..., int]:
-    """The kernel that flies the orbits of all rows, a lane that is done taking the next."""
-
-    @compiled
-    def fly(
-        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, outcome: Integers, kept: Floats,
-        lanes: Any, tables: Any,
-    ) -> int:  # fmt: skip
+    def fly(points: Points, highest: float, lanes: Lanes, tables: Tables, cycle: Floats) -> int:
         """Fill ``outcome`` and ``kept``; returns the flights flown."""
-        both, work, whole, flights, marks, cycle = lanes
-        made, n_up, n_down, _, _ = tables
-        highest = np.sum(np.abs(tones[:, 1]))
-        limit = min(FIRST_LOOK, flights.shape[2]) if closes else flights.shape[2]
+        tones, outcome, kept, whole, closes = points.tones, points.outcome, points.kept, lanes.whole, points.closes
+        rows, most = points.gammas.shape[0], lanes.flights.shape[2]
+        limit = min(FIRST_LOOK, most) if closes else most
         taken = begun = stop = flown = 0  # rows taken; those with tables are begun .. stop - 1
-        whole[STATUS] = IDLE
         while True:
             busy = 0
             for lane in range(WIDTH):
-                while whole[STATUS, lane] != FLIES:
-                    if whole[STATUS, lane] != IDLE:
-                        r = whole[ROW, lane]
-                        if not finish(
-                            tones, turning, both, work, whole, flights, marks, lane, cycle, closes, outcome[r], kept[r]
-                        ):
-                            whole[LIMIT, lane] = min(4 * whole[LIMIT, lane], flights.shape[2])
-                            leave(tones, both, closes, work, whole, flights, marks, lane)
+                while whole[at.STATUS, lane] != at.FLIES:
+                    if whole[at.STATUS, lane] != at.IDLE:
+                        r = whole[at.ROW, lane]
+                        if not finish(points, lanes, lane, cycle, outcome[r], kept[r]):
+                            whole[at.LIMIT, lane] = min(4 * whole[at.LIMIT, lane], most)
+                            leave(tones, lanes, closes, lane)
                             continue
-                        flown += whole[COUNT, lane]
-                        whole[STATUS, lane] = IDLE
+                        flown += whole[at.COUNT, lane]
+                        whole[at.STATUS, lane] = at.IDLE
                     if taken == stop:
-                        if stop == gammas.shape[0]:
+                        if stop == rows:
                             break
-                        begun, stop = stop, min(stop + BLOCK, gammas.shape[0])
-                        make_tables(tones, turning, gammas[begun:stop], laws[begun:stop], tables)
+                        begun, stop = stop, min(stop + BLOCK, rows)
+                        _make_tables(points, begun, stop, tables, both_ways)
                     slot = taken - begun
-                    if n_up[slot] == 0:
+                    if tables.n_up[slot] == 0:
                         outcome[taken, PERIOD] = 1
                     else:
-                        _take_row(tones, taken, slot, gammas, laws, made, n_up, n_down, limit, both, work, whole, lane)
+                        _take_row(points, taken, slot, tables, limit, lanes, lane)
                         if both_ways:
-                            keep_branches(both, work, lane)
-                        leave(tones, both, closes, work, whole, flights, marks, lane)
+                            keep_branches(lanes.both, lanes.work, lane)
+                        leave(tones, lanes, closes, lane)
                     taken += 1
-                busy += whole[STATUS, lane] == FLIES
+                busy += whole[at.STATUS, lane] == at.FLIES
             if busy == 0:
                 return flown
-            advance(tones, highest, both, closes, work, whole, flights, marks)
-
-    return fly
-
-
-def _batch_of(
-    leave: Callable[..., Any], advance: Callable[..., Any], close: Callable[..., Any], *, both_ways: bool
-) -> Callable[..., int]:
-    """The cycles of many rows of one kind of ball."""
-    fly = _fly_of(leave, advance, _finish_of(_settle_of(close)), _tables_of(both_ways=both_ways), both_ways=both_ways)
+            advance(tones, highest, lanes, closes)
 
     @compiled
-    def fly_lent(
-        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, outcome: Integers, kept: Floats,
-        lanes: Any, tables: Any,
-    ) -> int:  # fmt: skip
-        """`fly` with arrays whose references are not counted: its caller owns them."""
-        both, work, whole, flights, marks, cycle = lanes
-        made, n_up, n_down, scaled, found = tables
-        return fly(
-            borrowed(tones), borrowed(turning), borrowed(gammas), borrowed(laws), closes, borrowed(outcome),
-            borrowed(kept), (
-                borrowed(both), borrowed(work), borrowed(whole), borrowed(flights), borrowed(marks), borrowed(cycle)
-            ), (borrowed(made), borrowed(n_up), borrowed(n_down), borrowed(scaled), borrowed(found)),
-        )  # fmt: skip
+    def begin(points: Points, highest: float, lanes: Lanes, tables: Tables, cycle: Floats) -> int:
+        """`fly`, which counts no references as a kernel below one: Python owns the arrays."""
+        return fly(points, highest, lanes, tables, cycle)
 
-    def cycle_batch(
-        tones: Floats, turning: Floats, gammas: Floats, laws: Floats, closes: bool, most: int, outcome: Integers,
-        kept: Floats,
-    ) -> int:  # fmt: skip
-        """Fill ``outcome`` (m, OUTCOME_SIZE; FLIGHTS -1 where the orbit is left open) and ``kept`` (m, keep).
-
-        ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``. Unless it ``closes``, every one of ``most`` flights is flown
-        and the last are kept. Returns the flights flown.
-        """
-        size = turning.size + 2
-        lanes = (
-            np.zeros(2 * WIDTH * TABLE * size), np.zeros((NUMBERS + branch_rows(size), WIDTH)),
-            np.zeros((SEEN + 2 * size, WIDTH), dtype=np.int64), np.zeros((3, WIDTH, most)),
-            np.zeros((2, WIDTH, most), dtype=np.int64), np.zeros((4, LONGEST_LOCKED)),
-        )  # fmt: skip
-        tables = (
-            np.zeros((2, BLOCK, TABLE * size)), np.zeros(BLOCK, dtype=np.int64), np.zeros(BLOCK, dtype=np.int64),
-            np.ones(BLOCK), np.zeros(FOUND * size * WIDTH),
-        )  # fmt: skip
-        outcome[:] = 0
-        kept[:] = math.nan
-        return fly_lent(tones, turning, gammas, laws, closes, outcome, kept, lanes, tables)
+    def cycle_batch(points: Points, most: int) -> int:
+        """Fill ``outcome`` (FLIGHTS -1 where the orbit is left open) and ``kept``; returns the flights flown."""
+        size = points.turning.size + 2
+        tables = Tables(
+            np.zeros((2, BLOCK, TABLE * size)),
+            np.zeros(BLOCK, dtype=np.int64),
+            np.zeros(BLOCK, dtype=np.int64),
+            np.ones(BLOCK),
+            np.zeros(FOUND * size * WIDTH),
+        )
+        points.outcome[:] = 0
+        points.kept[:] = math.nan
+        highest = float(np.sum(np.abs(points.tones[:, 1])))
+        return begin(points, highest, room_for_lanes(size, most), tables, np.zeros((4, LONGEST_LOCKED)))
 
     return cycle_batch
 
 
-ideal_batch = _batch_of(ideal_lanes.leave, ideal_lanes.advance, _ideal_close, both_ways=False)
-friction_batch = _batch_of(friction_lanes.leave, friction_lanes.advance, _friction_close, both_ways=True)
+ideal_batch = _batch_of(ideal_lanes, IDEAL, both_ways=False)
+friction_batch = _batch_of(friction_lanes, FRICTION, both_ways=True)

@@ -113,7 +113,7 @@ def exact_rows(
     each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
     batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
-    batch(tones, turning, gammas, each, True, MAX_FLIGHTS, outcome, rows.tau)
+    batch(cycle_batch.Points(tones, turning, gammas, each, True, outcome, rows.tau), MAX_FLIGHTS)
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
     rows.period[:] = outcome[:, PERIOD]
     rows.flights[:] = outcome[:, FLIGHTS]

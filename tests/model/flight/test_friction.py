@@ -15,9 +15,8 @@ from model.flight.first_landing import take_off_phases, turning_points
 from model.flight.ideal import RESTS
 from model.flight.records import FrictionRestitution
 from model.flight.segment import UNDECIDED
-from model.orbits import friction_cycles
 from model.orbits.attractor import State
-from model.orbits.cycles import CHATTERS, room_for
+from model.orbits.cycles import CHATTERS, FRICTION, room_for
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.make_ball import law_of
 from model.tones import Forcing
@@ -215,7 +214,7 @@ def test_orbits_never_gain_what_the_plate_cannot_give(ratio, gamma, mu_up, mu_do
         assert flag & RESTS or 0.0 <= tau < np.inf
         assert speed >= 0.0
         return
-    _, stop, *_ = friction_cycles.fly_until_closed(forcing.tones, gamma, tables, law, 0.0, v0, room)
+    _, stop, *_ = FRICTION.fly_until_closed(forcing.tones, gamma, tables, law, 0.0, v0, room)
     path = [x[:stop] for x in room]
     tau, speed, threshold, mark = path[0], path[2], path[4], path[5]
     assert np.all(np.isfinite(tau))

@@ -20,35 +20,34 @@ FLIGHTS = 60
 
 
 def _begun(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
-    """An orbit begun in each lane that is lifted: ``both``, ``work``, ``whole``, ``flights`` and ``marks``."""
+    """An orbit begun in each lane that is lifted."""
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     size = turning.size + 2
-    both, found = np.zeros(2 * WIDTH * TABLE * size), np.zeros(FOUND * size * WIDTH)
+    lanes, found = at.room_for_lanes(size, FLIGHTS), np.zeros(FOUND * size * WIDTH)
+    both = lanes.both
     n_up, n_down = np.zeros((2, WIDTH), dtype=np.int64)
     fill_tables(tones, turning, gammas / (1 + law.mu_up), both[: both.size // 2], n_up, found)
     fill_tables(tones, turning, gammas / (1 - law.mu_down), both[both.size // 2 :], n_down, found)
-    work = np.zeros((at.NUMBERS + at.branch_rows(size), WIDTH))
-    whole = np.zeros((at.SEEN + 2 * size, WIDTH), dtype=np.int64)
-    flights, marks = np.zeros((3, WIDTH, FLIGHTS)), np.zeros((2, WIDTH, FLIGHTS), dtype=np.int64)
+    work, whole = lanes.work, lanes.whole
     rows = np.arange(WIDTH)
     work[at.GAMMA], work[at.MU_UP], work[at.MU_DOWN] = gammas, law.mu_up, law.mu_down
     work[at.E0], work[at.E1] = law.e0, law.e1
     work[at.UP], work[at.UP_LAST] = rows * TABLE * size, 2 * n_up
     work[at.DOWN], work[at.DOWN_LAST] = (WIDTH + rows) * TABLE * size, 2 * n_down
     work[at.LAST_PHI] = both[rows * TABLE * size]
-    whole[at.LIMIT], whole[at.STATUS] = FLIGHTS, at.IDLE
+    whole[at.LIMIT] = FLIGHTS
     for lane in np.flatnonzero(n_up):
         at.keep_branches(both, work, lane)
-        kernel.leave(tones, both, False, work, whole, flights, marks, lane)
-    return both, work, whole, flights, marks
+        kernel.leave(tones, lanes, False, lane)
+    return lanes
 
 
 def _flown(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
     """`FLIGHTS` flights of an orbit in each lane: ``flights`` and ``marks``, and which lanes are lifted."""
-    both, work, whole, flights, marks = _begun(kernel, forcing, gammas, law)
-    while np.any(whole[at.STATUS] == at.FLIES):
-        kernel.advance(forcing.tones, float(forcing.tones[:, 1].sum()), both, False, work, whole, flights, marks)
-    return flights, marks, work[at.UP_LAST] > 0.0
+    lanes = _begun(kernel, forcing, gammas, law)
+    while np.any(lanes.whole[at.STATUS] == at.FLIES):
+        kernel.advance(forcing.tones, float(forcing.tones[:, 1].sum()), lanes, False)
+    return lanes.flights, lanes.marks, lanes.work[at.UP_LAST] > 0.0
 
 
 FORCINGS = (*(Forcing.superposition(c) for c in (1, 2, 3)), Forcing((1.0, 2.0, 5.0), (0.8, 0.5, 0.1), (0.3, -1.0, 2.0)))
@@ -69,16 +68,14 @@ def test_every_flight_in_lanes_is_the_one_of_the_kernel_of_one_flight(forcing, m
 def test_a_flight_of_too_many_segments_ends_as_one_that_stays_on_the_rod():
     """Where a flight's last segment but two is under way, its lane is given up; one that lands before is flown on."""
     forcing = Forcing.superposition(3)
-    both, work, whole, flights, marks = _begun(
-        friction_lanes, forcing, np.linspace(0.5, 6.0, WIDTH), FrictionRestitution(0.3, 0.3, 0.0, 0.0)
-    )
-    work[at.SEGMENTS, ::2] = MOST_SEGMENTS - 2
-    friction_lanes.advance(forcing.tones, 2.0, both, False, work, whole, flights, marks)
-    stuck = whole[at.STATUS] == at.STUCK
+    lanes = _begun(friction_lanes, forcing, np.linspace(0.5, 6.0, WIDTH), FrictionRestitution(0.3, 0.3, 0.0, 0.0))
+    lanes.work[at.SEGMENTS, ::2] = MOST_SEGMENTS - 2
+    friction_lanes.advance(forcing.tones, 2.0, lanes, False)
+    stuck = lanes.whole[at.STATUS] == at.STUCK
     assert stuck.any()
     assert not stuck[1::2].any()
-    assert np.all(work[at.MOTION, stuck] == at.RESTS)
-    assert np.all(stuck[::2] | (flights[at.TAUS, ::2, 0] > 0.0))
+    assert np.all(lanes.work[at.MOTION, stuck] == at.RESTS)
+    assert np.all(stuck[::2] | (lanes.flights[at.TAUS, ::2, 0] > 0.0))
 
 
 @pytest.mark.slow

@@ -15,7 +15,8 @@ from model.tones import Forcing
 def _batch(batch, forcing: Forcing, gammas: np.ndarray, laws: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """``outcome`` and ``kept``."""
     outcome, kept = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64), np.empty((gammas.size, 16))
-    batch(forcing.tones, first_landing.turning_points(forcing), gammas, laws, True, most, outcome, kept)
+    turning = first_landing.turning_points(forcing)
+    batch(cycle_batch.Points(forcing.tones, turning, gammas, laws, True, outcome, kept), most)
     return outcome, kept
 
 
