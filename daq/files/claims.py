@@ -5,6 +5,7 @@ Nothing is followed out of the file, and no claim beyond what the file can hold 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,25 @@ import h5py
 
 from daq.setup.errors import InputError
 
+_HDF5 = re.compile(r"(?:Unable to|Can't|Couldn't) .*?\((.*)\)", re.DOTALL)
+_PLAIN = {
+    "truncated": "the file is shorter than it says: it was cut off, or not copied to its end",
+    "signature not found": "it does not begin as one",
+    "fletcher32": "stored numbers differ from what was written",
+    "filter": "stored numbers differ from what was written",
+}
 MOST_OBJECTS = 64  # at the root of a recording, and in one of its groups
 LONGEST_CHUNK_BYTES = 64 << 20
 SMALL_BYTES = 1 << 20
+
+
+def in_words(error: Exception) -> str:
+    """What went wrong, in plain words where HDF5 says it in its own; those stay in the error's cause."""
+    found = _HDF5.search(str(error))
+    if found is None:
+        return str(error)
+    said = found[1].lower()
+    return next((words for key, words in _PLAIN.items() if key in said), "its tables or indexes are damaged")
 
 
 def objects_of(group: Any, path: Path) -> list[str]:

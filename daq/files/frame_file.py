@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -186,24 +186,18 @@ class FrameFile:
             self._held = (start, stop, self._frames[start:stop])
         return self._held[2]
 
-    def pieces(self, n_samples: int) -> Iterator[tuple[slice, NDArray[np.int16]]]:
-        """Whole blocks in file order, at least ``n_samples`` frames at a time: ``(which blocks, frames)``."""
-        first = 0
-        ends = self.blocks["first_sample"] + self.blocks["n_samples"]
-        while first < len(self.blocks):
-            start = int(self.blocks["first_sample"][first])
-            last = min(int(np.searchsorted(ends, start + n_samples)), len(self.blocks) - 1)
-            yield slice(first, last + 1), self.rows(start, int(ends[last]))
-            first = last + 1
-
-    def damaged_in(self, which: slice, frames: NDArray[np.int16]) -> list[int]:
-        """Indices of the blocks, among those of one piece, whose checksum does not fit."""
-        rows, width = self.blocks[which], frames.shape[1] * frames.itemsize
-        offsets = (rows["first_sample"] - (rows["first_sample"][0] if len(rows) else 0)) * width
-        ends = offsets + rows["n_samples"] * width
-        held = np.ascontiguousarray(frames).data.cast("B")
-        each = zip(offsets.tolist(), ends.tolist(), rows["crc32"].tolist(), strict=True)
-        return [which.start + i for i, (start, stop, crc) in enumerate(each) if zlib.crc32(held[start:stop]) != crc]
+    def damaged(self, n_samples: int) -> list[int]:
+        """Blocks whose frames do not fit their checksum, read about ``n_samples`` at a time."""
+        bad, first = [], self.blocks["first_sample"].tolist()
+        ends = (self.blocks["first_sample"] + self.blocks["n_samples"]).tolist()
+        begin = 0
+        for k, crc in enumerate(self.blocks["crc32"].tolist()):
+            if k == begin:  # the next blocks, in one go
+                last = min(int(np.searchsorted(ends, first[k] + n_samples)), len(ends) - 1)
+                rows, start, begin = self.rows(first[k], ends[last]), first[k], last + 1
+            if crc32(rows[first[k] - start : ends[k] - start]) != crc:
+                bad.append(k)
+        return bad
 
 
 def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[NDArray[Any], Bools]:

@@ -15,6 +15,7 @@ import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from pydantic import ValidationError
 
+from daq.files.claims import in_words
 from daq.files.column_file import FORMAT, FORMAT_VERSION
 from daq.files.disk import PatchedFile
 from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short, stated_bytes
@@ -118,7 +119,7 @@ def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recordin
         file.close()
         if isinstance(error, InputError):
             raise
-        why = str(error)
+        why = in_words(error)
         if isinstance(error, ValidationError):
             first_fault = error.errors(include_url=False)[0]
             why = f"setup_json, {'.'.join(map(str, first_fault['loc'])) or 'whole'}: {first_fault['msg']}"
@@ -136,7 +137,7 @@ def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
             return frames
         return h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES, rdcc_w0=LEAST_RECENT_FIRST)
     except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as HDF5 ({error}).") from error
+        raise InputError(f"{path}: cannot be read as HDF5 ({in_words(error)}).") from error
 
 
 def _frames_cut_short(path: Path) -> Any:

@@ -15,13 +15,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.claims import refuse_columns
+from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import TABLES, read_table
 from daq.files.disk import Closing
 from daq.files.frame_file import FRAMES, FrameFile
-from daq.files.holes import Holes
 from daq.files.seal import text_crc
-from daq.files.tables import BLOCK_DTYPE
+from daq.files.tables import BLOCK_DTYPE, BlockFlag, Holes
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Floats, Integers
@@ -150,6 +149,12 @@ class Recording(Closing):
         self.n_samples = self._holes.n_samples
         self.steps, self.blocks = self._holes.steps(self.steps), self._holes.blocks(self.blocks)
 
+    def flag_blocks(self, which: Sequence[int], flag: BlockFlag) -> None:
+        """Flag blocks of a frames file, by their numbers there."""
+        if self.frames is not None:
+            self.frames.blocks["flags"][which] |= int(flag)
+            self.blocks = self.frames.blocks if self._holes is None else self._holes.blocks(self.frames.blocks)
+
     @property
     def stored_samples(self) -> int:
         """Samples of the file, those that are left out included."""
@@ -229,8 +234,8 @@ class Recording(Closing):
             return self._read(self._known(channel), start, stop, out)
         except (OSError, RuntimeError) as error:
             raise InputError(
-                f"{self.path}: damaged: {channel}, samples {start} to {stop - 1} do not read back ({error}); keep what "
-                f"is sound: bench recover {self.path}"
+                f"{self.path}: damaged: {channel}, samples {start} to {stop - 1} do not read back ({in_words(error)}); "
+                f"keep what is sound: bench recover {self.path}"
             ) from error
 
     def _read(self, channel: str, start: int, stop: int, out: NDArray[Any] | None) -> NDArray[Any]:

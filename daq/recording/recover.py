@@ -72,4 +72,4 @@ def recover(path: Path, out: Path | None = None) -> Recovery:
         copy_columns(recording, out, attributes)
         lost = int(recording.gaps[:, 1].sum())
         n_samples, n_steps = recording.n_samples, len(recording.steps)
-        return Recovery(out, n_samples, n_steps, looked.bad_blocks, lost, damage, recording.is_less)
+        return Recovery(out, n_samples, n_steps, list(looked.bad_blocks), lost, damage, recording.is_less)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from daq.files.claims import refuse_columns
+from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
 from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, stated_bytes, table_of
 from daq.files.seal import Checked, check, once_per_state
@@ -26,19 +26,11 @@ MOST_TRIES = 12
 
 
 @dataclass(frozen=True)
-class Survey:
-    """Result of reading a file without a seal."""
+class Survey(Checked):
+    """Result of reading a file without a seal, as a comparison with one; ``lost`` holds tables too, without range."""
 
-    # samples that do not read back, by dataset; and tables that do not, without a range
-    lost: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-    # blocks of a frames file that do not read, or differ from what was recorded: they are among what is lost
-    bad_blocks: list[int] = field(default_factory=list)
-    where: list[str] = field(default_factory=list)  # one line for each fault
-    opens: bool = True  # false where nothing of it reads
-
-    def checked(self) -> Checked:
-        """As a comparison with a seal would have found it."""
-        return Checked(lost={name: tuple(spans) for name, spans in self.lost.items()}, where=tuple(self.where))
+    bad_blocks: tuple[int, ...] = ()  # of a frames file: they do not read, or differ from what was recorded
+    opens: bool = True  # False where nothing of it reads
 
 
 class UnreadableError(InputError):
@@ -72,7 +64,7 @@ def examine(path: Path) -> tuple[Recording, Survey]:
         looked = survey(path)
         if not looked.opens:
             raise UnreadableError(path, [*(() if found is None else found.where), *looked.where])
-        recording = open_checked(path, looked.checked(), ended=bool(looked.where))
+        recording = open_checked(path, looked, ended=bool(looked.where))
         intact = recording.frames is not None or attributes_intact(recording.stored)
         recording.damage += unsealed(recording, found, intact=intact)
     recording.damage += tuple(differing_blocks(recording))
@@ -110,18 +102,18 @@ def _survey(path: Path, *, ended: bool, tries: int = MOST_TRIES) -> Survey:
                 f"cut off after {size} of {stated} bytes: what is left may hold samples, but set-up, scales and the "
                 "tables that say where each sample stands were in the part that is missing; copy the whole file again"
             )
-            return Survey(where=[cut_short if size < stated else str(error)], opens=False)
+            return Survey(where=(cut_short if size < stated else str(error),), opens=False)
         except OSError as error:
-            return Survey(where=[f"does not read back ({error})"], opens=False)
+            return Survey(where=(f"does not read back ({in_words(error)})",), opens=False)
         if not answer.died:
             value: dict[str, Any] = answer.value
-            lost = {name: [(a, b) for a, b in spans] for name, spans in value["lost"].items()}
-            return Survey(lost, value["bad_blocks"], why + value["where"])
+            lost = {name: tuple((a, b) for a, b in spans) for name, spans in value["lost"].items()}
+            return Survey(lost=lost, where=(*why, *value["where"]), bad_blocks=tuple(value["bad_blocks"]))
         why.append(f"{answer.at or 'its beginning'}: {answer.died}")
         if not answer.at or answer.at in skip:
             break
         skip.append(answer.at)
-    return Survey(where=why, opens=False)
+    return Survey(where=tuple(why), opens=False)
 
 
 def look(path: str, ended: bool, skip: list[str], tell: Tell) -> dict[str, Any]:
@@ -141,7 +133,7 @@ def look(path: str, ended: bool, skip: list[str], tell: Tell) -> dict[str, Any]:
                     refuse_columns(file, (name,), Path(path))
                 except (InputError, KeyError, OSError, RuntimeError) as error:
                     lost[name] = [ALL]
-                    where.append(f"{name}: is left out ({error})")
+                    where.append(f"{name}: is left out ({in_words(error)})")
     tell("its set-up")
     without = Checked(lost={name: tuple(spans) for name, spans in lost.items()})
     with open_checked(Path(path), without, ended=ended) as recording:

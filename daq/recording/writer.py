@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
 from daq.files.disk import Closing
-from daq.files.frame_file import FrameFile
 from daq.files.frame_writer import FrameWriter
 from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording.live_columns import LiveColumns
 from daq.recording.opening import open_checked
-from daq.recording.reader import Recording, timestamps_ns
+from daq.recording.reader import Recording
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
@@ -229,7 +228,7 @@ class RecordingWriter(ClosedRun):
             where = self._frames.close()
             if where != self.path:
                 self._live.drop()
-            columns_from_frames(where, where, self._live)
+            columns_from_frames(where, self._live)
         except (OSError, RuntimeError) as error:
             self._live.drop()
             raise OSError(
@@ -285,56 +284,49 @@ def copy_columns(
     OSError
         When the disk refuses.
     """
-    names = recording.channels
+    _columns_of(recording, out, attributes, progress, **options).rename()
+
+
+def _columns_of(
+    recording: Recording,
+    out: Path,
+    attributes: Mapping[str, Any],
+    progress: Callable[[int], None] | None = None,
+    **options: Any,
+) -> ColumnWriter:
+    """The column file of a recording, written and checked, but not yet under its name; see `copy_columns`."""
+    names, piece = recording.channels, PIECE_CHUNKS * CHUNK_SAMPLES
     dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
     scales = {name: recording.scale(name) for name in names}
-    with ColumnWriter(out, recording.setup, dtypes, scales, attributes, **options) as writer:
-        for a in range(0, recording.n_samples, CHUNK_SAMPLES):
-            b = min(a + CHUNK_SAMPLES, recording.n_samples)
+    writer = ColumnWriter(out, recording.setup, dtypes, scales, attributes, **options)
+    try:
+        for a in range(0, recording.n_samples, piece):
+            b = min(a + piece, recording.n_samples)
             writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})
             if progress is not None:
                 progress(b)
         writer.check(recording.steps, recording.blocks, recording.side)
+    except BaseException:
+        writer.abandon()
+        raise
+    return writer
 
 
-def columns_from_frames(source: Path, target: Path, live: LiveColumns | None = None) -> list[int]:
-    """Write the column file of a frames file; returns the blocks whose checksum did not fit (flagged, kept).
+def columns_from_frames(source: Path, live: LiveColumns) -> None:
+    """Write the column file of a frames file in its place; blocks whose checksum does not fit are flagged, and stay.
 
     Parameters
     ----------
-    source, target
-        Frames file and column file; the same path replaces it.
+    source
+        Frames file.
     live
         Columns that were written while the run lasted.
     """
-    damaged: list[int] = []
     with open_checked(source, Checked()) as recording:
-        frames = recording.frames
-        if frames is None:
+        if recording.frames is None:
             raise InputError(f"{source}: is a column file already; nothing to do.")
-        writer = None if live is None else live.finish(recording, dict(recording.stored))
+        writer = live.finish(recording, dict(recording.stored))
         if writer is None:
-            dtypes = dict.fromkeys(recording.channels, np.dtype("<i2"))
-            scales = {n: recording.scale(n) for n in recording.channels}
-            writer = ColumnWriter(target, recording.setup, dtypes, scales, recording.stored, overwrite=source == target)
-            try:
-                damaged = _copy(recording, frames, writer)
-            except BaseException:
-                writer.abandon()
-                raise
-    writer.rename()
-    return damaged
-
-
-def _copy(recording: Recording, frames: FrameFile, writer: ColumnWriter) -> list[int]:
-    """Frames as checked columns; returns the blocks whose checksum did not fit."""
-    damaged: list[int] = []
-    for which, rows in frames.pieces(PIECE_CHUNKS * CHUNK_SAMPLES):
-        damaged += frames.damaged_in(which, rows)
-        start = int(frames.blocks["first_sample"][which.start])
-        stamps = timestamps_ns(start, start + len(rows), recording.rate_hz, recording.gaps)
-        writer.append(stamps, {name: rows[:, i] for i, name in enumerate(recording.channels)})
-    blocks = frames.blocks.copy()
-    blocks["flags"][damaged] |= int(BlockFlag.DAMAGED)
-    writer.check(recording.steps, blocks, frames.side)
-    return damaged
+            recording.flag_blocks(recording.frames.damaged(PIECE_CHUNKS * CHUNK_SAMPLES), BlockFlag.DAMAGED)
+            writer = _columns_of(recording, source, recording.stored, overwrite=True)
+    writer.rename()  # once the frames are closed: Windows replaces no open file

@@ -16,9 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.daq import hostile_recordings
-from daq.files.holes import Holes
 from daq.files.seal import FOOTER, Seal, mended, read_seal, text_crc
-from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
+from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Holes
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.recording.recover import recover

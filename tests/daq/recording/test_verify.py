@@ -168,3 +168,20 @@ def test_only_recordings_are_judged(tmp_path: Path) -> None:
         file["x"] = [1]
     with pytest.raises(InputError, match="not a recording"):
         verify(tmp_path / "other.h5")
+
+
+def test_a_block_that_changed_before_the_run_was_closed_is_flagged(tmp_path: Path, setup: Setup) -> None:
+    """Its samples stay, and whoever opens the recording hears which differ."""
+    path = tmp_path / "r.h5"
+    writer = RecordingWriter(path, setup, profile_text="", channels=CHANNELS, backend="b", simulated=True)
+    codes = np.random.default_rng(3).integers(-999, 999, (3000, 3), np.int16)
+    for k in range(0, 3000, 1000):
+        writer.append(Block(k, codes[k : k + 1000]))
+    at = path.read_bytes().index(codes[1500:1600].tobytes())
+    with path.open("r+b") as file:
+        file.seek(at)
+        file.write(b"\xff")
+    writer.close()
+    report = verify(path)
+    assert report.state == "damaged" and report.n_samples == 3000
+    assert report.where == ["block 1: samples 1000 to 1999 differ from what was recorded"]
