@@ -21,14 +21,10 @@ from daq.steps.tone_tracking import fit, tones_hz
 from kernels.arrays import Bools, Floats, Integers
 
 HARMONICS = 3  # of the first tone, which a mask at one phase of the cycle would mix in; more are undetermined there
-BELOW = 0.45  # of the sample rate: tones that are fitted
 RINGING_S = (3e-3, 2e-3, 1e-3)  # masked after a closing: the longest that leaves enough
-LEAD_S = 2e-4  # masked before it
 OUTLIER_SIGMAS = 6.0  # from the motion, beyond which a sample belongs to an impact
 OUTLIER_FLOOR = 1e-3  # the same over the motion's largest amplitude: a file without noise has harmonics
 LEAST_QUIET = 0.5  # part of a hold that remains
-ROUNDS = 2  # of fitting the motion and masking what is far from it
-PIECE_SAMPLES, PIECE_CYCLES = 1 << 18, 20  # read in one go
 
 
 def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
@@ -47,7 +43,7 @@ def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, s
     sensor = setup.channels.accelerometer
     volts_per_g = sensor.volts_per_mps2 * setup.g_mps2.value
     forcing = [m for m, _ in weights(setup.forcing)]
-    harmonics = [m for m in range(1, HARMONICS + 1) if m * step.frequency_hz < BELOW * rate_hz]
+    harmonics = [m for m in range(1, HARMONICS + 1) if m * step.frequency_hz < 0.45 * rate_hz]
     multiples = sorted({*forcing, *harmonics})
     try:
         sums = _sums(volts, step, rate_hz, step.frequency_hz * np.array(multiples, np.float64), setup)
@@ -68,7 +64,7 @@ def _sums(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, fitted_hz:
     sums = LockIn(rate_hz, fitted_hz, sorts=4)
     motion_hz = tones_hz(step.frequency_hz, setup.forcing)
     start = step.settled(rate_hz)
-    pieces = max((step.stop - start) // max(PIECE_SAMPLES, round(PIECE_CYCLES * rate_hz / step.frequency_hz)), 1)
+    pieces = max((step.stop - start) // max(1 << 18, round(20 * rate_hz / step.frequency_hz)), 1)
     cuts = np.linspace(start, step.stop, pieces + 1).astype(np.int64).tolist()
     for a, b in pairwise(cuts):
         x = volts["accelerometer"](a, b)
@@ -86,14 +82,13 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
     tones = np.exp(2j * np.pi * np.outer(motion_hz / rate_hz, np.arange(first, first + len(x))))
     for ringing_s in RINGING_S:
         quiet = _clear(len(x), closings, rate_hz, ringing_s)
-        for _ in range(ROUNDS):
+        for _ in range(2):
             if np.mean(quiet) < LEAST_QUIET:
                 break
             motion = fit_tones(x, first, rate_hz, motion_hz, quiet)
             away = np.abs(x - motion.offset - (motion.amplitudes @ tones).real)
-            limit = max(
-                1.4826 * float(np.median(away)) * OUTLIER_SIGMAS, OUTLIER_FLOOR * np.abs(motion.amplitudes).max()
-            )
+            noise = 1.4826 * float(np.median(away))
+            limit = max(OUTLIER_SIGMAS * noise, OUTLIER_FLOOR * np.abs(motion.amplitudes).max())
             outliers = np.flatnonzero(away > limit)
             quiet = _clear(len(x), np.concatenate([closings, outliers]), rate_hz, ringing_s)
         if np.mean(quiet) >= LEAST_QUIET:
@@ -104,6 +99,6 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
 def _clear(n: int, impacts: Integers, rate_hz: float, ringing_s: float) -> Bools:
     """Samples of ``n`` away from all ``impacts``."""
     change = np.zeros(n + 1, np.int64)
-    np.add.at(change, np.maximum(impacts - round(LEAD_S * rate_hz), 0), 1)
+    np.add.at(change, np.maximum(impacts - round(2e-4 * rate_hz), 0), 1)
     np.add.at(change, np.minimum(impacts + max(round(ringing_s * rate_hz), 1), n), -1)
     return np.asarray(np.cumsum(change[:-1]) == 0)

@@ -146,10 +146,8 @@ def take_in(intake: Intake, writer: ColumnWriter, scratch: Scratch, progress: Pr
     ----------
     intake
         Of no rows yet.
-    writer
-        Takes the channels.
-    scratch
-        Takes the channels too, and ``timestamp``, nanoseconds since the first row, where there is a time.
+    writer, scratch
+        Take the channels; the scratch takes ``timestamp``, too: nanoseconds since the first row, where there is a time.
     progress
         Called with ``"reading"`` and the rows done.
 

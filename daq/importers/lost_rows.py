@@ -14,7 +14,6 @@ from daq.steps.forcing_detection import Read
 from kernels.arrays import Complexes, Floats, Integers
 
 RUNS_ON_RAD = 0.03  # median jump of the phase at borders of steps, up to which a forcing runs on through them
-FEWEST_BORDERS = 4
 SURE_RAD = 1e-4  # to which phases agree, at best
 SIGMAS = 5.0
 LEAST_SAMPLES = 1.5  # jump of the phase that is a loss, at least
@@ -38,7 +37,7 @@ def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
         for last, step in pairwise(found)
         if abs(last.frequency_hz - step.frequency_hz) < SAME_FREQUENCY * step.frequency_hz
     ]
-    if len(borders) < FEWEST_BORDERS:
+    if len(borders) < 4:
         return np.zeros((0, 3), np.int64)
     jumps = [_Jump.at(*border, rate_hz) for border in borders]
     # where the phase jumps at most borders, the forcing starts anew in every step and says nothing
@@ -102,10 +101,8 @@ class _Jump:
         x, index = read(start, stop), np.arange(start, stop)
         x = x - x.mean()
         models = np.zeros((2, len(x)))
-        ends = (
-            (index - start - cycle, index - start),
-            (index - start, index - start + cycle),
-        )  # windows on one side each
+        here = index - start
+        ends = (here - cycle, here), (here, here + cycle)  # windows on one side each
         for model, carried, window in zip(models, (0, lost), ends, strict=True):
             low, high = (np.clip(end, 0, len(x)) for end in window)
             for u, turns in zip(self.before, self.turns, strict=True):

@@ -6,10 +6,9 @@ without a word. What contradicts the profile is a doubt (`daq.instrument`). Deci
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +17,10 @@ from daq.importers.formats.columns import TIME_UNITS_S, Column
 from daq.importers.timebase import JITTER_SHARE, Timebase, Times
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 
-FEW = 5  # most pauses that are listed one by one
 OTHER_RATE = 0.02  # relative deviation of a rate or frequency that is reported
-OVER_RANGE = 1.05  # reading over range_v that is reported
-OTHER_UNIT = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)  # ratio of two rates whose times are in two units
-SAME_RATE = 0.02
 MIXED = 1.05  # ratio of the fastest to the slowest part of a file beyond which no one rate describes it
-_PARTS = 32
-_LEAST_ROWS = 16  # of a part
 
 
 def remarks(
@@ -44,7 +38,7 @@ def remarks(
             f"times are not even and are kept as they came; the analysis counts samples at {base.rate_hz:.6g} "
             f"samples/s, from which they differ by {base.jitter_s * 1e6:.3g} us rms"
         )
-    if len(base.gaps) <= FEW:
+    if len(base.gaps) <= 5:  # few enough to be listed one by one
         said += [f"a pause before sample {at}: {lost} samples missing (+-{sigma})" for at, lost, sigma in base.gaps]
     else:
         first, longest = base.gaps[0], base.gaps[np.argmax(base.gaps[:, 1])]
@@ -81,28 +75,22 @@ def rate_warnings(rate_hz: float, setup: Setup, steps: NDArray[np.void]) -> list
 
 
 def range_warnings(peak_v: Mapping[str, float], setup: Setup) -> list[str]:
-    """Channels that read more than their range."""
-    said = []
-    for role, peak in peak_v.items():
-        described = setup.channels.get(role)
-        if described is not None and peak > OVER_RANGE * (range_v := described.range_v):
-            said.append(f"the {role} reads up to {peak:.4g} V; profile {setup.name!r} says range_v = {range_v:g}")
-    return said
+    """Channels that read more than their range by a twentieth."""
+    described = {role: setup.channels.get(role) for role in peak_v}
+    return [
+        f"the {role} reads up to {peak:.4g} V; profile {setup.name!r} says range_v = {channel.range_v:g}"
+        for role, peak in peak_v.items()
+        if (channel := described[role]) is not None and peak > 1.05 * channel.range_v
+    ]
 
 
 def refuse_other_unit(path: Path, time: Column, rate_hz: float, setup: Setup) -> None:
-    """Refuse times that are in another unit, by the sample rate that the profile states.
-
-    Raises
-    ------
-    InputError
-        Where the rate is the profile's by a power of a thousand.
-    """
+    """Refuse times in another unit: a rate that is the profile's by a power of a thousand (raises InputError)."""
     if not setup.sampling.stated:
         return
     ratio = rate_hz / setup.sampling.rate_hz
-    for other in OTHER_UNIT:
-        if abs(ratio / other - 1.0) < SAME_RATE:
+    for other in (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9):
+        if abs(ratio / other - 1.0) < OTHER_RATE:
             unit_s = TIME_UNITS_S[time.unit or "s"] * other
             right = next((name for name, size in TIME_UNITS_S.items() if abs(size / unit_s - 1.0) < 1e-9), "")
             said = f"is it in {right} (--map time={time.name}:{right})" if right else "is its unit right"
@@ -119,10 +107,8 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
     ----------
     path
         Named in the error.
-    times
-        Seconds, not falling.
-    n
-        How many, at least 2.
+    times, n
+        Seconds, not falling, and how many, at least 2.
     quantum_s
         Rounding step of the column.
 
@@ -131,15 +117,16 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
     InputError
         With the two rates, and the row near which they meet.
     """
-    parts = min(_PARTS, n // _LEAST_ROWS)
+    parts = min(32, n // 16)
     if parts < 2:
         return
-    edges = np.linspace(0, n, parts + 1).astype(np.int64)
+    edges = np.linspace(0, n, parts + 1).astype(np.int64).tolist()
     # a median lies between the extremes: where these are alike everywhere, none has to be found
-    spans = np.array([_step(times, a, b, quantum_s, _extremes) for a, b in pairwise(edges.tolist())])
+    ends = [_steps(times, a, b, quantum_s) for a, b in pairwise(edges)]
+    spans = np.array([(own.min(), own.max()) for own in ends])
     if 0.0 < spans.max() < MIXED * spans.min():
         return
-    steps = np.array([_step(times, a, b, quantum_s, np.median) for a, b in pairwise(edges.tolist())])
+    steps = np.array([np.median(own) for own in ends])
     slowest, fastest = float(steps.max()), float(steps.min())
     if fastest <= 0.0 or slowest < MIXED * fastest:
         return
@@ -151,15 +138,9 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
     )
 
 
-def _step(times: Times, start: int, stop: int, quantum_s: float, of: Callable[[NDArray[Any]], Any]) -> Any:
-    """Seconds between samples, by strides long enough that rounding does not bias them: ``of`` (median, ...) them."""
+def _steps(times: Times, start: int, stop: int, quantum_s: float) -> Floats:
+    """Seconds between samples, by strides long enough that rounding does not bias them."""
     own = times(start, min(stop, start + (1 << 16)))
-    mean = float(own[-1] - own[0]) / (len(own) - 1)
-    stride = int(min(np.ceil(50.0 * quantum_s / max(mean, 1e-12)), len(own) // 4))
-    stride = max(stride, 1)
-    return of(own[stride:] - own[:-stride]) / stride
-
-
-def _extremes(values: NDArray[Any]) -> NDArray[Any]:
-    """Smallest and largest."""
-    return np.array([values.min(), values.max()])
+    mean_s = float(own[-1] - own[0]) / (len(own) - 1)
+    stride = max(int(min(np.ceil(50.0 * quantum_s / max(mean_s, 1e-12)), len(own) // 4)), 1)
+    return np.asarray((own[stride:] - own[:-stride]) / stride)

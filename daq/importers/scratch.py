@@ -18,15 +18,7 @@ from daq.files.disk import Closing, refusal
 
 
 class Scratch(Closing):
-    """Columns in raw files; each grows at its end.
-
-    Parameters
-    ----------
-    folder
-        That of the recording, where there is room.
-    dtypes
-        Column name to type.
-    """
+    """Columns in raw files in ``folder``, by name of the types ``dtypes``; each grows at its end."""
 
     def __init__(self, folder: Path, dtypes: Mapping[str, np.dtype[Any]]) -> None:
         self._folder = folder

@@ -18,7 +18,7 @@ from kernels.arrays import Floats, Integers
 
 PAUSE_SAMPLES = 1.6  # a longer step in time is a pause: samples are missing
 JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
-_STRIDE = 1000
+Runs = list[tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -37,34 +37,37 @@ Times = Callable[[int, int], Floats]
 
 
 def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) -> Timebase:
-    """Find rate, pauses and jitter of ``n`` times.
+    """Find rate, pauses and jitter of ``n`` times, at least 2, not falling.
 
     Parameters
     ----------
-    times
-        Seconds, not falling.
-    n
-        How many, at least 2.
     quantum_s
         Rounding step of the column.
     piece
         Samples read at once.
     """
     first = times(0, min(n, 1 << 18))
-    stride = min(_STRIDE, max(1, (len(first) - 1) // 3))  # long, so that rounding does not bias the step
-    typical = float(np.median(first[stride:] - first[:-stride])) / stride
-    gaps = _pauses(times, n, typical, quantum_s, piece)
-    slope, slope_sigma = _slope(times, n, gaps, piece)
+    stride = min(1000, max(1, (len(first) - 1) // 3))  # long, so that rounding does not bias the step
+    limit = PAUSE_SAMPLES * float(np.median(first[stride:] - first[:-stride])) / stride + quantum_s
+    pauses = [np.zeros(0, np.int64)]
+    for start in range(0, n - 1, piece):
+        own = times(start, min(start + piece + 1, n))  # pieces overlap by a sample: every difference counts once
+        if longest_step(own) > limit:
+            pauses.append(start + 1 + np.flatnonzero(np.diff(own) > limit))
+    gaps = np.concatenate(pauses).astype(np.int64)
+    runs = list(pairwise([0, *gaps.tolist(), n]))
+    slope, slope_sigma = _slope(times, n, runs, piece)
     step = slope
     allowed = (0.5 * quantum_s + 1e-9) / max(n - 1 - len(gaps), 1)
-    for digits in range(0, 7):  # the roundest rate that the column cannot tell from the fitted one
+    for digits in range(0, 7):  # the roundest rate that the column cannot distinguish from the fitted one
         rate = round(1.0 / slope, digits)
         if rate > 0 and abs(1.0 / rate - slope) <= allowed:
             step = 1.0 / rate
             break
-    lost, sigma = _missing(times, gaps, step, slope_sigma, quantum_s)
-    worst, rms = _distance(times, n, gaps, step, piece)
-    found = np.stack([gaps, lost, sigma], axis=1).astype(np.int64)
+    samples = np.array([float(np.diff(times(g - 1, g + 1))[0]) for g in gaps.tolist()]) / step  # of each pause
+    sigma = np.hypot(samples * slope_sigma / step, quantum_s / step)
+    found = np.stack([gaps, np.rint(samples) - 1, np.ceil(sigma - 0.5).clip(0)], axis=1).astype(np.int64)
+    worst, rms = _distance(times, n, runs, step, piece)
     uniform = bool(worst <= max(0.75 * quantum_s + 1e-9, JITTER_SHARE * step)) and not len(gaps)
     return Timebase(1.0 / step, uniform, rms, found[found[:, 1] > 0])
 
@@ -77,25 +80,11 @@ def quantum_of(values: Floats) -> float:
     return float("inf")
 
 
-def _pauses(times: Times, n: int, typical: float, quantum_s: float, piece: int) -> Integers:
-    """First samples after each pause."""
-    limit, found = PAUSE_SAMPLES * typical + quantum_s, [np.zeros(0, np.int64)]
-    for start in range(0, n - 1, piece):
-        own = times(start, min(start + piece + 1, n))  # pieces overlap by a sample: every difference counts once
-        if longest_step(own) > limit:
-            found.append(start + 1 + np.flatnonzero(np.diff(own) > limit))
-    return np.concatenate(found).astype(np.int64)
-
-
-def _runs(n: int, gaps: Integers) -> list[tuple[int, int]]:
-    return list(pairwise([0, *(int(g) for g in gaps), n]))
-
-
-def _slope(times: Times, n: int, gaps: Integers, piece: int) -> tuple[float, float]:
+def _slope(times: Times, n: int, runs: Runs, piece: int) -> tuple[float, float]:
     """Seconds a sample by least squares within the unbroken runs, with its standard deviation."""
     sxy = sxx = ss = 0.0
     own: list[tuple[float, float]] = []
-    for start, stop in _runs(n, gaps):
+    for start, stop in runs:
         centre, middle = (stop - start - 1) / 2.0, float(np.mean([times(start, start + 1), times(stop - 1, stop)]))
         sums = np.zeros(5)
         for a in range(start, stop, piece):
@@ -104,26 +93,16 @@ def _slope(times: Times, n: int, gaps: Integers, piece: int) -> tuple[float, flo
         own.append((sums[2], sums[3]))
         ss += sums[4] - sums[1] ** 2 / sums[0]
     slope = sxy / sxx
-    variance = max(ss - slope * sxy, 0.0) / max(n - 2 * len(gaps) - 2, 1)
+    variance = max(ss - slope * sxy, 0.0) / max(n - 2 * len(runs), 1)
     # a clock that wanders from run to run shows in the runs' own slopes, not in the residuals
     wander = sum(w * (xy / w - slope) ** 2 for xy, w in own if w > 0) / sxx
     return slope, float(np.sqrt(variance / sxx + wander))
 
 
-def _missing(
-    times: Times, gaps: Integers, step: float, step_sigma: float, quantum_s: float
-) -> tuple[Integers, Integers]:
-    """Samples missing in each pause, and the standard uncertainty (rounded up)."""
-    pause = np.array([float(np.diff(times(int(g) - 1, int(g) + 1))[0]) for g in gaps])
-    samples = pause / step
-    sigma = np.hypot(samples * step_sigma / step, quantum_s / step)
-    return np.rint(samples).astype(np.int64) - 1, np.ceil(sigma - 0.5).clip(0).astype(np.int64)
-
-
-def _distance(times: Times, n: int, gaps: Integers, step: float, piece: int) -> tuple[float, float]:
+def _distance(times: Times, n: int, runs: Runs, step: float, piece: int) -> tuple[float, float]:
     """Largest and rms distance of the times from an even grid through each unbroken run."""
     worst = squares = 0.0
-    for start, stop in _runs(n, gaps):
+    for start, stop in runs:
         low, high, total, square = np.inf, -np.inf, 0.0, 0.0
         origin = float(times(start, start + 1)[0])
         for a in range(start, stop, piece):

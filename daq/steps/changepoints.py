@@ -1,8 +1,7 @@
 """Change points of a noisy sequence's level: penalised least squares, solved exactly.
 
-The partition minimises the squared deviations from each part's mean,
-in units of their standard deviations, plus a penalty for each part (optimal partitioning: Jackson et al., IEEE Signal
-Process. Lett. 12 (2005) 105).
+The partition minimises the squared deviations from each part's mean, in units of their standard deviations, plus a
+penalty for each part (optimal partitioning: Jackson et al., IEEE Signal Process. Lett. 12 (2005) 105).
 """
 
 from __future__ import annotations

@@ -27,11 +27,9 @@ from daq.steps.tone_tracking import (
 )
 from kernels.arrays import Floats
 
-SHORTEST_CYCLES = 4.0  # of a step that the file states
 QUIET = 2e-3  # of the largest amplitude
 SAME_FREQUENCY = 3e-5  # relative
 SAME_MOTION = 1e-3  # relative
-_READ_AHEAD = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -54,15 +52,15 @@ def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forci
     forcing
         Ratio and relative amplitudes of the tones, and a rough frequency: right within a factor of 8 is enough.
     """
-    ahead = _ReadAhead(read, stop)
+    read = _read_ahead(read, stop)
     found: list[FoundStep] = []
-    near = regions(ahead.read, start, stop, rate_hz, forcing)
-    for region in split_exactly(ahead.read, near, rate_hz, forcing):
-        for part in same_frequency(ahead.read, region, rate_hz, forcing):
-            steady = steady_segments(ahead.read, part, rate_hz, forcing)
-            found += [_refined(ahead.read, one, rate_hz, forcing) for one in steady]
+    near = regions(read, start, stop, rate_hz, forcing)
+    for region in split_exactly(read, near, rate_hz, forcing):
+        for part in same_frequency(read, region, rate_hz, forcing):
+            steady = steady_segments(read, part, rate_hz, forcing)
+            found += [_refined(read, one, rate_hz, forcing) for one in steady]
     # a disturbance in a hold looks like a border: the pieces on both sides are one motion
-    found = _joined(ahead.read, found, rate_hz, forcing)
+    found = _joined(read, found, rate_hz, forcing)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
     return [s for s in found if np.abs(s.tones.amplitudes).max() > QUIET * loudest]
 
@@ -71,27 +69,22 @@ def given_step(
     read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing, frequency_hz: float
 ) -> list[FoundStep]:
     """Step that a file states between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
-    if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < SHORTEST_CYCLES:
+    if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < 4.0:
         return []
-    return [_refined(_ReadAhead(read, stop).read, SteadySegment(start, start, stop, frequency_hz), rate_hz, forcing)]
+    return [_refined(_read_ahead(read, stop), SteadySegment(start, start, stop, frequency_hz), rate_hz, forcing)]
 
 
 def step_table(
-    found: list[FoundStep],
-    forcing: Forcing,
-    rate_hz: float,
-    gammas: Floats,
-    achieved: NDArray[np.void] | None = None,
+    found: list[FoundStep], forcing: Forcing, rate_hz: float, gammas: Floats, achieved: Floats | None = None
 ) -> NDArray[np.void]:
     """`STEP_DTYPE` rows of found steps.
 
     Parameters
     ----------
-    found, forcing, rate_hz
     gammas
-        Gamma of each step, NaN where unknown.
+        Gamma of each step, NaN where unknown, (n,).
     achieved
-        ``(n, 2)`` gamma measured at the plate and its uncertainty.
+        Gamma measured at the plate and its uncertainty, (n, 2).
     """
     rows = np.zeros(len(found), STEP_DTYPE)
     for row, step in zip(rows, found, strict=True):
@@ -120,19 +113,17 @@ def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
     return float(np.sum(shape * np.abs(amplitudes)) / np.sum(shape**2))
 
 
-class _ReadAhead:
-    """Many small reads in nearly rising order, served from few large ones."""
+def _read_ahead(read: Read, last: int) -> Read:
+    """Many small reads in nearly rising order, served from few large ones that end at ``last``."""
+    begin, held = 0, np.zeros(0)
 
-    def __init__(self, read: Read, stop: int) -> None:
-        self._read, self._stop = read, stop
-        self._start, self._held = 0, np.zeros(0)
+    def from_held(start: int, stop: int) -> Floats:
+        nonlocal begin, held
+        if start < begin or stop > begin + len(held):
+            begin, held = start, read(start, min(max(stop, start + (1 << 18)), max(last, stop)))
+        return held[start - begin : stop - begin]
 
-    def read(self, start: int, stop: int) -> Floats:
-        """Volts of samples ``start .. stop``."""
-        if start < self._start or stop > self._start + len(self._held):
-            self._start = start
-            self._held = self._read(start, min(max(stop, start + _READ_AHEAD), max(self._stop, stop)))
-        return self._held[start - self._start : stop - self._start]
+    return from_held
 
 
 def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing) -> list[FoundStep]:
@@ -155,9 +146,8 @@ def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing
 
 def _refined(read: Read, still: SteadySegment, rate_hz: float, forcing: Forcing) -> FoundStep:
     """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
-    frequency, sigma = still.frequency_hz, np.nan
-    settled = still.settled(rate_hz)
-    for _ in range(2):  # the first time from a rough value
+    frequency, sigma, settled = still.frequency_hz, np.nan, still.settled(rate_hz)
+    for _ in range(2):
         correction, sigma = frequency_correction(read, settled, still.stop, rate_hz, frequency, forcing)
         frequency += correction
     tones = fit(read, settled, still.stop, rate_hz, frequency, forcing)

@@ -19,14 +19,9 @@ from kernels.arrays import Bools, Floats, Integers
 
 Read = Callable[[int, int], Floats]
 
-WINDOW_CYCLES = 10.0
 SPAN = 8.0  # the frequency is sought between hint / SPAN and hint * SPAN
-TONE_SHARE = 0.2
 QUIET = 2e-3  # of the largest amplitude
-SAME_FREQUENCY = 0.05
 _PAD = 4
-_POINTS_A_CYCLE = 16
-_TOGETHER_SAMPLES = 1 << 17  # of windows whose spectra are taken in one go
 
 
 @dataclass(frozen=True)
@@ -58,31 +53,28 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
     """
     hint_hz = forcing.frequency_hz
     tones = weights(forcing)
-    window = round(min(max(WINDOW_CYCLES / hint_hz, 0.1), 2.0) * rate_hz)
+    window = round(min(max(10.0 / hint_hz, 0.1), 2.0) * rate_hz)
     hop = max(window // 2, 1)
     if stop - start < window:
         window = hop = stop - start
     if window < 8:
         return []
     top = max(m for m, _ in tones)
-    reduce = max(1, int(rate_hz / (_POINTS_A_CYCLE * SPAN * hint_hz * top)))
+    reduce = max(1, int(rate_hz / (16 * SPAN * hint_hz * top)))
     if window // reduce < 8:  # far less than a cycle
         return []
     starts = np.arange(start, stop - window + 1, hop)  # windows overlap by half
-    many = max(_TOGETHER_SAMPLES // window, 1)
-    found = [_look(_windows(read, starts[i : i + many], window, reduce), rate_hz / reduce, tones, hint_hz)
-             for i in range(0, len(starts), many)]  # fmt: skip
+    many = max((1 << 17) // window, 1)  # windows whose spectra are taken in one go
+    found = []
+    for i in range(0, len(starts), many):
+        own = starts[i : i + many]
+        means = np.empty((len(own), window // reduce))
+        x = np.ascontiguousarray(read(int(own[0]), int(own[-1]) + window), np.float64)
+        _average(x, own - own[0], reduce, means)
+        found.append(_look(means, rate_hz / reduce, tones, hint_hz))
     frequency, amplitude, share = np.concatenate(found, axis=1)
-    active = (share > TONE_SHARE) & (amplitude > QUIET * amplitude.max()) & (amplitude > 0)
+    active = (share > 0.2) & (amplitude > QUIET * amplitude.max()) & (amplitude > 0)
     return _grouped(starts, window, frequency, active, (start, stop))
-
-
-def _windows(read: Read, starts: Integers, window: int, reduce: int) -> Floats:
-    """Windows from ``starts`` on, averaged over ``reduce`` samples, shape (m, window // reduce)."""
-    x = read(int(starts[0]), int(starts[-1]) + window)
-    means = np.empty((len(starts), window // reduce))
-    _average(np.ascontiguousarray(x, np.float64), starts - starts[0], reduce, means)
-    return means
 
 
 @njit(error_model="numpy")
@@ -135,7 +127,7 @@ def _grouped(starts: Integers, window: int, frequency: Floats, active: Bools, en
     for i in np.flatnonzero(active).tolist():
         if groups and i - groups[-1][-1] <= 2:
             reference = median(hz[j] for j in groups[-1][-9:])
-            if abs(hz[i] - reference) < SAME_FREQUENCY * reference:
+            if abs(hz[i] - reference) < 0.05 * reference:
                 groups[-1].append(i)
                 continue
         groups.append([i])

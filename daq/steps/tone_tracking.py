@@ -20,19 +20,10 @@ from kernels.arrays import Bools, Floats, Integers
 
 SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
 SHORTEST_WINDOWS = 4  # a shorter stillness is part of a fade
-PIECE_WINDOWS = 20  # of a sweep that never rests
 LEAST_SWEEP = 12  # windows; what is shorter may be a fade, what is longer and holds still is a step
-RESTS = 0.3  # share of the loud windows below which what holds still is chance, and the whole a sweep
 QUIET = 2e-3  # of the largest amplitude
-STEADY = 3e-4  # relative change of amplitude from cycle to cycle that is no step
-SAME_LEVEL = 1e-3
 SAME_ADVANCE = 1e-3  # radians a window
 PENALTY = 30.0
-_WINDOW_POINTS = 16
-_PIECES = 40
-_TOGETHER_WINDOWS, _TOGETHER_SAMPLES = 100, 1 << 17  # fitted in one go
-_DEEPEST = 6
-_LOOKED_AT = 16  # windows from which the noise's colour is taken
 
 
 @dataclass(frozen=True)
@@ -83,8 +74,8 @@ def _fits(read: Read, edges: Integers, rate_hz: float, frequency_hz: float, forc
     nothing = np.zeros(0)
     parts = [ToneFits(tones, np.zeros((0, len(tones)), np.complex128), nothing, nothing, np.zeros(0, np.int64))]
     while len(edges) > 1:
-        n = int(np.searchsorted(edges, edges[0] + _TOGETHER_SAMPLES, side="right")) - 1
-        n = min(max(n, 1), _TOGETHER_WINDOWS, len(edges) - 1)
+        n = int(np.searchsorted(edges, edges[0] + (1 << 17), side="right")) - 1
+        n = min(max(n, 1), 100, len(edges) - 1)  # windows fitted in one go
         x = read(int(edges[0]), int(edges[n]))
         parts.append(fit_tones_each(x, edges[: n + 1], rate_hz, tones))
         edges = edges[n:]
@@ -126,7 +117,7 @@ def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing,
     # all of the region at one frequency, unless the advance of the phase says that it changes
     own = track.frequency_change(0, len(track.advance), weights(forcing)[track.main][0], rate_hz)
     settled = replace(region, frequency_hz=region.frequency_hz + own)
-    if depth >= _DEEPEST or spread < 5.0 * SAME_ADVANCE:
+    if depth >= 6 or spread < 5.0 * SAME_ADVANCE:
         return [settled]
     relative = track.floor[track.loud, 0] / track.amplitude[track.loud, track.main]
     noise = max(float(_noise(track.advance[:, None]).mean()), float(np.median(relative)))
@@ -167,10 +158,11 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
     parts = segments(values, sigma, same, PENALTY)
     steady = np.array([_steady(track, a, b, sigma) for a, b in parts]) & ~_on_the_way(track.amplitude, parts)
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
-    if covered < RESTS * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
+    # where little holds still, that is chance, and the whole a sweep
+    if covered < 0.3 * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
         # a sweep that never rests is taken in equal pieces of its loud part
         loud = np.flatnonzero(track.loud)
-        cuts = range(int(loud[0]), int(loud[-1]) + 2, PIECE_WINDOWS)
+        cuts = range(int(loud[0]), int(loud[-1]) + 2, 20)
         parts = list(pairwise(cuts)) or [(int(loud[0]), int(loud[-1]) + 1)]
         steady = np.array([b - a >= SHORTEST_WINDOWS for a, b in parts])
     found: list[SteadySegment] = []
@@ -182,12 +174,9 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
             fade_from = a if fade_from is None else fade_from
         else:
             begin = a if fade_from is None else fade_from
-            change = track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
-            found.append(
-                SteadySegment(
-                    int(track.edges[begin]), int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change
-                )
-            )
+            hz = region.frequency_hz + track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
+            fade, hold, stop = (int(track.edges[k]) for k in (begin, a, b))
+            found.append(SteadySegment(fade, hold, stop, hz))
             fade_from = None
     return found
 
@@ -197,7 +186,7 @@ def frequency_correction(
 ) -> tuple[float, float]:
     """Correction to ``frequency_hz`` by the slope of the tones' phases, with its standard deviation."""
     pieces = _edges(start, stop, rate_hz, frequency_hz)
-    edges = pieces[:: max(1, len(pieces) // _PIECES)]
+    edges = pieces[:: max(1, len(pieces) // 40)]
     if len(edges) < 3:
         return 0.0, np.inf
     fits = _fits(read, edges, rate_hz, frequency_hz, forcing)
@@ -218,7 +207,7 @@ def frequency_correction(
 def _edges(start: int, stop: int, rate_hz: float, frequency_hz: float) -> Integers:
     """Sample indices that cut ``start .. stop`` into whole cycles, enough samples in each piece for a fit."""
     cycle = rate_hz / frequency_hz
-    piece = cycle * max(1, int(np.ceil(_WINDOW_POINTS / cycle)))
+    piece = cycle * max(1, int(np.ceil(16 / cycle)))
     whole = np.arange(int((stop - start) / piece + 1e-9) + 1)
     edges: Integers = start + np.rint(whole * piece).astype(np.int64)
     return edges
@@ -229,7 +218,7 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     edges = _edges(region.start, region.stop, rate_hz, region.frequency_hz)
     if len(edges) < SHORTEST_WINDOWS + 1:
         return None
-    looked_at = np.unique(np.linspace(0, len(edges) - 2, _LOOKED_AT).astype(np.int64)).tolist()
+    looked_at = np.unique(np.linspace(0, len(edges) - 2, 16).astype(np.int64)).tolist()
     windows: dict[int, Floats] = {}
 
     def noted(start: int, stop: int) -> Floats:
@@ -273,13 +262,13 @@ def _features(track: _Track) -> tuple[Floats, Floats, Floats]:
     amplitude, floor, main = track.amplitude, track.floor, track.main
     none = np.zeros_like(amplitude)
     sigma_a = np.maximum.reduce(
-        [_noise(amplitude), floor + none, STEADY * amplitude, 0.1 * QUIET * amplitude.max() + none]
+        [_noise(amplitude), floor + none, 3e-4 * amplitude, 0.1 * QUIET * amplitude.max() + none]
     )
     relative = sigma_a[:, main] / np.maximum(amplitude[:, main], 1e-300)
     both = track.loud & np.concatenate([[False], track.loud[:-1]])
     sigma_p = np.maximum(np.maximum(relative, _noise(track.advance[:, None])[:, 0]), SAME_ADVANCE)
     sigma_p = np.where(both, np.minimum(sigma_p, 1.0), 1.0)
-    same = np.append(SAME_LEVEL * np.median(amplitude[track.loud], axis=0), SAME_ADVANCE)
+    same = np.append(1e-3 * np.median(amplitude[track.loud], axis=0), SAME_ADVANCE)
     return np.column_stack([amplitude, track.advance]), np.column_stack([sigma_a, sigma_p]), same
 
 
