@@ -48,7 +48,8 @@ class Fitter:
     """
 
     def __init__(self, model: ForwardModel, priors: Mapping[ParameterId, Prior], train: Bools) -> None:
-        self.model, self.priors, self.train = model, dict(priors), train
+        self.model, self.train = model, train
+        self.priors = {k: prior for k, prior in priors.items() if not model.is_idle(k)}
         spread = np.flatnonzero(train)
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
 

@@ -93,6 +93,14 @@ class Flights:
         bad = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.UNSURE
         return ~self.has(bad)
 
+    def heard(self) -> Bools:
+        """Landings that the accelerometer alone shows, none of which showed its delay against the contact edges."""
+        offset, mark = self.edges.sensor_offset, self.has(FlightFlag.ACCELEROMETER)
+        if offset is None or np.isfinite(offset.uncertainty_s):
+            return np.zeros(len(self), dtype=np.bool_)
+        pause_s = np.append(self.takeoff_s[1:], np.inf) - self.landing_s  # half a sample after an unseen contact
+        return np.asarray(mark & np.append(mark[1:], False) & (pause_s * self.plate.rate_hz < 1.0))
+
 
 @dataclass(frozen=True)
 class EdgeReport:

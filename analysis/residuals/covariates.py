@@ -78,7 +78,7 @@ def covariates(model: ForwardModel, values: Values) -> dict[str, Floats]:
     model
         The observations.
     values
-        Fitted values, of which only the contact circuit's delay and the accelerometer's response are used.
+        Fitted values, of which only the delays of edges and impacts and the accelerometer's response are used.
 
     Returns
     -------
@@ -87,11 +87,11 @@ def covariates(model: ForwardModel, values: Values) -> dict[str, Floats]:
     """
     ev = model.observations
     events, step = ev.measured, ev.measured.step
-    shift = model.per_step(values, "contact_delay_s")[step]
+    opening_late_s, landing_late_s = model.late_s(values)
     plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / model.reading(values))
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked
-    land, opening = events.landing_s - shift, events.opening_s - shift
+    land, opening = events.landing_s - landing_late_s, events.opening_s - opening_late_s
     start = np.where(events.relaunched & linked, land[before], opening)
     lasts = land - start
     launch, impact = _ends(model.gravity, plate, step, start, lasts, events.relaunched & linked)

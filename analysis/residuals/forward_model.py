@@ -19,7 +19,15 @@ from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import Ringing
 from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
-from analysis.residuals.values import TREND, AllValues, Own, Values, calibrating_effects, driving_effects
+from analysis.residuals.values import (
+    TREND,
+    AllValues,
+    Own,
+    ParameterId,
+    Values,
+    calibrating_effects,
+    driving_effects,
+)
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
@@ -33,12 +41,14 @@ MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kep
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a prediction is made from: parameters (P + 1,) or (n, P + 1), plate, the circuit's height and delay (n,)."""
+    """What a prediction is made from: parameters (P + 1,) or (n, P + 1), plate, the circuit's height (n,), and by how
+    much later than they happened openings and landings were seen, (n,) each."""
 
     rows: Floats
     plate: PlateSteps
     gap_m: Floats
-    delay_s: Floats
+    opening_late_s: Floats
+    landing_late_s: Floats
 
 
 @dataclass(frozen=True)
@@ -206,13 +216,13 @@ class ForwardModel:
         values = self.start(values)
         if tones is None:
             key = ("inputs", values.of(calibrating_effects()))
-            plate, gap, delay = self._plate_memory.recall(key, lambda: self._calibrated(values, None))
+            calibrated = self._plate_memory.recall(key, lambda: self._calibrated(values, None))
         else:
-            plate, gap, delay = self._calibrated(values, tones)
-        return Inputs(self.rows(values) if rows is None else rows, plate, gap, delay)
+            calibrated = self._calibrated(values, tones)
+        return Inputs(self.rows(values) if rows is None else rows, *calibrated)
 
-    def _calibrated(self, values: Values, tones: Complexes | None) -> tuple[PlateSteps, Floats, Floats]:
-        """The plate as it moved, and height and delay of the contact circuit, (n,) each."""
+    def _calibrated(self, values: Values, tones: Complexes | None) -> tuple[PlateSteps, Floats, Floats, Floats]:
+        """The plate as it moved, the contact circuit's height, and delays of openings and landings, (n,) each."""
         ev = self.observations
         step = ev.measured.step
         loaded = self.per_step(values, "flight_gain")
@@ -222,8 +232,21 @@ class ForwardModel:
         plate = replace(ev.steps.plate, acceleration_mps2=z / self.reading(values))
         if (swings := self.modulation_at(values)) is not None:
             plate = swings[0].modulated(plate, *swings[1:])
-        gap, delay = (self.per_step(values, hook)[step] for hook in ("gap_m", "contact_delay_s"))
-        return plate, gap, delay
+        return plate, self.per_step(values, "gap_m")[step], *self.late_s(values)
+
+    def late_s(self, values: Values) -> tuple[Floats, Floats]:
+        """By how much later than they happened openings and landings were seen, (n,) each."""
+        ev = self.observations
+        edge, mark = (self.per_step(values, hook)[ev.measured.step] for hook in ("contact_delay_s", "impact_delay_s"))
+        if ev.heard is None:
+            return edge, edge
+        left_heard = ev.measured.relaunched & np.append(False, ev.heard[:-1])
+        return np.where(left_heard, mark, edge), np.where(ev.heard, mark, edge)
+
+    def is_idle(self, key: ParameterId) -> bool:
+        """Whether a parameter changes nothing that was observed."""
+        heard = self.observations.heard
+        return key == ("accelerometer_lag", "impact_s") and (heard is None or not heard.any())
 
     def predict(
         self,
@@ -247,14 +270,18 @@ class ForwardModel:
             measured = replace(measured, landing_s=measured.landing_s + landing_shift_s)
         p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=near)
         return replace(
-            p, takeoff_s=p.takeoff_s + x.delay_s, landing_s=p.landing_s + x.delay_s, opening_s=p.opening_s + x.delay_s
+            p,
+            takeoff_s=p.takeoff_s + x.opening_late_s,
+            landing_s=p.landing_s + x.landing_late_s,
+            opening_s=p.opening_s + x.opening_late_s,
         )
 
     def measured_at(self, x: Inputs, wanted: Bools | None = None) -> Measured:
-        """The flights as they were, less the circuit's delay."""
+        """The flights as they were, less the instruments' delay."""
         seen = self.observations.measured
         of = seen.wanted if wanted is None else wanted & seen.wanted
-        return replace(seen, opening_s=seen.opening_s - x.delay_s, landing_s=seen.landing_s - x.delay_s, wanted=of)
+        opening, landing = seen.opening_s - x.opening_late_s, seen.landing_s - x.landing_late_s
+        return replace(seen, opening_s=opening, landing_s=landing, wanted=of)
 
     def detection_at(self, x: Inputs) -> Detection:
         ev = self.observations

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,8 @@ class Observations:
         Scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`.
     run_part : array, shape (n,), or None
         Landing within its recording, from -0.5 to 0.5; None for that of its step.
+    heard : bool array, shape (n,), or None
+        Landings that the accelerometer alone shows, by an unknown delay after the circuit would have; None for none.
     """
 
     measured: Measured
@@ -130,6 +133,7 @@ class Observations:
     closure_s: float = 0.0
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
     run_part: Floats | None = None
+    heard: Bools | None = None
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -171,15 +175,11 @@ def observations_from(
         with open_recording(path) as recording:
             if setup is not None:
                 recording.measure_with(setup)
-            flights = flights_of(recording, progress=None if progress is None else _named(progress, path.name))
+            flights = flights_of(recording, progress=None if progress is None else partial(progress, path.name))
             if on_flights is not None:
                 on_flights(recording, flights)
             parts[path] = observed(recording, flights)
     return parts[paths[0]] if len(paths) == 1 else join([parts[path] for path in paths])
-
-
-def _named(progress: Callable[[str, float], None], name: str) -> Callable[[float], None]:
-    return lambda part: progress(name, part)
 
 
 def observed(recording: Recording, flights: Flights) -> Observations:
@@ -227,6 +227,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
+        heard=flights.heard()[keep],
     )
 
 
@@ -388,9 +389,10 @@ def join(parts: Sequence[Observations]) -> Observations:
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
         closure_s=float(np.median([p.closure_s for p in parts])),
-        modulation=AmplitudeModulation.join(modulation)
-        if (modulation := [p.modulation for p in parts if p.modulation is not None])
+        modulation=AmplitudeModulation.join(swings)
+        if (swings := [p.modulation for p in parts if p.modulation])
         else None,
         scatters=(Scatter.together(openings), Scatter.together(landings)),
         run_part=column(lambda p: p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part),
+        heard=column(lambda p: np.zeros(len(p), dtype=np.bool_) if p.heard is None else p.heard),
     )

@@ -56,7 +56,7 @@ def _in_plate_data_alone(key: ParameterId) -> bool:
 @functools.cache
 def calibrating_effects() -> frozenset[str]:
     """Names of the effects that change the plate's motion or the circuit as measured."""
-    hooks = {"accelerometer_response", "flight_gain", "modulation", "gap_m", "contact_delay_s"}
+    hooks = {"accelerometer_response", "flight_gain", "modulation", "gap_m", "contact_delay_s", "impact_delay_s"}
     return frozenset(r.effect.name for r in registry() if r.hooks.keys() & hooks)
 
 

@@ -37,12 +37,20 @@ EFFECT = Effect(
             is_shape=True,
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
+        Parameter(
+            "impact_s", "s", -1e-4, 5e-3, 1e-5, calibration=1e-3, meaning="impact to its mark, where no edge tells it"
+        ),
     ),
     variants=(("delay_s",), ("low_pass_s", "sharpness")),
     confused_with={"phase_lag": "landing times"},
     hides={("accelerometer_high_pass", "corner_hz"): (0.0, 0.02)},
     reference="bandwidth of the sensor, multiplexed sampling",
 )
+
+
+def impact_delay_s(p: Mapping[str, float]) -> float:
+    """Delay of impacts that only the accelerometer shows."""
+    return p["impact_s"]
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:

@@ -24,6 +24,7 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ``accelerometer_response(p,              complex factor by which the accelerometer reads too much, and late, at
 omega_radps)``                         ``omega_radps`` (any shape)
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
+``impact_delay_s(p)``                  delay of impacts in the accelerometer, where no landing shows it beside an edge
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
 accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,)
                                        as large: complex, its phase counted from where the first is a sine
@@ -63,6 +64,7 @@ PLAIN_HOOKS = (
     "transfer",
     "accelerometer_response",
     "contact_delay_s",
+    "impact_delay_s",
     "harmonics",
     "hum_mps2",
     "pickup_mps2",

@@ -140,3 +140,23 @@ def test_a_parameter_drifts_within_a_step_too(fly_ramp: Callable[..., ForwardMod
     mu = ("coulomb_friction", "mu_up")
     rows = ForwardModel(replace(made, run_part=part), {}).rows({mu: 0.3, (mu[0], mu[1] + TREND): 0.2})
     assert np.ptp((rows - rows[0]).sum(axis=1) - 0.2 * part) < 1e-12
+
+
+def test_impacts_heard_late_leave_the_residuals_they_would_have_in_time(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Landings, and the take-offs at them, shown late by the accelerometer alone: a known delay takes it all back."""
+    model, late_s = fly_ramp(FRICTION, 1), 2e-4
+    made = model.observations
+    heard = np.arange(len(made)) % 3 > 0
+    left = made.measured.relaunched & np.append(False, heard[:-1])
+    shown = replace(
+        made.measured,
+        landing_s=made.measured.landing_s + late_s * heard,
+        opening_s=made.measured.opening_s + late_s * left,
+    )
+    late = ForwardModel(replace(made, measured=shown, heard=heard), {})
+    key = ("accelerometer_lag", "impact_s")
+    in_time, found = model.residuals(FRICTION), late.residuals({**FRICTION, key: late_s})
+    np.testing.assert_allclose(found.landing_s, in_time.landing_s, atol=1e-9)
+    np.testing.assert_allclose(found.opening_s, in_time.opening_s, atol=1e-9)
+    assert model.is_idle(key)
+    assert not late.is_idle(key)
