@@ -9,6 +9,7 @@ import typer
 
 from bench.outputs import Host, Port
 from bench.terminal.console import print_lines
+from bench.web.packages import serve_pages
 from daq.setup.errors import InputError
 
 
@@ -24,8 +25,7 @@ def command(
 
     Exits 0 when stopped, 2 when the call was wrong.
     """
-    from bench.live.pages import offered_profiles
-    from bench.live.processes import sections, serve_desk
+    from bench.live.processes import sections
 
     def say(url: str) -> None:
         print_lines(f"open {url} in a browser; Ctrl-C ends the page")
@@ -33,5 +33,8 @@ def command(
 
     if not runs.is_dir():
         raise InputError(f"--runs {runs}: no such folder; create it first, or name another")
-    sections()
-    serve_desk(runs, offered_profiles(runs, profile), host, port, say)
+    modules = sections()
+    from bench.live.pages import offered_profiles  # needs the packages that `sections` asks for
+
+    offered = offered_profiles(runs, profile)
+    serve_pages(modules, runs, say, host=host, port=port, options={"live": {"offered": offered}})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +11,7 @@ import typer
 
 from bench.outputs import JSON, File, Json, Overwrite, check_outputs
 from bench.terminal.console import EXIT_FAILED, new_table, print_lines, print_table, warn, write_json
+from bench.web.packages import serve_pages
 
 if TYPE_CHECKING:
     from bench.runs.query import Row
@@ -69,7 +72,7 @@ def command(
         else:
             print_lines(f"{catalogue.folder}: no recordings that meet this; files read: {read}")
     if page:
-        _serve(folder)
+        serve_pages(["bench.runs.pages"], folder, _open)
     elif verify and any(row["ended"] == "damaged" for row in rows):
         raise typer.Exit(EXIT_FAILED)
 
@@ -111,17 +114,8 @@ def _print(rows: list[Row]) -> None:
             print_lines(line(row["remarks_problem"]))
 
 
-def _serve(folder: Path) -> None:
-    """Serve the pages until the command is ended."""
-    import webbrowser
-
-    from bench.web.packages import require_packages
-
-    require_packages()
-    from bench.web.section import Place
-    from bench.web.serve import bind, serve
-
-    listening, access = bind()
-    print_lines(f"pages: {access.url}  (end with Ctrl-C)")
-    webbrowser.open(access.url)
-    serve(listening, access, ["bench.runs.pages"], Place(folder.resolve()))
+def _open(url: str) -> None:
+    """Open the pages in a browser."""
+    print_lines(f"pages: {url}  (end with Ctrl-C)")
+    sys.stdout.flush()
+    webbrowser.open(url)

@@ -88,11 +88,8 @@ class Driven:
 
 def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
     """The block with a person's steps; raises `InputError` where a limit forbids one."""
-    gammas = list(wanted.gammas)
-    values: dict[str, Any] = {"ramp.gamma": gammas, "ramp.order": "down" if gammas[-1] < gammas[0] else "up"}
-    if wanted.ratio is not None:
-        values["forcing.ratio"] = wanted.ratio
-    text = with_values(block.text, values, "the block")
+    ratio = {} if wanted.ratio is None else {"forcing.ratio": wanted.ratio}
+    text = with_values(block.text, _in_order(wanted.gammas) | ratio, "the block")
     profile = parse_profile(text, "the block")
     refuse_forbidden("these gammas", profile)
     why = f"chosen by a person{f', {wanted.why}' if wanted.why else ''}"
@@ -152,27 +149,27 @@ def offers(text: str, aims: Aims) -> list[Option]:
 
 def _gammas(profile: Profile, ratio: int) -> list[float]:
     """Gammas for a ratio: the range of the profile's ramp over its take-off, and farther."""
-
-    def takeoff(c: int) -> float:
-        return 0.5 if c == 1 else 1.0 / (1.0 + c**2)
-
     own = profile.ramp.gammas()
-    scale = takeoff(ratio) / takeoff(profile.forcing.ratio)
-    low, high = max(min(own) * scale, 1.1 * takeoff(ratio)), FARTHER * max(own) * scale
+    takeoff, own_takeoff = (0.5 if c == 1 else 1.0 / (1.0 + c**2) for c in (ratio, profile.forcing.ratio))
+    scale = takeoff / own_takeoff
+    low, high = max(min(own) * scale, 1.1 * takeoff), FARTHER * max(own) * scale
     return [float(f"{g:.4g}") for g in np.linspace(low, high, GAMMAS)]
 
 
 def block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:
     """The profile ``text`` with the ramp of a block, its gammas in the order given."""
-    values = {
+    return with_values(text, {
         "forcing.ratio": ratio,
         "forcing.frequency_hz": frequency_hz,
-        "ramp.gamma": list(gammas),
-        "ramp.order": "down" if len(gammas) > 1 and gammas[-1] < gammas[0] else "up",
+        **_in_order(gammas),
         "ramp.hold_cycles": aims.hold_cycles,
         "ramp.settle_cycles": aims.settle_cycles,
-    }
-    return with_values(text, values, "the profile")
+    }, "the profile")  # fmt: skip
+
+
+def _in_order(gammas: Sequence[float]) -> dict[str, Any]:
+    """The steps of a ramp, up or down as they are given."""
+    return {"ramp.gamma": list(gammas), "ramp.order": "down" if gammas[-1] < gammas[0] else "up"}
 
 
 def _allowed(text: str, aims: Aims, ratio: int, frequency_hz: float, gamma: float) -> bool:

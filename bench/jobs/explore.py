@@ -100,7 +100,7 @@ def explore(
     drive
         Drives a block.
     say
-        Told each choice and what came of it, a line at a time.
+        Called with each choice and what came of it, a line at a time.
     ask
         Asked before each block; None goes on unasked.
     anyway
@@ -113,9 +113,12 @@ def explore(
     """
     offered = functools.cache(lambda hold_cycles: offers(text, replace(aims, hold_cycles=hold_cycles)))
     offered(aims.hold_cycles)  # what cannot be driven is refused before anything is judged
-    made, number = _recorded(folder, say)
+    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
+    made = [path for path in there if tells(path)]
+    if left_out := [path.name for path in there if path not in made]:
+        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
+    number = max((int(path.stem[6:]) for path in there), default=0)
     blocks = [as_driven(path) for path in made]
-
     known: dict[Path, Observations] = {}
     judged: _Judged | None = None
 
@@ -147,15 +150,6 @@ def explore(
         if driven.then is not None and driven.then.gammas:
             own = by_person(block, driven.then)
             say(f"\nblock {number + 1}: {own.reason}")
-
-
-def _recorded(folder: Path, say: Callable[[str], None]) -> tuple[list[Path], int]:
-    """Blocks in the folder that tell something, in order, and the number of the last of all."""
-    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
-    made = [path for path in there if tells(path)]
-    if left_out := [path.name for path in there if path not in made]:
-        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
-    return made, max((int(path.stem[6:]) for path in there), default=0)
 
 
 # -- what was found so far ---------------------------------------------------------------------------------------------
@@ -266,14 +260,10 @@ def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
 def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
     """Whether the same steps were driven before: what they were to distinguish, they did not."""
 
-    def steps(ratio: int, frequency_hz: float, gammas: Sequence[float]) -> tuple[int, float, frozenset[float]]:
-        return ratio, frequency_hz, frozenset(gammas)
-
     profiles = [parse_profile(driven.text, "block") for driven in blocks]
+    before = [(p.forcing.ratio, p.forcing.frequency_hz, set(p.ramp.gammas())) for p in profiles]
     forcing = block.option.setup.forcing
-    return steps(forcing.ratio, forcing.frequency_hz, block.gammas) in [
-        steps(p.forcing.ratio, p.forcing.frequency_hz, p.ramp.gammas()) for p in profiles
-    ]
+    return (forcing.ratio, forcing.frequency_hz, set(block.gammas)) in before
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
@@ -352,21 +342,20 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
 def _chosen(text: str, option: Option, gammas: Sequence[float], aims: Aims, reason: str) -> Chosen:
     """A block in words: what is driven, and why."""
     forcing = option.setup.forcing
-    profile = block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
-    seconds = run_seconds(parse_profile(profile))
-    return Chosen(profile, seconds, f"{forcing_in_words(parse_profile(profile))}: {reason}")
+    own = block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
+    profile = parse_profile(own)
+    return Chosen(own, run_seconds(profile), f"{forcing_in_words(profile)}: {reason}")
 
 
 def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], aims: Aims, reason: str) -> Chosen:
     """Steps as far as can be from those driven, of the forcing with the fewest of them."""
     profiles = [parse_profile(block.text, "block") for block in blocks]
     visited = [(p.forcing.ratio, g) for p in profiles for g in p.ramp.gammas()]
-    rising = [option for option in options if option.rising]
 
     def driven(option: Option) -> list[float]:
         return [g for ratio, g in visited if ratio == option.setup.forcing.ratio]
 
-    option = min(rising, key=lambda x: len(driven(x)))
+    option = min((option for option in options if option.rising), key=lambda x: len(driven(x)))
     near, chosen = driven(option), list[float]()
     if not near:
         places = np.linspace(1, len(option.gammas) - 2, aims.steps).round().astype(int)

@@ -64,9 +64,9 @@ class Lane:
 
     def read(self) -> tuple[list[Message], int]:
         """Messages since the last call, oldest first, and how many were overwritten unread."""
-        put, messages, missed = int(self._put[0]), [], 0
+        put, messages = int(self._put[0]), []
         first = max(self._seen, put - self._slots + 1)
-        missed += first - self._seen
+        missed = first - self._seen
         for i in range(first, put):
             slot = i % self._slots
             n, crc = (int(x) for x in self._head[slot])

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.util
 import multiprocessing
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -101,23 +100,6 @@ def _serve_run(
         return
     place = Place(Path(folder).resolve(), {"live": {"watched": (profile, board)}})
     serve(listening, access, modules, place, on_ready=lambda: answer(access.url, ""), own_signals=False)
-
-
-def serve_desk(folder: Path, offered: list[str], host: str, port: int | None, say: Callable[[str], None]) -> None:
-    """`bench live`: serve until Ctrl-C; ``say`` is called with the address.
-
-    Raises
-    ------
-    InputError
-        When the page cannot be served.
-    """
-    modules = sections()
-    from bench.web.section import Place
-    from bench.web.serve import bind, serve
-
-    listening, access = bind(host, port)
-    place = Place(folder.resolve(), {"live": {"offered": offered}})
-    serve(listening, access, modules, place, on_ready=lambda: say(access.url))
 
 
 def run_check(pipe: Connection, profile: str, scenario: str | None) -> None:

@@ -20,11 +20,6 @@ Codes = NDArray[np.int16]
 MOST_BINS_PER_S = 20_000.0  # sent to a page: 50 us each, below which nothing of a bounce is to be seen
 
 
-def bin_for(rate_hz: float) -> int:
-    """Samples of a bin at a sampling rate."""
-    return max(1, int(np.ceil(rate_hz / MOST_BINS_PER_S)))
-
-
 class MinMax:
     """Extremes of successive bins of ``n_bin`` samples, whatever pieces the samples come in.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.report.gamma import gamma_scale
 from bench.live.analyst import start_analyst
 from bench.live.board import Board, Message
-from bench.live.scope_data import MinMax, PlateHeight, bin_for, flights_piece, scope_piece, spectrum_piece
+from bench.live.scope_data import MOST_BINS_PER_S, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
 from daq.files.json_values import json_object
 from daq.files.tables import Block
 from daq.recorder.shared_ring import RingReader
@@ -152,7 +152,7 @@ class WatchedRun:
         largest_m = peaks(profile, max(profile.ramp.gammas())).displacement_m or 1e-3
         self._least_m = 2.0 * largest_m / HEIGHT_CODES
         self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
-        self._bin = bin_for(self._rate_hz)
+        self._bin = max(1, int(np.ceil(self._rate_hz / MOST_BINS_PER_S)))
         self._extremes = MinMax(self._bin, len(channels) + 1)
         self._say({**event, "out": self._out, "traces": self._traces(event), "at": time.time()})
         with contextlib.suppress(OSError):  # over before it was looked at

@@ -1,8 +1,11 @@
-"""The packages that serving a page needs."""
+"""The packages that serving a page needs, and pages served until Ctrl-C."""
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from daq.setup.errors import InputError
 
@@ -10,13 +13,40 @@ MISSING = 'the page needs packages that are not installed ({}); run: pip install
 
 
 def require_packages() -> None:
-    """Refuse to go on without them.
+    """Refuse to go on without them; raises `InputError` with what is missing, and how it is installed."""
+    missing = [name for name in ("starlette", "uvicorn", "websockets") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(MISSING.format(", ".join(missing)))
+
+
+def serve_pages(
+    modules: Sequence[str],
+    folder: Path,
+    say: Callable[[str], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> None:
+    """Serve sections until Ctrl-C.
+
+    Parameters
+    ----------
+    modules, folder, options
+        Of the sections (`bench.web.serve.serve`, `bench.web.section.Place`).
+    say
+        Called with the address of the first page, once pages are answered.
+    host, port
+        As of `bench.web.serve.bind`.
 
     Raises
     ------
     InputError
-        With what is missing, and how it is installed.
+        Without the packages, and when the address cannot be bound.
     """
-    missing = [name for name in ("starlette", "uvicorn", "websockets") if importlib.util.find_spec(name) is None]
-    if missing:
-        raise InputError(MISSING.format(", ".join(missing)))
+    require_packages()
+    from bench.web.section import Place
+    from bench.web.serve import bind, serve
+
+    listening, access = bind(host, port)
+    serve(listening, access, modules, Place(folder.resolve(), options or {}), on_ready=lambda: say(access.url))
