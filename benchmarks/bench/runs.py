@@ -90,7 +90,7 @@ def long_recording(folder: Path, minutes: float) -> None:
     print(f"   {pyramid.stat().st_size / 1e6:.1f} MB")
     with timed("open"):
         scope = Scope(pyramid, path)
-        whole = scope.told()["duration_s"]
+        whole = scope.facts()["duration_s"]
         scope.view(0.0, whole, 1200)
     rng = np.random.default_rng(2)
     for span_s in (3600.0, 600.0, 60.0, 15.0, 7.0, 1.0, 0.05, 0.002):

@@ -1,7 +1,7 @@
 // The live page: one websocket in, canvases and words out. No drawing happens unless something changed.
 import { showLease, socketAddress } from "/static/web/controls.js";
 import { savers } from "/static/web/save.js";
-import { Scope } from "./scope.js";
+import { LiveScope } from "./scope.js";
 import { Diagram, ReturnMap, Residuals, Spectrum } from "./pictures.js";
 
 const $ = (id) => document.getElementById(id);
@@ -14,7 +14,7 @@ const el = (tag, words, name) => {
 const minus = (text) => text.replace("-", "\u2212");
 const fixed = (x, n) => (x === null || x === undefined || !isFinite(x) ? "\u2013" : minus(x.toFixed(n)));
 
-const scope = new Scope($("scope"));
+const scope = new LiveScope($("scope"));
 const diagram = new Diagram($("diagram")), map = new ReturnMap($("map"));
 const residuals = new Residuals($("residual")), spectrum = new Spectrum($("spectrum"));
 const pictures = [scope, diagram, map, residuals, spectrum];
@@ -63,7 +63,7 @@ const handlers = {
   run(m) {
     run = m; running = true;
     $("simulated").hidden = !m.simulated;
-    scope.traces(m.traces);
+    scope.set(m.traces);
     log(`recording ${m.out}, back end ${m.backend}`, "", m.at);
     buttons();
   },

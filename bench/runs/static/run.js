@@ -2,7 +2,7 @@
 import { ask, asked, day, gammas, make, shown } from "./common.js";
 import { savers } from "/static/web/save.js";
 import { Diagram } from "./diagram.js";
-import { Scope } from "./scope.js";
+import { RunScope } from "./scope.js";
 
 const id = document.getElementById("run").dataset.id, api = `/runs/api/${id}`;
 const byId = (name) => document.getElementById(name);
@@ -48,7 +48,7 @@ function remarks(told) {
     const line = make("li", `${day(note.at)}  `);
     if (note.at_s !== null) {
       const place = make("button", `${note.at_s.toFixed(2)} s`, { type: "button", class: "quiet", title: "show it in the scope" });
-      place.addEventListener("click", () => { scope?.show(note.at_s - 0.5, note.at_s + 0.5); byId("scope").scrollIntoView({ block: "center" }); });
+      place.addEventListener("click", () => { scope?.look([note.at_s - 0.5, note.at_s + 0.5]); byId("scope").scrollIntoView({ block: "center" }); });
       line.append(place, " ");
     }
     line.append(note.text);
@@ -77,21 +77,20 @@ for (const [name, change] of [["tag", (x) => ({ add: x.split(/\s+/).filter(Boole
 async function openScope() {
   const where = byId("where");
   const told = await asked(`${api}/open`, () => { where.textContent = "reading the recording, once \u2026"; });
-  scope = new Scope(byId("scope"), id, told);
-  scope.annotate(notes);
-  savers(document.querySelector(".scope .tools"), "scope", () => scope.axes.map((one) => one.canvas), () => scope.table());
-  scope.addEventListener("seen", ({ detail }) => {
-    const span = detail.stop_s - detail.start_s, lost = detail.lost.reduce((sum, row) => sum + row[2], 0);
-    const each = detail.samples_per_point === 1 ? "every sample" : `${shown(detail.samples_per_point, 3)} samples a column`;
-    where.textContent = `${detail.start_s.toFixed(span < 1 ? 5 : 2)} s, ${shown(span, 4)} s long, ${each}${lost ? `, ${lost} lost` : ""}`;
-    byId("scope").dataset.seen = `${detail.start_s} ${detail.stop_s} ${detail.samples_per_point}`;
+  scope = new RunScope(byId("scope"), id, told, (seen, why) => {
+    where.textContent = why;
+    if (!seen) return;
+    const span = seen.stop_s - seen.start_s, lost = seen.lost.reduce((sum, row) => sum + row[2], 0);
+    const each = seen.samples_per_point === 1 ? "every sample" : `${shown(seen.samples_per_point, 3)} samples a column`;
+    where.textContent = `${seen.start_s.toFixed(span < 1 ? 5 : 2)} s, ${shown(span, 4)} s long, ${each}${lost ? `, ${lost} lost` : ""}`;
+    byId("scope").dataset.seen = `${seen.start_s} ${seen.stop_s} ${seen.samples_per_point}`;
   });
-  scope.addEventListener("refused", ({ detail }) => { where.textContent = detail; });
-  scope.addEventListener("units", () => { byId("units").textContent = scope.si ? "volts" : "SI units"; });
-  byId("units").addEventListener("click", () => scope.toggle());
+  scope.annotate(notes);
+  savers(document.querySelector(".scope .tools"), "scope", () => [scope.canvas], () => scope.table());
+  byId("units").addEventListener("click", () => { scope.si = !scope.si; byId("units").textContent = scope.si ? "volts" : "SI units"; scope.changed(); });
   byId("in").addEventListener("click", () => scope.zoom(0.5));
   byId("out").addEventListener("click", () => scope.zoom(2));
-  byId("all").addEventListener("click", () => scope.show(0, told.duration_s));
+  byId("all").addEventListener("click", () => scope.whole());
 }
 
 async function openDiagram() {
