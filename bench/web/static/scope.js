@@ -115,7 +115,7 @@ export class Scope {
     axes.ylim = isFinite(least) ? this.range(k, least, most) : [0, 1];
     const zero = this.zero(), short = b - a < 0.5, unit = short ? 1e3 : 1, origin = zero ?? (short ? a : 0);
     const name = short ? "ms" : "s";
-    axes.options.x = !last ? "" : zero !== null ? `time since take-off (${name})` : short ? `time (ms) from ${a.toFixed(3)} s` : "time (s)";
+    axes.options.x = !last ? "" : zero !== null ? `time since take-off (${name})` : short ? `time (ms) from ${a.toFixed(5)} s` : "time (s)";
     axes.xlim = this.at;
     axes.inside(() => this.under(axes));
     axes.xlim = [(a - origin) * unit, (b - origin) * unit];
