@@ -133,7 +133,7 @@ def test_run_is_started_watched_noted_paused_and_stopped(
     with open_recording(recorded) as recording:
         assert recording.attrs["why"].startswith("page: stopped now") and recording.attrs["note"] == "before"
         assert recording.attrs["extra"] == {"knob": 3.0, "ball": "B2"}
-        first, second = recording.steps[step - 1 : step + 1]
+        first, second = recording.steps[step : step + 2]
         assert second["first_sample"] > first["first_sample"] + first["n_samples"]  # the pause
         found = flights_of(recording)
     shown = np.array(page.evaluate("window.deskTable()")[1:])
