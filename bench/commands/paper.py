@@ -32,10 +32,8 @@ def command(
 
     try:
         check_outputs(Folder("--out", out, makes=("paper.md", "paper/*")), inputs=[profile], overwrite=overwrite)
-        text = load(profile)[1]
-        (out / "runs").mkdir(parents=True, exist_ok=True)
         with progress_bar() as say:
-            paper(text, out, seed, say)
+            paper(load(profile)[1], out, seed, say)
     except (InputError, OSError, ValueError) as error:
         fail(str(error), EXIT_USAGE)
     typer.echo(f"{out / 'paper.md'}: the page; its pictures and tables are in {out / 'paper'}")

@@ -48,7 +48,7 @@ FRICTION = {"coulomb_friction": {"mu_up": 0.3, "mu_down": 0.3}}
 RESTITUTION = {"restitution": {"e0": 0.514}}
 RESONANCE = {"table_resonance": {"frequency_hz": 7.5, "damping": 0.04, "mass_ratio": 0.03}}
 LIGHTER = {"restitution": {"e0": 0.1}, "table_resonance": {"frequency_hz": 7.5, "damping": 0.04, "mass_ratio": 0.006}}
-RIG = FRICTION | RESTITUTION | RESONANCE
+RIG = FRICTION | RESTITUTION | RESONANCE  # of Figs. 5 to 9
 MODELS: dict[str, Effects] = {
     "ideal": {}, "friction": FRICTION, "restitution": RESTITUTION, "both": FRICTION | RESTITUTION, "full": RIG,
     "lighter": FRICTION | LIGHTER,
@@ -161,10 +161,7 @@ def write_plan(plan: Path, text: str) -> Path:
 def recorded(plan: Path, seed: int) -> Path:
     """The recording of a run next to its profile: the one that is there, or one of the simulated rig.
 
-    Raises
-    ------
-    InputError
-        Where the run is not there and cannot be made here; says how to record it.
+    Raises `InputError` where it is not there and cannot be made here, and says how to record it.
     """
     path, name = plan.with_suffix(".h5"), plan.stem
     if path.exists():
@@ -242,6 +239,7 @@ def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None
     """
     from jinja2 import Environment, StrictUndefined
 
+    (out / "runs").mkdir(parents=True, exist_ok=True)
     names, shipped = [*RUNS, *(name for name in MODELS if name not in RUNS)], load("paper")[1]
     plans = [write_plan(out / "runs" / f"{name}.toml", text if name in RUNS else shipped) for name in names]
     shown: dict[str, Measured] = {}

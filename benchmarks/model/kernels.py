@@ -1,16 +1,13 @@
-"""The model against its peers, in one run: ``python -m benchmarks.model.kernels [--quick]``.
+"""Job J, and flights with friction: ``python -m benchmarks.model.kernels [--quick]``; other solvers: `impacts`.
 
 Job J: bifurcation diagrams for c = 1, 2, 3, 2000 gammas each, 100 transient and 200 kept flights. The kernel's rate is
-that of the orbits that `model.surveys.diagram` flies; a diagram itself stops each orbit where it closes. A peer flies
-what it can in a few seconds of the same flights, and its J is that rate times 1.8 million. Times are processor seconds
-of this process (on a shared machine wall time tells little). Wrong landings are counted on flights whose landing
-interval bisection or 60 digits have proven (``tests/model``): tiny ones and grazes.
+that of the orbits that `model.surveys.diagram` flies; a diagram itself stops each orbit where it closes. Times are
+processor seconds of this process (on a shared machine wall time tells little).
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
 import time
 from collections.abc import Callable
@@ -18,11 +15,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.model import peers
-from benchmarks.model.adversarial import flights_of
-from benchmarks.model.every_flight import every_flight
 from model.flight import friction
-from model.flight.first_landing import first_landing, take_off_phases, turning_points
+from model.flight.first_landing import turning_points
 from model.flight.records import FrictionRestitution
 from model.orbits.attractor import AT_REST, FEW_FLIGHTS, Ball
 from model.orbits.exact_ball import FrictionBall, IdealBall
@@ -32,7 +26,6 @@ from model.tones import Forcing
 GRIDS = {1: np.linspace(0.55, 6, 2000), 2: np.linspace(0.25, 6, 2000), 3: np.linspace(0.12, 6, 2000)}
 TRANSIENT, KEPT = 100, 200
 J_FLIGHTS = 3 * 2000 * (TRANSIENT + KEPT)
-Known = tuple[int, float, float, float]  # c, gamma, take-off phase, proven flight time
 WRONG = 1e-3  # of the flight time: another landing, not a rounded one
 
 
@@ -69,68 +62,6 @@ def own(n: int) -> tuple[float, float, int]:
         diagram_s += best_of(n, lambda b=ball, g=gammas: diagram(b, g))
         flown += flown_until_closed(ball, gammas, FEW_FLIGHTS)
     return every_s, diagram_s, flown
-
-
-def flights_of_j(n: int, rng: np.random.Generator) -> list[Known]:
-    """``n`` flights out of J: c, gamma, take-off phase, flight time."""
-    chosen = []
-    for _ in range(n):
-        c = int(rng.integers(1, 4))
-        gamma = float(rng.choice(GRIDS[c]))
-        orbit = every_flight(IdealBall(Forcing.superposition(c)), gamma, 20, 5)
-        k = int(rng.integers(5))
-        chosen.append((c, gamma, float(orbit.phase[k]), float(orbit.tau[k])))
-    return chosen
-
-
-def traps(kind: str, n: int) -> list[Known]:
-    """Tiny or grazing flights of the paper's superposition, c = 1, 2, 3, with proven landings."""
-    found = []
-    for forcing, gamma, phi0, _, _ in flights_of(kind, np.random.default_rng(7), per_forcing=2):
-        c = int(forcing.harmonic[-1])
-        if c > 3 or forcing.phase_rad != (0.0,) * len(forcing.phase_rad):
-            continue
-        landing = first_landing(forcing, gamma, phi0)
-        if kind == "tiny" or (landing.flag == 0 and landing.impact_speed > 1e-5):
-            found.append((c, gamma, phi0, landing.tau))
-        if len(found) == n:
-            return found
-    return found
-
-
-def rate_of(flight: peers.Flight, flights: list[Known], seconds: float) -> tuple[float, float]:
-    """Flights a second of a peer within a budget of ``seconds``, and its largest error on right landings."""
-    for c, gamma, phi0, _ in flights[:3]:
-        flight(c, gamma, phi0)  # compile
-    errors = []
-    start = time.process_time()
-    for c, gamma, phi0, tau in itertools.cycle(flights):
-        errors.append(abs(flight(c, gamma, phi0) - tau) / tau)
-        spent = time.process_time() - start
-        if spent > seconds:
-            break
-    right = [e for e in errors if e < WRONG]
-    return len(errors) / spent, max(right, default=math.nan)
-
-
-def wrong_of(flight: peers.Flight, flights: list[Known]) -> int:
-    """How many landings are not the first."""
-    return sum(not abs(flight(c, gamma, phi0) - tau) < WRONG * tau for c, gamma, phi0, tau in flights)
-
-
-def march_rate(seconds: float) -> float:
-    """Flights a second of the numpy script over whole rows."""
-    n = flown = 0
-    start = time.process_time()
-    while time.process_time() - start < seconds:
-        c = n % 3 + 1
-        gammas = GRIDS[c][::10]
-        forcing = Forcing.superposition(c)
-        phi0 = np.array([take_off_phases(forcing, g).start[0] for g in gammas])
-        peers.march_bisect(c, gammas, phi0)
-        flown += gammas.size
-        n += 1
-    return flown / (time.process_time() - start)
 
 
 def friction_solve_ivp(c: int, gamma: float, law: FrictionRestitution, phi0: float) -> tuple[float, float]:
@@ -189,38 +120,13 @@ def friction_part(n: int, seconds: float) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a tenth of the time for each peer")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the time for the solver with friction")
     quick = parser.parse_args().quick
-    seconds, n, runs = (0.3, 12, 2) if quick else (3.0, 60, 5)
+    seconds, runs = (0.3, 2) if quick else (3.0, 5)
     every_s, short_s, flown = own(runs)
-    print(f"J = {J_FLIGHTS / 1e6:.1f} M flights, processor seconds; wrong landings of {n} tiny, {n} grazing flights")
-    print(f"{'who':28s} {'flights/s':>12s} {'J':>12s} {'tiny':>5s} {'graze':>6s} {'error':>9s} {'slower':>9s}")
-    rate = J_FLIGHTS / every_s
-    print(f"{'this, at the rate of its kernel':28s} {rate:12,.0f} {every_s:10.3f} s {0:5d} {0:6d} {'':9s} {1:9.1f}")
-    print(f"{'this, the diagram of J':28s} {'':12s} {short_s:10.3f} s   (flies {flown:,} of them)")
-    found, missing = peers.installed()
-    flights, tiny, grazes = flights_of_j(200, np.random.default_rng(1)), traps("tiny", n), traps("graze", n)
-    for name, flight in found.items():
-        peer, error = rate_of(flight, flights, seconds)
-        wrong = wrong_of(flight, tiny), wrong_of(flight, grazes)
-        print(
-            f"{name:28s} {peer:12,.0f} {J_FLIGHTS / peer:10.1f} s {wrong[0]:5d} {wrong[1]:6d} {error:9.0e} "
-            f"{rate / peer:9,.0f}"
-        )
-        if name.startswith("heyoka"):
-            same = flown / peer
-            print(f"{'  with the same shortcut':28s} {'':12s} {same:10.2f} s {'':22s} {same / short_s:9,.0f}")
-    peer = march_rate(seconds)
-    wrong = tuple(
-        wrong_of(lambda c, g, p: float(peers.march_bisect(c, np.array([g]), np.array([p]))[0]), set_)
-        for set_ in (tiny, grazes)
-    )
-    print(
-        f"{'numpy march + bisect':28s} {peer:12,.0f} {J_FLIGHTS / peer:10.1f} s {wrong[0]:5d} {wrong[1]:6d} {'':9s} "
-        f"{rate / peer:9,.0f}"
-    )
-    for line in missing:
-        print(line)
+    print(f"J = {J_FLIGHTS / 1e6:.1f} M flights, processor seconds")
+    print(f"every flight flown: {J_FLIGHTS / every_s:,.0f} flights/s, J {every_s:.3f} s")
+    print(f"the diagram of J: {short_s:.3f} s (flies {flown:,} of them)")
     friction_part(max(1, runs // 2), seconds)
 
 

@@ -8,35 +8,38 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from collections import Counter
 
 import mpmath as mp
 import numpy as np
 
 from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flights_of
 from benchmarks.model.reference import Exact, lifted_until, stays_above
-from model.flight.first_landing import FlightFlag, first_landing, relative_height
+from model.flight.first_landing import FlightFlag, Landing, first_landing, relative_height
+from model.tones import Forcing
+
+
+def is_first(forcing: Forcing, gamma: float, phi0: float, v0: float, at: bool, landing: Landing) -> int | None:
+    """Whether a landing is proven the first: 1, or 0 where it is proven wrong, -1 too near to say; None: too short."""
+    tau = landing.tau
+    margin = 1e-7 + 2 * allowed(gamma, forcing, tau, landing.impact_speed)
+    lifted = lifted_until(forcing, gamma, phi0, v0, at)
+    if tau < 1e-3 or lifted == 0.0:
+        return None
+    noise = 2 * HEIGHT_ROUNDING * (gamma * forcing.tones[:, 1].sum() * (1 + 7 * tau) + tau**2)
+    free = stays_above(forcing.tones, gamma, phi0, v0, min(lifted, tau - margin), tau - margin, noise)
+    late = bool(relative_height(forcing, gamma, phi0, tau + margin, v0) > noise)
+    return 0 if free == 0 or lifted > tau + margin or late else int(free)
 
 
 def proven(kind: str, n: int, seed: int) -> tuple[int, int, int, int]:
     """``(checked, wrong, undecided, too near to prove)`` of ``n`` flights by interval bisection."""
-    checked = wrong = undecided = near = 0
+    said: Counter[int | str | None] = Counter()
     for forcing, gamma, phi0, v0, at in itertools.islice(flights_of(kind, np.random.default_rng(seed)), n):
         landing = first_landing(forcing, gamma, phi0, v0)
-        tau = landing.tau
-        if landing.flag & FlightFlag.UNDECIDED:
-            undecided += 1
-            continue
-        margin = 1e-7 + 2 * allowed(gamma, forcing, tau, landing.impact_speed)
-        lifted = lifted_until(forcing, gamma, phi0, v0, at)
-        if tau < 1e-3 or lifted == 0.0:
-            continue
-        checked += 1
-        noise = 2 * HEIGHT_ROUNDING * (gamma * forcing.tones[:, 1].sum() * (1 + 7 * tau) + tau**2)
-        free = stays_above(forcing.tones, gamma, phi0, v0, min(lifted, tau - margin), tau - margin, noise)
-        near += free < 0
-        wrong += free == 0 or lifted > tau + margin
-        wrong += bool(relative_height(forcing, gamma, phi0, tau + margin, v0) > noise)
-    return checked, wrong, undecided, near
+        undecided = landing.flag & FlightFlag.UNDECIDED
+        said["undecided" if undecided else is_first(forcing, gamma, phi0, v0, at, landing)] += 1
+    return said[1] + said[0] + said[-1], said[0], said["undecided"], said[-1]
 
 
 def digits(kind: str, n: int, seed: int) -> tuple[int, int, float]:

@@ -1,4 +1,4 @@
-"""The peers of `benchmarks/model/kernels.py`: one ideal flight each, as its practised user would write it.
+"""The other solvers of `benchmarks/model/impacts.py`: one ideal flight each, as its practised user would write it.
 
 A peer gets the take-off phase and returns the flight time; everything else is its own affair. A
 peer that is not installed is absent, with a line that says so.
@@ -153,6 +153,46 @@ def numbalsoda_flight() -> Flight:
     return flight
 
 
+def sundials_flight() -> Flight:
+    """SUNDIALS' CVODE (Adams, 1e-10) with a terminal event, through scikit-sundae."""
+    from sksundae.cvode import CVODE
+
+    def motion(t: float, y: np.ndarray, yp: np.ndarray, job: tuple[int, float]) -> None:
+        yp[0], yp[1] = y[1], job[1] * (math.sin(t) + job[0] ** 2 * math.sin(job[0] * t)) - 1.0
+
+    def landed(t: float, y: np.ndarray, events: np.ndarray, job: tuple[int, float]) -> None:
+        events[0] = y[0]
+
+    landed.terminal, landed.direction = [True], [-1]  # type: ignore[attr-defined]
+
+    def flight(c: int, gamma: float, phi0: float) -> float:
+        solver = CVODE(motion, method="Adams", rtol=1e-10, atol=1e-12, userdata=(c, gamma), eventsfn=landed,
+                       num_events=1, max_num_steps=100_000)  # fmt: skip
+        done = solver.solve(np.array([phi0, phi0 + LONGEST]), np.zeros(2))
+        return float(done.t_events[-1] - phi0) if done.t_events is not None and len(done.t_events) else math.nan
+
+    return flight
+
+
+def torchdiffeq_flight() -> Flight:
+    """torchdiffeq's dopri8 with an event function, which knows no direction: the flight starts a little above."""
+    import torch
+    from torchdiffeq import odeint_event
+
+    torch.set_num_threads(1)
+
+    def flight(c: int, gamma: float, phi0: float) -> float:
+        def motion(t: Any, y: Any) -> Any:
+            return torch.stack((y[1], gamma * (torch.sin(t) + c * c * torch.sin(c * t)) - 1.0))
+
+        start = torch.tensor(phi0, dtype=torch.float64)
+        above = torch.tensor([1e-12, 0.0], dtype=torch.float64)
+        at, _ = odeint_event(motion, above, start, event_fn=lambda t, y: y[0], method="dopri8", rtol=1e-10, atol=1e-12)
+        return float(at) - phi0
+
+    return flight
+
+
 def installed() -> tuple[dict[str, Flight], list[str]]:
     """The peers at hand by name, and a line for each that is not installed."""
     found: dict[str, Flight] = {}
@@ -161,12 +201,17 @@ def installed() -> tuple[dict[str, Flight], list[str]]:
         ("heyoka (Taylor, events)", "heyoka", heyoka_flight),
         ("numbalsoda DOP853", "numbalsoda", numbalsoda_flight),
         ("diffrax Dopri8, events", "diffrax", diffrax_flight),
+        ("SUNDIALS CVODE, events", "sksundae", sundials_flight),
+        ("torchdiffeq dopri8, events", "torchdiffeq", torchdiffeq_flight),
     ):
         if importlib.util.find_spec(module) is None:
-            missing.append(f"{name}: not installed (pip install {module}), left out")
+            missing.append(f"{name}: {module} is not installed, left out")
         else:
             found[name] = make()
     found["grid + brentq"] = grid_brentq
     found["solve_ivp RK45, 1e-8"] = solve_ivp_flight(1e-8)
     found["solve_ivp RK45, default"] = solve_ivp_flight(1e-3)
+    found["march of 0.02 + bisection"] = lambda c, gamma, phi0: float(
+        march_bisect(c, np.array([gamma]), np.array([phi0]))[0]
+    )
     return found, missing

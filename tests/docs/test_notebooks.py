@@ -36,3 +36,11 @@ def test_closing_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     said = executed("closing-the-loop", monkeypatch)
     assert "('explained', [['coulomb_friction']])" in said
     assert "coulomb_friction.mu_up = 0.1" in said and "improved profile" in said
+
+
+@pytest.mark.slow
+def test_the_seed_paper(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Locks move from 3.297 to 4.056, flights to 83 %, and the two humps are the branches 1 and 2."""
+    said = executed("the-seed-paper", monkeypatch)
+    assert "'lock': 3.297" in said and "'lock': 4.056" in said
+    assert "flights over the ideal ball's: 0.8" in said and "branch 2: 6" in said

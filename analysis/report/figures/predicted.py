@@ -61,7 +61,9 @@ def draw_branches(found: LandingMap, flights: Flights, figure: Figure) -> dict[s
     frequency_hz = np.array([np.nan if p is None else p.frequency_hz for p in flights.plate.steps])
     periods = flights.duration_s * frequency_hz[np.maximum(flights.step, 0)]
     good = flights.good() & (flights.step >= 0) & (periods > SHORTEST)
-    branch = np.where(good, branch_of(flights.takeoff_phase, TURN * periods), -1)
+    good &= np.isfinite(flights.takeoff_phase)
+    branch = np.full(len(flights), -1)
+    branch[good] = branch_of(flights.takeoff_phase[good], TURN * periods[good])
     share = np.where(found.tau > TURN * SHORTEST, found.share, 0.0)
     share /= share.sum()
     figure.set_size_inches(9.6, 7.2)
