@@ -88,8 +88,8 @@ class Numbers:
     shorter, at_two
         Medians: part by which flights, every one that shows, are shorter than the ideal ball's, from 1.3 to 4; flight
         time over the ideal ball's, rebounds left out, from 2 to 2.3.
-    in_band
-        Part of the flights from 5 to 8 that last .056 to .064 s.
+    in_band, repeats
+        Part of the flights from 5 to 8 that last .056 to .064 s; part of the steps above 2.3 with a cycle.
     """
 
     step: float
@@ -101,6 +101,7 @@ class Numbers:
     shorter: float
     at_two: float
     in_band: float
+    repeats: float
 
 
 def numbers(shown: Measured, effects: Effects) -> Numbers:
@@ -128,6 +129,7 @@ def numbers(shown: Measured, effects: Effects) -> Numbers:
         shorter=1.0 - _median(every[(peak > 1.3) & (peak < 4.0)]),
         at_two=_median(main[(peak > 1.95) & (peak < 2.35)]),
         in_band=_mean((high > 0.056) & (high < 0.064)),
+        repeats=_mean([s.measured.kind == "cycle" for s in held.steps if factor * s.gamma > 2.3]),
     )
 
 
@@ -226,11 +228,9 @@ def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None
     ----------
     text : str
         Profile of the rig whose runs are shown; ``runs`` already holds those of a rig that is not simulated.
-    out : Path
+    out, progress : Path, callable
     seed : int
         Of the simulated rigs' noise, and of their instruments.
-    progress : callable
-        Called with what is done now and the part done.
 
     Raises
     ------
