@@ -8,7 +8,8 @@ hard. Each is given as c, gamma and take-off phase, one at a time, and its first
 How wrong is proven: that a flight is free until its landing, by interval bisection with a bound on the relative
 acceleration, and below the plate just after it (`benchmarks.model.landings`). A landing that is more than 1e-3 of the
 flight time away from a proven one is wrong. Flights shorter than 1e-3, for which the bisection is no proof, are decided
-to 60 digits. Wrong events a million are given with a 95 % interval (Clopper and Pearson 1934).
+to 60 digits. Tiny flights are asked for as well. Wrong events a million are given with a 95 % interval (Clopper and
+Pearson 1934).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.model import peers
+from benchmarks.model.adversarial import flights_of
 from benchmarks.model.every_flight import every_flight
 from benchmarks.model.kernels import GRIDS, J_FLIGHTS, KEPT, TRANSIENT, WRONG, own
 from benchmarks.model.landings import is_first
@@ -32,6 +34,7 @@ from model.orbits.exact_ball import IdealBall
 from model.tones import Forcing
 
 Known = tuple[int, float, float, float]  # c, gamma, take-off phase, proven flight time
+TINY = 60  # hard flights asked of each solver
 PER_ORBIT = 20  # flights taken of each orbit: most orbits are short cycles
 
 
@@ -64,6 +67,17 @@ def proven(n: int, rng: np.random.Generator) -> tuple[list[Known], int, int, int
             return [known[i] for i in rng.permutation(len(known))], wrong, near, digits
 
 
+def tiny(n: int) -> list[Known]:
+    """``n`` flights of 1e-9 to 0.1 in phase, chosen to be hard; ours are proven to 60 digits by `landings`."""
+    known: list[Known] = []
+    for forcing, gamma, phi0, _, _ in flights_of("tiny", np.random.default_rng(7), per_forcing=2):
+        if forcing.harmonic[-1] <= 3 and not any(forcing.phase_rad):
+            known.append((int(forcing.harmonic[-1]), gamma, phi0, first_landing(forcing, gamma, phi0).tau))
+        if len(known) == n:
+            break
+    return known
+
+
 def judged(flight: peers.Flight, known: list[Known], seconds: float) -> tuple[float, int, int]:
     """Events a second, events and wrong events of a solver within ``seconds`` of processor time."""
     for c, gamma, phi0, _ in known[:6]:
@@ -81,11 +95,11 @@ def judged(flight: peers.Flight, known: list[Known], seconds: float) -> tuple[fl
     return done / spent, done, wrong
 
 
-def row(name: str, rate: float, done: int, wrong: int) -> str:
+def row(name: str, rate: float, done: int, wrong: int, hard: int) -> str:
     """One row of the table."""
     low = 1e6 * float(beta.ppf(0.025, wrong, done - wrong + 1)) if wrong else 0.0
     high = 1e6 * float(beta.ppf(0.975, wrong + 1, done - wrong)) if wrong < done else 1e6
-    return f"| {name} | {rate:,.0f} | {1e6 * wrong / done:,.0f} | {low:,.0f} to {high:,.0f} | {done:,} |"
+    return f"| {name} | {rate:,.0f} | {1e6 * wrong / done:,.0f} | {low:,.0f} to {high:,.0f} | {done:,} | {hard} |"
 
 
 def main() -> None:
@@ -103,17 +117,18 @@ def main() -> None:
     )
     if arguments.write:
         np.savetxt(arguments.write, np.array(known), "%.17g", ",", header="c,gamma,takeoff_phase,tau", comments="")
-    print("| solver | events/s | wrong a million | 95 % | events |")
-    print("|---|---|---|---|---|")
-    print(row("this, orbits in its kernel", J_FLIGHTS / own(3)[0], arguments.flights, wrong))
+    print(f"| solver | events/s | wrong a million | 95 % | events | wrong of {TINY} tiny |")
+    print("|---|---|---|---|---|---|")
+    print(row("this, orbits in its kernel", J_FLIGHTS / own(3)[0], arguments.flights, wrong, 0))
 
     def alone(c: int, gamma: float, phi0: float) -> float:
         return first_landing(Forcing.superposition(c), gamma, phi0).tau
 
-    print(row("this, one landing a call from Python", *judged(alone, known, arguments.seconds)), flush=True)
     found, missing = peers.installed()
-    for name, flight in found.items():
-        print(row(name, *judged(flight, known, arguments.seconds)), flush=True)
+    hard = tiny(TINY)
+    for name, flight in {"this, one landing a call from Python": alone, **found}.items():
+        wrong_tiny = judged(flight, hard, math.inf)[2]
+        print(row(name, *judged(flight, known, arguments.seconds), wrong_tiny), flush=True)
     print("\n".join(["", *missing]))
 
 
