@@ -268,17 +268,8 @@ def inverse_of(gram: Floats, n: int, frequencies_hz: Floats) -> Floats:
 
 
 def solved(frequencies_hz: Floats, inverse: Floats, side: Floats, square: float, n: int) -> ToneFit:
-    """The fit of ``k`` tones to ``n`` values.
-
-    Parameters
-    ----------
-    frequencies_hz : array, shape (k,)
-    inverse : array, shape (2k + 1, 2k + 1)
-        Of the normal matrix.
-    side : array, shape (2k + 1,)
-    square : float
-        Sum of the values' squares.
-    n : int
+    """The fit of ``k`` tones to ``n`` values, by the inverse of the normal matrix (2k + 1, 2k + 1), the right side
+    (2k + 1,), and the sum of the values' squares.
     """
     solution = inverse @ side
     variance = max(square - float(solution @ side), 0.0) / (n - side.size)

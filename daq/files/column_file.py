@@ -12,8 +12,7 @@ import time
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import h5py
 import hdf5plugin
@@ -33,10 +32,8 @@ from kernels.arrays import Integers
 FORMAT = "shakerbench recording"
 FORMAT_VERSION = 1
 CHUNK_SAMPLES = 65536
-RENAME_S = 20.0  # longest wait for readers of the file that is replaced
 PIECE_CHUNKS = 4  # written at a time, so that what each call of HDF5 costs counts little
 SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
-STEP_UNITS = {"frequency_hz": "Hz"}
 SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node", "notes": "note"}
 TABLES = {"steps": STEP_DTYPE, "blocks": BLOCK_DTYPE, **SIDE_TABLES}
 Compression = Literal["lz4", "gzip"]
@@ -44,8 +41,6 @@ Compression = Literal["lz4", "gzip"]
 
 class ColumnWriter:
     """Write a column file piece by piece; memory does not depend on its length.
-
-    A ``with`` block ends with `rename`, or with `abandon` where it raised.
 
     Parameters
     ----------
@@ -246,7 +241,7 @@ class ColumnWriter:
 
     def rename(self) -> None:
         """Put the checked file into its final place, in one step."""
-        ends = time.monotonic() + RENAME_S
+        ends = time.monotonic() + 20.0
         while True:
             try:
                 self.part.replace(self.path)
@@ -257,6 +252,7 @@ class ColumnWriter:
                 time.sleep(0.05)
 
     def _finish_attributes(self) -> None:
+        """Root attributes and their checksum; the times as the axis of every channel."""
         time = self._sets["timestamp"]
         started = str(self._attributes.get("started", ""))
         time.attrs["units"] = f"nanoseconds since {started.removesuffix('Z')}" if started else "1e-9 s"
@@ -269,14 +265,6 @@ class ColumnWriter:
         self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION, "sealed": True}
         self._attributes["attributes_crc32"] = text_crc(self._attributes)
         self._file.attrs.update(self._attributes)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.rename() if kind is None else self.abandon()
 
     def abandon(self) -> None:
         """Close and remove the unfinished file."""
@@ -299,8 +287,8 @@ def _write_table(file: Any, name: str, dimension: str, rows: NDArray[np.void], f
         options = {"chunks": (max(len(rows), 1),), "fletcher32": True, "maxshape": (None,)}
         dataset = group.create_dataset(field, data=data, **options)
         dataset.dims[0].attach_scale(scale)
-        if field in STEP_UNITS:
-            dataset.attrs["units"] = STEP_UNITS[field]
+        if field == "frequency_hz":
+            dataset.attrs["units"] = "Hz"
 
 
 def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArray[np.void]:

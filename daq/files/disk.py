@@ -38,16 +38,7 @@ def refusal(error: OSError, path: Path) -> OSError:
 
 
 class PatchedFile(io.RawIOBase):
-    """A file read as if some of its bytes were others.
-
-    Parameters
-    ----------
-    path
-    patches
-        Offset and bytes of what stands in place of the file's own.
-    mode
-        Of ``open``.
-    """
+    """A file read as if some of its bytes were others: ``patches``, each an offset and the bytes there."""
 
     def __init__(self, path: Path, patches: Iterable[tuple[int, bytes]] = (), mode: str = "rb") -> None:
         super().__init__()

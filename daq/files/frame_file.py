@@ -28,7 +28,6 @@ FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "
 FRAME_END = "frame_end"
 ROW_CRC = "row_crc32"
 _SUPERBLOCK_BYTES = 48  # of versions 2 and 3
-_UNDEFINED_ADDRESS = 2**64 - 1
 
 
 @functools.cache
@@ -67,7 +66,7 @@ def stated_bytes(path: Path) -> int:
     """End of HDF5's part of the file, as the file states it; 0 where it does not."""
     head = _superblock(path)
     end = int.from_bytes(head[28:36], "little")
-    return end if len(head) == _SUPERBLOCK_BYTES and head[8] >= 2 and end < _UNDEFINED_ADDRESS else 0
+    return end if len(head) == _SUPERBLOCK_BYTES and head[8] >= 2 and end < 2**64 - 1 else 0
 
 
 def _superblock(path: Path) -> bytes:

@@ -35,7 +35,6 @@ from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32,
 from daq.setup.errors import InputError
 
 _END_BYTES = 4096
-_CHUNK_BYTES = 65536
 
 
 class FrameWriter:
@@ -70,7 +69,7 @@ class FrameWriter:
         self._n_channels = len(channels)
         self._n_blocks = self._n_steps = 0
         self._last_step_first = -1
-        rows = max(1, _CHUNK_BYTES // (2 * self._n_channels))
+        rows = max(1, 65536 // (2 * self._n_channels))
         self._frames = self._file.create_dataset(
             FRAMES, (0, self._n_channels), "<i2", maxshape=(None, self._n_channels), chunks=(rows, self._n_channels)
         )
@@ -179,9 +178,13 @@ class FrameWriter:
 
     def end(self, ending: Mapping[str, Any]) -> None:
         """Write how the run ended (JSON in bytes that have their place from the start: no kill can tear the file)."""
-        text = _ending_text(ending)
+
+        def text_of(ending: Mapping[str, Any]) -> bytes:
+            return json.dumps({**ending, ROW_CRC: text_crc(ending)}).encode()
+
+        text = text_of(ending)
         if len(text) > _END_BYTES:
-            text = _ending_text({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]})
+            text = text_of({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]})
         self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
         self._end.id.flush()
 
@@ -226,10 +229,6 @@ class FrameWriter:
         if self.is_broken and not vanished:
             raise OSError(f"{self.path}: the disk had refused")
         return where
-
-
-def _ending_text(ending: Mapping[str, Any]) -> bytes:
-    return json.dumps({**ending, ROW_CRC: text_crc(ending)}).encode()
 
 
 def _extend(dataset: Any, start: int, rows: NDArray[Any], memory_type: Any) -> None:

@@ -13,13 +13,8 @@ from typing import Any
 def json_values(value: Any) -> Any:
     """A value as plain dictionaries, lists, texts and numbers; what is not a finite number is None.
 
-    Dataclasses become dictionaries by their fields, whose names carry the units; arrays
-    become lists, paths and dates texts.
-
-    Raises
-    ------
-    TypeError
-        For anything else.
+    Dataclasses become dictionaries by their fields, whose names carry the units; arrays become lists, paths and dates
+    texts. Anything else raises `TypeError`.
 
     Examples
     --------

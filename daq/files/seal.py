@@ -6,6 +6,7 @@ crash; so they are compared before it sees them, and put right from a second cop
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import io
 import json
@@ -103,12 +104,10 @@ def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:
 
 def _read(raw: Any, offset: int, n_bytes: int) -> bytes:
     """Bytes of the file; none where the disk refuses."""
-    try:
+    with contextlib.suppress(OSError):
         raw.seek(offset)
-        data: bytes = raw.read(n_bytes)
-    except OSError:
-        return b""
-    return data
+        return bytes(raw.read(n_bytes))
+    return b""
 
 
 def read_seal(path: Path) -> Seal | bool:

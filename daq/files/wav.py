@@ -16,13 +16,9 @@ from numpy.typing import NDArray
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
-# Kinds of samples, by their number in the header:
-_PCM = 1
-_FLOAT = 3
-_EXTENSIBLE = 0xFFFE  # the kind stands in a longer header
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # kinds of samples; the last: the kind stands in a longer header
 _TYPES = {(_PCM, 1): "u1", (_PCM, 2): "i2", (_PCM, 3): "i4", (_PCM, 4): "i4", (_PCM, 8): "i8",
           (_FLOAT, 4): "f4", (_FLOAT, 8): "f8"}  # fmt: skip
-_PIECE = 1 << 20  # samples held at once for an envelope
 _RIFFS = (b"RIFF", b"RIFX", b"RF64")
 
 
@@ -66,7 +62,7 @@ class Wav:
         last = min(int(stop_s * self.rate_hz), self.n_samples)
         step = max(-(-(last - first) // max(columns, 1)), 1)
         at, low, high = [np.empty(0)], [np.empty(0)], [np.empty(0)]
-        piece = max(_PIECE // step, 1) * step
+        piece = max((1 << 20) // step, 1) * step
         for begin in range(first, last, piece):
             samples = self.read(begin, min(begin + piece, last))
             if not len(samples):

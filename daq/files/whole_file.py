@@ -67,21 +67,8 @@ Row = dict[str, Any]
 class Journal:
     """Rows by key in a file that only grows; of rows with one key the last counts.
 
-    Parameters
-    ----------
-    path
-        Its file; made by the first row.
-
-    Attributes
-    ----------
-    path
-    rows : dict
-        The rows so far, by key.
-
-    Raises
-    ------
-    InputError
-        Where the file holds something else.
+    ``path`` is its file, made by the first row; ``rows`` are those so far, by key. Raises `InputError` where the file
+    holds something else.
     """
 
     def __init__(self, path: Path) -> None:

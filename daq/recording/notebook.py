@@ -23,7 +23,7 @@ from daq.setup.errors import InputError
 ENDING = ".remarks.json"
 FORMAT, VERSION = "shakerbench remarks", 1
 STALE_S = 5.0  # longest time to change a side file
-LONGEST_TAG, LONGEST_NOTE, MOST_BYTES = 64, 10_000, 4 << 20
+LONGEST_TAG, LONGEST_NOTE = 64, 10_000
 
 
 @dataclass(frozen=True)
@@ -97,18 +97,12 @@ def side_file(recording: Path) -> Path:
 
 
 def read_remarks(path: Path) -> Remarks:
-    """Tags and notes from the side file ``path``; none where it is not there.
-
-    Raises
-    ------
-    InputError
-        Where it is there and holds something else.
-    """
+    """Tags and notes from the side file ``path``, none where there is none (raises InputError for anything else)."""
     try:
         if not path.exists():
             return Remarks()
-        if path.stat().st_size > MOST_BYTES:
-            raise ValueError(f"more than {MOST_BYTES} bytes")
+        if path.stat().st_size > 4 << 20:
+            raise ValueError(f"more than {4 << 20} bytes")
         stored = json.loads(path.read_text(encoding="utf-8"))
         if stored["format"] != FORMAT or stored["version"] > VERSION:
             raise ValueError(f"format {stored['format']!r}, version {stored['version']!r}")
@@ -122,13 +116,7 @@ def read_remarks(path: Path) -> Remarks:
 
 
 def write_remarks(path: Path, remarks: Remarks) -> None:
-    """Write the side file, whole or not at all; one without tags and notes is removed.
-
-    Raises
-    ------
-    InputError
-        Where the folder cannot be written.
-    """
+    """Write the side file, whole or not at all; one without tags and notes is removed (raises InputError)."""
     stored = {"format": FORMAT, "version": VERSION, **asdict(remarks)}
     try:
         if remarks.tags or remarks.notes:

@@ -25,8 +25,6 @@ from daq.recording.reader import Recording
 from daq.setup.errors import InputError, require_file
 
 UNCHECKED = "recorded by an earlier version, without checksums over its tables: they are read unchecked"
-CHUNK_CACHE_BYTES = 1 << 20  # of each open column: it holds the chunk that the next read begins in
-LEAST_RECENT_FIRST = 0.0  # else HDF5 drops the latest chunks, and holds those that were read in part however long ago
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -135,7 +133,9 @@ def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
             return h5py.File(as_if_ended(path), "r") if ended else h5py.File(path, "r", swmr=True)
         if ended and is_cut_short(path) and (frames := _frames_cut_short(path)) is not None:
             return frames
-        return h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES, rdcc_w0=LEAST_RECENT_FIRST)
+        # each open column holds the chunk that the next read begins in; by default HDF5 would drop the latest chunks,
+        # and hold those that were read in part however long ago
+        return h5py.File(path, "r", rdcc_nbytes=1 << 20, rdcc_w0=0.0)
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as HDF5 ({in_words(error)}).") from error
 

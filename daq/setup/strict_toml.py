@@ -7,7 +7,6 @@ the right one.
 from __future__ import annotations
 
 import codecs
-import datetime
 import difflib
 import json
 import tomllib
@@ -65,21 +64,14 @@ def parse_toml(text: str, model: type[Model], name: str) -> Model:
     except ValueError as error:  # the one other that reading a number raises
         raise InputError(f"{name}: holds a whole number of thousands of digits; write a shorter one") from error
     try:
-        # Through JSON, because strict checking there still takes arrays for tuples and ISO dates for dates.
-        return model.model_validate_json(json.dumps(data, default=_iso), strict=True)
+        # through JSON, because strict checking there still takes arrays for tuples and ISO dates for dates
+        return model.model_validate_json(json.dumps(data, default=lambda when: when.isoformat()), strict=True)
     except RecursionError as error:
         raise InputError(f"{name}: {_TOO_DEEP}") from error
     except ValidationError as error:
         lines = _fault_lines(error, data, model)
         count = "1 fault" if len(lines) == 1 else f"{len(lines)} faults"
         raise InputError(f"{name}: {count}\n" + "\n".join(f"  {line}" for line in lines)) from error
-
-
-def _iso(value: Any) -> str:
-    """TOML's dates and times as JSON knows them."""
-    if isinstance(value, (datetime.date, datetime.time)):
-        return value.isoformat()
-    raise TypeError(f"TOML cannot hold a {type(value).__name__}")
 
 
 def _fault_lines(error: ValidationError, data: dict[str, Any], model: type[BaseModel]) -> list[str]:
