@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import (
-    JSON,
-    PROFILE,
-    REPORT,
-    ROWS,
-    Anyway,
-    File,
-    Folder,
-    Json,
-    Overwrite,
-    Scenario,
-    check_outputs,
-)
+from bench import outputs
+from bench.outputs import File, Folder, check_outputs
 from bench.terminal.console import EXIT_FAILED, fail, speaker, warn, write_json
 from daq.setup.errors import InputError
 
@@ -36,12 +25,12 @@ if TYPE_CHECKING:
 def command(
     recordings: list[Path] = typer.Argument(help="Recordings of one rig; their steps are judged together."),
     profile: Path | None = typer.Option(None, "--profile", help="A profile that replaces the recordings' own."),
-    json: Json = None,
+    json: outputs.Json = None,
     report: Path | None = typer.Option(None, "--report", metavar="FOLDER", help="Write the report with its pictures."),
     improved: Path | None = typer.Option(None, "--improved", metavar="PROFILE", help="Write the improved profile."),
     next_run: Path | None = typer.Option(None, "--next-run", metavar="PROFILE", help="Write the best next profile."),
     until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
-    scenario: Scenario = None,
+    scenario: outputs.Scenario = None,
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
     keep_term: str | None = typer.Option(
         None, "--keep-term", metavar="NAME", help="Keep a discovered term as an effect of that name, and try it."
@@ -52,8 +41,8 @@ def command(
     summaries: Path | None = typer.Option(
         None, "--summaries", metavar="FILE", help="With --runs-differ: keep each run's summary there, to go on."
     ),
-    anyway: Anyway = False,
-    overwrite: Overwrite = False,
+    anyway: outputs.Anyway = False,
+    overwrite: outputs.Overwrite = False,
 ) -> None:
     """Find where measurement and model part, name the missing effect, and report the error before and after.
 
@@ -77,8 +66,9 @@ def command(
     from bench.terminal.progress import progress_bar
 
     check_outputs(
-        File("--json", json, JSON), Folder("--report", report, REPORT), File("--improved", improved, PROFILE),
-        File("--next-run", next_run, PROFILE), File("--summaries", summaries, ROWS, continues=holds_summaries),
+        File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
+        File("--improved", improved, outputs.PROFILE), File("--next-run", next_run, outputs.PROFILE),
+        File("--summaries", summaries, outputs.ROWS, continues=holds_summaries),
         inputs=[*recordings, profile, scenario], overwrite=overwrite,
     )  # fmt: skip
     kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
@@ -187,15 +177,15 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
         write_json(loop_json(loop, ranking_json(ranked), kept), wanted.json)
 
     # the order matters: ranking and kept term are part of the JSON; the profile is then that of the second loop
-    outputs: list[tuple[str, Callable[[], object]]] = []
+    writers: list[tuple[str, Callable[[], object]]] = []
     if wanted.kept_as is not None:
-        outputs.append(("kept term", partial(keep, wanted.kept_as)))
-    outputs += [("list of next runs", rank), ("verdict as JSON", verdict)]
+        writers.append(("kept term", partial(keep, wanted.kept_as)))
+    writers += [("list of next runs", rank), ("verdict as JSON", verdict)]
     improved = None if wanted.kept_as is not None else wanted.improved
     for name, write, path in (
         ("report", report, wanted.report), ("improved profile", improve, improved),
         ("next run's profile", following, wanted.next_run),
     ):  # fmt: skip
         if path is not None:
-            outputs.append((name, partial(write, path)))
-    return conclude(loop, recordings, outputs, quiet=quiet)
+            writers.append((name, partial(write, path)))
+    return conclude(loop, recordings, writers, quiet=quiet)

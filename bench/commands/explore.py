@@ -9,21 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.outputs import (
-    JSON,
-    Anyway,
-    File,
-    Folder,
-    Host,
-    Json,
-    Live,
-    Overwrite,
-    Port,
-    RealTime,
-    Scenario,
-    Seed,
-    check_outputs,
-)
+from bench import outputs
+from bench.outputs import File, Folder, check_outputs
 from bench.terminal.console import EXIT_FAILED, fail, speaker, write_json
 from daq.setup.errors import InputError
 
@@ -48,15 +35,15 @@ def command(
     ),
     settle_cycles: int = typer.Option(4, "--settle", min=0, help="Cycles waited after each fade, for the plate."),
     ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
-    real_time: RealTime = False,
-    live: Live = False,
-    host: Host = "127.0.0.1",
-    port: Port = None,
-    scenario: Scenario = None,
-    seed: Seed = 0,
-    json: Json = None,
-    anyway: Anyway = False,
-    overwrite: Overwrite = False,
+    real_time: outputs.RealTime = False,
+    live: outputs.Live = False,
+    host: outputs.Host = "127.0.0.1",
+    port: outputs.Port = None,
+    scenario: outputs.Scenario = None,
+    seed: outputs.Seed = 0,
+    json: outputs.Json = None,
+    anyway: outputs.Anyway = False,
+    overwrite: outputs.Overwrite = False,
 ) -> None:
     """Let the rig choose its own steps: each block is the one that tells most for a second of rig time.
 
@@ -77,7 +64,9 @@ def command(
 
     quiet = json == "-"
     say = speaker(quiet)
-    check_outputs(Folder("--out", out, ()), File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite)
+    check_outputs(
+        Folder("--out", out, ()), File("--json", json, outputs.JSON), inputs=[profile, scenario], overwrite=overwrite
+    )
     checked, text = load(profile)
     aims = Aims(
         budget_s or run_seconds(checked), _targets(until), limit, _numbers(ratios, "--ratios", int),
@@ -145,16 +134,7 @@ def _numbers(text: str, option: str, kind: Any) -> tuple[Any, ...]:
 class Driver:
     """Drives and records blocks of a rig, heeding what a person types or does on the page meanwhile.
 
-    Attributes
-    ----------
-    scenario, seed
-        Of a simulated rig.
-    quiet
-        Whether nothing is shown.
-    paced
-        Whether a simulated rig keeps to the clock.
-    typed, page
-        Where a person is; None without a terminal or page.
+    ``scenario`` and ``seed`` are of a simulated rig, which keeps to the clock where it is ``paced``.
     """
 
     scenario: Path | None = None
@@ -234,8 +214,8 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
         save_picture(folder, "choices", badge, lambda figure: draw_choices(steps, standard_s, figure))
         typer.echo(f"choices: {folder / 'choices.png'}")
 
-    outputs = (
+    writers = (
         ("picture of the choices", draw),
         ("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}")),
     )
-    return conclude(loop, found.recordings, outputs)
+    return conclude(loop, found.recordings, writers)

@@ -9,20 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import (
-    HDF5,
-    JSON,
-    File,
-    Host,
-    Json,
-    Live,
-    Overwrite,
-    Port,
-    RealTime,
-    Scenario,
-    Seed,
-    check_outputs,
-)
+from bench import outputs
+from bench.outputs import File, check_outputs
 from bench.terminal.console import fail, next_command, readable, warn, write_json
 from daq.setup.errors import InputError
 
@@ -34,23 +22,23 @@ if TYPE_CHECKING:
 def command(
     profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
     out: Path = typer.Option(..., "--out", metavar="REC.h5", help="The recording; never overwritten."),
-    real_time: RealTime = False,
-    scenario: Scenario = None,
-    seed: Seed = 0,
+    real_time: outputs.RealTime = False,
+    scenario: outputs.Scenario = None,
+    seed: outputs.Seed = 0,
     replay: Path | None = typer.Option(None, "--replay", metavar="REC.h5", help="What a replay back end plays."),
     note: str | None = typer.Option(None, "--note", help="The operator's note."),
     set_: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="A free key, as knob=3; repeatable."),
     resume: Path | None = typer.Option(None, "--resume", metavar="REC.h5", help="Go on where this recording stopped."),
     step: int | None = typer.Option(None, "--step", metavar="N", help="With --resume: repeat only step N."),
-    json: Json = None,
-    live: Live = False,
-    host: Host = "127.0.0.1",
-    port: Port = None,
+    json: outputs.Json = None,
+    live: outputs.Live = False,
+    host: outputs.Host = "127.0.0.1",
+    port: outputs.Port = None,
     hold_branch: bool = typer.Option(
         False, "--hold-branch", help="Hold the ball on the locked cycle, also where that is not stable."
     ),
     watch: bool = typer.Option(False, "--watch", help="Print after each step how the residuals stand."),
-    overwrite: Overwrite = False,
+    overwrite: outputs.Overwrite = False,
 ) -> None:
     """Run a profile's ramp and record it; Ctrl-C ramps the drive down and keeps the recording.
 
@@ -76,7 +64,7 @@ def command(
     from daq.setup.calibration_age import calibration_warnings
 
     check_outputs(
-        File("--out", out, HDF5, kept=True), File("--json", json, JSON),
+        File("--out", out, outputs.HDF5, kept=True), File("--json", json, outputs.JSON),
         inputs=[profile, scenario, replay, resume], overwrite=overwrite,
     )  # fmt: skip
     checked, text = load(profile)

@@ -80,13 +80,6 @@ def make_flights(recording: Path, target: Path) -> Path:
     return target
 
 
-def _lower_priority() -> None:
-    """The worker gives way to a run, where the system knows of that."""
-    if hasattr(os, "nice"):
-        with contextlib.suppress(OSError):
-            os.nice(NICENESS)
-
-
 class Workshop:
     """Makes pyramids and flights of the runs of one folder, each once.
 
@@ -152,7 +145,10 @@ class Workshop:
         with self._lock:
             job = self._jobs.get(name)
             if job is None:
-                job = self._jobs[name] = self._worker().submit(make, *arguments)
+                if self._pool is None:  # one worker, which gives way to a run where the system knows of that
+                    lower = (os.nice, (NICENESS,)) if hasattr(os, "nice") else (None, ())
+                    self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), *lower)
+                job = self._jobs[name] = self._pool.submit(make, *arguments)
         if not job.done():
             return None
         try:
@@ -169,12 +165,6 @@ class Workshop:
                 self._jobs.pop(name, None)
             return None
         return path
-
-    def _worker(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, context, initializer=_lower_priority)
-        return self._pool
 
 
 def _file_key(file: Path) -> str:

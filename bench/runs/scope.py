@@ -102,22 +102,16 @@ class Scope:
         """The recording, held open while one zooms: opening it takes longer than reading a stretch."""
         if self._later is not None:
             self._later.cancel()
-        if self._held is None:
-            self._held = self._opened()
+        if self._held is None:  # as its pyramid was made of it: quickly where it is whole
+            self._held = open_quickly(self._file)
+            if self._held is not None and self._held.n_samples != self._pyramid.layout.n_samples:
+                self._held.close()
+                self._held = None
+            self._held = self._held or open_recording(self._file)
         self._later = threading.Timer(HELD_S, self.close)
         self._later.daemon = True
         self._later.start()
         return nullcontext(self._held)
-
-    def _opened(self) -> Recording:
-        """The recording as its pyramid was made of it: quickly where it is whole."""
-        quick = open_quickly(self._file)
-        if quick is None:
-            return open_recording(self._file)
-        if quick.n_samples == self._pyramid.layout.n_samples:
-            return quick
-        quick.close()
-        return open_recording(self._file)
 
 
 def _state(path: Path) -> tuple[int, int]:
