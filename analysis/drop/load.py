@@ -16,8 +16,7 @@ from analysis.drop.film.flights import Clip, near_impacts
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
-from analysis.drop.read.contents import read_tables
-from analysis.drop.read.readings import Points
+from analysis.drop.read.readings import Points, read_tables
 from analysis.drop.times.impact_chain import Onsets, drops_of, unheard
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import contact_onsets, onsets_of_file

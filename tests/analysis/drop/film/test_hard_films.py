@@ -10,10 +10,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from analysis.drop.corrections import Corrections
 from analysis.drop.film.camera_fit import CameraFit, fit_camera
-from analysis.drop.film.camera_verdict import judge_camera, refuse_other_motion
 from analysis.drop.film.flights import Clip
 from analysis.drop.film.linking import ball_of
-from analysis.drop.film.outcome import Units, of_camera
+from analysis.drop.film.outcome import Units, judge_camera, of_camera, refuse_other_motion
 from analysis.drop.film.tracking import track_film
 from analysis.drop.outcome import Outcome
 from daq.setup.errors import InputError

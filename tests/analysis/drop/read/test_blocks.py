@@ -7,8 +7,7 @@ import openpyxl
 import pytest
 
 from analysis.drop.load import load_all
-from analysis.drop.read.contents import read_tables
-from analysis.drop.read.readings import Points
+from analysis.drop.read.readings import Points, read_tables
 from daq.importers.tables import Sheet, read_sheets
 from daq.setup.errors import InputError
 

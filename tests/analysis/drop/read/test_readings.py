@@ -6,8 +6,7 @@ import numpy as np
 import openpyxl
 import pytest
 
-from analysis.drop.read.contents import read_tables
-from analysis.drop.read.readings import Points
+from analysis.drop.read.readings import Points, read_tables
 from daq.importers.tables import read_sheets
 from daq.setup.errors import InputError
 

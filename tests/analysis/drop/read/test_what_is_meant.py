@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.load import Path2D, load_all
-from analysis.drop.read.contents import read_tables
+from analysis.drop.read.readings import read_tables
 from daq.importers.tables import Sheet, read_sheets
 from daq.setup.errors import InputError
 

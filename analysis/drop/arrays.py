@@ -1,1 +1,0 @@
-"""Types of the drop test's arrays."""
