@@ -11,14 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.accelerometer_noise import NoiseSpectrum
-from kernels.arrays import Floats
+from kernels.arrays import Bools, Floats
 
 LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
 ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
 MAX_WIDTH = 8
 MIN_ECHO = 128  # least samples of the template: an impact's ringing must not be taken for the next impact
-ECHO_S = 6.4e-3  # least length of the template
+ECHOES_S = (6.4e-3, 12.8e-3, 25.6e-3)  # lengths of the template: the first at whose end little of the ringing is left
+FOLLOWED = 5.0  # times the usual departure from the median waveform, from which another landing lies in a snippet
+RINGING_LEFT = 0.05  # rms of the last quarter over the greatest value, above which a longer template is tried
 FINE = 8  # template points per sample
 MIN_WEIGHT = 0.03  # weight of a known point over that of most points
 RESIDUAL_PART = 0.1  # part of the waveform that its subtraction may leave
@@ -31,7 +33,7 @@ MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of th
 LIKENESS = 0.75  # correlation with the median waveform, as a part of the usual one, below which a landing is left out
 MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
 TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
-SHORTEST_MASK_S, LONGEST_MASK_S = 1e-3, 8e-3
+SHORTEST_MASK_S, LONGEST_MASK_S, LONGEST_PART = 1e-3, 8e-3, 0.6  # the longest, also as a part of a long template
 THRESHOLD = 6.0  # least threshold of the filter's output, in standard deviations of the noise
 MEDIAN_ERROR = 1.2533  # standard error of the median of normal values over that of their mean
 
@@ -88,9 +90,18 @@ def thinning(rate_hz: float) -> int:
     return width
 
 
-def echo_samples(rate_hz: float) -> int:
-    """Samples of the template."""
-    return max(MIN_ECHO, round(ECHO_S * rate_hz))
+def echo_samples(rate_hz: float, length_s: float = ECHOES_S[0]) -> int:
+    """Samples of a template of that length."""
+    return max(MIN_ECHO, round(length_s * rate_hz))
+
+
+def rings_on(snippets: Floats, rate_hz: float) -> bool:
+    """Whether landings (n, samples) still ring in the last quarter of their snippets."""
+    width = max(round(SLOW_S * rate_hz), 1)
+    ends = np.pad(np.median(snippets / np.abs(snippets).max(axis=1, keepdims=True), axis=0), width, mode="edge")
+    quick = (ends - np.convolve(ends, np.ones(width) / width, mode="same"))[width:-width]
+    late = quick[3 * quick.size // 4 :]
+    return float(np.sqrt(np.mean(late**2))) > RINGING_LEFT * float(np.abs(quick).max())
 
 
 def whitener(noise: NoiseSpectrum, tones_hz: Floats) -> Floats:
@@ -132,6 +143,7 @@ def template_from_snippets(
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
     # a landing placed a period of the ringing off would spoil the mean
     size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = 0.0
+    size[_followed(snippets, size)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
     known = ringing_part(fine, sigma_v, noise.rate_hz)
@@ -146,6 +158,15 @@ def template_from_snippets(
         return None
     taps = (seen / norm) @ white
     return ImpactTemplate(fine, taps.astype(np.float32), white, _ring_s(fine, size, noise))
+
+
+def _followed(snippets: Floats, size: Floats) -> Bools:
+    """Landings with another one amid their ringing, where no onset showed it."""
+    used = size > 0.0
+    late, part = snippets[:, LENGTH:], size[:, None]
+    left = late - part * np.median(late[used] / part[used], axis=0)
+    loudest = np.abs(left).max(axis=1)
+    return np.asarray(loudest > FOLLOWED * np.median(loudest[used]))
 
 
 def _level(snippets: Floats, fractions: Floats, size: Floats, fine: Floats) -> Floats:
@@ -249,4 +270,5 @@ def _ring_s(fine: Floats, size: Floats, noise: NoiseSpectrum) -> float:
     allowed = np.sqrt(noise.slow_v2phz) / (2.0 * TYPICAL_HZ * RESIDUAL_PART)
     end = np.flatnonzero(left > allowed)
     last = (end.max() + 1) / FINE / noise.rate_hz if end.size else 0.0
-    return float(np.clip(last, SHORTEST_MASK_S, LONGEST_MASK_S))
+    longest = max(LONGEST_MASK_S, LONGEST_PART * fine.size / FINE / noise.rate_hz)
+    return float(np.clip(last, SHORTEST_MASK_S, longest))

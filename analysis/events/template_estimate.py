@@ -16,11 +16,14 @@ import numpy.typing as npt
 from analysis.events.accelerometer_noise import PREDICTED_FROM, NoiseSpectrum, measure_noise, scale_and_threshold
 from analysis.events.impact_detection import ImpactScan
 from analysis.events.impact_template import (
+    ECHOES_S,
     LEAD,
     LENGTH,
+    MIN_LANDINGS,
     THRESHOLD,
     ImpactTemplate,
     echo_samples,
+    rings_on,
     template_from_snippets,
     thinning,
 )
@@ -84,47 +87,82 @@ def estimate_template(
     few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, N_BASIS_TONES).astype(int))]
     stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
     nothing = [np.zeros(0) for _ in pieces]
-    still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, nothing, strict=True)]
-    noise = _noise(still, nothing, rate_hz)
+    still = [_without_motion(*own, rate_hz) for own in zip(pieces, pieces, stretches, nothing, strict=True)]
+    noise = _noise(still, nothing, rate_hz, 0)
     if noise is None:
         return None, None
-    places, echo = [_onsets(volts, fitted, noise) for volts, fitted in still], echo_samples(rate_hz)
-    template: ImpactTemplate | None = None
+    found = [_onsets(volts, fitted, noise) for volts, fitted in still]
+    places, strong = [own for own, _ in found], [enough for _, enough in found]
+    echo, template = _echo(still, places, strong, rate_hz), None
     for turn in range(N_ALIGNMENTS):
-        rows = [_snippets(volts, fitted, own, echo) for (volts, fitted), own in zip(still, places, strict=True)]
-        snippets, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
-        strong = np.argsort(-np.abs(snippets).max(axis=1))[:MAX_IMPACTS] if len(snippets) else np.zeros(0, np.int64)
-        template = template_from_snippets(snippets[strong], fractions[strong], noise, few)
+        snippets, fractions = _all_snippets(still, places, strong, echo)
+        most = np.argsort(-np.abs(snippets).max(axis=1))[:MAX_IMPACTS] if len(snippets) else np.zeros(0, np.int64)
+        template = template_from_snippets(snippets[most], fractions[most], noise, few)
         if template is None:
             return noise, None
-        places = [_detected(piece, template, rate_hz) for piece in pieces]
+        detectors = [_detector(piece, template, rate_hz) for piece in pieces]
+        places = [d.impacts().time_s * rate_hz + piece.pad for d, piece in zip(detectors, pieces, strict=True)]
+        strong = [np.ones(own.size, dtype=np.bool_) for own in places]
         if turn < N_ALIGNMENTS - 1:
-            still = [_without_motion(*own, rate_hz) for own in zip(pieces, stretches, places, strict=True)]
+            clean = pieces
+            if echo > echo_samples(rate_hz):  # what still rings after the mask would bend the tones
+                clean = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
+                stretches = [_stretches(piece, steps, rate_hz) for piece in clean]
+            still = [_without_motion(*own, rate_hz) for own in zip(pieces, clean, stretches, places, strict=True)]
         if turn == 0:
-            noise = _noise(still, places, rate_hz) or noise
+            noise = _noise(still, places, rate_hz, echo) or noise
     if template is not None:
-        template = replace(_with_threshold(template, pieces, still, places, rate_hz), width=width)
+        template = replace(_with_threshold(template, pieces, still, places, rate_hz, echo), width=width)
     return noise, template
 
 
-def _quiet(fitted: Bools, places: Floats, rate_hz: float) -> Bools:
+def _echo(still: list[tuple[Floats, Bools]], places: list[Floats], strong: list[Bools], rate_hz: float) -> int:
+    """Samples of the template: as long as the table rings, where enough landings stand so far from others."""
+    echo = echo_samples(rate_hz)
+    for length_s in ECHOES_S:
+        snippets, _ = _all_snippets(still, places, strong, echo_samples(rate_hz, length_s))
+        if len(snippets) < MIN_LANDINGS:
+            break
+        echo = snippets.shape[1]
+        if not rings_on(snippets, rate_hz):
+            break
+    return echo
+
+
+def _all_snippets(
+    still: list[tuple[Floats, Bools]], places: list[Floats], strong: list[Bools], echo: int
+) -> tuple[Floats, Floats]:
+    rows = [_snippets(*one, own, some, echo) for one, own, some in zip(still, places, strong, strict=True)]
+    return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
+
+
+def _quiet(fitted: Bools, places: Floats, echo: int) -> Bools:
     """Samples of a piece whose motion is known and that no impact in it reaches."""
-    quiet, echo = fitted.copy(), echo_samples(rate_hz)
+    quiet = fitted.copy()
     for place in places.astype(np.int64):
         quiet[max(place - LENGTH, 0) : max(place + echo, 0)] = False
     return quiet
 
 
-def _noise(still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float) -> NoiseSpectrum | None:
-    quiet = [_quiet(fitted, own, rate_hz) for (_, fitted), own in zip(still, places, strict=True)]
+def _noise(
+    still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float, echo: int
+) -> NoiseSpectrum | None:
+    quiet = [_quiet(fitted, own, echo) for (_, fitted), own in zip(still, places, strict=True)]
     return measure_noise([volts for volts, _ in still], quiet, rate_hz)
 
 
-def _detected(piece: Piece, template: ImpactTemplate, rate_hz: float) -> Floats:
-    """Places in a piece of the impacts that the template detects."""
+def _detector(piece: Piece, template: ImpactTemplate, rate_hz: float) -> ImpactScan:
+    """The impacts in a piece."""
     detector = ImpactScan(template, rate_hz)
     detector.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
-    return detector.impacts().time_s * rate_hz + piece.pad
+    return detector
+
+
+def _without_impacts(piece: Piece, detector: ImpactScan) -> Piece:
+    """The piece with the ringing of its impacts subtracted."""
+    volts = piece.channels["accelerometer"].copy()
+    detector.subtract_impacts(volts, 0, piece.pad)
+    return replace(piece, channels={**piece.channels, "accelerometer": volts})
 
 
 def _with_threshold(
@@ -133,12 +171,13 @@ def _with_threshold(
     still: list[tuple[Floats, Bools]],
     places: list[Floats],
     rate_hz: float,
+    echo: int,
 ) -> ImpactTemplate:
     """The template with unit and threshold from its filter's own output where nothing happens."""
     outputs = []
     for piece, (_, fitted), own in zip(pieces, still, places, strict=True):
         found = np.correlate(piece.channels["accelerometer"].astype(np.float64), template.taps.astype(np.float64))
-        reached = np.convolve(~_quiet(fitted, own, rate_hz), np.ones(LENGTH))[LENGTH - 1 :][: found.size] > 0.5
+        reached = np.convolve(~_quiet(fitted, own, echo), np.ones(LENGTH))[LENGTH - 1 :][: found.size] > 0.5
         outputs.append(found[~reached])
     scale, threshold = scale_and_threshold(np.concatenate(outputs), rate_hz)
     return replace(
@@ -165,26 +204,24 @@ def _unbroken(steps: npt.NDArray[np.void], breaks: Integers, width: int) -> npt.
     return np.array(rows, dtype=steps.dtype)
 
 
-def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> Floats:
-    """Places in a piece where a strong signal begins after a quiet interval."""
+def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> tuple[Floats, Bools]:
+    """Places in a piece where a signal begins after a quiet interval, and whether it is strong."""
     surprise = np.abs(noise.innovations(volts))
     span = PREDICTED_FROM + 1
     known = np.convolve(fitted, np.ones(span))[: volts.size] > span - 0.5  # its past is fitted, too
     loud = np.flatnonzero((surprise > ONSET_SIGMAS) & known)
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
     peak = np.array([surprise[n : n + LEAD].max() for n in first])
-    if not first.size:
-        return np.zeros(0)
-    enough = peak > max(STRONG_SIGMAS, STRONG_PART * float(np.quantile(peak, 0.9)))
-    return np.asarray(first[enough] - 0.5, dtype=np.float64)
+    usual = float(np.quantile(peak, 0.9)) if first.size else 0.0
+    return first - 0.5, peak > max(STRONG_SIGMAS, STRONG_PART * usual)
 
 
-def _snippets(volts: Floats, fitted: Bools, places: Floats, echo: int) -> tuple[Floats, Floats]:
-    """Accelerometer around isolated impacts, and the impacts' time before the sample, in samples."""
+def _snippets(volts: Floats, fitted: Bools, places: Floats, strong: Bools, echo: int) -> tuple[Floats, Floats]:
+    """Accelerometer around strong impacts far from all others, and the impacts' time before the sample, in samples."""
     alone = (np.append(np.diff(places), np.inf) > echo) & (np.diff(places, prepend=-np.inf) > echo)
     sample = np.ceil(places).astype(np.int64)
     index = sample[:, None] + np.arange(-LEAD, echo - LEAD)
-    inside = alone & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
+    inside = alone & strong & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
     index, fractions = index[inside], (sample - places)[inside]
     usable = fitted[index].all(axis=1)
     return volts[index[usable]], fractions[usable]
@@ -211,9 +248,11 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
     return found
 
 
-def _without_motion(piece: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float) -> tuple[Floats, Bools]:
-    """Accelerometer volts less each step's tones (fitted outside impacts), and the samples where a fit was possible."""
-    volts = piece.channels["accelerometer"].astype(np.float64)
+def _without_motion(
+    piece: Piece, clean: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float
+) -> tuple[Floats, Bools]:
+    """Accelerometer volts less each step's tones (fitted to ``clean`` outside impacts), and where a fit was possible."""
+    volts, fit_to = (p.channels["accelerometer"].astype(np.float64) for p in (piece, clean))
     fitted = np.zeros(volts.size, dtype=np.bool_)
     ringing = np.zeros(volts.size, dtype=np.bool_)
     for place in places.astype(np.int64):
@@ -221,7 +260,7 @@ def _without_motion(piece: Piece, stretches: list[_Stretch], places: Floats, rat
     for part in stretches:
         own = part.own
         try:
-            fit = _motion(part, volts[own], ringing[own])
+            fit = _motion(part, fit_to[own], ringing[own])
         except ValueError:  # too few unmasked samples in this piece of the step
             continue
         volts[own] -= fit.offset

@@ -51,7 +51,8 @@ Volts = npt.NDArray[np.float32]
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # time before an impact that is masked with it
 HARMLESS_COVER = 0.85  # unmasked part of a step above which no mask can do harm
-MAX_INFLATION = 1.6  # largest factor by which a mask may raise a tone's uncertainty
+MAX_INFLATION, MOST_INFLATION = 1.6, 5.0  # largest factors by which a mask may raise a tone's uncertainty
+RINGING_LEFT = 1.1  # residual over that with the longest mask, from which a shorter one leaves more than noise
 MIN_PER_TONE = 8  # unmasked blocks needed per fitted tone
 OPEN_ABOVE, CLOSED_BELOW = 0.9, 0.1  # mean contact voltage, as a fraction of the swing, of flight and of contact
 WAITING_STEPS = 16  # solved in a row: what a step's small fits need then stays in the processor's caches
@@ -303,26 +304,34 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
     """Level of the longest mask that leaves enough of the step to fit the forcing's tones.
 
     Impacts at the same phases of every cycle may leave holes that tones and harmonics can fill freely. The mask is then
-    shortened until no tone's uncertainty is more than `MAX_INFLATION` times that of an unmasked step. The impacts'
-    waveform has been subtracted anyway.
+    shortened until no tone's uncertainty is more than `MAX_INFLATION` times that of an unmasked step: the impacts'
+    waveform has been subtracted. Where more of it is left than noise, up to `MOST_INFLATION` is accepted.
     """
     counts = lock_in.counts.reshape(3, N_MASK_LEVELS).sum(axis=0)
     whole = int(counts.sum())
+    longest_rms: float | None = None
+    longest = 1
     for level in range(N_MASK_LEVELS - 1, 1, -1):
-        kept = int(counts[level:].sum())
-        if kept > HARMLESS_COVER * whole:
+        left = int(counts[level:].sum())
+        if left > HARMLESS_COVER * whole and longest_rms is None:
             return level
-        if kept < MIN_PER_TONE * lock_in.frequencies_hz.size:
+        if left < MIN_PER_TONE * lock_in.frequencies_hz.size:
             continue
         state.mask_level = level
+        total = lock_in.part(state.clear_classes())
         try:
-            spread = np.diag(lock_in.part(state.clear_classes()).inverse())
+            spread = np.diag(total.inverse())
+            worst = max(float(spread[2 * r + 1] + spread[2 * r + 2]) for r in state.rows) * whole / 4.0
+            if worst > MOST_INFLATION**2:
+                continue
+            rms = total.solve(0).rms
         except ValueError:
             continue
-        worst = max(float(spread[2 * r + 1] + spread[2 * r + 2]) for r in state.rows)
-        if worst < 4.0 / whole * MAX_INFLATION**2:
-            return level
-    return 1
+        if longest_rms is None:
+            longest, longest_rms = level, rms
+        if worst < MAX_INFLATION**2 or left > HARMLESS_COVER * whole:
+            return level if rms < RINGING_LEFT * longest_rms else longest
+    return 1 if longest_rms is None else longest
 
 
 @njit(error_model="numpy")

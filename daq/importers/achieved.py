@@ -2,7 +2,8 @@
 
 An impact and its ringing fall on the same phase of every cycle, so that a fit through them is wrong by up to half a
 percent. They are masked: after every closing of the contact circuit, and wherever the accelerometer is far from the
-motion (a contact may be shorter than a sample). What remains is fitted as in the run and in the analysis.
+motion (a contact may be shorter than a sample). What remains is fitted as in the run and in the analysis. A table that
+rings for longer than any mask bends such a fit far more than the impacts bend one of all samples, which is then taken.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ RINGING_S = (3e-3, 2e-3, 1e-3)  # masked after a closing: the longest that leave
 OUTLIER_SIGMAS = 6.0  # from the motion, beyond which a sample belongs to an impact
 OUTLIER_FLOOR = 1e-3  # the same over the motion's largest amplitude: a file without noise has harmonics
 LEAST_QUIET = 0.5  # part of a hold that remains
+FEWEST_CLOSINGS = 4  # impacts that show how long a table rings
+RINGING_OVER, RINGING_PART = 5.0, 0.2  # left after a mask: over what was there before, and as a part of the ringing
 
 
 def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
@@ -50,7 +53,7 @@ def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, s
         values, sigmas = LoadedTones.of_sorts(sums, volts_per_g).solve()
         rows = [multiples.index(m) for m in forcing]
         values, sigmas = values[rows], sigmas[rows]
-    except ValueError:  # too few samples for harmonics
+    except ValueError:  # too few samples for harmonics, or a table that rings on
         tones = fit(volts["accelerometer"], step.settled(rate_hz), step.stop, rate_hz, step.frequency_hz, setup.forcing)
         values, sigmas = tones.amplitudes, tones.amplitude_sigma()
     gamma = gamma_of(values / volts_per_g, setup.forcing)
@@ -80,6 +83,9 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
     """Samples that no impact has touched; all of them where too few would remain."""
     closings = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1  # impacts, where the contact sees them
     tones = np.exp(2j * np.pi * np.outer(motion_hz / rate_hz, np.arange(first, first + len(x))))
+    whole = fit_tones(x, first, rate_hz, motion_hz, np.ones(len(x), np.bool_))
+    if _rings_on(x - whole.offset - (whole.amplitudes @ tones).real, closings, rate_hz):
+        raise ValueError("the table rings for longer than any mask")
     for ringing_s in RINGING_S:
         quiet = _clear(len(x), closings, rate_hz, ringing_s)
         for _ in range(2):
@@ -94,6 +100,19 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
         if np.mean(quiet) >= LEAST_QUIET:
             return quiet
     return np.ones(len(x), np.bool_)
+
+
+def _rings_on(left: Floats, closings: Integers, rate_hz: float) -> bool:
+    """Whether the ringing of an impact outlasts the longest mask; ``left`` is the accelerometer less the motion."""
+    lead, width = round(LEAD_S * rate_hz), max(round(RINGING_S[-1] * rate_hz), 1)
+    behind = round(RINGING_S[0] * rate_hz)
+    inside = closings[(closings > lead + width) & (closings + behind + width < len(left))]
+    if len(inside) < FEWEST_CLOSINGS:
+        return False
+    before, at, after = (
+        np.median([np.std(left[a : a + width]) for a in inside + shift]) for shift in (-lead - width, 0, behind)
+    )
+    return bool(after > RINGING_OVER * before and after > RINGING_PART * at)
 
 
 def _clear(n: int, impacts: Integers, rate_hz: float, ringing_s: float) -> Bools:
