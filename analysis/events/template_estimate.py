@@ -144,9 +144,7 @@ def _quiet(fitted: Bools, places: Floats, echo: int) -> Bools:
     return quiet
 
 
-def _noise(
-    still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float, echo: int
-) -> NoiseSpectrum | None:
+def _noise(still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float, echo: int) -> NoiseSpectrum | None:
     quiet = [_quiet(fitted, own, echo) for (_, fitted), own in zip(still, places, strict=True)]
     return measure_noise([volts for volts, _ in still], quiet, rate_hz)
 
@@ -213,7 +211,7 @@ def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> tuple[Floats,
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
     peak = np.array([surprise[n : n + LEAD].max() for n in first])
     usual = float(np.quantile(peak, 0.9)) if first.size else 0.0
-    return first - 0.5, peak > max(STRONG_SIGMAS, STRONG_PART * usual)
+    return np.asarray(first - 0.5, dtype=np.float64), peak > max(STRONG_SIGMAS, STRONG_PART * usual)
 
 
 def _snippets(volts: Floats, fitted: Bools, places: Floats, strong: Bools, echo: int) -> tuple[Floats, Floats]:
@@ -251,7 +249,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
 def _without_motion(
     piece: Piece, clean: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float
 ) -> tuple[Floats, Bools]:
-    """Accelerometer volts less each step's tones (fitted to ``clean`` outside impacts), and where a fit was possible."""
+    """Accelerometer volts less tones of each step (by ``clean`` outside impacts), and where a fit was possible."""
     volts, fit_to = (p.channels["accelerometer"].astype(np.float64) for p in (piece, clean))
     fitted = np.zeros(volts.size, dtype=np.bool_)
     ringing = np.zeros(volts.size, dtype=np.bool_)
