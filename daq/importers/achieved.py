@@ -104,7 +104,7 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
 
 def _rings_on(left: Floats, closings: Integers, rate_hz: float) -> bool:
     """Whether the ringing of an impact outlasts the longest mask; ``left`` is the accelerometer less the motion."""
-    lead, width = round(LEAD_S * rate_hz), max(round(RINGING_S[-1] * rate_hz), 1)
+    lead, width = round(2e-4 * rate_hz), max(round(RINGING_S[-1] * rate_hz), 1)
     behind = round(RINGING_S[0] * rate_hz)
     inside = closings[(closings > lead + width) & (closings + behind + width < len(left))]
     if len(inside) < FEWEST_CLOSINGS:
