@@ -1,4 +1,4 @@
-"""The command line `bench`: the only package, beside `shakerbench`, that imports all the others.
+"""The command line `bench`: with `shakerbench` the only package that imports all the others.
 
 Other packages take `jobs`, `predict`, `profiles`, `terminal`.
 """

@@ -1,4 +1,4 @@
-"""The check that the packages beside this one are ours, and not others of the same name. Decision 129."""
+"""The check that the packages next to this one are ours, and not others of the same name. Decision 129."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def command(
     json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Add a note, with its time, to a recording; it lies in a small file beside it. Without a text: the whole notebook.
+    """Add a note, with its time, to a recording; it lies in a file next to it. Without a text: the whole notebook.
 
     Example: bench note runs/monday.h5 "plate screws were loose"
     """

@@ -16,7 +16,7 @@ def command(
     json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Tag a recording; the tags lie in a small file beside it, and the recording stays as it is.
+    """Tag a recording; the tags lie in a small file next to it, and the recording stays as it is.
 
     Example: bench tag runs/monday.h5 new-spring warm
     """

@@ -46,7 +46,7 @@ def start_analyst(profile: Profile, board_name: str, *, pictures: bool) -> tuple
 
 
 def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool) -> None:
-    """The process: until the run has ended and all is said, or nobody listens any more."""
+    """The process: until the run has ended and all is said, or no one listens any more."""
     leave_keys_to_the_parent()
     if hasattr(os, "nice"):
         os.nice(NICE)
@@ -62,7 +62,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
                 if not analyst.look():
                     time.sleep(LOOK_S)
     except (BrokenPipeError, ConnectionResetError):
-        return  # nobody listens
+        return  # no one listens
     finally:
         analyst.close()
 

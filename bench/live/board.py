@@ -1,7 +1,7 @@
 """The board between a run and its page: two lanes of short messages in shared memory, neither side ever waits.
 
 The run puts events on one lane, the page puts commands on the other. A lane keeps the newest messages; a reader that
-was away too long is told how many it missed. If nobody reads, a message costs the microseconds of its writing.
+was away too long learns how many it missed. If no one reads, a message costs the microseconds of its writing.
 Decision 142.
 """
 

@@ -49,7 +49,7 @@ class Onlookers:
 
     @contextmanager
     def of_run(self, profile: Profile, text: str, why: str = "") -> Iterator[Onlooker | None]:
-        """An onlooker for `bench.jobs.run_ramp.record` during the next run; None where nobody looks on.
+        """An onlooker for `bench.jobs.run_ramp.record` during the next run; None where no one looks on.
 
         Parameters
         ----------

@@ -56,7 +56,6 @@ class Desk:
         self._check_pipe: Any = None
         self._checked = ""
         self._findings: Message | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -148,9 +147,8 @@ class Desk:
         self._check_pipe, theirs = context.Pipe(duplex=False)
         self._checked = f"{profile}|{scenario}"
         self._passed.discard(self._checked)
-        self._check = context.Process(
-            target=run_check, args=(theirs, profile, _known_scenario(scenario)), name="check", daemon=True
-        )
+        asked = (theirs, profile, _known_scenario(scenario))
+        self._check = context.Process(target=run_check, args=asked, name="check", daemon=True)
         self._check.start()
         theirs.close()
         self.hub.tell({"kind": "checking", "key": self._checked})

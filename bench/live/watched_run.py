@@ -36,24 +36,19 @@ class WatchedRun:
 
     Parameters
     ----------
-    profile
-        Of the run.
-    board
+    profile, board
         Of the run.
     tell
         Sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may miss.
 
     Attributes
     ----------
-    ended
-        How the run ended; None before.
     successor
         Board, profile (path) and reason of the run that follows; None before it was announced.
     """
 
     def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:
         self.profile, self.board, self._tell = profile, board, tell
-        self.ended: Message | None = None
         self.successor: Message | None = None
         self._kept: dict[str, str] = {}  # the last message of each kind
         self._models: list[str] = []
@@ -133,7 +128,6 @@ class WatchedRun:
             self._taken = [*self._taken[1 - LONGEST_LOG :], json.dumps(event)]
             self._tell(event)
         elif kind == "ended":
-            self.ended = event
             self._say(event | {"at": time.time(), "out": self._out if event["n_samples"] else None})
         elif kind == "next":
             self.successor = event

@@ -42,7 +42,7 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     if request.json is not None and not request.adaptive:
         _check_json(job.size, job)
     if request.figure is not None and len(job.axes) > 1:
-        raise InputError("--figure shows a diagram over gamma, or a map over gamma and one --grid; give --out alone")
+        raise InputError("--figure shows a diagram over gamma, or a map over gamma and one --grid; give only --out")
     if request.out is None and request.figure is None and request.json is None:
         raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
     if request.overwrite and request.out is not None:
@@ -96,7 +96,7 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
 
 
 def _flown(job: ensemble.Job, request: Request) -> Rows:
-    """The rows of a job, flown into its file; none where nobody asks for them."""
+    """The rows of a job, flown into its file; none where they are not asked for."""
     with tempfile.TemporaryDirectory() as folder:
         path = request.out or Path(folder) / "diagram.h5"
         ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=Progress("points"))

@@ -1,6 +1,6 @@
 """The part of a profile that `bench predict` uses: forcing, frequency, gravity, declared effects, and its ramp.
 
-A gamma given beside a profile is what its programme asks of the drive; answers carry the plate's
+A gamma given with a profile is what its programme asks of the drive; answers carry the plate's
 gamma, which declared effects of the drive make another one. ``--gamma-peak`` is the plate's own.
 """
 
@@ -27,7 +27,7 @@ SAME_SIZE = 1e-9
 
 
 def with_profile(request: Request, name: str) -> Request:
-    """``request`` with what the profile ``name`` says; options given beside it come on top.
+    """``request`` with what the profile ``name`` says; options given with it come on top.
 
     Raises
     ------

@@ -16,7 +16,7 @@ _BENCH = Path(__file__).resolve().parents[1]
 
 
 def shipped_folder(kind: str = "rig_profiles") -> Path:
-    """Folder of the shipped profiles (or ``scenarios``): inside an installed `bench`, beside it in a checkout."""
+    """Folder of the shipped profiles (or ``scenarios``): inside an installed `bench`, next to it in a checkout."""
     installed = _BENCH / kind
     return installed if installed.is_dir() else _BENCH.parent / kind
 

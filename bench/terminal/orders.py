@@ -60,15 +60,15 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
     """``KEY=VALUE`` texts as a mapping; a value that reads as a number is one. Raises `InputError`."""
     keys: dict[str, Any] = {}
     for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not key.strip() or not equals:
+        key, equals, value = (part.strip() for part in setting.partition("="))
+        if not key or not equals:
             raise InputError(f"--set {setting}: wanted KEY=VALUE, as amplifier_knob=3")
-        if key.strip() in keys:
-            raise InputError(f"--set {setting}: {key.strip()} was set before; give each key once")
+        if key in keys:
+            raise InputError(f"--set {setting}: {key} was set before; give each key once")
         try:
-            keys[key.strip()] = float(value)
+            keys[key] = float(value)
         except ValueError:
-            keys[key.strip()] = value.strip()
+            keys[key] = value
     return keys
 
 

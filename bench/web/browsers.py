@@ -63,14 +63,14 @@ class Lease:
         return self.holder == name
 
     def ask(self, name: str, now: float) -> None:
-        """Ask for the controls: given at once where nobody holds them."""
+        """Ask for the controls: given at once where no one holds them."""
         if self.holder in (None, name):
             self._give(name)
         elif self.asked_by is None:
             self.asked_by, self._asked_at = name, now
 
     def hand_over(self, name: str) -> None:
-        """The holder ``name`` gives the controls to the one that asked, or to nobody."""
+        """The holder ``name`` gives the controls to the one that asked, or sets them free."""
         if self.holder == name:
             self._give(self.asked_by)
 

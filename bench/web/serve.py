@@ -63,7 +63,7 @@ def serve(
     on_ready: Callable[[], None] | None = None,
     own_signals: bool = True,
 ) -> None:
-    """Serve sections until the process is told to end.
+    """Serve sections until the process is to end.
 
     Parameters
     ----------
