@@ -11,20 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from daq.export.facts import Progress, columns, facts, missing, pieces, step_columns
+from daq.export.facts import Progress, columns, facts, pieces, step_columns
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import disk_file
 from daq.recording.reader import Recording
+from daq.setup.errors import package
 
 
 def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
     """Columns ``time_s`` and volts a channel; the step table and the facts are metadata of the file."""
-    try:
+    with package("pyarrow", "Parquet needs"):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    except ImportError as error:
-        raise missing("pyarrow", "Parquet") from error
     steps = {name: column.tolist() for name, column in step_columns(recording).items()}
     metadata = {key: str(value) for key, value in facts(recording).items()} | {"steps_json": json.dumps(steps)}
     read = columns(recording)
@@ -42,10 +41,8 @@ def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress)
 
 def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
     """Variables along ``time`` (seconds) with units; the step table along ``step``; the facts as attributes."""
-    try:
+    with package("h5netcdf", "NetCDF needs"):
         import h5netcdf
-    except ImportError as error:
-        raise missing("h5netcdf", "NetCDF") from error
     with disk_file(part) as disk, h5netcdf.File(disk, "w") as file:
         file.dimensions = {"time": None, "step": len(recording.steps)}
         file.attrs.update({"Conventions": "CF-1.8", **facts(recording)})

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.recording.reader import Recording
-from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
 STORED = (
@@ -48,10 +47,3 @@ def step_columns(recording: Recording | Resampled) -> dict[str, NDArray[Any]]:
 def pieces(n: int, rows: int = CHUNK_SAMPLES) -> list[tuple[int, int]]:
     """Ranges of samples that are read at once."""
     return [(a, min(a + rows, n)) for a in range(0, n, rows)]
-
-
-def missing(package: str, form: str) -> InputError:
-    """The error where a library is not installed."""
-    return InputError(
-        f"{form} needs the package {package}: pip install {package}, or pip install 'shakerbench[interchange]'"
-    )

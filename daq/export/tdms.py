@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.export.facts import Progress, facts, missing, pieces, step_columns
+from daq.export.facts import Progress, facts, pieces, step_columns
 from daq.recording.reader import Recording
+from daq.setup.errors import package
 
 GROUP = "recording"
 RAW = 0xFFFFFFFF  # input source of a scale: the stored numbers
@@ -20,10 +21,8 @@ RAW = 0xFFFFFFFF  # input source of a scale: the stored numbers
 
 def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
     """Write the file, segment by segment."""
-    try:
+    with package("npTDMS", "TDMS needs"):
         from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
-    except ImportError as error:
-        raise missing("npTDMS", "TDMS") from error
     timed = bool(len(recording.gaps)) or not recording.stored.get("uniform", True)
     stated: dict[str, Any] = facts(recording)
     stated = {k: v.replace("\x00", "") if isinstance(v, str) else v for k, v in stated.items()}

@@ -151,18 +151,14 @@ def step_row(step: np.void | Mapping[str, Any]) -> NDArray[np.void]:
         For a field that no step has.
     """
     row = np.zeros(1, STEP_DTYPE)
-    for name in STEP_NAMES:
-        if STEP_DTYPE[name].kind == "f":
-            row[name] = np.nan
-    row["ratio"] = 1
-    if isinstance(step, Mapping):
-        unknown = set(step) - set(STEP_NAMES)
-        if unknown:
-            raise ValueError(f"a step has no field {sorted(unknown)}; it has {list(STEP_NAMES)}")
-        for name, value in step.items():
-            row[name] = value
-    else:
+    if not isinstance(step, Mapping):
         row[0] = step
+        return row
+    if unknown := set(step) - set(STEP_NAMES):
+        raise ValueError(f"a step has no field {sorted(unknown)}; it has {list(STEP_NAMES)}")
+    for name in STEP_NAMES:
+        missing = 1 if name == "ratio" else np.nan if STEP_DTYPE[name].kind == "f" else 0
+        row[name] = step.get(name, missing)
     return row
 
 

@@ -54,11 +54,11 @@ class LiveColumns:
 
     def append(self, *blocks: Block) -> None:
         """Take blocks whose frames are safe; never raises for what the disk refuses."""
-        for block in blocks if not self._dropped else ():
+        for block in blocks:
             if block.lost_before > 0:
                 self._gaps.append((block.first_sample, block.lost_before))
             rest = block.codes
-            while len(rest):
+            while len(rest) and not self._dropped:
                 n = min(len(rest), CHUNK_SAMPLES - self._n_waiting)
                 self._waiting[self._n_waiting : self._n_waiting + n] = rest[:n]
                 self._n_waiting, rest = self._n_waiting + n, rest[n:]
@@ -67,23 +67,20 @@ class LiveColumns:
 
     def _write(self) -> None:
         """Hand what waits to the column file; drop that where it cannot be."""
-        if self._dropped:
-            self._n_waiting = 0
-            return
-        start, n = self._n_samples, self._n_waiting
-        stamps = timestamps_ns(start, start + n, self._rate_hz, self._gap_rows())
+        start, stop = self._n_samples, self._n_samples + self._n_waiting
+        stamps = timestamps_ns(start, stop, self._rate_hz, self._gap_rows())
         try:
             if self._columns is None:
                 self._columns = self._begin()
-            free = shutil.disk_usage(self._columns.part.parent).free
-            if free < self._spare_bytes(start + n):
-                self.drop()
+            if shutil.disk_usage(self._columns.part.parent).free < self._spare_bytes(stop):
+                self.drop()  # what is more important needs the room
                 return
-            self._columns.append(stamps, {name: self._waiting[:n, i] for i, name in enumerate(self._channels)})
+            waiting = self._waiting[: self._n_waiting]
+            self._columns.append(stamps, {name: waiting[:, i] for i, name in enumerate(self._channels)})
         except (OSError, RuntimeError, InputError):
             self.drop()
             return
-        self._n_samples, self._n_waiting = start + n, 0
+        self._n_samples, self._n_waiting = stop, 0
 
     def _gap_rows(self) -> Integers:
         return np.array(self._gaps, np.int64).reshape(-1, 2)
@@ -114,11 +111,11 @@ class LiveColumns:
             return None
         self._write()
         columns = self._columns
-        if columns is not None:
-            try:
+        try:
+            if columns is not None:
                 columns.check(recording.steps, recording.blocks, recording.side, **attributes)
-            except (OSError, RuntimeError):
-                self.drop()
-                return None
+        except (OSError, RuntimeError):
+            self.drop()
+            return None
         self._columns = None
         return columns

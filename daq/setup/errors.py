@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -13,3 +15,20 @@ def require_file(path: Path) -> None:
     """Refuse a path that is a folder, or where nothing is (raises InputError)."""
     if not path.is_file():
         raise InputError(f"{path}: {'is a folder; wanted a file' if path.is_dir() else 'no such file'}")
+
+
+@contextmanager
+def package(name: str, wanted_by: str) -> Iterator[None]:
+    """Say which package is missing where an import in the block fails: ``wanted_by`` is as ``TDMS needs``.
+
+    Raises
+    ------
+    InputError
+        With what to install.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            f"{wanted_by} the package {name}: pip install {name}, or pip install 'shakerbench[interchange]'"
+        ) from error

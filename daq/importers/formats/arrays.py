@@ -49,17 +49,6 @@ def refusals(path: Path, what: str, *further: type[Exception]) -> Iterator[None]
         raise InputError(f"{path}: {what} ({error}).") from error
 
 
-@contextlib.contextmanager
-def package(path: Path, form: str, name: str) -> Iterator[None]:
-    """Say which package the format ``form`` needs where an import in the block fails (raises InputError)."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(
-            f"{path}: {form} the package {name}: pip install {name}, or pip install 'shakerbench[interchange]'"
-        ) from error
-
-
 @dataclass(frozen=True)
 class _Array:
     """A column: its length, how it is read, bytes of which it is made in the file, and its scale."""

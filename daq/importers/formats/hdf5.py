@@ -49,8 +49,9 @@ class Hdf5Source(ArraySource):
             self.left_out[name] = f"rows of {item.dtype.itemsize} bytes, at most {_MOST_ROW_BYTES} are read"
         elif item.dtype.names:
             for field in item.dtype.names:
-                read, stored = partial(self._read_field, name, field), partial(self._stored, name)
-                self._offer(f"{name}/{field}", item.shape, item.dtype[field], read, stored)
+                # read with the other fields of its rows; of each piece only the field stays
+                read = partial(lambda field, a, b, _: np.asarray(self._dataset(name).fields(field)[a:b]), field)
+                self._offer(f"{name}/{field}", item.shape, item.dtype[field], read, partial(self._stored, name))
         else:
             self._take(name, item)
 
@@ -83,9 +84,6 @@ class Hdf5Source(ArraySource):
         if name not in self._opened:
             self._opened[name] = self._file[name]
         return self._opened[name]
-
-    def _read_field(self, name: str, field: str, start: int, stop: int, column: int | None) -> NDArray[Any]:
-        return np.asarray(self._file[name].fields(field)[start:stop])
 
     def _read(self, name: str, start: int, stop: int, column: int | None) -> NDArray[Any]:
         item = self._dataset(name)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.formats.arrays import MOST_OBJECTS, ArraySource, package, refusals
+from daq.importers.formats.arrays import MOST_OBJECTS, ArraySource, refusals
 from daq.importers.formats.columns import with_unit
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, package
 
 
 class MdfSource(ArraySource):
@@ -20,7 +20,7 @@ class MdfSource(ArraySource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        with package(path, "MDF needs", "asammdf"):
+        with package("asammdf", f"{path}: MDF needs"):
             from asammdf import MDF
             from asammdf.blocks.utils import MdfException
         handle = self._handle()

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importers.formats.arrays import MOST_OBJECTS, ArraySource, package, refusals
+from daq.importers.formats.arrays import MOST_OBJECTS, ArraySource, refusals
 from daq.importers.formats.columns import with_unit
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, package
 
 
 class TdmsSource(ArraySource):
@@ -21,7 +21,7 @@ class TdmsSource(ArraySource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        with package(path, "TDMS needs", "npTDMS"):
+        with package("npTDMS", f"{path}: TDMS needs"):
             from nptdms import TdmsFile
             from nptdms.types import TimeStamp
         self._time_stamp = TimeStamp

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.importers.formats.arrays import MOST_OBJECTS, ArraySource, package
+from daq.importers.formats.arrays import MOST_OBJECTS, ArraySource
 from daq.importers.formats.columns import listed, with_unit
-from daq.setup.errors import InputError
+from daq.setup.errors import InputError, package
 from kernels.arrays import Floats
 
 _MOST_MIB = 512  # of a file; in memory it is several times as large
@@ -32,7 +32,7 @@ class UffSource(ArraySource):
                 f"{path}: has {size} MiB; a universal file is read into memory, and wanted is one of at most "
                 f"{_MOST_MIB} MiB: split it by time, or export TDMS or HDF5 instead."
             )
-        with package(path, "universal files need", "pyuff"):
+        with package("pyuff", f"{path}: universal files need"):
             import pyuff
         try:
             found = pyuff.UFF(str(path)).read_sets()
