@@ -19,8 +19,6 @@ import numpy as np
 from daq.lock_in import LockIn, ToneFit
 from kernels.arrays import Complexes, Floats
 
-SIGNIFICANT = 5.0  # ratio of the load's share to its uncertainty from which it is corrected for
-
 
 @dataclass(frozen=True)
 class Load:
@@ -43,7 +41,8 @@ class Load:
         share = self.cross / self.load_square
         left = max(self.square - share * self.cross, 0.0)  # of the acceleration, once the load's share is taken out
         sigma = math.sqrt(left / (self.n * self.load_square))
-        return (share, sigma) if abs(share) > SIGNIFICANT * sigma else (0.0, 0.0)
+        # a share that does not stand out of its uncertainty is not corrected for
+        return (share, sigma) if abs(share) > 5.0 * sigma else (0.0, 0.0)
 
 
 @dataclass(frozen=True)

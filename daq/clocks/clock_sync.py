@@ -24,10 +24,6 @@ from kernels.arrays import Bools, Floats, Integers
 
 MARKER_S = 0.3
 MARKER_HZ = (150.0, 2500.0)
-SURE = 8.0  # the marker's peak over the noise around it
-SURE_SAMPLES = 1.0  # largest uncertainty of a window that counts as a reading
-JUMP_SAMPLES = 0.5
-BROKEN = 4.0  # times the usual misfit, beyond which a window was cut or patched and says nothing
 WANDERS = 10.0 ** np.arange(-24.0, -13.0)  # variance of the rate gained in one sample, tried one by one
 START_RATE = 500e-6  # by which two clocks may differ
 UNKNOWN = 1e6  # variance of an unknown lag, samples squared
@@ -51,7 +47,8 @@ def find_marker(heard_v: Floats, marker: Floats) -> float | None:
     match = sliding_products(heard_v - heard_v.mean(), marker)
     k = int(np.argmax(np.abs(match)))
     floor = float(np.median(np.abs(match))) * 1.4826
-    if abs(match[k]) < SURE * max(floor, 1e-12) or match[k] <= 0.0 or not 0 < k < len(match) - 1:
+    # the marker's peak stands this far above the noise around it
+    if abs(match[k]) < 8.0 * max(floor, 1e-12) or match[k] <= 0.0 or not 0 < k < len(match) - 1:
         return None
     before, here, after = match[k - 1 : k + 2]
     return k + float(0.5 * (before - after) / (before - 2.0 * here + after))
@@ -110,13 +107,15 @@ class ClockTracker:
         centre = first + 0.5 * (len(volts) - 1)
         lag, rate, ss, sr, rr = _ahead(self._state, centre - self._at, self._wander)
         seen = lag_at(self._played, volts, first, round(lag))
-        if seen.sigma > SURE_SAMPLES or seen.gain <= 0.0:  # the drive stands still, or is not what came back
+        # a window whose lag is less certain is no reading
+        if seen.sigma > 1.0 or seen.gain <= 0.0:  # the drive stands still, or is not what came back
             return
         self._misfits.append(seen.rms_v)
-        if seen.rms_v > BROKEN * max(float(np.median(self._misfits)), SMALLEST_MISFIT * float(np.std(volts))):
+        # a window whose misfit is far from the usual one was cut or patched, and says nothing
+        if seen.rms_v > 4.0 * max(float(np.median(self._misfits)), SMALLEST_MISFIT * float(np.std(volts))):
             return
         off, variance = seen.samples - lag, seen.sigma**2
-        jump = abs(off) > max(JUMP_SAMPLES, 6.0 * (float(np.sqrt(ss)) + seen.sigma))
+        jump = abs(off) > max(0.5, 6.0 * (float(np.sqrt(ss)) + seen.sigma))
         if jump:  # where the lag was wrong the rate may have been, too
             ss, sr, rr = ss + UNKNOWN, 0.0, START_RATE**2
         total = ss + variance

@@ -16,7 +16,6 @@ from kernels.arrays import Floats
 LARGEST = 20_000  # most samples lost at once that are searched for
 LATENCY = 20_000  # longest latency of the loop-back, samples
 UNSOLVABLE = 1e-12  # part of a column's square sum below which its remainder is rounding
-REFINED = 24  # number of places of least misfit that are fitted
 ITERATIONS = 4  # most refinements of a fit whose guess was off by more than a sample
 
 
@@ -194,7 +193,7 @@ def candidates(
     else:
         misfit = centred @ centred - np.maximum(cross, 0.0) ** 2 / np.maximum(energy, 1e-12 * (energy.max() + 1e-300))
     inner = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
-    order = inner[np.argsort(misfit[inner])][:REFINED]
+    order = inner[np.argsort(misfit[inner])][:24]
     fits = [lag_at(played, heard, first, low + int(k)) for k in order]
     fits = [f for f in fits if np.isfinite(f.sigma) and f.gain > 0]
     if not fits:

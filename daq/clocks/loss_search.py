@@ -15,7 +15,6 @@ from daq.clocks.lag import LARGEST, LATENCY, Stretch, candidates, lag_at
 from kernels.arrays import Floats
 
 SURE_SAMPLES = 0.05  # a lag known less well than this decides nothing
-SAME_PART = 0.5  # of frames that are equal to the last bit in what was handed over twice
 CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything
 MISFIT = 4.0  # times what a fit usually leaves over: more does not fit
 LIKE_NOISE = 0.1  # of the heard drive: what the fit of a latency may leave over
@@ -117,7 +116,8 @@ class WhichLoss:
         at = self._where(self.lag - n) + len(self.before)
         known = np.concatenate([self.before, self.heard])
         again, once = known[at : at + n], known[max(at - n, 0) : at]
-        return again.size == once.size == n and float(np.mean(again == once)) > SAME_PART
+        # frames that were handed over twice are equal to the last bit, noise and all
+        return again.size == once.size == n and float(np.mean(again == once)) > 0.5
 
     def _where(self, new: float) -> int:
         """Frame at which the old lag stops fitting and the new one starts."""

@@ -33,12 +33,8 @@ from kernels.arrays import Floats
 
 CHUNK = 1024  # frames looked at together, at least
 OPENING = 8  # chunks that give the latency, at most
-PATIENCE = 3  # chunks held back, at most, to settle a loss
 SMALLEST_MISFIT = 1e-4  # of the drive: what the expansion itself leaves over
 HELD_S = 2.0  # of frames that wait for an answer; afterwards they are flagged and go on
-COUNTED_S = 1e-3  # jitter below which a device's own time is a count
-SILENT_PART = 0.5  # of the loop-back's gain
-CATCH_UP = 3  # times a block's frames, looked at in one call once an answer is there
 
 
 class BlockClock:
@@ -134,7 +130,8 @@ class LossDetector:
         """
         self._queue.append((block, np.asarray(loopback_v, np.float64)))
         self._queued += len(block.codes) + block.lost_before
-        return self._advance(CATCH_UP * max(len(block.codes), 1), wait=False)
+        # more than one block at a time, so that what has waited for an answer is made up for
+        return self._advance(3 * max(len(block.codes), 1), wait=False)
 
     @property
     def next_sample(self) -> int:
@@ -195,7 +192,8 @@ class LossDetector:
         if self._n_waiting < self._look_at:
             return []
         self._look_at = self._n_waiting + self._chunk // 2
-        return self._look(patient=self._n_waiting < PATIENCE * self._chunk)
+        # chunks that are held back, at most, to settle a loss
+        return self._look(patient=self._n_waiting < 3 * self._chunk)
 
     @property
     def _expected_lag(self) -> float | None:
@@ -219,7 +217,7 @@ class LossDetector:
         now = fit.solve() if fit else lag_at(self._played, volts, self.heard_samples, round(self._lag))
         fits = now.rms_v < MISFIT * usual_v
         moves = fit is not None and self._gain * fit.drive_v > MISFIT * usual_v
-        if fits and moves and now.gain < SILENT_PART * self._gain:  # silent: a search would find nothing
+        if fits and moves and now.gain < 0.5 * self._gain:  # silent: a search would find nothing
             return self._settled(flag=int(BlockFlag.FILLED))
         if now.sigma > SURE_SAMPLES and fits:  # the drive is too quiet to say more
             return self._settled(*self._by_adc())
@@ -234,7 +232,8 @@ class LossDetector:
         low = self.heard_samples + round(self._lag) - self._chunk - LARGEST // 8
         high = self.heard_samples + round(self._lag) + LARGEST + len(volts) + self._chunk
         wanted = None if excess_s is None else excess_s * self._rate_hz if excess_s >= CLOCK_SLACK else 0.0
-        counted_by_device = adc_s is not None and self._adc.jitter_s < COUNTED_S
+        # a device's own time with less jitter is a count
+        counted_by_device = adc_s is not None and self._adc.jitter_s < 1e-3
         return self._ask(WhichLoss(
             self._played.stretch(low, high), volts, self.heard_samples, self._before, self._lag, self._gain, usual_v,
             self._chunk, wanted, counted_by_device,

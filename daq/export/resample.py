@@ -18,7 +18,6 @@ from daq.setup.errors import InputError
 from kernels.arrays import Floats, Integers
 
 LARGEST = 100_000  # of numerator and denominator of the two rates' ratio
-REACH = 4000  # samples of the recording on either side that the filter is shown
 
 
 class Resampled:
@@ -72,7 +71,7 @@ class Resampled:
     def read_v(self, channel: str, start: int, stop: int) -> Floats:
         """Samples ``start`` to ``stop`` of the new rate, volts."""
         stop = min(stop, self.n_samples)
-        reach = math.ceil(REACH / self._down)  # in whole turns of the ratio, so that the grid stays where it is
+        reach = math.ceil(4000 / self._down)  # in whole turns of the ratio, so that the grid stays where it is
         first = max(0, start // self._up - reach)
         last = -(-stop // self._up) + reach
         # soxr sees samples on both sides, so that pieces join without a seam

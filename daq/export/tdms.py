@@ -16,7 +16,6 @@ from daq.recording.reader import Recording
 from daq.setup.errors import package
 
 GROUP = "recording"
-RAW = 0xFFFFFFFF  # input source of a scale: the stored numbers
 
 
 def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
@@ -62,7 +61,7 @@ def _properties(recording: Recording, name: str) -> dict[str, Any]:
         "NI_Scale[0]_Scale_Type": "Linear",
         "NI_Scale[0]_Linear_Slope": float(factor),
         "NI_Scale[0]_Linear_Y_Intercept": float(offset),
-        "NI_Scale[0]_Linear_Input_Source": Uint32(RAW),
+        "NI_Scale[0]_Linear_Input_Source": Uint32(0xFFFFFFFF),
     }
     if started:
         when = datetime.datetime.fromisoformat(started).astimezone(datetime.UTC).replace(tzinfo=None)

@@ -18,7 +18,6 @@ from daq.recording.reader import Recording
 from kernels.arrays import Integers
 
 LINE = 80
-EVEN_NS = 1.5  # farthest from an even grid, nanoseconds, at which a piece is written as even
 TIME_RESPONSE, DOUBLE, TIME, GENERAL = 1, 4, 17, 1  # codes of the format
 
 
@@ -42,7 +41,8 @@ def _write_set(
     """One channel from sample ``first`` on; times that are not even stand next to the values."""
     volts, n = recording.read_v(name, first, first + len(stamps)), len(stamps)
     grid = (np.arange(n) * (1e9 / recording.rate_hz)) + stamps[0]
-    even = bool(np.max(np.abs(stamps - grid)) <= EVEN_NS)
+    # times are stored to a nanosecond
+    even = bool(np.max(np.abs(stamps - grid)) <= 1.5)
     values = volts if even else np.column_stack([stamps * 1e-9, volts]).ravel()
     started = str(recording.stored.get("started") or "unknown")
     kind = "simulated rig" if recording.stored.get("simulated") else "rig"

@@ -33,7 +33,6 @@ FORMAT = "shakerbench recording"
 FORMAT_VERSION = 1
 CHUNK_SAMPLES = 65536
 PIECE_CHUNKS = 4  # written at a time, so that what each call of HDF5 costs counts little
-SHUFFLED_SAMPLES = 32768  # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
 SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node", "notes": "note"}
 TABLES = {"steps": STEP_DTYPE, "blocks": BLOCK_DTYPE, **SIDE_TABLES}
 Compression = Literal["lz4", "gzip"]
@@ -81,8 +80,9 @@ class ColumnWriter:
         self.path = path
         self.part = path.with_name(path.name + ".part")
         self.n_samples = 0
+        # long enough that a cycle of the forcing repeats within it: even times shrink sixfold
         self._filters: dict[str, Any] = (
-            dict(hdf5plugin.Bitshuffle(nelems=SHUFFLED_SAMPLES, cname="lz4"))
+            dict(hdf5plugin.Bitshuffle(nelems=32768, cname="lz4"))
             if compression == "lz4"
             else {"compression": "gzip", "compression_opts": 4, "shuffle": True}
         )

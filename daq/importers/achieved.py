@@ -21,7 +21,6 @@ from daq.steps.forcing_detection import Read, weights
 from daq.steps.tone_tracking import fit, tones_hz
 from kernels.arrays import Bools, Floats, Integers
 
-HARMONICS = 3  # of the first tone, which a mask at one phase of the cycle would mix in; more are undetermined there
 RINGING_S = (3e-3, 2e-3, 1e-3)  # masked after a closing: the longest that leaves enough
 OUTLIER_SIGMAS = 6.0  # from the motion, beyond which a sample belongs to an impact
 OUTLIER_FLOOR = 1e-3  # the same over the motion's largest amplitude: a file without noise has harmonics
@@ -46,7 +45,8 @@ def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, s
     sensor = setup.channels.accelerometer
     volts_per_g = sensor.volts_per_mps2 * setup.g_mps2.value
     forcing = [m for m, _ in weights(setup.forcing)]
-    harmonics = [m for m in range(1, HARMONICS + 1) if m * step.frequency_hz < 0.45 * rate_hz]
+    # three harmonics, which a mask at one phase of the cycle would mix into the tones; more are undetermined there
+    harmonics = [m for m in range(1, 4) if m * step.frequency_hz < 0.45 * rate_hz]
     multiples = sorted({*forcing, *harmonics})
     try:
         sums = _sums(volts, step, rate_hz, step.frequency_hz * np.array(multiples, np.float64), setup)

@@ -57,7 +57,6 @@ LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanose
 YEAR_9999_S = 2.5e11
 EPOCH_S = 1e9  # first time from which it counts as seconds since 1970
 RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
-EARLY_CYCLES = 2.0  # by which steps found in the accelerometer end early
 SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; shorter, it may be the middle of a fade
 
 
@@ -229,7 +228,7 @@ def _find(
     shortest, rate_hz = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz, base.rate_hz
     found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
     # the last cycles go to the next step's fade, whose slow beginning drowns in the noise
-    cut = [replace(s, stop=max(s.stop - round(EARLY_CYCLES * rate_hz / s.frequency_hz), s.hold)) for s in found]
+    cut = [replace(s, stop=max(s.stop - round(2.0 * rate_hz / s.frequency_hz), s.hold)) for s in found]
     for i in range(1, len(cut)):
         if found[i].start == found[i - 1].stop:
             cut[i] = replace(cut[i], start=cut[i - 1].stop)

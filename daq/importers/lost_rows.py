@@ -13,8 +13,6 @@ from daq.steps.find_steps import SAME_FREQUENCY, FoundStep
 from daq.steps.forcing_detection import Read
 from kernels.arrays import Complexes, Floats, Integers
 
-RUNS_ON_RAD = 0.03  # median jump of the phase at borders of steps, up to which a forcing runs on through them
-SURE_RAD = 1e-4  # to which phases agree, at best
 SIGMAS = 5.0
 LEAST_SAMPLES = 1.5  # jump of the phase that is a loss, at least
 
@@ -42,11 +40,12 @@ def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
     jumps = [_Jump.at(*border, rate_hz) for border in borders]
     # where the phase jumps at most borders, the forcing starts anew in every step and says nothing
     usual_rad = float(np.median([np.abs(jump.angles(np.zeros(1))).max() for jump in jumps]))
-    if usual_rad > RUNS_ON_RAD:
+    if usual_rad > 0.03:
         return np.zeros((0, 3), np.int64)
     out = []
     for (last, step), jump in zip(borders, jumps, strict=True):
-        lost = jump.lost(max(usual_rad, SURE_RAD))
+        # phases agree to this, at best
+        lost = jump.lost(max(usual_rad, 1e-4))
         if lost is not None:
             out.append((jump.place(read, last, step, lost[0]), *lost))
     return np.array(out, np.int64).reshape(-1, 3)

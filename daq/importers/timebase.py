@@ -16,7 +16,6 @@ import numpy as np
 from kernels import njit
 from kernels.arrays import Floats, Integers
 
-PAUSE_SAMPLES = 1.6  # a longer step in time is a pause: samples are missing
 JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
 Runs = list[tuple[int, int]]
 
@@ -48,7 +47,8 @@ def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) ->
     """
     first = times(0, min(n, 1 << 18))
     stride = min(1000, max(1, (len(first) - 1) // 3))  # long, so that rounding does not bias the step
-    limit = PAUSE_SAMPLES * float(np.median(first[stride:] - first[:-stride])) / stride + quantum_s
+    # a step in time longer than this many samples is a pause
+    limit = 1.6 * float(np.median(first[stride:] - first[:-stride])) / stride + quantum_s
     pauses = [np.zeros(0, np.int64)]
     for start in range(0, n - 1, piece):
         own = times(start, min(start + piece + 1, n))  # pieces overlap by a sample: every difference counts once

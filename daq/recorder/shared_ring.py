@@ -20,7 +20,6 @@ import numpy as np
 from daq.files.tables import BLOCK_DTYPE, Block, crc32
 
 NAME = "shakerbench"
-YOUNG_S = 60.0  # age up to which a segment may still be being handed over
 FOLDER = Path("/dev/shm")  # of named segments, where the system shows them (Linux)
 _COUNTERS = ("put", "taken", "safe_samples", "dropped_blocks", "worst_backlog")
 
@@ -190,7 +189,8 @@ def clear_left_behind(folder: Path = FOLDER) -> list[str]:
     for path in folder.glob(f"{NAME}-*-*"):
         owner = path.name.split("-")[1]
         try:
-            if not owner.isdecimal() or time.time() - path.stat().st_mtime <= YOUNG_S:
+            # a younger segment may still be being handed over
+            if not owner.isdecimal() or time.time() - path.stat().st_mtime <= 60.0:
                 continue
             try:
                 os.kill(int(owner), 0)  # asks whether there is such a process (POSIX)

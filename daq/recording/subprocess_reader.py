@@ -21,8 +21,6 @@ from typing import Any
 from daq.setup.errors import InputError
 
 PATIENCE_S = 2.0  # of silence, after which a process hangs
-START_S = 60.0
-MEMORY_BYTES = 768 << 20  # above what the process has when it starts
 
 Tell = Callable[[str], None]
 
@@ -89,7 +87,7 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
 
 def _follow(said: queue.SimpleQueue[str | None], patience_s: float) -> Answer:
     """Wait for the answer, as long as the process goes on."""
-    at, wait_s = "", START_S
+    at, wait_s = "", 60.0
     while True:
         try:
             line = said.get(timeout=wait_s)
@@ -107,7 +105,7 @@ def serve() -> None:
     """Body of the process: call what the command line names, within limits."""
     module, _, name = sys.argv[1].partition(":")
     function = getattr(importlib.import_module(module), name)
-    limit_memory(MEMORY_BYTES)
+    limit_memory(768 << 20)  # above what the process has when it starts
 
     def say(message: dict[str, Any]) -> None:
         sys.stdout.write(json.dumps(message) + "\n")

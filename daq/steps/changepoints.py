@@ -13,8 +13,6 @@ import numpy as np
 from kernels import njit
 from kernels.arrays import Floats
 
-LONGEST_SEGMENT = 192  # longest part that the search takes at once; longer ones are merged afterwards
-
 
 class SegmentCosts:
     """Weighted means of a sequence over any range, and the squared deviations from them, in constant time.
@@ -83,7 +81,7 @@ def _partition(w, wy, wyy, penalty, previous):  # type: ignore[no-untyped-def]
     best = np.zeros(n + 1)
     for stop in range(1, n + 1):
         best[stop] = np.inf
-        for start in range(max(0, stop - LONGEST_SEGMENT), stop):  # longer parts come back together afterwards
+        for start in range(max(0, stop - 192), stop):  # longer parts come back together afterwards
             cost = best[start] + penalty
             for k in range(d):
                 cost += wyy[stop, k] - wyy[start, k] - (wy[stop, k] - wy[start, k]) ** 2 / (w[stop, k] - w[start, k])

@@ -29,7 +29,6 @@ from kernels.arrays import Floats
 
 QUIET = 2e-3  # of the largest amplitude
 SAME_FREQUENCY = 3e-5  # relative
-SAME_MOTION = 1e-3  # relative
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing
         before, after = (
             one.tones.amplitudes * np.exp(2j * np.pi * one.tones.frequencies_hz * there_s) for one in (last, step)
         )
-        if nearby and alike and np.all(np.abs(before - after) < SAME_MOTION * np.abs(after).max()):
+        if nearby and alike and np.all(np.abs(before - after) < 1e-3 * np.abs(after).max()):
             both = SteadySegment(last.start, last.hold, step.stop, last.frequency_hz)
             joined[-1] = _refined(read, both, rate_hz, forcing)
         else:

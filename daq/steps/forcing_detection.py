@@ -20,7 +20,6 @@ from kernels.arrays import Bools, Floats, Integers
 Read = Callable[[int, int], Floats]
 
 SPAN = 8.0  # the frequency is sought between hint / SPAN and hint * SPAN
-QUIET = 2e-3  # of the largest amplitude
 _PAD = 4
 
 
@@ -73,7 +72,7 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
         _average(x, own - own[0], reduce, means)
         found.append(_look(means, rate_hz / reduce, tones, hint_hz))
     frequency, amplitude, share = np.concatenate(found, axis=1)
-    active = (share > 0.2) & (amplitude > QUIET * amplitude.max()) & (amplitude > 0)
+    active = (share > 0.2) & (amplitude > 2e-3 * amplitude.max()) & (amplitude > 0)
     return _grouped(starts, window, frequency, active, (start, stop))
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from daq.importers.formats.arrays import MOST_PACKED, SMALL_BYTES, ArraySource, refusals
 
 _PACKED = 20  # stricter limit on compression, because these files are held in memory whole: a hundredfold
-_COMPRESSED = 15  # type number of a compressed element
 
 
 class MatSource(ArraySource):
@@ -36,7 +35,8 @@ def _unpacked_bytes(path: Path) -> int:
         order: Literal["little", "big"] = "big" if header[126:128] == b"MI" else "little"
         while total <= most and len(tag := file.read(8)) == 8:
             kind, left = (int.from_bytes(tag[i : i + 4], order) for i in (0, 4))
-            if kind != _COMPRESSED:
+            # elements of type 15 are compressed
+            if kind != 15:
                 total += left
                 file.seek(left, 1)
                 continue

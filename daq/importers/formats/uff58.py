@@ -18,7 +18,6 @@ from daq.setup.errors import InputError, package
 from kernels.arrays import Floats
 
 _MOST_MIB = 512  # of a file; in memory it is several times as large
-_SIX_DIGITS = 5.5e-6  # relative rounding of a number of six digits
 _EXACT = re.compile(r"rate_hz=(\S+) first_sample=(\d+) time_ns=(-?\d+)")
 
 
@@ -85,6 +84,7 @@ def _seconds(one: dict[str, Any]) -> Floats:
         return np.asarray((int(exact[3]) + np.rint(np.arange(n) * (1e9 / float(exact[1])))) * 1e-9)
     step = float(one["abscissa_inc"])
     whole = round(1.0 / step) if step > 0 else 0
-    if whole > 0 and abs(step * whole - 1.0) < _SIX_DIGITS:
+    # a number of six digits is rounded by as much
+    if whole > 0 and abs(step * whole - 1.0) < 5.5e-6:
         step = 1.0 / whole
     return np.asarray(float(one["abscissa_min"]) + np.arange(n) * step)

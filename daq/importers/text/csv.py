@@ -27,7 +27,6 @@ from kernels.arrays import Floats, Integers
 Item = TypeVar("Item")
 
 _DIALECTS = ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, "."))
-_SNIFFED_LINES = 200
 _LISTED = 64
 _END_OF_HEADER = "***End_of_Header***"  # of LabVIEW's .lvm
 _QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')
@@ -147,7 +146,7 @@ class CsvSource(Source):
         """Find delimiter, decimal sign, header and the first line of numbers; returns the names of the columns."""
         head: list[str] = []
         with self._refusals("cannot be read as text ({})", head), TextFile(self.path) as file:
-            while len(head) < _SNIFFED_LINES and (line := file.readline()):
+            while len(head) < 200 and (line := file.readline()):
                 head.append(line.decode(errors="replace").rstrip("\r\n"))
         below = max((i + 1 for i, line in enumerate(head) if line.startswith(_END_OF_HEADER)), default=0)
         comments = [(i, line.lstrip().lstrip("#")) for i, line in enumerate(head) if line.lstrip().startswith("#")]
