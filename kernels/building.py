@@ -22,13 +22,11 @@ from numba.extending import typeof_impl
 
 from kernels.emit import lanes
 from kernels.fingerprint import fingerprint_of_closure
-from kernels.intrinsic import Intrinsic
 from kernels.kernel import Kernel
+from kernels.lanes import Intrinsic
 from kernels.machine_code import Kept
 from kernels.watch import watchers
 
-EMITTED = lanes
-"""Imported before anything is compiled: numba looks for new types and functions when it begins."""
 TESTED = (0, 63), (0, 69)
 """numba's releases whose private interfaces were tried: from the first, up to and without the second."""
 
@@ -82,8 +80,7 @@ def _type_of_kernel(kernel: Kernel, context: object) -> Any:
 
 @typeof_impl.register(Intrinsic)
 def _type_of_intrinsic(intrinsic: Intrinsic, context: object) -> Any:
-    emitted = getattr(importlib.import_module(intrinsic.module), intrinsic.name)
-    return cast(Any, registry.cpu_target).typing_context.resolve_value_type(emitted)
+    return cast(Any, registry.cpu_target).typing_context.resolve_value_type(getattr(lanes, intrinsic.name))
 
 
 def _kept(name: str, result: Any) -> bytes | None:

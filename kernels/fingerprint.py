@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from kernels.intrinsic import Intrinsic
+from kernels.lanes import Intrinsic
 
 Parts = list[object]
 
@@ -82,7 +82,7 @@ def _value(value: Any, parts: Parts, seen: dict[int, int]) -> None:
     if hasattr(value, "py_func"):  # a kernel, or a function compiled by numba itself
         _kernel(value, parts, seen)
     elif isinstance(value, Intrinsic):
-        parts.append(("intrinsic", value.module, value.name))
+        parts.append(("intrinsic", value.name))
     elif isinstance(value, enum.Enum):
         parts.append((type(value).__qualname__, value.name, value.value))
     elif isinstance(value, type) and issubclass(value, enum.Enum):

@@ -10,22 +10,28 @@ from __future__ import annotations
 
 from typing import Any
 
-from kernels.intrinsic import Intrinsic
+
+class Intrinsic:
+    """A function that writes machine code itself, ``name`` of `kernels.emit.lanes`: imported when one is compiled."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
 
 WIDTH = 16
 """Two registers of 512 bits, four of 256: one alone would wait for the latency of each operation."""
 ROW = 4
 """Numbers side by side in a table that `gather_rows` reads at once."""
 
-any_of: Any = Intrinsic("lanes", "any_of")
-count: Any = Intrinsic("lanes", "count")
-floor: Any = Intrinsic("lanes", "floor")
-gather: Any = Intrinsic("lanes", "gather")
-gather_rows: Any = Intrinsic("lanes", "gather_rows")
-load: Any = Intrinsic("lanes", "load")
-nearest: Any = Intrinsic("lanes", "nearest")
-root: Any = Intrinsic("lanes", "root")
-select: Any = Intrinsic("lanes", "select")
-size: Any = Intrinsic("lanes", "size")
-spread: Any = Intrinsic("lanes", "spread")
-store: Any = Intrinsic("lanes", "store")
+any_of: Any = Intrinsic("any_of")
+count: Any = Intrinsic("count")
+floor: Any = Intrinsic("floor")
+gather: Any = Intrinsic("gather")
+gather_rows: Any = Intrinsic("gather_rows")
+load: Any = Intrinsic("load")
+nearest: Any = Intrinsic("nearest")
+root: Any = Intrinsic("root")
+select: Any = Intrinsic("select")
+size: Any = Intrinsic("size")
+spread: Any = Intrinsic("spread")
+store: Any = Intrinsic("store")

@@ -23,18 +23,8 @@ CHANGES_A_STEP = 8  # bisected in one step at most
 MOST_FLIGHTS = 2048
 SHARP = 1e-12  # gamma
 ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
-TYPES = frozenset(
-    (
-        "take-off",
-        "rest",
-        "period doubling",
-        "lock",
-        "stick lost",
-        "stick gained",
-        "flight lost",
-        "flight gained",
-        "jump",
-    )
+TYPES = frozenset(("take-off", "rest", "period doubling", "lock", "stick lost", "stick gained")) | frozenset(
+    ("flight lost", "flight gained", "jump")
 )
 """Every type of change that a sweep tells."""
 COARSER = 4  # times fewer steps for an integrated ball, each of whose orbits costs an integration

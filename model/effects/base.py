@@ -50,7 +50,6 @@ from kernels.arrays import Floats
 Row = Floats
 """The row of all parameters, the local g last."""
 
-COMPILED_HOOKS = ("gravity", "force", "dry_friction", "takeoff_threshold", "rebound", "plate_mode")
 SIGNATURES = {
     "gravity": "p, k",
     "force": "s, h, v, u, p, k",
@@ -60,6 +59,7 @@ SIGNATURES = {
     "plate_mode": "p, k",
 }
 """Arguments of the compiled hooks."""
+COMPILED_HOOKS = tuple(SIGNATURES)
 PLAIN_HOOKS = (
     "transfer",
     "accelerometer_response",

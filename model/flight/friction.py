@@ -14,16 +14,14 @@ import numpy as np
 
 from kernels.arrays import Floats
 from kernels.lanes import nearest
+from model.flight.bounces import short_bounce, tail_of_chatter
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
-from model.flight.chatter import tail_of_chatter
 from model.flight.ideal import RESTS
 from model.flight.numerics import compiled, inlined
 from model.flight.records import EdgeTables, FrictionRestitution, Segment, Tangent
 from model.flight.segment import UNDECIDED, landing_or_standstill, motion, segment_from, standstill, total_speed
-from model.flight.short_bounce import short_bounce
 
 HUNG = 8
-MOST_SEGMENTS_OF_TANGENT = 1000  # of a flight whose tangent is asked for
 MOST_SEGMENTS = 100_000  # ups, hangs and falls in one flight; beyond it the ball is said to stay on the rod
 
 
@@ -83,35 +81,51 @@ def hang(up: Floats, n_up: int, down: Floats, n_down: int, phi: float) -> tuple[
 
 
 @inlined
-def next_event(
-    tones: Floats, gamma: float, up: Floats, n_up: int, down: Floats, n_down: int, segment: Segment, rising: bool
-) -> tuple[bool, float, float, float, int]:
-    """End of a segment: ``(landed, time, phase, impact speed, flag)``; not landed means that the ball stood still."""
-    if rising:
-        tau, phi = rise(tones, gamma, up, n_up, segment)
-        return False, tau, phi, 0.0, 0
-    return landing_or_standstill(tones, gamma, down, n_down, segment, True)
+def _flown(
+    tones: Floats, gamma: float, tables: EdgeTables, law: FrictionRestitution, phi0: float, v0: float,
+    at_threshold: bool,
+) -> tuple[float, float, float, int, float, Tangent]:  # fmt: skip
+    """A flight segment by segment: time, landing phase, impact speed, flag, the pull there, and shifts of the motion.
 
-
-@inlined
-def next_segment(
-    tones: Floats, gamma: float, law: FrictionRestitution, rising: bool, at: tuple[float, float, float, bool]
-) -> Segment:
-    """The segment that begins at ``at``: phase, height, speed, and whether at a threshold."""
-    phi, h, v, at_threshold = at
-    return segment_from(tones, gamma, phi, v, h, 1.0 + law.mu_up if rising else 1.0 - law.mu_down, at_threshold)
+    A shift of the take-off moves height and speed at a fixed time by ``(-v0, -h''(take-off))``, a change of ``v0`` by
+    ``(0, 1)``; both then move freely. At a standstill the pull changes and the speed's shift with it, in proportion;
+    hanging takes the speed's shift away, because the release does not know when the ball stopped.
+    """
+    up, n_up, down, n_down = tables  # taken out once: reading an array out of a record counts a reference
+    phi = fold(phi0, up[0]) if n_up > 0 else phi0
+    rising, landed = True, False
+    segment = segment_from(tones, gamma, phi, v0, 0.0, 1.0 + law.mu_up, at_threshold)
+    h_phi, w_phi, h_v, w_v = -v0, -segment.acceleration, 0.0, 1.0
+    total, flag, graze, speed = 0.0, 0, 0, 0.0
+    for _ in range(MOST_SEGMENTS):
+        if rising:
+            tau, phi = rise(tones, gamma, up, n_up, segment)
+        else:
+            landed, tau, phi, speed, graze = landing_or_standstill(tones, gamma, down, n_down, segment, True)
+            flag |= graze
+        h, v, pull = motion(tones, gamma, segment, phi, tau)
+        h_phi, h_v, total = h_phi + w_phi * tau, h_v + w_v * tau, total + tau
+        if not landed and h <= 0.0:  # lifted by less than rounding
+            landed, speed, flag = True, 0.0, flag | UNDECIDED
+        if landed:
+            return total, phi, speed, flag, pull, (h_phi, w_phi, h_v, w_v)
+        rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
+        if wait > 0.0:
+            flag |= HUNG
+            v = 0.0
+        total += wait
+        level = 1.0 + law.mu_up if rising else 1.0 - law.mu_down
+        segment = segment_from(tones, gamma, phi, v, h, level, at_edge)  # v: what rounding left of a standstill
+        factor = 0.0 if wait > 0.0 or pull == 0.0 else segment.acceleration / pull
+        w_phi, w_v = w_phi * factor, w_v * factor
+    return math.inf, phi, 0.0, flag | RESTS, 0.0, (math.nan, math.nan, math.nan, math.nan)
 
 
 @compiled
 def land_with_friction(
-    tones: Floats,
-    gamma: float,
-    tables: EdgeTables,
-    law: FrictionRestitution,
-    phi0: float,
-    v0: float,
+    tones: Floats, gamma: float, tables: EdgeTables, law: FrictionRestitution, phi0: float, v0: float,
     at_threshold: bool,
-) -> tuple[float, float, float, int]:
+) -> tuple[float, float, float, int]:  # fmt: skip
     """One flight from the take-off at ``phi0`` with relative speed ``v0``.
 
     Returns
@@ -123,27 +137,23 @@ def land_with_friction(
         short, tau, speed = short_bounce(tones, gamma, law, phi0, v0)
         if short:
             return tau, phi0 + tau, speed, 0
-    up, n_up, down, n_down = tables  # taken out once: reading an array out of a record counts a reference
-    at = fold(phi0, up[0]) if n_up > 0 else phi0
-    rising = True
-    segment = next_segment(tones, gamma, law, rising, (at, 0.0, v0, at_threshold))
-    total = 0.0
-    flag = 0
-    for _ in range(MOST_SEGMENTS):
-        landed, tau, phi, speed, graze = next_event(tones, gamma, up, n_up, down, n_down, segment, rising)
-        flag |= graze
-        if landed:
-            return total + tau, phi, speed, flag
-        h, v, _ = motion(tones, gamma, segment, phi, tau)
-        if h <= 0.0:  # lifted by less than rounding
-            return total + tau, phi, 0.0, flag | UNDECIDED
-        rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
-        if wait > 0.0:
-            flag |= HUNG
-            v = 0.0
-        total += tau + wait
-        segment = next_segment(tones, gamma, law, rising, (phi, h, v, at_edge))  # v: what rounding left of a standstill
-    return math.inf, phi, 0.0, flag | RESTS
+    tau, phi, speed, flag, _, _ = _flown(tones, gamma, tables, law, phi0, v0, at_threshold)
+    return tau, phi, speed, flag
+
+
+@compiled
+def flight_and_tangent(
+    tones: Floats, gamma: float, tables: EdgeTables, law: FrictionRestitution, phi0: float, v0: float,
+    at_threshold: bool,
+) -> tuple[float, float, float, Tangent]:  # fmt: skip
+    """One flight with its tangent: ``(tau, landing phase, impact speed, tangent)``; tau is inf when it never lands."""
+    tau, phi, speed, _, pull, (h_phi, w_phi, h_v, w_v) = _flown(tones, gamma, tables, law, phi0, v0, at_threshold)
+    if not speed > 0.0:
+        return tau, phi, 0.0, (math.nan, math.nan, math.nan, math.nan)
+    phi_phi, phi_v = h_phi / speed, h_v / speed
+    e_slope = law.e0 - 2.0 * law.e1 * speed if law.e0 > law.e1 * speed else 0.0
+    tangent = phi_phi, phi_v, -e_slope * (w_phi + pull * phi_phi), -e_slope * (w_v + pull * phi_v)
+    return tau, phi, speed, tangent
 
 
 @compiled
@@ -163,54 +173,3 @@ def rebound_or_rest(
         if tail >= 0.0:
             return 0.0, tail
     return v, 0.0
-
-
-@compiled
-def _landing_tangent(law: FrictionRestitution, speed: float, pull: float, shift: Tangent) -> Tangent:
-    """The tangent of a flight from the shifts of height and speed with take-off phase and speed, at a landing."""
-    h_phi, w_phi, h_v, w_v = shift
-    if speed <= 0.0:
-        return math.nan, math.nan, math.nan, math.nan
-    phi_phi, phi_v = h_phi / speed, h_v / speed
-    e_slope = law.e0 - 2.0 * law.e1 * speed if law.e0 > law.e1 * speed else 0.0
-    return phi_phi, phi_v, -e_slope * (w_phi + pull * phi_phi), -e_slope * (w_v + pull * phi_v)
-
-
-@compiled
-def flight_and_tangent(
-    tones: Floats,
-    gamma: float,
-    tables: EdgeTables,
-    law: FrictionRestitution,
-    phi0: float,
-    v0: float,
-    at_threshold: bool,
-) -> tuple[float, float, float, Tangent]:
-    """One flight with its tangent: ``(tau, landing phase, impact speed, tangent)``; tau is inf when it never lands.
-
-    A shift of the take-off moves height and speed at a fixed time by ``(-v0, -h''(take-off))``, a change of ``v0`` by
-    ``(0, 1)``; both then move freely. At a standstill the pull changes and the speed's shift with it, in proportion;
-    hanging takes the speed's shift away, because the release does not know when the ball stopped.
-    """
-    up, n_up, down, n_down = tables
-    at = fold(phi0, up[0])
-    rising = True
-    segment = next_segment(tones, gamma, law, rising, (at, 0.0, v0, at_threshold))
-    h_phi, w_phi, h_v, w_v = -v0, -segment.acceleration, 0.0, 1.0
-    total = 0.0
-    for _ in range(MOST_SEGMENTS_OF_TANGENT):
-        landed, tau, phi, speed, _ = next_event(tones, gamma, up, n_up, down, n_down, segment, rising)
-        h, _, pull = motion(tones, gamma, segment, phi, tau)
-        h_phi += w_phi * tau
-        h_v += w_v * tau
-        total += tau
-        if landed or h <= 0.0:
-            speed = max(speed, 0.0)
-            return total, phi, speed, _landing_tangent(law, speed, pull, (h_phi, w_phi, h_v, w_v))
-        rising, wait, phi, at_edge = hang(up, n_up, down, n_down, phi)
-        total += wait
-        segment = next_segment(tones, gamma, law, rising, (phi, h, 0.0, at_edge))
-        factor = 0.0 if wait > 0.0 or pull == 0.0 else segment.acceleration / pull
-        w_phi *= factor
-        w_v *= factor
-    return math.inf, phi, 0.0, (math.nan, math.nan, math.nan, math.nan)

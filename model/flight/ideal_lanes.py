@@ -23,35 +23,23 @@ DIPS = 8  # halvings of a dip, at most
 
 
 @inlined
-def _odd(i: Number) -> Any:
-    """Whether a whole number is odd: a concave branch."""
-    return (i - 2.0 * floor(0.5 * i)) == 1.0
-
-
-@inlined
-def _branch_after(i: Number, last: Number) -> Number:
-    """The next of a table's branches, round and round."""
-    return select(i + 1.0 >= last, 0.0, i + 1.0)
-
-
-@inlined
-def _step_on(far: Number, t: Number, i: Number, last: Number, clear: Any, v: Number, level: Number, end: Any) -> Any:
+def _step_on(far: Number, t: Number, wraps: Any, clear: Any, v: Number, end: Any) -> Any:
     """From the ``end`` (h, h') of a branch, at ``far`` and ``t`` after the start, on to the next branch.
 
-    Whole turns during which the ball is surely above the plate (between the times ``clear``) are left out.
+    Whole turns during which the ball is surely above the plate (between the times ``clear``) are left out; where it
+    ``wraps`` the table's period ends.
 
     Returns
     -------
     phase, h, h', turns
         Of the next branch's start; the turns, in radians, are those to be added.
     """
-    h, h1 = end
     clear_from, clear_to = clear
+    h, h1 = end
     skips = (t > clear_from) & (t < clear_to)
     skipped = select(skips, TWO_PI * floor((clear_to - t) * (1.0 / TWO_PI) + 1.0), 0.0)
-    wraps = i + 1.0 >= last
-    phase, turns = select(wraps, far - TWO_PI, far), select(wraps, skipped + TWO_PI, skipped)
-    return phase, h + skipped * (v - level * (t + 0.5 * skipped)), h1 - level * skipped, turns
+    phase, turns = select(wraps, (far - TWO_PI, skipped + TWO_PI), (far, skipped))
+    return phase, h + skipped * (v - (t + 0.5 * skipped)), h1 - skipped, turns
 
 
 @inlined
@@ -129,7 +117,7 @@ def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: 
         g = gamma * (s0 + slope0 * t - s) - 0.5 * t * t
         g1 = gamma * (slope0 - slope) - t
         width = far - edge
-        concave = _odd(i)
+        concave = (i - 2.0 * floor(0.5 * i)) == 1.0  # odd
         found = searching & (g <= 0.0)
         tangent = select(found, select(concave, far - g / g1, edge - h / h1), tangent)
         left, right = select(found, (edge, h, h1), left), select(found, (far, g, g1), right)
@@ -146,8 +134,9 @@ def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: 
             total = select(touches, turns, total)
         grazes = searching & ~plain
         searching = searching & ~(found | grazes)
-        edge, h, h1, more = _step_on(far, t, i, last, clear, v, 1.0, (g, g1))
-        turns, i = turns + more, select(searching, _branch_after(i, last), i)
+        wraps = i + 1.0 >= last
+        edge, h, h1, more = _step_on(far, t, wraps, clear, v, (g, g1))
+        turns, i = turns + more, select(searching, select(wraps, 0.0, i + 1.0), i)
     lo, hi = left[0], right[0]
     chord = lo + (hi - lo) * left[1] / (left[1] - right[1])
     x = start_of_root((*left, 0.0), (*right, 0.0), 0.5 * (chord + tangent))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from model.effects.base import COMPILED_HOOKS
+from model.effects.base import SIGNATURES
 from model.effects.registry import registry
 
 gravity: Callable[..., float]
@@ -24,25 +24,17 @@ rebound: Callable[..., float]
 plate_mode: Callable[..., tuple[float, float, float]]
 """Plate mode struck by impacts: angular frequency, damping ratio, mass ratio, of ``(p)``."""
 
-_SIGNATURES = {
-    "gravity": ("p", "p[-1]"),
-    "force": ("s, h, v, u, p", "0.0"),
-    "dry_friction": ("h, speed, direction, p", "0.0"),
-    "takeoff_threshold": ("dwell_s, p", "0.0"),
-    "rebound": ("v, p", "0.0"),
-    "plate_mode": ("p", "(1.0, 0.0, 0.0)"),
-}
+_NOTHING = {"gravity": "p[-1]", "plate_mode": "(1.0, 0.0, 0.0)"}  # else 0
 
 
 def _source() -> str:
     """One function a hook, each the sum of the effects' own; that of gravity begins with the local g."""
     entries = registry()
     lines = ["from kernels import njit"]
-    for entry in entries:
-        for hook in COMPILED_HOOKS:
-            if hook in entry.hooks:
-                lines.append(f"from {entry.module} import {hook} as {hook}_{entry.effect.name}")
-    for hook, (arguments, nothing) in _SIGNATURES.items():
+    for e in entries:
+        lines += [f"from {e.module} import {hook} as {hook}_{e.effect.name}" for hook in SIGNATURES if hook in e.hooks]
+    for hook, signature in SIGNATURES.items():
+        arguments, nothing = signature.removesuffix(", k"), _NOTHING.get(hook, "0.0")
         terms = [f"{hook}_{e.effect.name}({arguments}, {e.offset})" for e in entries if hook in e.hooks]
         if hook == "plate_mode" and len(terms) > 1:
             raise ValueError("only one effect may bring a plate mode")

@@ -16,7 +16,7 @@ from model.integrator import predict
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
 from model.integrator.problem import active, columns_of, for_kernel, tones_for_kernel
-from model.integrator.records import Events, Law, Mode, Plate, Probe, Steps, Visibility
+from model.integrator.records import Acting, Events, Law, Mode, Plate, Probe, Steps, Visibility
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -212,13 +212,13 @@ class Problem:
         """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
         out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
         seen = Visibility(0.0, self.detection.unseen_s, self.detection.passable_s, self.detection.closure_s)
-        predict.one_ahead(self.events(wanted), self.steps(tones), self.rows, *self.acting, seen, self.kick, probe, out)
+        predict.one_ahead(self.events(wanted), self.steps(tones), self.acting, seen, self.kick, probe, out)
         return out
 
     @property
-    def acting(self) -> tuple[bool, bool]:
-        """Whether there are forces, and dry friction."""
-        return active(self.rows, "force"), active(self.rows, "dry_friction")
+    def acting(self) -> Acting:
+        """The parameters, and whether there are forces, and dry friction."""
+        return Acting(self.rows, active(self.rows, "force"), active(self.rows, "dry_friction"))
 
     def steps(self, tones: Complexes) -> Steps:
         return Steps(for_kernel(self.plate.period_s), tones_for_kernel(self.plate.omega_radps, tones))

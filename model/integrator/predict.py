@@ -17,7 +17,20 @@ from model.integrator.plate import (
     strike,
     with_state,
 )
-from model.integrator.records import Chain, Event, Events, Law, Mode, Plate, Probe, Steps, Visibility, compiled, inlined
+from model.integrator.records import (
+    Acting,
+    Chain,
+    Event,
+    Events,
+    Law,
+    Mode,
+    Plate,
+    Probe,
+    Steps,
+    Visibility,
+    compiled,
+    inlined,
+)
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
 OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
@@ -96,45 +109,41 @@ def _measured(
     return start, v0, hit, q, qd
 
 
+@compiled
+def step_lengths(steps: Steps) -> Floats:
+    """Integration step of each step of the run, (m,), s."""
+    lengths = np.empty(len(steps.period))
+    for j in range(len(lengths)):
+        lengths[j] = step_length(steps.period[j], steps.tones[j])
+    return lengths
+
+
 @inlined
-def _event(i: int, events: Events) -> Event:
-    return Event(
-        events.opening[i],
-        events.landing[i],
-        events.relaunched[i],
-        events.linked[i],
-        events.bounces[i],
-        events.gap_m[i],
-        events.weak_mps[i],
-        events.gained_mps[i],
-        events.pressed_mps[i],
-        events.pressed_at[i],
-    )
+def plate_of(i: int, events: Events, steps: Steps, lengths: Floats) -> tuple[Floats, float]:
+    """The plate's tones (k, 3) under an event, between two steps while the drive fades, and the integration step."""
+    m = events.step[i]
+    tones, length = steps.tones[m], lengths[m]
+    if events.share[i] > 0.0:
+        tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
+        length = step_length(steps.period[m], tones)
+    return tones, length
 
 
 @compiled
 def one_ahead(
-    events: Events,
-    steps: Steps,
-    rows: Floats,
-    forced: bool,
-    rubbed: bool,
-    seen: Visibility,
-    kick: tuple[float, float],
-    probe: Probe,
+    events: Events, steps: Steps, acting: Acting, seen: Visibility, kick: tuple[float, float], probe: Probe,
     out: Floats,
-) -> None:
+) -> None:  # fmt: skip
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
-    ``rows`` (n or 1, P + 1) are all parameters; ``kick`` is added to the plate mode's displacement and velocity
-    wherever the chain of flights begins anew, a part of it where the accelerometer followed the fade. A measured
-    flight's own launch and impact are found where an elastic impact or a plate mode needs them.
+    ``kick`` is added to the plate mode's displacement and velocity wherever the chain of flights begins anew, a part of
+    it where the accelerometer followed the fade. A measured flight's own launch and impact are found where an elastic
+    impact or a plate mode needs them.
     """
+    rows, forced, rubbed = acting
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning, nodes = np.empty((steps.tones.shape[1] + 1, 6)), np.empty((0, 12))
-    lengths = np.empty(len(steps.period))
-    for j in range(len(lengths)):
-        lengths[j] = step_length(steps.period[j], steps.tones[j])
+    lengths = step_lengths(steps)
     om, ze, ratio = plate_mode(rows[0])
     n = events.landing.shape[0]
     for i in range(n):
@@ -149,13 +158,13 @@ def one_ahead(
         if not (events.wanted[i] or needed):  # nothing needs more of it than its landing
             last = Chain(landing, last.impact, 0.0, 0.0, True, 0)
             continue
-        tones, length = steps.tones[m], lengths[m]
-        if events.share[i] > 0.0:
-            tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
-            length = step_length(steps.period[m], tones)
+        tones, length = plate_of(i, events, steps, lengths)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
         law = Law(p, length, forced, rubbed, turning, nodes)
-        event = _event(i, events)
+        event = Event(
+            events.opening[i], landing, events.relaunched[i], events.linked[i], bounces, events.gap_m[i],
+            events.weak_mps[i], events.gained_mps[i], events.pressed_mps[i], events.pressed_at[i],
+        )  # fmt: skip
         passed, chained = 0, last.chained + 1
         if not event.linked:
             chained = 0

@@ -72,6 +72,14 @@ class Law(NamedTuple):
     nodes: Floats
 
 
+class Acting(NamedTuple):
+    """All parameters, one row or one an event (n or 1, P + 1), and whether there are forces, and dry friction."""
+
+    rows: Floats
+    forced: bool
+    rubbed: bool
+
+
 class Visibility(NamedTuple):
     """What the contact circuit shows of a flight.
 

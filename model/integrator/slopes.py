@@ -22,9 +22,9 @@ from model.integrator import predict
 from model.integrator.flight import NODE_COLUMNS, flight, pull
 from model.integrator.hooks import dry_friction, force, rebound, takeoff_threshold
 from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, Problem
-from model.integrator.plate import between_steps, step_length, tones_at
+from model.integrator.plate import tones_at
 from model.integrator.problem import active, for_kernel
-from model.integrator.records import Chain, Events, Law, Mode, Plate, Steps, clear, clear_rows, compiled
+from model.integrator.records import Acting, Chain, Events, Law, Mode, Plate, Steps, clear, clear_rows, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
 from model.integrator.variation import (
     LAUNCH,
@@ -58,10 +58,12 @@ class Leaving(NamedTuple):
 class Work(NamedTuple):
     """Room for the d derivatives of one event.
 
-    Plate's acceleration at a take-off, and its velocity (d,); landings (d,); the take-off; derivatives of a flight by
-    its own start (3, d); its `INFO`.
+    A flight's variations; derivatives of the last impact speed in the chain (d,); plate's acceleration at a take-off,
+    and its velocity (d,); landings (d,); the take-off; derivatives of a flight by its own start (3, d); its `INFO`.
     """
 
+    room: Room
+    hit: Floats
     velocity: Floats
     acceleration: Floats
     hits: Floats
@@ -71,10 +73,11 @@ class Work(NamedTuple):
 
 
 @compiled
-def work_for(d: int) -> Work:
-    """Room for ``d`` derivatives: as many as a flight has by its own start."""
-    leaving = Leaving(np.zeros(d), np.zeros(d))
-    return Work(np.zeros(d), np.zeros(d), np.zeros(d), leaving, np.zeros((3, d)), np.zeros(INFO))
+def work_for(tones: int, d: int) -> Work:
+    """Room for ``d`` derivatives, as many as a flight over ``tones`` tones has by its own start."""
+    hit, leaving = np.zeros(d), Leaving(np.zeros(d), np.zeros(d))
+    wide = np.zeros((3, d))
+    return Work(room_for(tones), hit, np.zeros(d), np.zeros(d), np.zeros(d), leaving, wide, np.zeros(INFO))
 
 
 @compiled
@@ -87,19 +90,14 @@ def _throws(t: float, dwell: float, plate: Plate, law: Law) -> float:
 
 @compiled
 def at_takeoff(
-    at: tuple[float, float, float, float, int, float],
-    plate: Plate,
-    law: Law,
-    hit: Floats,
-    work: Work,
-    out: Leaving,
-    info: Floats,
+    at: tuple[float, float, float, float, int, float], plate: Plate, law: Law, work: Work, info: Floats
 ) -> None:
-    """Derivatives at a take-off from the landing before.
+    """Derivatives ``work.leaving`` at a take-off from the landing before.
 
     ``at`` is the time of that landing, its impact speed, time and speed of the take-off, its kind, and the ball's dwell
-    less the time since the landing; ``hit`` (d,) the derivatives of the impact speed.
+    less the time since the landing.
     """
+    out, hit = work.leaving, work.hit
     t, impact, off, launched, kind, more = at
     since = off - t
     clear(out.off)
@@ -116,8 +114,11 @@ def at_takeoff(
     else:
         out.off[LANDING] = 1.0
         info[6] = abs(over / rate) if rate != 0.0 and launched == 0.0 else 1.0
-    if kind == 1:
-        _rebounds(impact, hit, out, law.p)
+    e = rebound(impact, law.p)
+    if kind == 1 and 0.0 < e < MOST_RESTITUTION:
+        steeper = 0.5 * (rebound(impact + FASTER_MPS, law.p) - rebound(impact - FASTER_MPS, law.p)) / FASTER_MPS
+        for j in range(len(out.launch)):
+            out.launch[j] = (e + impact * steeper) * hit[j]
 
 
 @compiled
@@ -148,22 +149,6 @@ def _when_thrown(off: float, dwell: float, rate: float, plate: Plate, law: Law, 
 
 
 @compiled
-def steeper(impact: float, p: Floats) -> float:
-    """Derivative of the coefficient of restitution by the impact speed."""
-    return float(0.5 * (rebound(impact + FASTER_MPS, p) - rebound(impact - FASTER_MPS, p)) / FASTER_MPS)
-
-
-@compiled
-def _rebounds(impact: float, hit: Floats, out: Leaving, p: Floats) -> None:
-    """Derivatives of the speed with which the ball leaves an impact."""
-    e = rebound(impact, p)
-    if 0.0 < e < MOST_RESTITUTION:
-        rate = e + impact * steeper(impact, p)
-        for j in range(len(out.launch)):
-            out.launch[j] = rate * hit[j]
-
-
-@compiled
 def _chained(elementary: Floats, at: Leaving, out: Floats) -> None:
     """Derivatives (d,) from those of one flight by its own start (d,) and those of the start."""
     for j in range(len(out)):
@@ -173,15 +158,7 @@ def _chained(elementary: Floats, at: Leaving, out: Floats) -> None:
 
 
 @compiled
-def slopes_ahead(
-    events: Events,
-    steps: Steps,
-    rows: Floats,
-    acting: tuple[bool, bool],
-    found: Floats,
-    out: Floats,
-    info: Floats,
-) -> None:
+def slopes_ahead(events: Events, steps: Steps, acting: Acting, found: Floats, out: Floats, info: Floats) -> None:
     """Derivatives of openings, landings and impact speeds, ``out`` (n, 3, d).
 
     ``found`` (n, ...) is the table of `predict.one_ahead`; ``info`` (n, `INFO`) tells where derivatives can be used,
@@ -189,14 +166,12 @@ def slopes_ahead(
     """
     k, d = steps.tones.shape[1], out.shape[2]
     turning, nodes = np.empty((k + 1, 6)), np.empty((MOST_NODES, NODE_COLUMNS))
-    room, work = room_for(k), work_for(d)
-    last, sound, hit = Chain(np.inf, 0.0, 0.0, 0.0, False, 0), True, np.zeros(d)
-    lengths = np.empty(len(steps.period))
-    for j in range(len(lengths)):
-        lengths[j] = step_length(steps.period[j], steps.tones[j])
+    work = work_for(k, d)
+    last, sound, hit = Chain(np.inf, 0.0, 0.0, 0.0, False, 0), True, work.hit
+    lengths, (rows, forced, rubbed) = predict.step_lengths(steps), acting
     p = rows[0].copy()
     for i in range(len(events.landing)):
-        m, landing = events.step[i], events.landing[i]
+        landing = events.landing[i]
         clear_rows(out[i])
         clear(info[i])
         if len(rows) > 1:
@@ -206,12 +181,9 @@ def slopes_ahead(
             last, sound = Chain(landing, last.impact, 0.0, 0.0, True, 0), True
             clear(hit)
             continue
-        tones, length = steps.tones[m], lengths[m]
-        if events.share[i] > 0.0:
-            tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
-            length = step_length(steps.period[m], tones)
+        tones, length = predict.plate_of(i, events, steps, lengths)
         plate = Plate(tones, Mode(0.0, 0.0, 1.0, 0.0))
-        law = Law(p, length, acting[0], acting[1], turning, nodes)
+        law = Law(p, length, forced, rubbed, turning, nodes)
         # a prediction that needs the landing before and no flight passed over; a ball at rest remembers none
         direct = found[i, predict.KIND] >= 0.0 and found[i, predict.PASSED] == 0.0
         direct = direct and (found[i, predict.HIDDEN] == 0.0 or found[i, predict.KIND] == 0.0)
@@ -219,36 +191,27 @@ def slopes_ahead(
             last, sound = Chain(events.opening[i], last.impact, 0.0, 0.0, False, 0), True
             clear(hit)
         elif events.wanted[i] and direct:
-            _predicted(events.gap_m[i], last, plate, law, hit, found[i], room, work, out[i], info[i])
+            _predicted(events.gap_m[i], last, plate, law, found[i], work, out[i], info[i])
             if not sound:
                 info[i, 0] = 0.0
         if found[i, predict.WAY] == 0.0:
             last, sound = Chain(landing, last.impact, 0.0, 0.0, True, 0), True
             clear(hit)
             continue
-        last, sound = _measured(landing, last, plate, law, hit, found[i], room, work)
+        last, sound = _measured(landing, last, plate, law, found[i], work)
 
 
 @compiled
 def _predicted(
-    gap_m: float,
-    last: Chain,
-    plate: Plate,
-    law: Law,
-    hit: Floats,
-    found: Floats,
-    room: Room,
-    work: Work,
-    out: Floats,
-    info: Floats,
+    gap_m: float, last: Chain, plate: Plate, law: Law, found: Floats, work: Work, out: Floats, info: Floats
 ) -> None:
     """Derivatives of one prediction, ``out`` (3, d), and its `INFO`."""
     off, v0, kind = found[predict.TAKEOFF], found[predict.LAUNCH], int(found[predict.KIND])
-    at_takeoff((last.t, last.impact, off, v0, kind, 0.0), plate, law, hit, work, work.leaving, info)
+    at_takeoff((last.t, last.impact, off, v0, kind, 0.0), plate, law, work, info)
     by = work.elementary
     law.nodes[0, 0] = 0.0
     lasts, _, opened = flight(off, v0, plate, law, gap_m)
-    usable, net, v = flight_variations(off, v0, opened, plate.tones, law, room, by)
+    usable, net, v = flight_variations(off, v0, opened, plate.tones, law, work.room, by)
     opens = off + max(opened, 0.0)
     same = abs(off + lasts - found[predict.LANDING]) + abs(opens - found[predict.OPENING]) < SAME_S
     info[0] = 1.0 if usable and same else 0.0
@@ -259,29 +222,20 @@ def _predicted(
 
 
 @compiled
-def _measured(
-    landing: float,
-    last: Chain,
-    plate: Plate,
-    law: Law,
-    hit: Floats,
-    found: Floats,
-    room: Room,
-    work: Work,
-) -> tuple[Chain, bool]:
-    """Carry the chain, and the derivatives ``hit`` of its impact speed, over a measured flight; whether they are sound.
+def _measured(landing: float, last: Chain, plate: Plate, law: Law, found: Floats, work: Work) -> tuple[Chain, bool]:
+    """Carry the chain, and the derivatives of its impact speed, over a measured flight; whether they are sound.
 
     Its landing is from now on the landing before.
     """
     begun, v0 = found[predict.OWN_START], found[predict.OWN_LAUNCH]
     speed, way = found[predict.OWN_IMPACT], found[predict.WAY]
-    leaving, by = work.leaving, work.elementary
+    leaving, by, hit = work.leaving, work.elementary, work.hit
     start = (last.t, 0.0, begun, 0.0, 0 if begun > last.t else 1, 1e9)
-    at_takeoff(start, plate, law, hit, work, leaving, work.info)
+    at_takeoff(start, plate, law, work, work.info)
     clear(leaving.launch)  # it is found from both ends of the flight
     law.nodes[0, 0] = 0.0
     lasts, _, opened = flight(begun, v0, plate, law, 0.0)
-    usable, _, _ = flight_variations(begun, v0, opened, plate.tones, law, room, by)
+    usable, _, _ = flight_variations(begun, v0, opened, plate.tones, law, work.room, by)
     own_hit = 0.0
     if way == predict.TWO_POINTS:
         usable = usable and abs(begun + lasts - landing) < SAME_S and by[0, LAUNCH] > 0.0
@@ -343,12 +297,7 @@ def slopes_of(measured: Measured, plate: PlateSteps, rows: Floats, detection: De
     n, d = len(found.table), TONES + 2 * tones.shape[1]
     out, info = np.zeros((n, 3, d)), np.zeros((n, INFO))
     events = problem.events(measured.wanted)
-    slopes_ahead(events, problem.steps(tones), rows, problem.acting, found.table, out, info)
+    slopes_ahead(events, problem.steps(tones), problem.acting, found.table, out, info)
     out[info[:, 0] == 0.0] = 0.0
-    k, first = tones.shape[1], TONES
-    return Slopes(
-        out[..., LANDING],
-        out[..., LANDING_BEFORE],
-        out[..., first : first + 2 * k].reshape(len(out), 3, k, 2),
-        info,
-    )
+    by_tone = out[..., TONES:].reshape(n, 3, tones.shape[1], 2)
+    return Slopes(out[..., LANDING], out[..., LANDING_BEFORE], by_tone, info)

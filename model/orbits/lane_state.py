@@ -15,6 +15,7 @@ import numpy as np
 
 from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, load
+from model.flight.bounces import short_bounce, surely_long
 from model.flight.branches import TWO_PI
 from model.flight.edge_table import TABLE, fold_onto
 from model.flight.friction import rebound_or_rest
@@ -22,7 +23,6 @@ from model.flight.friction_lanes import BRANCH_ROWS, EDGE_ROWS
 from model.flight.numerics import Number, compiled, inlined
 from model.flight.records import EdgeTables, FrictionRestitution
 from model.flight.segment import shape
-from model.flight.short_bounce import short_bounce, surely_long
 from model.orbits.cycles import CHATTERS
 
 # rows of ``work``: parameters; places of the tables going up and down, and their edges

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from benchmarks.model.every_flight import every_flight
 from benchmarks.model.friction_reference import ExactRough, march
-from model.flight import chatter, friction
+from model.flight import friction
+from model.flight.bounces import PHASE_BOUND, tail_of_chatter
 from model.flight.first_landing import take_off_phases, turning_points
 from model.flight.ideal import RESTS
 from model.flight.records import FrictionRestitution
@@ -121,7 +122,7 @@ def test_tail_of_chatter_keeps_its_bound():
         gamma, mu, e0 = rng.uniform(0.05, 4), rng.uniform(0, 0.4), rng.uniform(0.05, 0.9)
         rough = FrictionRestitution(mu, mu * rng.uniform(0, 1), e0, rng.uniform(-0.05, 0.05))
         phi0, v0 = rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-5, -2)
-        tail = chatter.tail_of_chatter(forcing.tones, gamma, rough, phi0, v0)
+        tail = tail_of_chatter(forcing.tones, gamma, rough, phi0, v0)
         if tail < 0:
             continue
         tried += 1
@@ -130,7 +131,7 @@ def test_tail_of_chatter_keeps_its_bound():
             tau, phi, speed, _ = flown(forcing, gamma, rough, phi, v)
             total += tau
             v = friction.rebound(rough, speed)
-        assert tail == pytest.approx(total, abs=chatter.PHASE_BOUND)
+        assert tail == pytest.approx(total, abs=PHASE_BOUND)
 
 
 STEP_S = 50e-9
@@ -158,7 +159,7 @@ def bounces(forcing, gamma, law, phi, v):
     while rest < 0.0:
         tau, phi, speed, _ = flown(forcing, gamma, law, phi, v)
         v = friction.rebound(law, speed)
-        rest = chatter.tail_of_chatter(forcing.tones, gamma, law, phi, v)
+        rest = tail_of_chatter(forcing.tones, gamma, law, phi, v)
         taus.append(tau)
         speeds.append(speed)
     return taus, speeds, rest
