@@ -84,6 +84,16 @@ class LockedCycle:
     """The Floquet multiplier largest in size (real part where complex)."""
 
 
+def locked_cycle(flights: Floats, periods: int, multipliers: Iterable[complex]) -> LockedCycle:
+    """The cycle of ``flights`` (4, n), entered at its smallest phase; rows: time, phase, impact and take-off speed."""
+    largest = complex(max(multipliers, key=abs))
+    size = largest.real if largest.imag == 0.0 else math.copysign(abs(largest), largest.real)
+    phase = np.mod(flights[1], TWO_PI)
+    turn = -int(np.argmin(phase))
+    tau, phase, speed, start = (np.roll(row, turn) for row in (flights[0], phase, flights[2], flights[3]))
+    return LockedCycle(phase, start, tau, speed, periods, size)
+
+
 @dataclass(frozen=True)
 class Attractor:
     """Where an orbit ends.

@@ -19,7 +19,7 @@ from model.flight import first_landing
 from model.flight.branches import TWO_PI
 from model.flight.precision import check_gamma, lengthened
 from model.flight.records import EdgeTables, FrictionRestitution
-from model.orbits.attractor import LockedCycle, Path, State
+from model.orbits.attractor import LockedCycle, Path, State, locked_cycle
 from model.orbits.cycles import CHATTERS, CODE_SIZE, FRICTION, IDEAL, SMALL, Cycles, Flown, room_for
 from model.tones import Forcing
 
@@ -157,11 +157,7 @@ class ExactBall:
         if not ok or any(shorter):
             return None
         root = cmath.sqrt(trace * trace / 4.0 - determinant)
-        multiplier = max((trace / 2.0 + root, trace / 2.0 - root), key=abs)
-        size = multiplier.real if multiplier.imag == 0.0 else math.copysign(abs(multiplier), multiplier.real)
-        cycle[1] = np.mod(phases, TWO_PI)
-        taus, phases, speeds, starts = np.roll(cycle, -int(np.argmin(cycle[1])), axis=1)
-        return LockedCycle(phases, starts, taus, speeds, periods, size)
+        return locked_cycle(cycle, periods, (trace / 2.0 + root, trace / 2.0 - root))
 
 
 @dataclass(frozen=True)

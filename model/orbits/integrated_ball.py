@@ -19,7 +19,7 @@ from model.integrator import one_step
 from model.integrator.flight import LONGEST_PERIODS
 from model.integrator.problem import tones_for_kernel
 from model.integrator.records import Law
-from model.orbits.attractor import LockedCycle, Path, State
+from model.orbits.attractor import LockedCycle, Path, State, locked_cycle
 from model.orbits.exact_ball import resting
 from model.tones import Forcing, Plate
 
@@ -153,16 +153,12 @@ class IntegratedBall:
     def _cycle(self, gamma: float, state: np.ndarray, n: int, jacobian: np.ndarray) -> LockedCycle | None:
         found = self._simulate(gamma, float(state[0]), float(state[1]), n + 1)
         w = self.omega_radps
-        values = np.linalg.eigvals(jacobian)
-        largest = values[np.argmax(np.abs(values))]
-        size = float(largest.real) if largest.imag == 0.0 else math.copysign(abs(largest), largest.real)
-        phase = np.mod(found.takeoff_s[:n] * w, TWO_PI)
-        turn = -int(np.argmin(phase))
         tau = (found.landing_s - found.takeoff_s)[:n] * w
-        start, speed = found.launch_mps[:n] * w / self.g_mps2, found.impact_mps[:n] * w / self.g_mps2
+        speeds = np.array([found.impact_mps[:n], found.launch_mps[:n]]) * w / self.g_mps2
         periods = round((found.takeoff_s[n] - found.takeoff_s[0]) * self.frequency_hz)
-        phase, start, tau, speed = (np.roll(a, turn) for a in (phase, start, tau, speed))
-        return LockedCycle(phase, start, tau, speed, periods, size)
+        return locked_cycle(
+            np.array([tau, found.takeoff_s[:n] * w, *speeds]), periods, np.linalg.eigvals(jacobian).tolist()
+        )
 
 
 def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
