@@ -33,10 +33,10 @@ def command(
     scenario: outputs.Scenario = None,
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
     keep_term: str | None = typer.Option(
-        None, "--keep-term", metavar="NAME", help="Keep a discovered term as an effect of that name, and try it."
+        None, "--keep-term", metavar="NAME", help="Try a discovered term as an effect."
     ),
     runs_differ: bool = typer.Option(
-        False, "--runs-differ", help="Recordings of different days: each has calibrations of its own."
+        False, "--runs-differ", help="Runs of different days, each with its calibrations."
     ),
     summaries: Path | None = typer.Option(
         None, "--summaries", metavar="FILE", help="With --runs-differ: keep each run's summary there, to go on."
@@ -58,12 +58,8 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from analysis.loop.close_loop import fit_loop
-    from bench.jobs.adaptive_runs import until_clear as runs_until_clear
     from bench.jobs.joint_runs import holds_summaries, judge_runs
     from bench.jobs.keep_term import place_for
-    from bench.profiles.find import load_measuring
-    from bench.terminal.progress import progress_bar
 
     check_outputs(
         File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
@@ -74,33 +70,24 @@ def command(
     kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
     if summaries is not None and not runs_differ:
         raise InputError("--summaries: is kept of runs that differ only; give --runs-differ as well, or leave it out")
-    single = {
-        "--improved": improved, "--next-run": next_run, "--until-clear": until_clear, "--keep-term": keep_term,
-    }  # fmt: skip
-    if runs_differ and any(single.values()):
-        raise InputError(
-            f"{', '.join(option for option, value in single.items() if value)}: belongs to a single run or to runs "
-            "alike, and --runs-differ was given; leave out one of them"
-        )
     _check_recordings(recordings)
-    quiet, failure, text = json == "-", "", None
     if runs_differ:
+        _refuse_single(improved=improved, next_run=next_run, until_clear=until_clear, keep_term=keep_term)
         complete = judge_runs(recordings, profile, summaries, json, report, anyway=anyway)
     else:
-        if until_clear:
-            loop, fitted, recordings, failure = runs_until_clear(
-                recordings, scenario, seed, say=speaker(quiet), quiet=quiet, anyway=anyway
-            )
-        else:
-            setup, text = (None, None) if profile is None else load_measuring(profile)
-            with progress_bar(quiet) as bar:
-                loop, fitted = fit_loop(recordings, setup=setup, progress=bar, anyway=anyway)
-        wanted = _Wanted(json, report, improved, next_run, kept_as, profile, text)
-        complete = _write(loop, fitted, recordings, wanted)
-    if failure:
-        fail(failure)
+        wanted = _Wanted(json, report, improved, next_run, kept_as, profile)
+        complete = _close(recordings, wanted, (scenario, seed) if until_clear else None, anyway=anyway)
     if not complete:
         raise SystemExit(EXIT_FAILED)
+
+
+def _refuse_single(**options: object) -> None:
+    """Refuse options that belong to a single run, where the runs differ."""
+    if given := [f"--{name.replace('_', '-')}" for name, value in options.items() if value]:
+        raise InputError(
+            f"{', '.join(given)}: belongs to a single run or to runs alike, and --runs-differ was given; leave out one "
+            "of them"
+        )
 
 
 def _check_recordings(recordings: list[Path]) -> None:
@@ -119,7 +106,7 @@ def _check_recordings(recordings: list[Path]) -> None:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """Paths of the outputs, and the profile, with its text, by which the loop was closed if not the recordings' own."""
+    """Paths of the outputs, and the profile by which the loop is closed, if not the recordings' own."""
 
     json: str | None
     report: Path | None
@@ -127,11 +114,35 @@ class _Wanted:
     next_run: Path | None
     kept_as: Path | None
     profile: Path | None
-    text: str | None
 
 
-def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted: _Wanted) -> bool:
-    """Show the verdict and write what is wanted; whether all could be written."""
+def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, int] | None, *, anyway: bool) -> bool:
+    """Close the loop, show the verdict and write what is wanted; whether all could be written.
+
+    ``again``: what the simulated rig hides, and a seed, for runs that are made until one explanation stands.
+    """
+    from analysis.loop.close_loop import fit_loop
+    from bench.jobs.adaptive_runs import until_clear
+    from bench.profiles.find import load_measuring
+    from bench.terminal.progress import progress_bar
+
+    quiet, failure, text = wanted.json == "-", "", None
+    if again is not None:
+        loop, fitted, recordings, failure = until_clear(
+            recordings, *again, say=speaker(quiet), quiet=quiet, anyway=anyway
+        )
+    else:
+        setup, text = (None, None) if wanted.profile is None else load_measuring(wanted.profile)
+        with progress_bar(quiet) as bar:
+            loop, fitted = fit_loop(recordings, setup=setup, progress=bar, anyway=anyway)
+    complete = _write(loop, fitted, recordings, wanted, text)
+    if failure:
+        fail(failure)
+    return complete
+
+
+def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted: _Wanted, text: str | None) -> bool:
+    """Show the verdict and write what is wanted; ``text`` is that of the profile, if not the recordings' own."""
     from analysis.loop.design import ranking_json
     from analysis.loop.verdict_json import loop_json
     from analysis.report.page import write_report
@@ -163,7 +174,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"report: {write_report(loop, folder, progress=bar, kept=kept)}")
 
     def improve(path: Path) -> None:
-        for line in write_improved(loop, recordings[0], path, wanted.text):
+        for line in write_improved(loop, recordings[0], path, text):
             say(line)
 
     def following(path: Path) -> None:

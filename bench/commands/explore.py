@@ -30,9 +30,7 @@ def command(
     ratios: str = typer.Option("1,2,3", "--ratios", help="Values of c that may be driven."),
     frequencies: str = typer.Option("", "--frequencies", help="First tones that may be driven, Hz; the profile's."),
     steps: int = typer.Option(4, "--steps", min=2, help="Steps of each block."),
-    hold_cycles: int = typer.Option(
-        14, "--hold", min=8, help="Cycles for which each step is held; twice as many while unexplained."
-    ),
+    hold_cycles: int = typer.Option(14, "--hold", min=8, help="Cycles of each step; twice as many while unexplained."),
     settle_cycles: int = typer.Option(4, "--settle", min=0, help="Cycles waited after each fade, for the plate."),
     ask: bool = typer.Option(False, "--ask", help="Ask before each block: go on, other gammas, or stop."),
     real_time: outputs.RealTime = False,
@@ -53,8 +51,7 @@ def command(
 
     Example: bench explore simulated --scenario friction --out found --until coulomb_friction.mu_up=0.005
 
-    Exits 0 when an aim was reached or the budget is spent, 1 when a block failed or was stopped, 2 when the call was
-    wrong.
+    Exits 0 when an aim was reached or the budget is spent, 1 when a block failed or was stopped, 2 for a wrong call.
     """
     from bench.jobs.blocks import Aims, run_seconds
     from bench.jobs.explore import explore
@@ -62,8 +59,7 @@ def command(
     from bench.profiles.find import load
     from bench.terminal.orders import typed_lines
 
-    quiet = json == "-"
-    say = speaker(quiet)
+    quiet, say = json == "-", speaker(json == "-")
     check_outputs(
         Folder("--out", out, ()), File("--json", json, outputs.JSON), inputs=[profile, scenario], overwrite=overwrite
     )

@@ -53,7 +53,6 @@ def command(
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
     from bench.profiles.find import load_measuring
-    from daq.channels.registry import KINDS
     from daq.files.tables import STEP_DTYPE
     from daq.importers.formats.columns import parse_map
     from daq.importers.formats.open import open_source
@@ -63,35 +62,35 @@ def command(
         File("--out", out, HDF5, kept=True), File("--json", json, JSON), inputs=[raw, profile], overwrite=overwrite
     )
     setup, text = load_measuring(profile)
-    if len(channel) == 1 and channel[0].partition("=")[0] not in KINDS:
-        selected = {"": channel[0]}
-    else:
-        selected = {role: value for role, _, value in (item.partition("=") for item in channel)}
-        if len(selected) != len(channel) or not set(selected) <= set(KINDS):
-            raise InputError(
-                f"--channel {' '.join(channel)}: wanted one value, or role=value for each of {', '.join(KINDS)}."
-            )
-    source = open_source(raw, selected, channel_column)
+    source = open_source(raw, _selected(channel), channel_column)
     options = ImportOptions(parse_map(mapping), rate, readable(note))
     with _progress(json == "-") as progress:
         summary = import_recording(source, out, setup, text, options, progress=progress)
     base = summary.timebase
     answer = {
-        "recording": str(summary.path),
-        "n_samples": summary.n_samples,
-        "rate_hz": base.rate_hz,
-        "duration_s": summary.n_samples / base.rate_hz,
-        "uniform": base.uniform,
-        "jitter_s": base.jitter_s,
-        "gaps": base.gaps.tolist(),
-        "columns": summary.columns,
+        "recording": summary.path, "n_samples": summary.n_samples, "rate_hz": base.rate_hz,
+        "duration_s": summary.n_samples / base.rate_hz, "uniform": base.uniform, "jitter_s": base.jitter_s,
+        "gaps": base.gaps, "columns": summary.columns,
         "steps": [{name: row[name] for name in STEP_DTYPE.names or ()} for row in summary.steps],
-        "remarks": summary.remarks,
-        "instrument": summary.instrument.as_json(),
-    }
+        "remarks": summary.remarks, "instrument": summary.instrument.as_json(),
+    }  # fmt: skip
     if write_json(answer, json):
         _print(summary)
         print_lines(next_command(out))
+
+
+def _selected(channel: list[str]) -> dict[str, str]:
+    """``--channel`` as ``{"": value}`` or ``{role: value}``; raises `InputError`."""
+    from daq.channels.registry import KINDS
+
+    if len(channel) == 1 and channel[0].partition("=")[0] not in KINDS:
+        return {"": channel[0]}
+    selected = {role: value for role, _, value in (item.partition("=") for item in channel)}
+    if len(selected) != len(channel) or not set(selected) <= set(KINDS):
+        raise InputError(
+            f"--channel {' '.join(channel)}: wanted one value, or role=value for each of {', '.join(KINDS)}."
+        )
+    return selected
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +13,6 @@ import typer
 from bench import outputs
 from bench.outputs import File, check_outputs
 from bench.terminal.console import fail, next_command, readable, warn, write_json
-from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from rig.backends.base import Backend
@@ -52,8 +52,6 @@ def command(
     Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is kept), 2 when the call
     was wrong.
     """
-    import datetime
-
     from bench.jobs.hold_branch import branch_hold
     from bench.jobs.resume import continued
     from bench.jobs.run_ramp import make_backend, record
@@ -68,12 +66,8 @@ def command(
         inputs=[profile, scenario, replay, resume], overwrite=overwrite,
     )  # fmt: skip
     checked, text = load(profile)
-    extra = free_keys([str(readable(one)) for one in set_])
-    if resume is not None:
-        checked, named = continued(checked, resume, step)
-        extra |= named
-    elif step is not None:
-        raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
+    checked, named = continued(checked, resume, step)
+    extra = free_keys([str(readable(one)) for one in set_]) | named
     refuse_forbidden(profile, checked)
     for doubt in calibration_warnings(checked, datetime.date.today()):
         warn(f"{profile}: {doubt}")

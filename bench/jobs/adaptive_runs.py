@@ -50,11 +50,9 @@ def until_clear(
     InputError
         When the first recording was not made on the simulated rig.
     """
-    from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.next_run import possible_runs, profile_of, profile_text
     from bench.terminal.progress import progress_bar
     from daq.recording import open_recording
-    from rig.profile import parse_profile
 
     made = list(recordings)
     with open_recording(made[0]) as opened:
@@ -73,13 +71,19 @@ def until_clear(
             return loop, fitted, made, ""
         say(f"tied: {tied}; next run: {ranked[0].design.description} (worth {ranked[0].nats:.0f} nats)")
         out = made[0].with_name(f"{made[0].stem}-next{len(made) - len(recordings) + 1}.h5")
-        following = profile_of(text, ranked[0].design)
-        try:
-            checked = parse_profile(following, "next run")
-            backend = make_backend(checked, scenario=scenario, seed=seed + len(made))
-            summary = record(checked, following, backend, out, quiet=quiet)
-        except (InputError, OSError) as error:
-            return loop, fitted, made, str(error)
-        if summary.how != "complete":
-            return loop, fitted, made, f"{out}: the run was {summary.how}: {summary.why}"
+        if why := _made_run(profile_of(text, ranked[0].design), out, scenario, seed + len(made), quiet):
+            return loop, fitted, made, why
         made.append(out)
+
+
+def _made_run(profile: str, out: Path, scenario: Path | None, seed: int, quiet: bool) -> str:
+    """Record the ramp of ``profile`` on the simulated rig; returns why it could not be made, empty where it could."""
+    from bench.jobs.run_ramp import make_backend, record
+    from rig.profile import parse_profile
+
+    try:
+        checked = parse_profile(profile, "next run")
+        summary = record(checked, profile, make_backend(checked, scenario=scenario, seed=seed), out, quiet=quiet)
+    except (InputError, OSError) as error:
+        return str(error)
+    return "" if summary.how == "complete" else f"{out}: the run was {summary.how}: {summary.why}"

@@ -77,32 +77,20 @@ Asked = Callable[[Chosen], Chosen | None]
 
 
 def explore(
-    text: str,
-    folder: Path,
-    aims: Aims,
-    drive: Drive,
-    *,
-    say: Callable[[str], None],
-    ask: Asked | None = None,
+    text: str, folder: Path, aims: Aims, drive: Drive, *, say: Callable[[str], None], ask: Asked | None = None,
     anyway: bool = False,
-) -> Explored:
+) -> Explored:  # fmt: skip
     """Choose, drive and judge blocks until an aim is reached.
 
     Parameters
     ----------
-    text
-        The profile (TOML).
+    text, aims
+        The profile (TOML), and when to stop.
     folder
         For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven, also those that a person
         has put there. One that was stopped too early to tell anything is left out.
-    aims
-        When to stop.
-    drive
-        Drives a block.
-    say
-        Called with each choice and what came of it, a line at a time.
-    ask
-        Asked before each block; None goes on unasked.
+    drive, ask, say
+        Drives a block; asked before each (None: go on unasked); called with each choice and what came of it.
     anyway
         Judge recordings that contradict the profile, too.
 
@@ -113,11 +101,7 @@ def explore(
     """
     offered = functools.cache(lambda hold_cycles: offers(text, replace(aims, hold_cycles=hold_cycles)))
     offered(aims.hold_cycles)  # what cannot be driven is refused before anything is judged
-    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
-    made = [path for path in there if tells(path)]
-    if left_out := [path.name for path in there if path not in made]:
-        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
-    number = max((int(path.stem[6:]) for path in there), default=0)
+    made, number = _recorded(folder, say)
     blocks = [as_driven(path) for path in made]
     known: dict[Path, Observations] = {}
     judged: _Judged | None = None
@@ -150,6 +134,15 @@ def explore(
         if driven.then is not None and driven.then.gammas:
             own = by_person(block, driven.then)
             say(f"\nblock {number + 1}: {own.reason}")
+
+
+def _recorded(folder: Path, say: Callable[[str], None]) -> tuple[list[Path], int]:
+    """Blocks in the folder that tell something, in order, and the number of the last of all."""
+    there = sorted(path for path in folder.glob("block-*.h5") if path.stem[6:].isdigit())
+    made = [path for path in there if tells(path)]
+    if left_out := [path.name for path in there if path not in made]:
+        say(f"stopped before {LEAST_STEPS} steps were held, and left out: {', '.join(left_out)}")
+    return made, max((int(path.stem[6:]) for path in there), default=0)
 
 
 # -- what was found so far ---------------------------------------------------------------------------------------------

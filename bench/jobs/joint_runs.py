@@ -35,10 +35,8 @@ def judge_runs(
 
     Raises
     ------
-    InputError
-        For recordings or a profile that will not do.
-    OSError
-        Where a file cannot be read, or summaries cannot be kept.
+    InputError, OSError
+        For recordings or a profile that will not do, and files that cannot be read or written.
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.verdict_json import joint_json

@@ -14,7 +14,7 @@ from daq.setup.errors import InputError
 from rig.profile import Profile, parse_profile
 
 
-def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[Profile, dict[str, Any]]:
+def continued(profile: Profile, first: Path | None, step: int | None = None) -> tuple[Profile, dict[str, Any]]:
     """The rest of a ramp, and the free keys by which the new recording names the first.
 
     Parameters
@@ -22,7 +22,7 @@ def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[P
     profile
         The whole ramp's, as for the first recording.
     first
-        The recording that was stopped.
+        The recording that was stopped; None: the whole ramp is left.
     step
         Repeat only this step, numbered as `bench plan` does (from 0).
 
@@ -31,6 +31,10 @@ def continued(profile: Profile, first: Path, step: int | None = None) -> tuple[P
     InputError
         When ``first`` was driven by another ramp, has nothing left, or there is no such step.
     """
+    if first is None:
+        if step is not None:
+            raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
+        return profile, {}
     gammas = profile.ramp.gammas()
     with open_recording(first) as recording:
         before = parse_profile(str(recording.attrs.get("profile_text", "")), f"{first} (its profile)")
