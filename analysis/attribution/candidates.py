@@ -61,9 +61,8 @@ def _starts(observations: Observations, e: Effect, variant: Sequence[str]) -> li
     grids = [q.start_grid or (q.null_value,) for q in parameters]
     if set(variant) in map(set, e.tied.values()):
         return [dict.fromkeys(keys, v) for v in (parameters[0].null_value, *grids[0])]
-    grids = [
-        (*g, *observations.hints_hz) if q.hint == "slow_line_hz" else g for g, q in zip(grids, parameters, strict=True)
-    ]
+    known = {} if observations.mode is None else observations.mode.measured()
+    grids = [(known[k][0],) if k in known else g for k, g in zip(keys, grids, strict=True)]
     starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
     if not any(q.is_shape for q in parameters):
         starts.insert(0, {k: q.null_value for k, q in zip(keys, parameters, strict=True)})

@@ -80,8 +80,11 @@ class StepwiseSelection:
         Where the first choice would end unexplained, the best one of another name is followed as well.
         """
         before = self.declared()
-        found = self._round(before, self.library, 0)
-        taken, first = self._followed(before, found)
+        found = self._identified(before)
+        taken, first = self._followed(before, found) if found else (None, ())
+        if taken is None or not first:
+            found = self._round(before, self.library, 0)
+            taken, first = self._followed(before, found)
         kin = contained_in(first)
         others = [x for x in found if not contained_in(x.names) & kin]
         if not others or not first or taken.best.passes(self.limits):
@@ -96,6 +99,13 @@ class StepwiseSelection:
             f"by {lead.gain:.0f} nats"
         )
         return replace(other, tried=taken.tried, rounds=(instead, *other.rounds))
+
+    def _identified(self, before: Hypothesis) -> list[Hypothesis]:
+        """What recorded volts show without a flight is added first: a cause is then sought over the plate as it is."""
+        known = {name for name, _ in self.fitter.identified}
+        options = [c for c in self.library if known and set(c.names) <= known]
+        fits = [self.refits.attempted((c,), self.proposals.add, before, c) for c in options]
+        return [x for x in fits if x is not None]
 
     def _followed(self, before: Hypothesis, found: list[Hypothesis]) -> tuple[SelectionResult, tuple[str, ...]]:
         """The result of the rounds that begin with the choice among ``found``, and the names that were chosen first."""

@@ -32,6 +32,7 @@ from analysis.signals.stream import block_means, pieces
 from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats, Integers
 
+EFFECT = "table_resonance"  # by which a verdict names the mode
 RATE_HZ = 1000.0  # of the block means: far above any mode that a ball shakes
 LOWEST_HZ, HIGHEST_HZ = 0.7, 200.0
 DAMPINGS = (0.01, 0.05, 0.2)
@@ -49,7 +50,8 @@ LAGS = 2  # pieces whose scores are correlated
 LEAD_S = 1e-3  # before an impact, left out with it
 FEWEST_IMPACTS = 20
 CLUSTER_S = 0.5  # length of the pieces whose scores are taken as independent
-GAIN_NATS = 15.0  # least gain of a mode that is there
+GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
+MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,16 @@ class PlateMode:
         f, d, m = np.sqrt(np.diag(self.covariance))
         return float(f), float(d), float(m)
 
+    @property
+    def sure(self) -> bool:
+        """Whether no other minimum comes near, so that its values may be taken for measured."""
+        return self.gain_nats > SURE_NATS
+
+    def measured(self) -> dict[tuple[str, str], tuple[float, float]]:
+        """Values and standard deviations, by effect and parameter."""
+        names = ("frequency_hz", "damping", "mass_ratio")
+        return {(EFFECT, name): (getattr(self, name), sigma) for name, sigma in zip(names, self.sigmas(), strict=True)}
+
 
 def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, mask_s: float) -> PlateMode | None:
     """The mode that the ball's push shakes; None where none is identified, without a drive, or with too few impacts.
@@ -94,17 +106,23 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
     mask_s
         How long the accelerometer shows more than the plate's motion after an impact.
     """
-    if "drive" not in recording.channels or len(landing_s) < FEWEST_IMPACTS or len(recording.gaps):
+    if "drive" not in recording.channels or len(recording.gaps):
         return None
     width = max(round(recording.rate_hz / RATE_HZ), 1)
     block_s = width / recording.rate_hz
     acceleration, drive = _means(recording, width)
+    skipped = max(len(acceleration) - round(MOST_S / block_s), 0)
+    acceleration, drive = acceleration[skipped:], drive[skipped:]
+    inside = takeoff_s > skipped * block_s
+    takeoff_s, landing_s = (x[inside] - skipped * block_s for x in (takeoff_s, landing_s))
     landed = landing_s < (len(acceleration) - 1) * block_s
     known = _unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
     if not landed.all():  # the impulse at the end of the flight before needs this flight
         last = int(np.argmin(landed))
         known[int((landing_s[max(last - 1, 0)] - LEAD_S) / block_s) :] = False
     takeoff_s, landing_s = takeoff_s[landed], landing_s[landed]
+    if len(landing_s) < FEWEST_IMPACTS:
+        return None
     linear, gravity = _driven(recording, drive, block_s), recording.setup.g_mps2.value
     record = _Recorded(acceleration, linear, block_s, takeoff_s, landing_s, gravity)
     begun, found = [0], None

@@ -18,12 +18,14 @@ from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.impact_detection import ECHO_MARGIN
 from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.flights.scan import survey
 from analysis.linear_algebra import cholesky
+from analysis.plate.modes import PlateMode, identified_mode
 from analysis.plate.motion import StepPlate
 from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
-from analysis.residuals.slow_lines import clustered, hints_of, other_lines_radps
+from analysis.residuals.slow_lines import hints_of, other_lines_radps
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
@@ -104,8 +106,8 @@ class Observations:
     sources : tuple of str
     closure_s : float
         Time for which an impact keeps the circuit closed.
-    hints_hz : tuple of float
-        Lines that stand out below the forcing in several steps: where a table resonance may be.
+    mode : PlateMode or None
+        Of the plate that the ball strikes, from recorded volts; None where none is identified.
     modulation : AmplitudeModulation or None
         Change of the forcing's amplitude within steps and from step to step.
     scatters : pair of Scatter
@@ -128,7 +130,7 @@ class Observations:
     unseen_s: float
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
-    hints_hz: tuple[float, ...] = ()
+    mode: PlateMode | None = None
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
@@ -182,8 +184,8 @@ def observations_from(
     return parts[paths[0]] if len(paths) == 1 else join([parts[path] for path in paths])
 
 
-def observed(recording: Recording, flights: Flights) -> Observations:
-    """Observations of a single recording and its flights."""
+def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) -> Observations:
+    """Observations of a single recording and its flights; ``with_mode`` a ringing mode is identified, for a second."""
     setup = recording.setup
     fitted = [s for s in flights.plate.steps if s is not None and not s.saturated]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
@@ -208,6 +210,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
     if flights.edges.sensor_offset is not None:
         weak = _weak_mps(measured, steps, flights, keep)
     data, notes = plate_data(fitted, setup)
+    true_s = (x[~flights.has(FlightFlag.FALSE)] for x in (flights.takeoff_s, flights.landing_s))
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -222,7 +225,7 @@ def observed(recording: Recording, flights: Flights) -> Observations:
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
         notes=(*notes, *flights.plate.saturation_warnings()),
-        hints_hz=hints,
+        mode=identified_mode(recording, *true_s, survey(recording).mask_s) if with_mode else None,
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
@@ -387,7 +390,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         unseen_s=max(p.unseen_s for p in parts),
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
-        hints_hz=clustered(np.array([f for p in parts for f in p.hints_hz]), least=1),
+        mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
         closure_s=float(np.median([p.closure_s for p in parts])),
         modulation=AmplitudeModulation.join(swings)
         if (swings := [p.modulation for p in parts if p.modulation])

@@ -89,7 +89,7 @@ def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[l
         Where the samples are too few.
     """
     flights = flights_of(recording)
-    seen = observed(recording, flights)
+    seen = observed(recording, flights, with_mode=False)
     residual, noise = np.full(len(flights), np.nan), np.full(len(flights), np.nan)
     if (judged := seen.scored).any():
         model = ForwardModel(seen, resolve(recording.setup.declared_values()))

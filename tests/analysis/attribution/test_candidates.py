@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
 from analysis.attribution.candidates import candidates_of, distinct_starts, trends_of
 from analysis.attribution.coarse_search import joint_points
+from analysis.attribution.fit import HELD, Fitter
 from analysis.attribution.pruning import contained_in
+from analysis.plate.modes import PlateMode
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId
 
@@ -56,12 +61,18 @@ def test_a_spring_and_a_magnet_may_act_together(fly_ramp: Callable[..., ForwardM
     assert len(forms) == 3 and forms[2] == forms[0] | forms[1]
 
 
-def test_slow_lines_of_the_plate_are_starts_of_a_resonance(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """A line at 6.66 Hz that several steps show is one of the frequencies to begin with."""
+def test_an_identified_mode_is_where_a_resonance_begins_and_a_datum_of_its_fit(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """A mode of 6.66 Hz, known to 0.05 Hz, is the only start, and stays known when its frequency is free."""
     model = fly_ramp({}, 0, gammas=(0.4, 0.8))
-    seen = ForwardModel(replace(model.observations, hints_hz=(6.66,)), {})
+    mode = PlateMode(6.66, 0.04, 0.03, np.diag(np.square([0.05, 0.004, 0.001])), 0.1, 0.3, 1e4)
+    seen = ForwardModel(replace(model.observations, mode=mode), {})
     resonance = next(c for c in candidates_of(seen) if c.names == ("table_resonance",))
-    assert 6.66 in {start[HZ] for start in resonance.starts}
+    assert [start[HZ] for start in resonance.starts] == [6.66]
+    mean, inverse = fitter_of(seen).prior_rows([HZ], frozenset({HZ}))
+    scale = fitter_of(seen).scale(HZ)
+    assert (mean[0] * scale, scale / inverse[0]) == pytest.approx((6.66, HELD * 0.05))
 
 
 def test_trends_of_calibrations_are_candidates_from_the_first_round(fly_ramp: Callable[..., ForwardModel]) -> None:
