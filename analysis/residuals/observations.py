@@ -185,7 +185,7 @@ def observations_from(
 
 
 def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) -> Observations:
-    """Observations of a single recording and its flights; ``with_mode`` a ringing mode is identified, for a second."""
+    """Observations of one recording; ``with_mode`` a ringing mode is identified, in about a second."""
     setup = recording.setup
     fitted = [s for s in flights.plate.steps if s is not None and not s.saturated]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
@@ -197,8 +197,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     measured = replace(
         measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
     )
-    hints = hints_of(fitted)
-    lines = other_lines_radps(steps.plate, hints)
+    lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     rest = period_s, lines, 1.0 / recording.rate_hz
@@ -206,11 +205,10 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
         Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
     )
-    weak = np.full(len(scored), np.inf)
-    if flights.edges.sensor_offset is not None:
-        weak = _weak_mps(measured, steps, flights, keep)
+    shown = flights.edges.sensor_offset is not None
+    weak = _weak_mps(measured, steps, flights, keep) if shown else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
-    true_s = (x[~flights.has(FlightFlag.FALSE)] for x in (flights.takeoff_s, flights.landing_s))
+    true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), survey(recording).mask_s
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -225,7 +223,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
         notes=(*notes, *flights.plate.saturation_warnings()),
-        mode=identified_mode(recording, *true_s, survey(recording).mask_s) if with_mode else None,
+        mode=identified_mode(recording, true.takeoff_s, true.landing_s, mask_s) if with_mode else None,
         closure_s=_closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
