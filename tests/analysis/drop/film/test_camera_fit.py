@@ -38,6 +38,15 @@ def test_friction_and_restitution_at_the_papers_conditions(synthetic: ModuleType
     assert candidate.law.theta[0] == pytest.approx(0.514, abs=0.005)
 
 
+def test_a_strong_drag_makes_no_gravity_larger(synthetic: ModuleType) -> None:
+    """Flights of a few frames are straight lines under any gravity with drag enough; no shape is fitted so."""
+    fit = fit_camera(
+        [_clip(synthetic, synthetic.Truth(e0=0.514, friction=0.3), 1000.0, 0.4, 1)], np.random.default_rng(0)
+    )
+    true = fit.shapes["friction"].law.g_mps2
+    assert all(0.5 * true < shape.law.g_mps2 < 1.5 * true for shape in fit.shapes.values())
+
+
 def test_no_friction_is_not_made_up(synthetic: ModuleType) -> None:
     """Free fall with a constant restitution stays at the lowest candidate, with gravity measured and impacts timed."""
     truth = synthetic.Truth(e0=0.6, hold_s=0.02)
