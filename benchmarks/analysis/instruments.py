@@ -1,6 +1,6 @@
 """Flights and verdicts behind instruments as laboratories have them: a matrix of chains, hidden causes and two plants.
 
-    python -m benchmarks.analysis.instruments RESULTS --seeds 1 --minutes 60 --workers 2
+    python -m benchmarks.analysis.instruments RESULTS --seeds 1 --minutes 60 --workers 2 --shuffle
     python -m benchmarks.analysis.instruments RESULTS --no-loop --only "plain;ordinary USB card" --plant other
     python -m benchmarks.analysis.instruments RESULTS --show
 
@@ -189,6 +189,7 @@ def main() -> None:
     options.add_argument("--only", default="", help="chains by their beginnings, with semicolons between")
     options.add_argument("--plant", default="", choices=("", "other", "own"))
     options.add_argument("--hidden", default="", choices=("", *HIDDEN))
+    options.add_argument("--shuffle", action="store_true", help="so that a part is one of all chains and causes")
     options.add_argument("--no-loop", action="store_true", help="only find flights")
     options.add_argument("--show", action="store_true", help="only print, of the version that ran last")
     args = options.parse_args()
@@ -202,6 +203,8 @@ def main() -> None:
         ]  # fmt: skip
         if not wanted:
             sys.exit(f"no chain begins so; wanted some of: {'; '.join(CHAINS)}")
+        if args.shuffle:
+            np.random.default_rng(args.seed_base).shuffle(wanted)  # type: ignore[arg-type]
         score(wanted, journal, time.monotonic() + 60.0 * args.minutes, with_loop=not args.no_loop, workers=args.workers)
     version = next(reversed(journal.rows), ":").partition(":")[0]
     show([row for key, row in journal.rows.items() if key.startswith(f"{version}:")])
