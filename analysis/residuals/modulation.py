@@ -33,6 +33,7 @@ SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
 RIDGE, TINY = 1e-9, 1e-300
 SMALL = 1e-3  # depth from which slopes are taken
 LEAKING = 0.05  # relative uncertainty of the leakage between tones, from averaging over blocks
+PICKED_UP_MPS2 = 0.03  # at the mains frequency by the cable of an ordinary accelerometer: 0.3 mV at 0.1 V/g
 KEPT = 4  # frequencies for which the projections are kept
 LEAST = 4  # steps or windows that are used at all
 SAME = 0.2  # difference in periods per recording below which two frequencies are one
@@ -303,6 +304,8 @@ class AmplitudeModulation:
         false = np.abs(seen - true)[data.step[rows], k[rows]]  # lines that a modulation mimics
         out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
         sigma[rows] = 2.0 * LEAKING * out[rows]
+        mains = data.kind == HUM  # what a cable picks up there adds to a sideband at any phase
+        sigma[mains] = np.hypot(sigma[mains], PICKED_UP_MPS2 * np.sqrt(2.0 * out[mains]))
         out[data.kind == MODULATION] = self._in_windows(seen, true, fit, depth, phase)
         return out, sigma
 

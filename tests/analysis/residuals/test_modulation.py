@@ -215,3 +215,14 @@ def test_a_steady_plate_swells_by_no_more_than_its_noise(make) -> None:  # type:
             for values in ({}, dict(zip(DEEP, (depth, hz), strict=True)))
         ]
         assert 0.5 * (squares[0] - squares[1]) < FROZEN.gain_nats  # of hundreds of frequencies the best one
+
+
+def test_a_sideband_at_the_mains_meets_what_an_ordinary_cable_picks_up(make) -> None:  # type: ignore[no-untyped-def]
+    """The two add at another phase in each step: 0.3 mV of mains is no motion that the modulation fails to explain."""
+    hidden = {"depth": 0.03, "frequency_hz": 1.6}
+    observations = recorded(make, {"amplitude_modulation": hidden, "mains_pickup": {"amplitude_g": 0.003}})
+    assert observations.modulation is not None
+    model, rows = ForwardModel(observations, {}), observations.plate.kind == HUM
+    found = min(observations.modulation.hints(), key=lambda hint: abs(hint[0] - 1.6))
+    left = model.residuals(dict(zip(DEEP, found[::-1], strict=True))).plate[rows] / observations.plate.sigma[rows]
+    assert np.sqrt(np.mean(left**2)) < FROZEN.plate_rms_z
