@@ -324,7 +324,7 @@ def fit_tones(
     Raises
     ------
     ValueError
-        Too few samples, or tones too close to be told apart.
+        Too few samples, or tones too close to be distinguished.
     """
     lock_in = LockIn(rate_hz, frequencies_hz)
     if mask is None:
@@ -350,7 +350,7 @@ def fit_tones_each(x: npt.ArrayLike, edges: Integers, rate_hz: float, frequencie
     Raises
     ------
     ValueError
-        Too few samples in a stretch, or tones too close to be told apart.
+        Too few samples in a stretch, or tones too close to be distinguished.
     """
     lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(edges) - 1)
     lock_in.add_stretches(x, edges)

@@ -33,7 +33,7 @@ class Channel(Frozen):
     serial_number: str = ""
 
     def scale(self) -> Scale | None:
-        """Scale to SI; None where the channel alone does not say it."""
+        """Scale to SI; None where the channel does not say it by itself."""
         return None
 
     def calibrations(self) -> dict[str, QuantityTable | None]:

@@ -99,7 +99,7 @@ class FrameWriter:
         ValueError
             When a block does not follow the one before, or has another number of channels.
         OSError
-            When the disk refuses, or the file was removed; what was acknowledged before is kept.
+            When the disk refuses, or the file was removed; what was acknowledged before stays.
         """
         expected = self.n_samples
         for block in blocks:

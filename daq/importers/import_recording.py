@@ -53,7 +53,7 @@ from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, st
 from daq.steps.forcing_detection import Read
 from kernels.arrays import Floats
 
-LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are kept in nanoseconds, in 64 bits
+LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are stored in nanoseconds, in 64 bits
 YEAR_9999_S = 2.5e11
 EPOCH_S = 1e9  # first time from which it counts as seconds since 1970
 RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit

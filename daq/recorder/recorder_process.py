@@ -69,7 +69,7 @@ class RecorderProcess(ClosedRun):
     ) -> None:
         self.path = Path(path)
         rate_hz, channels = setup.sampling.rate_hz, len(options["channels"])
-        if ring_s is None:  # the recorder may be kept from writing for half a minute, unless that takes too much memory
+        if ring_s is None:  # the recorder may be unable to write for half a minute, unless that takes too much memory
             ring_s = max(4.0, min(30.0, 2**25 / (2 * channels * rate_hz)))
         self.ring = Ring(max(4, int(np.ceil(ring_s * rate_hz / block_samples)) + 1), block_samples, channels)
         self._patience_s, self._ring_s = patience_s, ring_s
@@ -110,7 +110,7 @@ class RecorderProcess(ClosedRun):
         ------
         OSError
             When the recorder had to give up (disk full, file gone), or has not written for as long as the ring holds;
-            what it has is kept, and what the ring holds is written as soon as it can.
+            what it has stays, and what the ring holds is written as soon as it can.
         """
         for block in (piece for whole in blocks for piece in whole.pieces(self.ring.block_samples)):
             if self._pipe.poll():

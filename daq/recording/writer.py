@@ -214,7 +214,7 @@ class RecordingWriter(ClosedRun):
         Raises
         ------
         OSError
-            When the column file cannot be written; the frames are kept, and `bench recover` can finish the job.
+            When the column file cannot be written; the frames stay, and `bench recover` can finish the job.
         """
         where = self.path
         try:

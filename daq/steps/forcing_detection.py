@@ -130,7 +130,7 @@ def _grouped(starts: Integers, window: int, frequency: Floats, active: Bools, en
                 groups[-1].append(i)
                 continue
         groups.append([i])
-    groups = [g for g in groups if len(g) > 1 or len(starts) < 3]  # one window alone straddles a change
+    groups = [g for g in groups if len(g) > 1 or len(starts) < 3]  # a single window straddles a change
     found: list[Region] = []
     for j, group in enumerate(groups):
         before = ends[0] if j == 0 else (starts[groups[j - 1][-1]] + window + starts[group[0]]) // 2

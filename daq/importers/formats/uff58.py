@@ -62,7 +62,7 @@ class UffSource(ArraySource):
 
 
 def _names(sets: list[dict[str, Any]]) -> list[str]:
-    """Label of each set; its node and direction are added where a label alone would mean several channels."""
+    """Label of each set; its node and direction are added where one label would mean several channels."""
 
     def bare(text: Any) -> str:
         stripped = str(text).strip()
