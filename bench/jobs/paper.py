@@ -210,8 +210,9 @@ def draw_all(shown: Mapping[str, Measured], pictures: Path, seed: int) -> None:
     for name, run, step, draw in FIGURES:
         one, flights = shown[run], shown[run].flights
         if step is not None and one.compared is not None:
-            one = replace(one, compared=replace(one.compared, steps=(one.compared.steps[step],)))
-            flights = flights.select(flights.step == step)
+            chosen = one.compared.steps[min(step, len(one.compared.steps) - 1)]  # a run may have been stopped
+            one = replace(one, compared=replace(one.compared, steps=(chosen,)))
+            flights = flights.select(flights.step == chosen.step)
         saved(pictures, name, style.badge_of(one.recording), partial(draw, one))
         write_csv(flights, pictures / f"{name}.csv")
     humps = shown["humps"]
@@ -232,10 +233,7 @@ def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None
     seed : int
         Of the simulated rigs' noise, and of their instruments.
 
-    Raises
-    ------
-    InputError
-        For a run that cannot be made here, and a folder that cannot be written.
+    Raises `InputError` for a run that cannot be made here, and a folder that cannot be written.
     """
     from jinja2 import Environment, StrictUndefined
 
