@@ -135,6 +135,7 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
             break
         # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
         ends = int((worst + 1) * CLUSTER_S / block_s)
+        known = known.copy()  # the regression has the one before
         known[int(worst * CLUSTER_S / block_s) : ends] = False
         begun.append(min(ends, len(known) - 2))
     return None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)

@@ -20,8 +20,8 @@ import numpy as np
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.flights.scan import survey
 from analysis.plate.modes import PlateMode, identified_mode
-from benchmarks.analysis.chains import imported
 from benchmarks.plants import other_plant
+from benchmarks.plants.handed_over import imported
 from benchmarks.plants.instrument import Instrument
 from daq.recording import open_recording
 
