@@ -136,9 +136,7 @@ def one_ahead(
 ) -> None:  # fmt: skip
     """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
 
-    ``kick`` is added to the plate mode's displacement and velocity wherever the chain of flights begins anew, a part of
-    it where the accelerometer followed the fade. A measured flight's own launch and impact are found where an elastic
-    impact or a plate mode needs them.
+    ``kick``, or a part of it after a measured fade, is added to the plate mode's state wherever a chain begins.
     """
     rows, forced, rubbed = acting
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)

@@ -252,13 +252,9 @@ def _batch_of(kernels: ModuleType, cycles: Cycles, *, both_ways: bool) -> Callab
     def cycle_batch(points: Points, most: int) -> int:
         """Fill ``outcome`` (FLIGHTS -1 where the orbit is left open) and ``kept``; returns the flights flown."""
         size = points.turning.size + 2
-        tables = Tables(
-            np.zeros((2, BLOCK, TABLE * size)),
-            np.zeros(BLOCK, dtype=np.int64),
-            np.zeros(BLOCK, dtype=np.int64),
-            np.ones(BLOCK),
-            np.zeros(FOUND * size * WIDTH),
-        )
+        windows = np.zeros((2, BLOCK), dtype=np.int64)
+        made, found = np.zeros((2, BLOCK, TABLE * size)), np.zeros(FOUND * size * WIDTH)
+        tables = Tables(made, windows[0], windows[1], np.ones(BLOCK), found)
         points.outcome[:] = 0
         points.kept[:] = math.nan
         highest = float(np.sum(np.abs(points.tones[:, 1])))
