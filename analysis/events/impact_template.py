@@ -19,7 +19,7 @@ ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so m
 MAX_WIDTH = 8
 MIN_ECHO = 128  # least samples of the template: an impact's ringing must not be taken for the next impact
 ECHOES_S = (6.4e-3, 12.8e-3, 25.6e-3)  # lengths of the template: the first at whose end little of the ringing is left
-FOLLOWED = 5.0  # times the usual departure from the median waveform, from which another landing lies in a snippet
+FOLLOWED, FOLLOWED_SIGMAS = 0.5, 8.0  # departure from the usual ringing, and in noise, that another landing makes
 RINGING_LEFT = 0.05  # rms of the last quarter over the greatest value, above which a longer template is tried
 FINE = 8  # template points per sample
 MIN_WEIGHT = 0.03  # weight of a known point over that of most points
@@ -143,7 +143,7 @@ def template_from_snippets(
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
     # a landing placed a period of the ringing off would spoil the mean
     size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = 0.0
-    size[_followed(snippets, size)] = 0.0
+    size[_followed(snippets, size, noise.rms_v)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
     known = ringing_part(fine, sigma_v, noise.rate_hz)
@@ -160,13 +160,15 @@ def template_from_snippets(
     return ImpactTemplate(fine, taps.astype(np.float32), white, _ring_s(fine, size, noise))
 
 
-def _followed(snippets: Floats, size: Floats) -> Bools:
-    """Landings with another one amid their ringing, where no onset showed it."""
-    used = size > 0.0
-    late, part = snippets[:, LENGTH:], size[:, None]
-    left = late - part * np.median(late[used] / part[used], axis=0)
-    loudest = np.abs(left).max(axis=1)
-    return np.asarray(loudest > FOLLOWED * np.median(loudest[used]))
+def _followed(snippets: Floats, size: Floats, noise_v: float) -> Bools:
+    """Landings with another one amid their ringing, where no onset showed it; none where too few others remain."""
+    used, late = size > 0.0, snippets[:, LENGTH:]
+    slow = motion_basis(late.shape[1], 4, np.zeros(0))
+    late = late - (late @ slow) @ slow.T
+    usual = np.median(late[used] / size[used, None], axis=0)
+    left = np.abs(late - size[:, None] * usual).max(axis=1)
+    odd = left > np.maximum(FOLLOWED * np.abs(usual).max() * size, FOLLOWED_SIGMAS * noise_v)
+    return np.asarray(odd & (np.count_nonzero(used & ~odd) >= MIN_LANDINGS))
 
 
 def _level(snippets: Floats, fractions: Floats, size: Floats, fine: Floats) -> Floats:

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.events.accelerometer_noise import NoiseSpectrum
+from analysis.events.impact_template import FINE, LEAD, template_from_snippets
 from analysis.flights.assemble import flights_of
 from analysis.flights.scan import survey
 from bench.profiles.find import load
@@ -45,3 +47,27 @@ def test_impacts_are_learnt_where_the_table_rings_through_the_flight(tmp_path: P
         assert step is not None and abs(step.gamma / step.gamma_drive - 1.0) < 1e-3
     lengths = [np.median(x.duration_s[x.good() & (x.step == 0)]) for x in (usual, ringing)]
     assert lengths[0] == pytest.approx(lengths[1], abs=5e-6)
+
+
+def test_landings_with_another_one_in_their_ringing_do_not_shape_the_template() -> None:
+    """A 24-bit card: 48 of 80 landings are followed by a bounce after 2.5 to 5.5 ms; the ringing decays as it does."""
+    rate_hz, rng = 25_600.0, np.random.default_rng(5)
+    time_s = (np.arange(164) - LEAD) / rate_hz
+
+    def ring(since_s: np.ndarray) -> np.ndarray:
+        since_s = np.maximum(since_s, 0.0)
+        return np.exp(-since_s / 0.001) * np.sin(2.0 * np.pi * 1500.0 * since_s)
+
+    fractions = rng.random(80)
+    late_s = np.where(np.arange(80) < 48, rng.uniform(0.0025, 0.0055, 80), 1.0)
+    since_s = time_s + fractions[:, None] / rate_hz
+    volts = ring(since_s) + 0.35 * ring(since_s - late_s[:, None]) + 3e-4 * rng.standard_normal((80, 164))
+    template = template_from_snippets(volts, fractions, NoiseSpectrum.white(3e-4, rate_hz), np.array([25.0]))
+    assert template is not None
+    place_s = (np.arange(template.fine.size) / FINE - LEAD) / rate_hz
+    size = np.abs(template.fine).max()
+    for begin_s in (0.002, 0.003):
+        own = (place_s > begin_s) & (place_s < begin_s + 1.0 / 1500.0)
+        wave = np.abs(ring(place_s)).max()
+        expected = np.abs(ring(place_s[own])).max() / wave
+        assert np.abs(template.fine[own]).max() / size == pytest.approx(expected, rel=0.1)
