@@ -229,6 +229,8 @@ class StepAccumulator:
         refined = None if chunk is None else refined_hz(state, chunk, "drive" in self.recording.channels)
         if refined is not None:
             state.frequency_hz, state.frequency_uncertainty_hz, changed = refined
+            if changed and self._corrected(state.step):
+                state.frequency_hz, changed = state.nominal_hz, False
             if changed:
                 self._accumulate(state)
                 chunk = fit_windows(state, self.block_rate_hz)
@@ -236,6 +238,11 @@ class StepAccumulator:
             self._accumulate(state)
             chunk = fit_windows(state, self.block_rate_hz)
         return chunk
+
+    def _corrected(self, step: int) -> bool:
+        """Whether the drive was corrected within a hold: its phase then wanders without a frequency of its own."""
+        changed_at = self.recording.drive_changes["first_sample"]
+        return bool(np.any((changed_at >= self.starts[step]) & (changed_at < self.stops[step])))
 
     def _accumulate(self, state: StepState) -> None:
         """Add the open spans; a change of frequencies starts afresh, and the first spans choose the mask."""

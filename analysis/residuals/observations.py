@@ -26,6 +26,7 @@ from analysis.residuals.fades import RINGING_S, Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
 from analysis.residuals.slow_lines import hints_of, other_lines_radps
+from analysis.residuals.steered import Launches
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
@@ -38,6 +39,7 @@ NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFla
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
 SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball leaves at once
 MAX_TONES = 8
+OF_FORCING = 0.005  # of a multiple, by which a tone of the forcing may be off
 TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
 FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
@@ -190,13 +192,21 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     fitted = [s for s in flights.plate.steps if s is not None and not s.saturated]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
-    steps = _steps(fitted, recording.n_samples)
+    steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)
+    if launches is not None:  # what corrections that alternate make beside the tones is told flight by flight
+        steps = _of_forcing_only(steps)
     fades = Fades.of(recording)
     measured, scored, keep = _events(flights, rows, fades)
     pushed = pushes(recording, flights, fades, np.flatnonzero(keep))
     measured = replace(
         measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
     )
+    if launches is not None:
+        number = np.array([s.step for s in fitted], dtype=np.int64)[measured.step]
+        part, ahead_s = launches.relative(recording, number, flights.takeoff_s[keep])
+        fading = (measured.beside is not None) & (launches.at(flights.takeoff_s[keep]) < 0)
+        share = None if measured.share is None else np.where(fading, measured.share, 0.0)
+        measured = replace(measured, part=part, ahead_s=ahead_s, share=share)
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
@@ -257,6 +267,14 @@ def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
         spread,
         forcing,
     )
+
+
+def _of_forcing_only(steps: Steps) -> Steps:
+    """The steps with the forcing and its multiples as their only tones."""
+    turns = steps.plate.omega_radps * steps.plate.period_s[:, None] / (2.0 * np.pi)
+    own = np.abs(turns - np.round(turns)) < OF_FORCING
+    plate = replace(steps.plate, acceleration_mps2=np.where(own, steps.plate.acceleration_mps2, 0.0))
+    return replace(steps, plate=plate, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
 
 
 def _spread(s: StepPlate, omega_radps: Floats) -> Complexes:
@@ -359,6 +377,8 @@ def join(parts: Sequence[Observations]) -> Observations:
         gained_mps=column(lambda p: _or(np.nan, p.measured.gained_mps, p.measured)),
         pressed_mps=column(lambda p: _or(np.nan, p.measured.pressed_mps, p.measured)),
         pressed_at=column(lambda p: _or(np.nan, p.measured.pressed_at, p.measured)),
+        part=column(lambda p: _or(0.0, p.measured.part, p.measured)),
+        ahead_s=column(lambda p: _or(0.0, p.measured.ahead_s, p.measured)),
     )
     table = Steps(
         recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),

@@ -15,6 +15,9 @@ def command(
     gamma_peak: float | None = typer.Option(None, help="Peak plate acceleration / g, in place of --gamma, at c = 1."),
     gamma_range: tuple[float, float] | None = typer.Option(None, help="From and to, in gamma."),
     bifurcations: bool = typer.Option(False, "--bifurcations", help="List every bifurcation in --gamma-range."),
+    branches: bool = typer.Option(
+        False, "--branches", help="Cycles of one and two flights in --gamma-range, unstable ones too."
+    ),
     effect: list[str] = typer.Option([], help="name.parameter=value, such as restitution.e0=0.514; repeatable."),
     frequency_hz: float | None = typer.Option(None, help="First tone, Hz: flight times in seconds, effects in SI."),
     profile: str | None = typer.Option(
@@ -44,6 +47,8 @@ def command(
     bench predict --c 1 --gamma-range 0.5 6 --bifurcations --json -
 
     bench predict --c 2 --gamma-range 0.2 3 --out diagram.h5 --figure diagram.png
+
+    bench predict --c 1 --gamma-range 1.6 3 --branches --figure branches.png
 
     bench predict --profile better.toml
 

@@ -17,6 +17,7 @@ from bench.predict.orbit import orbit
 from bench.predict.request import Request, ball_for, forcing_of, gamma_peak_over_gamma, parse_effects
 from bench.terminal.console import write_json
 from daq.setup.errors import InputError
+from model.bifurcations.cycle_branches import cycle_branches
 from model.bifurcations.find import find_bifurcations
 from model.orbits.attractor import Ball
 
@@ -57,6 +58,8 @@ def _answer(request: Request) -> None:
         orbit(ball, request)
     elif request.bifurcations:
         _bifurcations(ball, request, *request.gamma_range)
+    elif request.branches and request.figure is None and request.out is None:
+        _branches(ball, request, *request.gamma_range)
     else:
         diagram(ball, request, forcing_of(request), parse_effects(request.effects))
 
@@ -79,6 +82,28 @@ def _is_diagram(path: Path) -> bool:
             return "job" in file.attrs and "chunk_done" in file
     except OSError:
         return False
+
+
+def _branches(ball: Ball, request: Request, low: float, high: float) -> None:
+    """Print or write every branch of cycles in the gamma range of ``request``."""
+    found = cycle_branches(ball, low, high)
+    rows = [
+        {
+            "flights": b.flights, "period": b.periods, "gamma": b.gamma.tolist(), "multiplier": b.multiplier.tolist(),
+            "phase": b.phase.tolist(), "tau": b.tau.tolist(),
+        }
+        for b in found
+    ]  # fmt: skip
+    write_json(rows, request.json)
+    if request.json is None:
+        print(f"{'flights':>7} {'period':>6} {'gamma from':>12} {'to':>12} {'multiplier from':>16} {'to':>10}  stable")
+        for b in found:
+            stable = b.gamma[abs(b.multiplier) < 1.0]
+            where = f"{stable.min():.4f} to {stable.max():.4f}" if stable.size else "nowhere"
+            print(
+                f"{b.flights:7d} {b.periods:6d} {b.gamma[0]:12.6f} {b.gamma[-1]:12.6f} {b.multiplier[0]:16.4f} "
+                f"{b.multiplier[-1]:10.4f}  {where}"
+            )
 
 
 def _bifurcations(ball: Ball, request: Request, low: float, high: float) -> None:

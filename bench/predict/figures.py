@@ -18,9 +18,10 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from analysis.report.figures import style
+from analysis.report.figures.branches import draw_unstable
 from analysis.report.figures.zones import draw_zones, zones_over
 from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
-from bench.predict.request import Request
+from bench.predict.request import Request, ball_for
 from daq.setup.errors import InputError
 from kernels.arrays import Integers
 from model.bifurcations.events import bifurcations
@@ -44,6 +45,10 @@ def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) 
         figure = Figure(figsize=(7.0, 4.4), layout="constrained")
         ax = figure.subplots()
         draw_diagram(ax, rows, forcing, request.ratio, request.frequency_hz, ideal=ideal)
+        if request.branches:
+            scale, unit = axes_units(forcing, request.ratio, request.frequency_hz)
+            draw_unstable(ax, ball_for(request), float(rows.gamma[0]), float(rows.gamma[-1]), scale, unit)
+            ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
         if request.effects:
             ax.set_title(", ".join(request.effects), fontsize=9)
         if request.sweep:
@@ -55,10 +60,15 @@ def diagram_picture(rows: Rows, forcing: Forcing, request: Request, path: Path) 
             raise InputError(text) from error
 
 
+def axes_units(forcing: Forcing, ratio: int, frequency_hz: float | None) -> tuple[float, float]:
+    """What the axes of a diagram show for gamma 1, and for a flight time of 1 / w."""
+    scale = 2.0 if ratio == 1 and forcing.amplitude == (2.0,) else 1.0
+    return scale, 1.0 / (2.0 * math.pi * (frequency_hz or 1.0))
+
+
 def draw_diagram(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz: float | None, *, ideal: bool) -> None:
     """One diagram: flight times against gamma (gamma_peak at c = 1), zones shaded, the large events marked."""
-    scale = 2.0 if ratio == 1 and forcing.amplitude == (2.0,) else 1.0
-    unit = 1.0 / (2.0 * math.pi * frequency_hz) if frequency_hz else 1.0 / (2.0 * math.pi)
+    scale, unit = axes_units(forcing, ratio, frequency_hz)
     x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
     y = rows.tau.ravel() * unit
     shown = np.isfinite(y)

@@ -25,6 +25,7 @@ class Request:
     gamma_peak: float | None = None
     gamma_range: tuple[float, float] | None = None
     bifurcations: bool = False
+    branches: bool = False
     effects: tuple[str, ...] = ()
     frequency_hz: float | None = None
     sweep: str | None = None

@@ -24,6 +24,7 @@ FEWEST_CYCLES = 6.0  # of a hold that is looked at
 TONE_BELOW, TONE_ABOVE = 0.03, 0.1  # part of the strongest tone from which one below or above it is a tone of the drive
 FELT_BELOW, FELT_ABOVE = 0.08, 0.3  # the same in the accelerometer, where impacts and a bent table make lines as well
 LEVELS = (0.01, 0.99)  # quantiles of the contact's volts that count as its levels
+LOCKED_SWING = 0.2  # of the declared swing: a contact that moves by less in the holds did not show the ball
 BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
 BOUNCE_S = 1e-3  # shorter contacts and openings are bounce
 REST_CYCLES, REST_S = 0.08, 3e-3  # contact before a take-off and flight after it, at least
@@ -116,6 +117,9 @@ def measure(
     pieces = [(a, {role: own(a, b) for role, own in read.items()}, hz) for a, b, hz in spans]
     contact = setup.channels.continuity if "continuity" in read else None
     levels = None if contact is None else _levels([volts["continuity"] for _, volts, _ in pieces], contact)
+    if contact is not None and levels is not None and levels[1] - levels[0] < LOCKED_SWING * abs(contact.swing_v):
+        # a ball that is launched as it lands shows no contact: what it did on its way there counts
+        levels = _levels([read["continuity"](0, min(min(a for a, _, _ in spans) + 1, n_samples))], contact)
     holds, windows, bias = [], list[Floats](), list[float]()
     for first, volts, hz in pieces:
         high = None if levels is None else volts["continuity"] > 0.5 * (levels[0] + levels[1])

@@ -65,6 +65,9 @@ class Measured:
         Integral of the plate's acceleration plus gravity in a fade, as the accelerometer shows it: over the flight, and
         over the contact before it, whose centre is at the part ``pressed_at`` of the contact. NaN where the plate's
         tones tell it; None where they always do.
+    part, ahead_s
+        By what part the plate's motion was greater in the flight than in its step, and by how much earlier: of a ball
+        that was held by corrections at its launches. None where none was.
     """
 
     opening_s: Floats
@@ -78,6 +81,8 @@ class Measured:
     gained_mps: Floats | None = None
     pressed_mps: Floats | None = None
     pressed_at: Floats | None = None
+    part: Floats | None = None
+    ahead_s: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -237,6 +242,8 @@ class Problem:
             _of_each(self.detection.weak_mps, n),
             for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
             for_kernel(np.zeros(n) if m.share is None else m.share),
+            for_kernel(np.zeros(n) if m.part is None else m.part),
+            for_kernel(np.zeros(n) if m.ahead_s is None else m.ahead_s),
             for_kernel(np.full(n, np.nan) if m.gained_mps is None else m.gained_mps),
             for_kernel(np.full(n, np.nan) if m.pressed_mps is None else m.pressed_mps),
             for_kernel(np.full(n, np.nan) if m.pressed_at is None else m.pressed_at),

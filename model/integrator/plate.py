@@ -141,6 +141,16 @@ def between_steps(every: Floats, m: int, beside: int, share: float) -> Floats:
 
 
 @compiled
+def corrected(tones: Floats, part: float, ahead_s: float) -> Floats:
+    """The tones (k, 3) greater by ``part``, their motion earlier by ``ahead_s``."""
+    out: Floats = tones.copy()
+    for k in range(tones.shape[0]):
+        c, s = (1.0 + part) * math.cos(tones[k, 0] * ahead_s), (1.0 + part) * math.sin(tones[k, 0] * ahead_s)
+        out[k, 1], out[k, 2] = c * tones[k, 1] - s * tones[k, 2], s * tones[k, 1] + c * tones[k, 2]
+    return out
+
+
+@compiled
 def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
     """Displacement, velocity and acceleration of the plate mode, s after its state."""
     q, qd, om, ze = mode

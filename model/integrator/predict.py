@@ -9,6 +9,7 @@ from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import (
     between_steps,
+    corrected,
     mode_at,
     mode_at_rest,
     mode_under_ball,
@@ -120,12 +121,14 @@ def step_lengths(steps: Steps) -> Floats:
 
 @inlined
 def plate_of(i: int, events: Events, steps: Steps, lengths: Floats) -> tuple[Floats, float]:
-    """The plate's tones (k, 3) under an event, between two steps while the drive fades, and the integration step."""
+    """The plate's tones (k, 3) under an event, between two steps while the drive fades; the integration step."""
     m = events.step[i]
     tones, length = steps.tones[m], lengths[m]
     if events.share[i] > 0.0:
         tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
         length = step_length(steps.period[m], tones)
+    if events.part[i] != 0.0 or events.ahead_s[i] != 0.0:
+        tones = corrected(tones, events.part[i], events.ahead_s[i])
     return tones, length
 
 

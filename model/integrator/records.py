@@ -149,6 +149,8 @@ class Events(NamedTuple):
     weak_mps: Floats
     beside: Integers
     share: Floats
+    part: Floats
+    ahead_s: Floats
     gained_mps: Floats
     pressed_mps: Floats
     pressed_at: Floats

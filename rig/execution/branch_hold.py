@@ -24,7 +24,7 @@ from rig.programme.sequencer import MOVING, Sequencer, State
 
 TURN = 2.0 * math.pi
 REACH = 1.0 / 12.0  # of a cycle, to both sides of where a landing is expected: there it is looked for
-FADE = 1.0 / 32.0  # of a cycle, in which a correction is made; its middle is the launch
+FADE = 1.0 / 32.0  # of a cycle, in which a correction is made; it ends at the launch: the flight before hardly feels it
 LOCKED = 12  # landings in a row that the filter foresaw, before it holds
 LOST = 2  # landings in a row that are missing, or that no correction brings back, before it lets go
 FORESEEN = 0.03  # radians by which a landing may miss the filter's phase before the ball is held
@@ -203,7 +203,7 @@ class BranchHold:
 
     def _launch(self, sequencer: Sequencer, ahead: int) -> None:
         """Where a flight begins within the next ``ahead`` samples, note its drive, and correct it."""
-        gamma, half = self._gamma(sequencer, sequencer.position), 0.5 * FADE * self._cycle
+        gamma, length = self._gamma(sequencer, sequencer.position), round(FADE * self._cycle)
         point = self._branch.at(gamma)
         if point is None:
             if self.holding:
@@ -214,8 +214,8 @@ class BranchHold:
         turns = point.phase / TURN
         cycle = max(self._launches, default=0) + 1
         if abs(self._place(cycle, point.phase) - sequencer.position) > 1.5 * self._cycle:  # the first, or after a loss
-            cycle = math.ceil((sequencer.position + half) / self._cycle - turns)
-        begin = max(round(self._place(cycle, point.phase) - half), sequencer.position)
+            cycle = math.ceil((sequencer.position + length) / self._cycle - turns)
+        begin = max(round(self._place(cycle, point.phase)) - length, sequencer.position)
         if begin >= sequencer.position + ahead:
             return
         launch = Launch(gamma, point)
@@ -226,7 +226,7 @@ class BranchHold:
             after = self._branch.at(self._gamma(sequencer, begin + round(self._cycle))) or point
             launch = self._corrected(cycle, launch, after, sequencer.state is State.HOLDING)
             turned = (1.0 + launch.part) * np.exp(1j * self._multiples * launch.ahead)
-            sequencer.steer(begin, round(2.0 * half), tuple((np.array(sequencer.planned(begin)) * turned).tolist()))
+            sequencer.steer(begin, length, tuple((np.array(sequencer.planned(begin)) * turned).tolist()))
         self._launches[cycle] = launch
 
     def _corrected(self, cycle: int, launch: Launch, after: Point, kicked: bool) -> Launch:

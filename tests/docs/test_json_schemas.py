@@ -75,6 +75,7 @@ ANSWERS = {
     "compare": "compare {0}/r.h5",
     "predict-orbit": "predict --c 2 --gamma 1.28",
     "predict-bifurcations": "predict --c 2 --gamma-range 0.3 0.8 --bifurcations",
+    "predict-branches": "predict --c 2 --gamma-range 1.0 1.4 --branches",
     "predict-diagram": "predict --c 2 --gamma-range 0.3 0.8 --steps 9",
     "predict-ramp": "predict --profile {0}/p.toml",
     "close-loop": "close-loop {0}/r.h5",

@@ -13,9 +13,11 @@ from analysis.flights.compare import Comparison, ball_on
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
+from analysis.report.figures.branches import draw_unstable
 from analysis.report.figures.measured import Measured
 from analysis.report.figures.zones import draw_zones, zones_over
 from analysis.report.gamma import gamma_scale
+from analysis.residuals.held import held_steps
 from daq.recording import Recording
 from daq.setup.setup import Setup
 from model.effects.routing import Effects, ball_effects
@@ -67,6 +69,11 @@ def draw_bifurcations(shown: Measured, figure: Figure) -> None:
             label="measured: double hit, or unsure",
         )
         style.name_flights(line, np.flatnonzero(true & marked))
+    if held := held_steps(recording, flights):
+        ball = ball_on(plates[-1], recording.setup, recording.setup.declared_values())[0]
+        draw_unstable(ax, ball, low, high, scale, 1e3 / plates[-1].omega_radps)
+        at = scale * np.array([one.gamma for one in held]), 1e3 * np.array([one.flight_s for one in held])
+        ax.plot(*at, "D", ms=6.5, mew=1.2, mfc="none", color=style.IMPROVED, label="held on the branch")
     ax.set_xlabel(measure.label)
     ax.set_ylabel(f"flight time (ms) at {plates[-1].frequency_hz:.2f} Hz")
     top = max(top, float(y[true].max()) if true.any() else 0.0)

@@ -10,7 +10,8 @@ FIGURES = (
     Figure(
         "bifurcation", draw_bifurcations, "flights",
         "Bifurcation diagram: flight times against gamma, measured (dark dots; crosses: double hit or unsure) over the "
-        "prediction for the plate's motion as measured (light). Shaded: flight times forbidden to the ideal ball.",
+        "prediction for the plate's motion as measured (light). Shaded: flight times forbidden to the ideal ball. "
+        "Diamonds: steps in which the ball was held on an unstable cycle (dashed: predicted).",
     ),
     Figure(
         "return_maps", draw_return_maps, "flights",

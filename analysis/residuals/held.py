@@ -1,0 +1,126 @@
+"""Steps in which a ball was held on the locked cycle: the cycle's landing phase and multiplier, measured.
+
+With the phase ``P`` of a launch and ``P'`` of the landing after it, both by the drive as it was ahead in that flight,
+``P' = p* + mu (P - p*) + b e``, where ``e`` is the part by which the drive was greater: the slope over the launches is
+the multiplier, whatever corrected the drive, and no model enters. Kicks at random make ``P`` vary by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from analysis.flights.assemble import FlightFlag, Flights
+from analysis.residuals.steered import Launches
+from daq.recording import Recording
+from kernels.arrays import Floats
+
+HELD = 0.95  # part of a step's cycles in which the ball must have landed where it was launched
+FEW = 8  # flights from which no line is fitted
+SEEN_SPREAD = 12.0  # spread of the launches by themselves, over their uncertainty, from which a slope is told
+COVERAGE = 0.95
+
+
+@dataclass(frozen=True)
+class HeldStep:
+    """One step on the branch.
+
+    Attributes
+    ----------
+    step, flights, held
+        The step's number, flights of its hold, and the part of its cycles that were held.
+    gamma, flight_s, flight_uncertainty_s
+        Measured gamma; mean flight time with its standard uncertainty.
+    phase, multiplier, interval
+        Landing phase of the cycle by the forcing (radians), multiplier and its 95 % interval; NaN where the ball moved
+        too little to tell.
+    correction_rms, correction_mean
+        Of the drive, in parts of its rms.
+    """
+
+    step: int
+    flights: int
+    held: float
+    gamma: float
+    flight_s: float
+    flight_uncertainty_s: float
+    phase: float
+    multiplier: float
+    interval: tuple[float, float]
+    correction_rms: float
+    correction_mean: float
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Flights of one hold: take-off and landing phase, parts and phases of the corrections."""
+
+    before: Floats
+    after: Floats
+    part: Floats
+    ahead: Floats
+    duration_s: Floats
+    sigma: float
+
+
+def held_steps(recording: Recording, flights: Flights) -> list[HeldStep]:
+    """The steps of a recording in which the ball was held for `HELD` of the cycles; none where it was not."""
+    launches = Launches.of(recording)
+    if launches is None:
+        return []
+    rows = {}
+    for number in range(len(recording.steps)):
+        if (found := _rows(recording, flights, launches, number)) is not None:
+            rows[number] = found
+    plates = {plate.step: plate for plate in flights.plate.steps if plate is not None}
+    return [_held(n, plates[n].gamma, row, _cycles(recording, n)) for n, row in rows.items()]
+
+
+def _cycles(recording: Recording, number: int) -> float:
+    """Cycles of a hold."""
+    step, frequency_hz = recording.steps[number], recording.setup.forcing.frequency_hz
+    return float((step["n_samples"] - step["settle_samples"]) / recording.rate_hz * frequency_hz)
+
+
+def _rows(recording: Recording, flights: Flights, launches: Launches, number: int) -> _Rows | None:
+    """The held flights of step ``number``; None where they are too few."""
+    unusable = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
+    of = (flights.step == number) & ((flights.flags & unusable) == 0)
+    of &= launches.at(flights.takeoff_s) >= 0
+    of &= np.abs(flights.landing_s - flights.takeoff_s - launches.cycle_s) < 0.125 * launches.cycle_s
+    if np.count_nonzero(of) < max(FEW, HELD * (_cycles(recording, number) - 2.0)):
+        return None
+    if flights.plate.steps[number] is None:
+        return None
+    turn = 2.0 * math.pi / launches.cycle_s
+    seen_s = flights.takeoff_s[of], flights.landing_s[of]
+    takeoff, landing = (flights.plate.true_time_s(x) - launches.late_s for x in seen_s)
+    part, ahead_s = launches.relative(recording, flights.step[of], flights.takeoff_s[of])
+    cycle = np.round((takeoff - takeoff[0]) / launches.cycle_s)
+    origin = launches.cycle_s * math.floor(takeoff[0] / launches.cycle_s)
+    before, after = (turn * (x - origin - (cycle + k) * launches.cycle_s) for k, x in enumerate((takeoff, landing)))
+    sigma = turn * float(np.median(flights.landing_uncertainty_s[of]))
+    return _Rows(before, after, part, turn * ahead_s, landing - takeoff, sigma)
+
+
+def _held(number: int, gamma: float, row: _Rows, cycles: float) -> HeldStep:
+    """Line through the landings of one hold."""
+    n, launch, landing = len(row.before), row.before + row.ahead, row.after + row.ahead
+    multiplier, half, phase = math.nan, math.nan, float(np.mean(row.before))
+    x, e = launch - launch.mean(), row.part - row.part.mean()
+    own = x - e * float(x @ e) / max(float(e @ e), 1e-300)
+    if np.std(own) > SEEN_SPREAD * row.sigma:
+        terms = np.column_stack([x, np.ones(n), e, x * x])  # the map bends a little
+        found, *_ = np.linalg.lstsq(terms, landing, rcond=None)
+        multiplier, left = float(found[0]), landing - terms @ found
+        sigma = math.sqrt(float(left @ left) / (n - 4) * np.linalg.pinv(terms.T @ terms)[0, 0])
+        half = sigma * float(student.ppf(0.5 + 0.5 * COVERAGE, n - 4))
+    size = np.hypot(row.part, row.ahead)
+    return HeldStep(
+        number, n, min(n / max(cycles - 1.0, 1.0), 1.0), gamma, float(np.mean(row.duration_s)),
+        float(np.std(row.duration_s, ddof=1) / math.sqrt(n)), phase, multiplier, (multiplier - half, multiplier + half),
+        float(np.sqrt(np.mean(size**2))), float(abs(np.mean(row.part + 1j * row.ahead))),
+    )  # fmt: skip
