@@ -72,6 +72,7 @@ def main() -> None:
     given = parser.parse_args()
     exact = locked_branch(profile_of(given.friction, given.kick))
     every: list[list[float]] = []
+    planned = len(profile_of(given.friction, given.kick).ramp.gammas())
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(given.seeds):
             began = time.process_time()
@@ -87,7 +88,7 @@ def main() -> None:
             every += rows
             t = np.array(rows).reshape(-1, 7)
             print(
-                f"seed {seed:2d} {ended}: {len(t)} of {len(profile_of(given.friction, 0.0).ramp.gammas())} steps held, least {t[:, 0].min(initial=1):.3f} of "
+                f"seed {seed:2d} {ended}: {len(t)} of {planned} steps held, least {t[:, 0].min(initial=1):.3f} of "
                 f"cycles; correction rms at most {100 * t[:, 1].max(initial=0):.2f} %, mean "
                 f"{100 * t[:, 2].max(initial=0):.3f} %; flights off by at most {np.abs(t[:, 3]).max(initial=0):.1f} "
                 f"sigma; phase {1e3 * np.abs(t[:, 4]).max(initial=0):.1f} mrad; multiplier "
@@ -98,7 +99,7 @@ def main() -> None:
     t = np.array(every)
     if len(t):
         print(
-            f"all: {len(t)} of {given.seeds * len(profile_of(given.friction, 0.0).ramp.gammas())} steps held; multiplier off by {100 * np.std(t[:, 5]):.2f} % "
+            f"all: {len(t)} of {given.seeds * planned} steps held; multiplier off by {100 * np.std(t[:, 5]):.2f} % "
             f"rms, {np.count_nonzero(np.abs(t[:, 5]) < 0.02)} within 2 %, {int(t[:, 6].sum())} in their 95 % interval; "
             f"flights off by more than 2 sigma in {np.count_nonzero(np.abs(t[:, 3]) > 2.0)}"
         )
