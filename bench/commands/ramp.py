@@ -71,8 +71,7 @@ def command(
     refuse_forbidden(profile, checked)
     for doubt in calibration_warnings(checked, datetime.date.today()):
         warn(f"{profile}: {doubt}")
-    held = hold_branch or (checked.control is not None and checked.control.branch is not None)
-    hold = branch_hold(checked) if held else None
+    hold = branch_hold(checked) if hold_branch or (checked.control and checked.control.branch) else None
     paced = real_time or live or watch
     backend = make_backend(checked, scenario=scenario, seed=seed, real_time=paced, replay=replay)
     page = (host, port) if live else None

@@ -84,6 +84,20 @@ class ImportOptions:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
+def _columns_and_rate(source: Source, options: ImportOptions, setup: Setup) -> tuple[dict[str, Column], float | None]:
+    """Column of each role, and samples a second where they are stated."""
+    if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
+        raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
+    columns = assign(source, options.mapping, setup.channels.recorded())
+    rate_hz = options.rate_hz or source.rate_hz
+    if "time" not in columns and rate_hz is None:
+        raise InputError(
+            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
+            "the sample rate with --rate HZ."
+        )
+    return columns, rate_hz
+
+
 def import_recording(
     source: Source,
     out: Path,
@@ -112,15 +126,7 @@ def import_recording(
         Naming file and row of what cannot be used; nothing is left behind.
     """
     options = options or ImportOptions()
-    if options.rate_hz is not None and not LEAST_HZ <= options.rate_hz <= MOST_HZ:
-        raise InputError(f"--rate {options.rate_hz:g}: wanted samples a second, from {LEAST_HZ:g} to {MOST_HZ:g}.")
-    columns = assign(source, options.mapping, setup.channels.recorded())
-    rate_hz = options.rate_hz or source.rate_hz
-    if "time" not in columns and rate_hz is None:
-        raise InputError(
-            f"{source.path}: no time column among {', '.join(source.names)}; name it with --map time=COLUMN or give "
-            "the sample rate with --rate HZ."
-        )
+    columns, rate_hz = _columns_and_rate(source, options, setup)
     channels = [role for role in KINDS if role in columns]
     setup = _adapted(setup, columns)
     attributes = root_attributes(setup, profile_text=profile_text, backend="import", simulated=False, note=options.note)

@@ -70,6 +70,21 @@ def height_m(values: Values, setting: Setting, fall: Fall, time_s: Floats) -> Fl
     return setting.axis.seen_m(value("top_m") - fallen + wind, value("bend"))
 
 
+def _start(slots: Sequence[tuple[str, str]], falls: Sequence[Fall], setting: Setting, near: FallFit | None) -> Floats:
+    """Free fall from the first height with the drag of a light ball; or what a fit to nearly the same has."""
+    first = {fall.name: fall for fall in falls}
+    usual = {"g_mps2": setting.g_mps2, "k_per_m": 0.01, "c_per_s": 0.1, "scale": 1.0}
+    out = []
+    for name, owner in slots:
+        value = usual.get(name, 0.0)
+        if name == "top_m":
+            value = float(first[owner].height_m.max())
+        elif name == "release_s":
+            value = float(first[owner].time_s[0])
+        out.append(near.values.get(name, {}).get(owner, value) if near is not None else value)
+    return np.array(out)
+
+
 def fit_falls(
     falls: Sequence[Fall],
     names: Sequence[str],
@@ -121,19 +136,10 @@ def fit_falls(
         out[np.arange(len(judged)) + bounds[-1], judged] = setting.prior_m / width
         return out
 
-    # Free fall from the first height with the drag of a light ball; or what a fit to nearly the same has.
-    first = {fall.name: fall for fall in falls}
-    start = {"g_mps2": setting.g_mps2, "k_per_m": 0.01, "c_per_s": 0.1, "scale": 1.0}
-    begin = []
-    for name, owner in slots:
-        value = start.get(name, 0.0)
-        if name == "top_m":
-            value = float(first[owner].height_m.max())
-        elif name == "release_s":
-            value = float(first[owner].time_s[0])
-        begin.append(near.values.get(name, {}).get(owner, value) if near is not None else value)
     # MINPACK uses one thread: of matrices as small as these, several only wait for each other.
-    found = least_squares(left, np.array(begin), jac=slopes, method="lm", x_scale="jac", max_nfev=60, ftol=1e-6)
+    found = least_squares(
+        left, _start(slots, falls, setting, near), jac=slopes, method="lm", x_scale="jac", max_nfev=60, ftol=1e-6
+    )
     freedom = max(int(bounds[-1]) - len(found.x) + len(judged), 1)
     sigma = float(np.sqrt(found.fun @ found.fun / freedom))
     steep = slopes(found.x)
