@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from analysis.linear_algebra import pinv
+from analysis.linear_algebra import NotFiniteError, pinv, solve
 from analysis.plate.ball_push import ball_push, filled_after_impacts
 from analysis.plate.mains_lines import MAINS_HZ
 from analysis.signals.stream import block_means, pieces
@@ -129,7 +129,10 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
     for _ in range(MOST_RESTARTS + 1):
         if np.count_nonzero(known) < FEWEST_BLOCKS:
             return None
-        seen, found = record.settled(known, begun, found)
+        try:
+            seen, found = record.settled(known, begun, found)
+        except NotFiniteError:  # a drive that stands still explains no acceleration
+            return None
         worst = seen.worst_cluster(found)
         if worst is None:
             break
@@ -161,7 +164,7 @@ class _Recorded:
         basis, upper = np.linalg.qr(self.linear[known])
 
         def drive_part(seen: Floats) -> Floats:
-            return np.asarray(self.linear @ np.linalg.solve(upper, basis.T @ seen[known]))
+            return np.asarray(self.linear @ solve(upper, basis.T @ seen[known]))
 
         driven, rise = drive_part(self.acceleration), 0.0
         acceleration = driven + filled_after_impacts(self.acceleration - driven, known)

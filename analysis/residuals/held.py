@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from analysis.flights.assemble import FlightFlag, Flights
+from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.steered import Launches
 from daq.recording import Recording
 from kernels.arrays import Floats
@@ -114,9 +115,9 @@ def _held(number: int, gamma: float, row: _Rows, cycles: float) -> HeldStep:
     own = x - e * float(x @ e) / max(float(e @ e), 1e-300)
     if np.std(own) > SEEN_SPREAD * row.sigma:
         terms = np.column_stack([x, np.ones(n), e, x * x])  # the map bends a little
-        found, *_ = np.linalg.lstsq(terms, landing, rcond=None)
+        found, *_ = lstsq(terms, landing, rcond=None)
         multiplier, left = float(found[0]), landing - terms @ found
-        sigma = math.sqrt(float(left @ left) / (n - 4) * np.linalg.pinv(terms.T @ terms)[0, 0])
+        sigma = math.sqrt(float(left @ left) / (n - 4) * pinv(terms.T @ terms)[0, 0])
         half = sigma * float(student.ppf(0.5 + 0.5 * COVERAGE, n - 4))
     size = np.hypot(row.part, row.ahead)
     return HeldStep(

@@ -15,10 +15,14 @@ from benchmarks.plants.handed_over import imported
 from daq.recording import open_recording
 
 
-def _found(folder: Path, hidden: dict[str, float], missed: Sequence[int] = ()) -> PlateMode | None:
+def _found(
+    folder: Path, hidden: dict[str, float], missed: Sequence[int] = (), drive_share: float = 1.0
+) -> PlateMode | None:
     gammas = np.random.default_rng(1).permutation(np.round(np.linspace(0.5, 2.6, 27), 4))
     run = other_plant.Run(hidden=hidden, seed=1, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
-    path = imported(other_plant.simulate(run), other_plant.profile_of(run), folder)
+    volts = other_plant.simulate(run)
+    volts["drive_v"] *= drive_share
+    path = imported(volts, other_plant.profile_of(run), folder)
     with open_recording(path) as recording:
         flights = flights_of(recording)
         true = ~flights.has(FlightFlag.FALSE)
@@ -68,3 +72,8 @@ def test_the_answer_of_a_mode_is_that_of_its_differential_equation() -> None:
     own = w * np.sqrt(1.0 - damping**2)
     speed = np.exp(-damping * w * time_s) * np.sin(own * time_s) / own
     np.testing.assert_allclose(answer(push, block_s, 5.0, damping), np.diff(speed) / block_s, atol=1e-9)
+
+
+def test_no_mode_is_found_where_the_drive_stands_still(tmp_path: Path) -> None:
+    """A channel of zeros explains no acceleration, and ends no verdict."""
+    assert _found(tmp_path, {"coulomb_friction.mu": 0.05}, drive_share=0.0) is None
