@@ -94,7 +94,7 @@ def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None) 
         with suppress(OSError):  # the terminal may be gone; the exit code tells
             typer.echo(sentence)
             if summary.let_go:
-                typer.echo(f"the ball was let go: {summary.let_go}")
+                typer.echo(f"the ball was not held to the end: {summary.let_go}")
             if summary.steps_driven:
                 typer.echo(next_command(out))
     if summary.how != "complete":

@@ -84,8 +84,14 @@ class BranchHold:
         self._restart(0.0, 0.0)
         self._missed = 0
         self._rng = np.random.default_rng(table.seed)
-        self.holding = False
+        self.holding = self._taken = False
         self.why = ""
+
+    @property
+    def unheld(self) -> str:
+        """Why the ball was let go, or that it never was held; empty where it is or was to the end."""
+        never = "it never came to rest on the locked cycle; begin where that is stable, with a smaller slew_per_cycle"
+        return self.why or ("" if self._taken else never)
 
     def check_delay(self, delay_samples: float, gamma: float) -> None:
         """Refuse a device whose delay (samples, from the landing's frame to the drive) the branch does not allow.
@@ -221,6 +227,7 @@ class BranchHold:
         launch = Launch(gamma, point)
         steady = sequencer.state in (State.SETTLING, State.HOLDING)
         self.holding = self.holding or (steady and self._foreseen >= LOCKED)
+        self._taken |= self.holding
         if self.holding:
             self._launches[cycle] = launch
             after = self._branch.at(self._gamma(sequencer, begin + round(self._cycle))) or point

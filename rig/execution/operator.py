@@ -131,7 +131,8 @@ class Status:
 class RunSummary:
     """Outcome of a run; ``asked`` where the operator ended it, and nothing else did.
 
-    ``let_go`` says why a ball that was to be held on a branch was let go; empty where it was not.
+    ``let_go`` says why a ball that was to be held on a branch was let go, or that it never was held; empty where it was
+    held to the end.
     """
 
     how: Literal["complete", "stopped", "failed"]

@@ -206,7 +206,7 @@ class _Run:
             len(self._instruments.programme.steps),
             self.account.lost_samples,
             wall_s,
-            self._instruments.hold.why if self._instruments.hold else "",
+            self._instruments.hold.unheld if self._instruments.hold else "",
         )
 
     def _ramp_down(self) -> None:

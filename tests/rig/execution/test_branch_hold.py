@@ -130,3 +130,15 @@ def test_a_device_too_slow_for_the_multiplier_is_refused(recording_path) -> None
         held(profile, rig, recording_path)
     hold = BranchHold(profile, BranchTable(), ideal_branch())
     hold.check_delay(1600, 1.8)
+
+
+def test_a_ball_that_never_locks_is_said_not_to_be_held(recording_path) -> None:
+    """Below the lock the ball rests in every cycle: nothing is held, and the summary says so."""
+    profile = profile_of(1.0, 1.1)
+    hold = BranchHold(profile, BranchTable(), ideal_branch())
+    rig = Delayed(profile.sampling.rate_hz, Scenario("ideal"), 0)
+    writer = RecordingWriter(
+        recording_path, profile.setup(), profile_text="", channels=rig.channels, scales=rig.scales, backend=rig.name,
+        simulated=True,
+    )  # fmt: skip
+    assert "never" in run_ramp(profile, rig, writer, hold=hold).let_go
