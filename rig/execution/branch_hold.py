@@ -119,11 +119,12 @@ class BranchHold:
                 "behind; take smaller blocks, a device with less delay, or a smaller ramp.gamma"
             )
 
-    def observe(self, block: MeterBlock, sequencer: Sequencer, ahead: int) -> None:
-        """Take in a block, and steer where a launch lies within the next ``ahead`` samples."""
+    def observe(self, block: MeterBlock, sequencer: Sequencer, ahead: int) -> list[str]:
+        """Take in a block, steer where a launch lies within the next ``ahead`` samples; what is to be noted of it."""
         if self.why or sequencer.state not in (*MOVING, State.PAUSED):
             self.holding = False
-            return
+            return []
+        held = self.holding
         self._keep(block)
         for cycle in sorted(k for k in self._launches if k > self._timed):
             place = self._place(cycle, self._launches[cycle].point.phase)
@@ -133,6 +134,9 @@ class BranchHold:
         self._launch(sequencer, ahead)
         if self.why and sequencer.steering:
             sequencer.release(RELEASE_CYCLES)
+        if self.why:
+            return [f"branch: let go, {self.why}"]
+        return [f"branch: held from gamma {sequencer.step.gamma:g} on"] if self.holding and not held else []
 
     def _keep(self, block: MeterBlock) -> None:
         """Append a block; what is older than two cycles goes."""

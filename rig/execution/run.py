@@ -80,7 +80,7 @@ def run_ramp(
         Before anything moves, where the device's delay exceeds what the branch's multiplier allows.
     """
     instruments = replace(_Instruments.of(profile, backend, programme or plan(profile)), hold=hold)
-    watcher = Watcher(progress or _silent, stop_request or StopRequest())
+    watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest())
     run = _Run(profile, backend, writer, instruments, watcher)
     began = time.monotonic()
     with writer:
@@ -91,10 +91,6 @@ def run_ramp(
             run.end("failed", f"back end {backend.name}: {error}")
         writer.close(run.how, run.why, expected_samples=run.account.expected_samples)
     return run.summary(time.monotonic() - began)
-
-
-def _silent(status: Status) -> None:
-    """Show nothing."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +236,7 @@ class _Run:
             self._sequencer.stop(wanted)
 
     def _note(self, texts: list[str]) -> None:
-        """Write the operator's words into the recording."""
+        """Write the operator's words, or the holder's, into the recording."""
         self.flush()
         if self._recording:
             try:
@@ -288,18 +284,9 @@ class _Run:
             if fault is not None:
                 self.end("stopped", f"closed loop: {fault}")
                 sequencer.stop(Stop.RAMP_DOWN)
-        if self._instruments.hold is not None:
-            self._hold(self._instruments.hold, measured)
-
-    def _hold(self, hold: BranchHold, measured: MeterBlock) -> None:
-        """Pass a block on to the holder, and write down when it takes the ball and lets it go."""
-        before = hold.holding, hold.why
-        hold.observe(measured, self._sequencer, self._block)
-        gamma = self._sequencer.step.gamma
-        if hold.why and not before[1]:
-            self._note([f"branch: let go, {hold.why}"])
-        elif hold.holding and not before[0]:
-            self._note([f"branch: held from gamma {gamma:g} on"])
+        hold = self._instruments.hold
+        if hold is not None and (noted := hold.observe(measured, sequencer, self._block)):
+            self._note(noted)
 
     def _achieved(self, step: Step) -> tuple[float, float]:
         """Gamma measured over the hold of ``step``, with its uncertainty; NaN where it did not hold."""

@@ -101,9 +101,11 @@ def test_the_drive_is_recorded_as_it_was(recording_path) -> None:
 
 
 def test_a_ball_that_is_lost_is_let_go_quietly(recording_path, monkeypatch) -> None:
-    """Knocked off the branch the ball is let go: the drive is the programme's again, no limit trips, and it is said."""
+    """Knocked off the branch the ball is let go: no limit trips, it is said, and in 20 cycles the drive is the
+    programme's again and the ball on the stable motion, which repeats itself after two flights.
+    """
     profile = profile_of(1.75, 2.0, 2.2, hold_cycles=60)
-    rig = Delayed(profile.sampling.rate_hz, Scenario("ideal"), 2)
+    rig = Watched(profile.sampling.rate_hz, Scenario("ideal"), 2)
     exchange, knocked = rig.exchange, []
 
     def knock(drive_v: np.ndarray):
@@ -119,6 +121,13 @@ def test_a_ball_that_is_lost_is_let_go_quietly(recording_path, monkeypatch) -> N
     with open_recording(recording_path) as recording:
         back = recording.drive_changes[-2]  # the last is the end of the run
         assert back["first_sample"] + back["n_samples"] < knocked[0] + 20 * 789
+        end_s = float(recording.steps["first_sample"][-1] + recording.steps["n_samples"][-1]) / recording.rate_hz
+    landed_s = np.array(list(rig._flights))
+    later = rig.flights_s[(landed_s > (knocked[0] + 20 * 789) / profile.sampling.rate_hz) & (landed_s < end_s)]
+    assert len(later) > 10
+    np.testing.assert_allclose(later[2:], later[:-2], atol=1e-4)
+    assert np.abs(np.diff(later)).min() > 1e-3
+    with open_recording(recording_path) as recording:
         assert any("let go" in note["text"].decode() for note in recording.side["notes"])
 
 
