@@ -103,7 +103,7 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Tabl
     levels = found.survey.levels
     if levels is None:
         nothing = np.zeros(0)
-        report = EdgeReport(None, SHARP, SHARP, None, 0)
+        report = EdgeReport(None, SHARP, SHARP, None, 0, found.survey.mask_s)
         return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), report
     edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
     end_s = n_samples / rate_hz
@@ -121,7 +121,7 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Tabl
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, max(STRENGTH_S, STRENGTH_SAMPLES / rate_hz))
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
-    report = EdgeReport(levels, opening, closing, offset, dips, found.missed.size)
+    report = EdgeReport(levels, opening, closing, offset, dips, found.survey.mask_s, found.missed.size)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
 
 

@@ -115,6 +115,8 @@ class EdgeReport:
         None where the accelerometer shows no impacts.
     dips : int
         Contacts too short to cross the threshold of the contact voltage.
+    ringing_s : float
+        How long after an impact the accelerometer shows more than the plate's motion.
     missed : int
         Edges of an AC-coupled circuit that are known to have been missed.
     """
@@ -124,6 +126,7 @@ class EdgeReport:
     closing: EdgeShape
     sensor_offset: SensorOffset | None
     dips: int
+    ringing_s: float
     missed: int = 0
 
 

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from analysis.linear_algebra import cholesky
 from analysis.plate.contact_flight_fit import ContactFlightFit
 from analysis.plate.fit_mask import FitIntervals
 from analysis.signals.saturation import STANDS
@@ -228,6 +229,21 @@ class StepPlate:
         rows = [self.multiples.index(m) for m in self.forcing_multiples]
         fit = self.acceleration
         return Plate(TWO_PI * fit.frequencies_hz[rows], fit.amplitudes[rows])
+
+    def tones_factor(self, omega_radps: Floats) -> Complexes:
+        """Factor of the covariance of the fitted tones at ``omega_radps`` (k,), those of the forcing first: (2 k, k).
+
+        A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they
+        do to the plate. So all err together here.
+        """
+        fit = self.acceleration
+        every = TWO_PI * fit.frequencies_hz
+        rows = np.array([int(np.argmin(np.abs(every - w))) for w in omega_radps])
+        own = (rows[:, None] * 2 + np.arange(2)).ravel()
+        scale = np.sqrt(np.diag(fit.covariance)[own])
+        correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
+        factor = cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
+        return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,6 @@ from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.impact_detection import ECHO_MARGIN
 from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
-from analysis.flights.scan import survey
-from analysis.linear_algebra import cholesky
 from analysis.plate.modes import PlateMode, identified_mode
 from analysis.plate.motion import StepPlate
 from analysis.residuals.fades import RINGING_S, Fades, pushes
@@ -203,10 +201,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     )
     if launches is not None:
         number = np.array([s.step for s in fitted], dtype=np.int64)[measured.step]
-        part, ahead_s = launches.relative(recording, number, flights.takeoff_s[keep])
-        fading = (measured.beside is not None) & (launches.at(flights.takeoff_s[keep]) < 0)
-        share = None if measured.share is None else np.where(fading, measured.share, 0.0)
-        measured = replace(measured, part=part, ahead_s=ahead_s, share=share)
+        measured = launches.of_flights(measured, recording, number, flights.takeoff_s[keep])
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
@@ -218,7 +213,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     shown = flights.edges.sensor_offset is not None
     weak = _weak_mps(measured, steps, flights, keep) if shown else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
-    true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), survey(recording).mask_s
+    true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -255,7 +250,7 @@ def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
         k = len(order)
         omega[i, :k], z[i, :k] = tones.omega_radps[order], tones.acceleration[order]
         forcing[i, :k] = [round(x) in own for x in 1e6 * omega[i, :k]]
-        spread[i, : 2 * k, :k] = _spread(s, omega[i, :k])
+        spread[i, : 2 * k, :k] = s.tones_factor(omega[i, :k])
     middle = np.array([(s.first_sample + s.last_sample) / 2 for s in fitted])
     return Steps(
         np.zeros(m, dtype=np.int64),
@@ -275,22 +270,6 @@ def _of_forcing_only(steps: Steps) -> Steps:
     own = np.abs(turns - np.round(turns)) < OF_FORCING
     plate = replace(steps.plate, acceleration_mps2=np.where(own, steps.plate.acceleration_mps2, 0.0))
     return replace(steps, plate=plate, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
-
-
-def _spread(s: StepPlate, omega_radps: Floats) -> Complexes:
-    """Factor of the covariance of a step's tones (k,), those of the forcing first: see `Steps.spread_mps2`; (2 k, k).
-
-    A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they do
-    to the plate. So all err together here.
-    """
-    fit = s.acceleration
-    every = 2.0 * np.pi * fit.frequencies_hz
-    rows = np.array([int(np.argmin(np.abs(every - w))) for w in omega_radps])
-    own = (rows[:, None] * 2 + np.arange(2)).ravel()
-    scale = np.sqrt(np.diag(fit.covariance)[own])
-    correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
-    factor = cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
-    return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 
 
 def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: Bools) -> Floats:

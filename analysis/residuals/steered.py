@@ -6,12 +6,13 @@ the ratio of its own amplitude to the mean of the step's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats, Integers
+from model.integrator.one_step import Measured
 
 SHORT = 1.0 / 16.0  # of a cycle: a change of the drive as short as that is a correction at a launch
 NEAR = 1.0 / 8.0  # of a cycle, between a correction and the launch that it belongs to
@@ -64,3 +65,10 @@ class Launches:
         ratio = np.where((launch < 0) | (step < 0) | ~np.isfinite(ratio), 1.0, ratio)
         omega_radps = 2.0 * np.pi * self.multiple / self.cycle_s
         return np.abs(ratio) - 1.0, np.angle(ratio) / omega_radps
+
+    def of_flights(self, measured: Measured, recording: Recording, number: Integers, takeoff_s: Floats) -> Measured:
+        """The flights (n,) of steps ``number`` with the drive that each had; its launch tells what a fade would."""
+        part, ahead_s = self.relative(recording, number, takeoff_s)
+        fading = (measured.beside is not None) & (self.at(takeoff_s) < 0)
+        share = None if measured.share is None else np.where(fading, measured.share, 0.0)
+        return replace(measured, part=part, ahead_s=ahead_s, share=share)

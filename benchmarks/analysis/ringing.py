@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.flights.scan import survey
 from analysis.plate.modes import PlateMode, identified_mode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
@@ -56,9 +55,9 @@ def drawn(seed: int, *, without: bool) -> other_plant.Run:
 def found_in(path: Path) -> tuple[PlateMode | None, float]:
     """The mode that recorded volts show, and processor seconds of its identification."""
     with open_recording(path) as recording:
-        flights, mask_s = flights_of(recording), survey(recording).mask_s
-        true, start = ~flights.has(FlightFlag.FALSE), time.process_time()
-        mode = identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], mask_s)
+        flights = flights_of(recording)
+        true, start = flights.select(~flights.has(FlightFlag.FALSE)), time.process_time()
+        mode = identified_mode(recording, true.takeoff_s, true.landing_s, flights.edges.ringing_s)
         return mode, time.process_time() - start
 
 
