@@ -142,25 +142,21 @@ def import_recording(
             base = _timebase(intake, scratch, rate_hz)
             even = partial(timestamps_ns, rate_hz=base.rate_hz, gaps=base.gaps[:, :2])
             writer.write_timestamps(even if base.uniform else partial(scratch.read, "timestamp"))
-            found, channel = _find(volts, base, intake, progress)
-            if "time" not in columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
-                base = replace(base, gaps=lost)  # rows that are missing become gaps, and the steps end there
-                found, channel = _find(volts, base, intake, progress)
+            base, found, channel = _find_with_losses(volts, base, intake, progress)
             steps = _table(found, volts, channel, setup, base.rate_hz)
             warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
             sampling = setup.sampling.model_copy(update={"rate_hz": base.rate_hz})
             setup = setup.model_copy(update={"sampling": sampling})
             instrument = examine(volts, writer.n_samples, base.rate_hz, steps, base.gaps, setup)
-            late = _late_attributes(intake, setup, base) | {"extra_json": json.dumps(dict(options.extra))}
-            late[STORED] = json.dumps(instrument.as_json())
+            late = _late_attributes(intake, setup, base) | {STORED: json.dumps(instrument.as_json())}
+            late["extra_json"] = json.dumps(dict(options.extra))
             writer.check(steps, _blocks(base, writer.n_samples), **late)
     except BaseException:
         writer.abandon()
         raise
     writer.rename()
-    left_out = [f"not imported: {reasons(source)}"] if source.left_out else []
-    findings = remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns)
-    lines = [*left_out, *findings, *warnings]
+    lines = [f"not imported: {reasons(source)}"] if source.left_out else []
+    lines += [*remarks(base, steps, channels, from_drive=channel == "drive", timed="time" in columns), *warnings]
     return ImportSummary(out, writer.n_samples, base, steps, {r: c.name for r, c in columns.items()}, lines, instrument)
 
 
@@ -220,6 +216,17 @@ def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timeba
         )
     refuse_other_unit(path, time, base.rate_hz, intake.setup)
     return base
+
+
+def _find_with_losses(
+    volts: Mapping[str, Read], base: Timebase, intake: Intake, progress: Progress | None
+) -> tuple[Timebase, list[FoundStep], str]:
+    """Timebase, steps, and the channel that shows them; without a time column rows that are missing become gaps."""
+    found, channel = _find(volts, base, intake, progress)
+    if "time" not in intake.columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
+        base = replace(base, gaps=lost)  # the steps end there
+        found, channel = _find(volts, base, intake, progress)
+    return base, found, channel
 
 
 def _find(

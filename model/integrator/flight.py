@@ -286,6 +286,13 @@ def note_end(nodes: Floats, z: float, ended: int) -> None:
 
 
 @inlined
+def _is_constant(fr: float, direction: float, p: Floats) -> bool:
+    """Whether dry friction ``fr`` is the same at two other places and speeds."""
+    one, other = dry_friction(1.0, 1.0, direction, p), dry_friction(0.0, 0.1, direction, p)
+    return bool(fr == -direction * one and fr == -direction * other)
+
+
+@inlined
 def segment(
     t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
 ) -> tuple[int, float, float, float, float]:
@@ -302,25 +309,16 @@ def segment(
     moving = start_turning(t0, s0, 0.5 * step, tones, mode, turning)
     x0, xd0, xdd0 = motion(moving, turning)
     start = Start(h0, v0, x0, xd0)
-    dev, devd = 0.0, 0.0
-    h, v = h0, v0
+    dev, devd, h, v = 0.0, 0.0, h0, v0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
-    constant = (
-        law.rubbed
-        and not law.forced
-        and fr == -direction * dry_friction(1.0, 1.0, direction, p)
-        and fr == -direction * dry_friction(0.0, 0.1, direction, p)
-    )
+    constant = law.rubbed and not law.forced and _is_constant(fr, direction, p)
     f0 = _effects(s0, h, v, xd0, direction, p, acting)
     a = -g - xdd0 + f0
-    opened = -1.0
     halved = (law.forced or law.rubbed) and not constant
     if not halved:
         turn_twice_as_far(moving, turning)
-    s = 0.0
-    limit = LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s
-    noted = law.nodes.shape[0] > 0
-    while s < limit:
+    s, opened, noted = 0.0, -1.0, law.nodes.shape[0] > 0
+    while s < LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s:
         se = s + step
         middle = _coasting(s + 0.5 * step, start, turned(moving, turning), g) if halved else (0.0, 0.0, 0.0, 0.0)
         end = _coasting(se, start, turned(moving, turning), g)

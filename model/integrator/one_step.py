@@ -59,15 +59,13 @@ class Measured:
     wanted
         Flights for which a prediction is wanted.
     beside, share
-        While the drive fades from step to step: row of the other step (-1: the plate at rest), and the share of its
-        motion. None where no flight is flown in a fade.
+        In a fade: row of the other step (-1: the plate at rest), and the share of its motion. None without fades.
     gained_mps, pressed_mps, pressed_at
         Integral of the plate's acceleration plus gravity in a fade, as the accelerometer shows it: over the flight, and
         over the contact before it, whose centre is at the part ``pressed_at`` of the contact. NaN where the plate's
         tones tell it; None where they always do.
     part, ahead_s
-        By what part the plate's motion was greater in the flight than in its step, and by how much earlier: of a ball
-        that was held by corrections at its launches. None where none was.
+        Part by which the plate moved more in the flight than in its step, and by how much earlier. None for all alike.
     """
 
     opening_s: Floats

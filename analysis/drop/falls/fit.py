@@ -140,8 +140,7 @@ def fit_falls(
     found = least_squares(
         left, _start(slots, falls, setting, near), jac=slopes, method="lm", x_scale="jac", max_nfev=60, ftol=1e-6
     )
-    freedom = max(int(bounds[-1]) - len(found.x) + len(judged), 1)
-    sigma = float(np.sqrt(found.fun @ found.fun / freedom))
+    sigma = float(np.sqrt(found.fun @ found.fun / max(int(bounds[-1]) - len(found.x) + len(judged), 1)))
     steep = slopes(found.x)
     wide = np.sqrt(np.maximum(np.diag(np.linalg.pinv(steep.T @ steep)), 0.0)) * sigma
     residuals = np.split(found.fun[: bounds[-1]], bounds[1:-1])
