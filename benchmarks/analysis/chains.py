@@ -1,4 +1,4 @@
-"""Instruments by name, and recordings made with them on both plants, with the flights that were truly flown."""
+"""Instruments by name, and recordings made with them on three plants, with the flights that were truly flown."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.plants import other_plant
+from benchmarks.plants import other_plant, third_plant
 from benchmarks.plants.handed_over import FLIGHTS, Afterwards, imported
 from benchmarks.plants.instrument import Instrument
+from benchmarks.plants.third_instrument import CARDS, drawn
 from kernels.arrays import Floats
 from rig.backends.simulated import SimulatedBackend
 from rig.sim.catalogue import RIG_DEFAULTS
@@ -39,7 +40,8 @@ class Chain:
     """An instrument, the rate it samples at, and what happens to its file.
 
     ``parts`` are fields of `Instrument` and keys of a scenario's ``[rig]`` alike. ``causes``: names of effects that the
-    instrument itself may be given in a verdict. ``hides``: effects that nobody can see behind it.
+    instrument itself may be given in a verdict. ``hides``: effects that nobody can see behind it. ``plants`` that have
+    such an instrument.
     """
 
     parts: Mapping[str, float] = field(default_factory=dict)
@@ -47,6 +49,7 @@ class Chain:
     after: Afterwards = field(default_factory=Afterwards)
     causes: tuple[str, ...] = ()
     hides: tuple[str, ...] = ()
+    plants: tuple[str, ...] = ("other", "own")
 
     def late_s(self) -> float:
         """By how much all channels of the file are late."""
@@ -117,12 +120,14 @@ CHAINS: dict[str, Chain] = {
     "three losses": Chain(after=Afterwards(losses=3)),
     "clock fast by 60 ppm": Chain(after=Afterwards(clock=6e-5)),
     "times jitter by 2 us": Chain(after=Afterwards(time_jitter_s=2e-6)),
+    # each trial draws the sizes of the third plant's instrument
+    **{card: Chain(causes=(LAG, HIGH_PASS, PICKUP, OFFSET), plants=("third",)) for card in CARDS},
 }
 
 
 @dataclass(frozen=True)
 class Job:
-    """A trial: names of a chain and of what is hidden, the plant (``other`` or ``own``), and a seed."""
+    """A trial: names of a chain and of what is hidden, the plant (``other``, ``own`` or ``third``), and a seed."""
 
     chain: str
     hidden: str
@@ -140,11 +145,11 @@ class Job:
 
 
 def jobs(seeds: range) -> list[Job]:
-    """Every trial that both plants allow, chain by chain within each hidden cause."""
+    """Every trial that the plants allow, chain by chain within each hidden cause."""
     return [
         Job(chain, hidden, plant, seed)
-        for seed in seeds for hidden in HIDDEN for chain in CHAINS for plant in ("other", "own")
-        if plant == "other" or set(CHAINS[chain].parts) <= set(RIG_DEFAULTS)
+        for seed in seeds for hidden in HIDDEN for chain in CHAINS for plant in CHAINS[chain].plants
+        if plant != "own" or set(CHAINS[chain].parts) <= set(RIG_DEFAULTS)
     ]  # fmt: skip
 
 
@@ -152,7 +157,10 @@ def recorded(job: Job, folder: Path) -> tuple[Path, Floats, Values]:
     """A recording, the flights flown, take-off and landing (m, 2) in s by its clock, and the library's true values."""
     rng, chain = job.rng(), CHAINS[job.chain]
     sizes = {key: float(rng.uniform(*bounds)) for key, bounds in HIDDEN[job.hidden].items()}
-    path, flights = (_other if job.plant == "other" else _own)(chain, sizes, rng, folder)
+    if job.plant == "third":
+        path, flights = _third(job.chain, sizes, rng, folder)
+    else:
+        path, flights = (_other if job.plant == "other" else _own)(chain, sizes, rng, folder)
     truth: Values = {}
     for key, value in sizes.items():
         effect, _, name = key.partition(".")
@@ -172,6 +180,17 @@ def _other(chain: Chain, sizes: Mapping[str, float], rng: np.random.Generator, f
     )  # fmt: skip
     volts = chain.after.apply(other_plant.simulate(run), chain.rate_hz, rng)
     return imported(volts, chain.after.profile(other_plant.profile_of(run)), folder), volts[FLIGHTS]
+
+
+def _third(card: str, sizes: Mapping[str, float], rng: np.random.Generator, folder: Path) -> tuple[Path, Floats]:
+    c = int(rng.choice((1, 2)))
+    rig = third_plant.Rig(
+        c=c, frequency_hz=float(rng.choice((21.7, 24.0, 27.3, 33.1))), cycles=CYCLES, instrument=drawn(card, rng),
+        gammas=tuple(rng.permutation(np.round(np.linspace(*GAMMAS[c], STEPS), 4)).tolist()),
+        seed=int(rng.integers(2**31)), **{third_plant.HIDDEN[key]: value for key, value in sizes.items()},
+    )  # fmt: skip
+    volts = third_plant.simulate(rig)
+    return imported(volts, third_plant.profile_of(rig), folder), volts[FLIGHTS]
 
 
 class _Watched(SimulatedBackend):

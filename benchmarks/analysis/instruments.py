@@ -1,4 +1,4 @@
-"""Flights and verdicts behind instruments as laboratories have them: a matrix of chains, hidden causes and two plants.
+"""Flights and verdicts behind instruments as laboratories have them: a matrix of chains, hidden causes and plants.
 
     python -m benchmarks.analysis.instruments RESULTS --seeds 1 --minutes 60 --workers 2 --shuffle
     python -m benchmarks.analysis.instruments RESULTS --no-loop --only "plain;ordinary USB card" --plant other
@@ -187,7 +187,7 @@ def main() -> None:
     options.add_argument("--minutes", type=float, default=60.0, help="no trial is begun later")
     options.add_argument("--workers", type=int, default=1, help="processes")
     options.add_argument("--only", default="", help="chains by their beginnings, with semicolons between")
-    options.add_argument("--plant", default="", choices=("", "other", "own"))
+    options.add_argument("--plant", default="", choices=("", "other", "own", "third"))
     options.add_argument("--hidden", default="", choices=("", *HIDDEN))
     options.add_argument("--shuffle", action="store_true", help="so that a part is one of all chains and causes")
     options.add_argument("--no-loop", action="store_true", help="only find flights")

@@ -8,15 +8,17 @@ import pytest
 from benchmarks.analysis import chains, instruments
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Chain, Job, jobs
 from benchmarks.plants.handed_over import Afterwards
+from benchmarks.plants.third_instrument import CARDS
 from daq.files.whole_file import Journal
 
 
 def test_the_plan_holds_every_chain_with_every_hidden_cause():
-    """Names of trials differ, and the other plant meets each chain with each cause."""
+    """Names of trials differ; each chain meets each cause on the other plant or, with a drawn card, on the third."""
     plan = jobs(range(2))
     assert len({job.key for job in plan}) == len(plan) >= 2 * 24 * 6 * 2
-    other = {(job.chain, job.hidden) for job in plan if job.plant == "other"}
-    assert other == {(chain, hidden) for chain in CHAINS for hidden in HIDDEN}
+    met = {plant: {(job.chain, job.hidden) for job in plan if job.plant == plant} for plant in ("other", "third")}
+    assert met["third"] == {(card, hidden) for card in CARDS for hidden in HIDDEN}
+    assert met["other"] == {(chain, hidden) for chain in CHAINS for hidden in HIDDEN} - met["third"]
 
 
 def test_landings_are_counted_against_flights_that_were_flown():
@@ -26,12 +28,12 @@ def test_landings_are_counted_against_flights_that_were_flown():
     assert instruments.counted(found, cut, flown, 5e-4) == (3, 1, 1)
 
 
-@pytest.mark.parametrize("plant", ["other", "own"])
-def test_flights_found_are_those_flown(plant, monkeypatch):
-    """With ideal sensors and a clock that is fast, truth and analysis have the same flights, on either plant."""
+@pytest.mark.parametrize(("plant", "chain"), [("other", "fast"), ("own", "fast"), ("third", CARDS[0])])
+def test_flights_found_are_those_flown(plant, chain, monkeypatch):
+    """Truth and analysis have the same flights: with a clock that is fast, or a drawn card, on each plant."""
     monkeypatch.setattr(chains, "STEPS", 3)
     monkeypatch.setitem(CHAINS, "fast", Chain(after=Afterwards(clock=1e-4)))
-    row = instruments.trial(Job("fast", "friction", plant, 3), False)
+    row = instruments.trial(Job(chain, "friction", plant, 3), False)
     assert "failed" not in row, row["failed"]
     assert row["flown"] > 15 and row["phantoms"] == row["missed"] == 0
 
