@@ -129,8 +129,6 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
 
     Raises
     ------
-    InputError
-        For Parquet without pyarrow.
     OSError
         When the disk refuses.
     """
@@ -143,10 +141,6 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
                 writer.writeheader()
                 writer.writerows(rows)
             return
-        try:
-            from pyarrow import Table, parquet
-        except ImportError as error:
-            raise InputError(
-                f"{path}: Parquet needs pyarrow: pip install 'shakerbench[parquet]'; or name a .csv"
-            ) from error
+        from pyarrow import Table, parquet
+
         parquet.write_table(Table.from_pydict({n: [row.get(n) for row in rows] for n in names}), part)

@@ -21,9 +21,9 @@ from daq.setup.errors import package
 
 def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
     """Columns ``time_s`` and volts a channel; the step table and the facts are metadata of the file."""
-    with package("pyarrow", "Parquet needs"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     steps = {name: column.tolist() for name, column in step_columns(recording).items()}
     metadata = {key: str(value) for key, value in facts(recording).items()} | {"steps_json": json.dumps(steps)}
     read = columns(recording)

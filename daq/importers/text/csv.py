@@ -1,7 +1,7 @@
 """Text files as tables: separated by comma, semicolon or tab, with or without header, plain or gzipped, wide or long.
 
 A line is either parsed whole or named in an error; only blank lines and comments (``#``) are skipped. The file is
-read piece by piece.
+read piece by piece; pyarrow parses the numbers, each to the double nearest to it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import NoReturn, TypeVar
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
 
 from daq.importers.formats.columns import Piece, Source, listed, split_name
-from daq.importers.text.csv_kernel import parse_rows
 from daq.importers.text.text_file import LONGEST_LINE, LongLineError, TextFile
 from daq.setup.errors import InputError
 from kernels.arrays import Floats, Integers
@@ -224,24 +225,60 @@ class CsvSource(Source):
         self, block: bytes | memoryview, names: Sequence[str], numbers: Sequence[int]
     ) -> tuple[Floats, Integers]:
         """Columns (k, n) in the order of ``names``, and the number of each row's line, of the block's ``numbers``."""
-        place = np.full(self._width, -1, np.int64)
-        place[[self._base.index(n) for n in names]] = np.arange(len(names))
-        text, shape = np.frombuffer(block, np.uint8), (len(names), len(numbers))
-        rows = parse_rows(text, self._delimiter, self._decimal or ".", place, shape)
-        for row, column, start, stop in rows.left.tolist():
-            field = str(block[start:stop], errors="replace")
-            value = _number(field, self._decimal)
-            if value is None:
-                raise InputError(
-                    f"{self.path}: line {numbers[rows.lines[row]]}, column {names[column]}: wanted a number, "
-                    f"got {field.strip()!r}; {self.header}."
-                )
-            rows.table[column, row] = value
-        if rows.wrong >= 0:
-            self._explain(bytes(block).split(b"\n")[rows.wrong].decode(errors="replace"), numbers[rows.wrong])
-        if isinstance(numbers, range):
-            return rows.table, rows.lines + numbers.start
-        return rows.table, np.asarray(numbers, np.int64)[rows.lines]
+        plain = bytes(block)
+        # a carriage return within a line would end a row for pyarrow
+        if self._delimiter and plain.count(b"\r") == plain.count(b"\r\n"):
+            try:
+                table = self._columns(pa.py_buffer(plain), names, pa.float64())
+            except pa.ArrowInvalid:  # a comment, a date, an error: line by line
+                table = None
+            if table is not None and table.num_rows == len(numbers):
+                return np.array([column.to_numpy() for column in table.columns]), np.asarray(numbers, np.int64)
+        lines, own = [], []
+        for number, line in zip(numbers, str(block, errors="replace").split("\n"), strict=False):
+            if line.strip() and not line.lstrip().startswith("#"):
+                fields = _fields(line, self._delimiter)
+                if len(fields) != self._width or "\r" in line.rstrip("\r"):
+                    self._explain(line, number)
+                lines.append("\t".join(fields) if self._delimiter is None else line.rstrip("\r"))
+                own.append(number)
+        text = pa.py_buffer("".join(line + "\n" for line in lines).encode())
+        columns = [self._column(text, name, own) if own else np.zeros(0) for name in names]
+        return np.array(columns), np.array(own, np.int64)
+
+    def _columns(self, text: pa.Buffer, names: Sequence[str], kind: pa.DataType) -> pa.Table:
+        """The named columns of whole lines, one after another in the order of ``names``; raises ArrowInvalid."""
+        places = [str(self._base.index(name)) for name in names]
+        return arrow_csv.read_csv(
+            text,
+            # two threads of this process compute already, see `ahead`
+            arrow_csv.ReadOptions(
+                use_threads=False, block_size=len(text) + 1, column_names=[str(i) for i in range(self._width)]
+            ),
+            arrow_csv.ParseOptions(delimiter=self._delimiter or "\t", quote_char=False),
+            arrow_csv.ConvertOptions(
+                include_columns=places,
+                column_types=dict.fromkeys(places, kind),
+                decimal_point=self._decimal or ".",
+                null_values=[],
+                check_utf8=False,
+            ),
+        )
+
+    def _column(self, text: pa.Buffer, name: str, numbers: Sequence[int]) -> Floats:
+        """One column (n,) of lines with these ``numbers``; cell by cell where it holds more than plain numbers."""
+        try:
+            return np.asarray(self._columns(text, [name], pa.float64()).column(0), float)
+        except pa.ArrowInvalid:
+            cells = self._columns(text, [name], pa.string()).column(0).to_pylist()
+        values = [_number(cell, self._decimal) for cell in cells]
+        if None in values:
+            k = values.index(None)
+            raise InputError(
+                f"{self.path}: line {numbers[k]}, column {name}: wanted a number, got {cells[k].strip()!r}; "
+                f"{self.header}."
+            )
+        return np.array(values, float)
 
     def _explain(self, line: str, number: int) -> NoReturn:
         """Raise the error that says why a line cannot be used."""
@@ -255,7 +292,7 @@ class CsvSource(Source):
 def ahead(items: Iterator[Item]) -> Iterator[Item]:
     """The items in order, each made in a thread while the one before it is used; so is an error, raised in its turn.
 
-    Compiled code lets go of the interpreter, so that a second core has something to do.
+    pyarrow lets go of the interpreter, so that a second core has something to do.
     """
     with ThreadPoolExecutor(1, "reading ahead") as worker:
         coming = worker.submit(next, items, None)
@@ -283,7 +320,7 @@ def _unquoted(text: bytes, delimiter: str | None) -> bytes:
 
 
 def _number(field: str, decimal: str | None) -> float | None:
-    """Value, by Python's parser, of a field that the compiled loop left; None where it is no number.
+    """Value, by Python's parser, of a field that is no plain number; None where it is no number.
 
     A date with a time of day (ISO 8601; UTC where it names no zone) is seconds since 1970.
     """

@@ -211,7 +211,7 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         open_source(tmp_path / name)
 
 
-@pytest.mark.parametrize(("module", "kind"), [("pyarrow", "parquet"), ("h5netcdf", "nc"), ("nptdms", "tdms")])
+@pytest.mark.parametrize(("module", "kind"), [("h5netcdf", "nc"), ("nptdms", "tdms")])
 def test_a_missing_extra_leaves_no_file(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, kind: Kind
 ) -> None:

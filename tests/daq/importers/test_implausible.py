@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from daq.importers.formats.columns import parse_map
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
-from daq.importers.text.csv_kernel import parse_rows
+from daq.importers.text.csv import CsvSource
 from daq.recording import open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
@@ -174,31 +175,29 @@ def test_matlab_7_3_under_its_own_name(tmp_path: Path, setup: Setup, columns: Co
         np.testing.assert_array_equal(recording.read_v("continuity"), columns["continuity_v"])
 
 
-def test_numbers_are_read_to_the_last_bit() -> None:
-    """Text becomes the double that Python makes of it; what is odd is left to Python or refused, never guessed."""
+def test_numbers_are_read_to_the_last_bit(tmp_path: Path) -> None:
+    """Text becomes the double that Python makes of it, in every form of a number."""
     rng = np.random.default_rng(1)
     forms = ("{:.17g}", "{:.9g}", "{:.19g}", "{:.15e}", "{!r}", "{:+.6f}")
     sizes = [int(rng.integers(-30, 30 if i % 6 < 5 else 3)) for i in range(9000)]
     words = [forms[i % 6].format(float(rng.normal() * 10.0**size)) for i, size in enumerate(sizes)]
     odd_ones = rng.integers(2**53, 2**60, 3000) | 1
     words += [f"{m}e{e}" for m, e in zip(odd_ones.tolist(), rng.integers(-30, 30, 3000).tolist(), strict=True)]
-    words += ["0", "-0.0", ".5", "5.", "00000000000000000000001.5", "0.000000000000000000000123", "1E-5"]
-    table, lines, left, wrong = parse_rows(
-        np.frombuffer("".join(f"7,{w},8\n" for w in words).encode(), np.uint8),
-        ",",
-        ".",
-        np.array([0, 1, 2]),
-        (3, len(words)),
-    )
-    assert wrong == -1 and len(left) == 0 and lines.tolist() == list(range(len(words)))
-    np.testing.assert_array_equal(table[1].view(np.int64), np.array([float(w) for w in words]).view(np.int64))
-    zeros = f"7,{'0' * 30}\n7,{'0' * 30}".encode()  # the scan for leading zeros ends with the field
-    table, _, left, wrong = parse_rows(np.frombuffer(zeros + b"\n", np.uint8), ",", ".", np.arange(2), (2, 2))
-    assert (table.tolist(), len(left), wrong) == ([[7.0, 7.0], [0.0, 0.0]], 0, -1)
-    odd = ["", "-", ".", "1e", "e5", "1_0", "nan", "1.2.3", "1 2", "0x10", "1e400", "12345678901234567890123", "\u0663"]
-    text = "".join(f"7,{w},8\n" for w in odd)
-    _, _, left, _ = parse_rows(np.frombuffer(text.encode(), np.uint8), ",", ".", np.arange(3), (3, len(odd)))
-    assert left[:, 0].tolist() == list(range(len(odd)))
+    words += ["0", "-0.0", ".5", "5.", "00000000000000000000001.5", "0.000000000000000000000123", "1E-5", " +2 "]
+    path = tmp_path / "a.csv"
+    path.write_text("a,b,c\n" + "".join(f"7,{w},8\n" for w in words))
+    piece = next(CsvSource(path, {}).pieces(["b", "c"]))
+    assert piece.rows.tolist() == list(range(2, len(words) + 2))
+    np.testing.assert_array_equal(piece.columns["b"].view(np.int64), np.array([*map(float, words)]).view(np.int64))
+
+
+@pytest.mark.parametrize("word", ["", "-", ".", "1e", "e5", "1_0", "1.2.3", "1 2", "0x10", "\u0663"])
+def test_what_is_no_number_is_refused_by_its_line(tmp_path: Path, word: str) -> None:
+    """A cell that Python would not read, or would guess at, is named with its line of the file and its column."""
+    path = tmp_path / "a.csv"
+    path.write_text(f"a,b,c\n1,2,3\n\n# 4,5,6\n7,8,9\n7,{word},8\n", encoding="utf-8")
+    with pytest.raises(InputError, match=rf"line 6, column b: wanted a number, got {re.escape(repr(word))}"):
+        list(CsvSource(path, {}).pieces(["a", "b"]))
 
 
 def test_a_run_counts_once(tmp_path: Path, setup: Setup, columns: Columns) -> None:
