@@ -21,12 +21,11 @@ from numpy.typing import ArrayLike
 from kernels.arrays import Complexes, Floats
 
 STANDARD_GRAVITY_MPS2 = 9.80665
-TONES_AT_REST = 1e-14  # tones that cancel to less than this part of their sum are no motion
 
 
 @dataclass(frozen=True)
 class Forcing:
-    """The dimensionless plate motion without its amplitude; hashable, so that tables can be kept for it.
+    """The dimensionless plate motion without its amplitude; hashable, so that tables can be cached for it.
 
     Parameters
     ----------
@@ -62,10 +61,11 @@ class Forcing:
         size = sum(map(abs, self.amplitude))
         for n, b, p in zip(self.harmonic, self.amplitude, self.phase_rad, strict=True):
             total[float(n)] = total.get(float(n), 0j) + (cmath.rect(b, p) if p else complex(b))
-        kept = {n: z for n, z in sorted(total.items()) if abs(z) > TONES_AT_REST * size}
-        object.__setattr__(self, "harmonic", tuple(kept))
-        object.__setattr__(self, "amplitude", tuple(abs(z) for z in kept.values()))
-        object.__setattr__(self, "phase_rad", tuple(cmath.phase(z) for z in kept.values()))
+        # tones that cancel to rounding are no motion
+        present = {n: z for n, z in sorted(total.items()) if abs(z) > 1e-14 * size}
+        object.__setattr__(self, "harmonic", tuple(present))
+        object.__setattr__(self, "amplitude", tuple(abs(z) for z in present.values()))
+        object.__setattr__(self, "phase_rad", tuple(cmath.phase(z) for z in present.values()))
 
     @classmethod
     def superposition(

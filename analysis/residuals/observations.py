@@ -329,7 +329,7 @@ def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, B
 
 def _moved(measured: Measured, shift: int) -> Integers:
     """Rows of the other steps in fades, counted on from ``shift``; -1 for none."""
-    beside = np.full(len(measured.step), -1) if measured.beside is None else measured.beside
+    beside = np.full(len(measured.step), -1) if measured.other_step is None else measured.other_step
     return np.where(beside >= 0, beside + shift, -1)
 
 
@@ -351,7 +351,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         linked=column(lambda p: p.measured.linked),
         step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
         wanted=column(lambda p: p.measured.wanted),
-        beside=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
+        other_step=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
         share=column(lambda p: _or(0.0, p.measured.share, p.measured)),
         gained_mps=column(lambda p: _or(np.nan, p.measured.gained_mps, p.measured)),
         pressed_mps=column(lambda p: _or(np.nan, p.measured.pressed_mps, p.measured)),

@@ -69,6 +69,6 @@ class Launches:
     def of_flights(self, measured: Measured, recording: Recording, number: Integers, takeoff_s: Floats) -> Measured:
         """The flights (n,) of steps ``number`` with the drive that each had; its launch tells what a fade would."""
         part, ahead_s = self.relative(recording, number, takeoff_s)
-        fading = (measured.beside is not None) & (self.at(takeoff_s) < 0)
+        fading = (measured.other_step is not None) & (self.at(takeoff_s) < 0)
         share = None if measured.share is None else np.where(fading, measured.share, 0.0)
         return replace(measured, part=part, ahead_s=ahead_s, share=share)

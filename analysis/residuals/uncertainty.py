@@ -230,7 +230,7 @@ def _copies(
     measured = Measured(
         each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
         each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
-        None if seen.beside is None else np.where(each(seen.beside) >= 0, each(seen.beside) + m * copy, -1),
+        None if seen.other_step is None else np.where(each(seen.other_step) >= 0, each(seen.other_step) + m * copy, -1),
         perhaps(seen.share), perhaps(seen.gained_mps), perhaps(seen.pressed_mps), perhaps(seen.pressed_at),
     )  # fmt: skip
     plate = PlateSteps(

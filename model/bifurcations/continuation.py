@@ -21,13 +21,6 @@ Close = Callable[[float, State, int], LockedCycle | None]
 
 End = Literal["period doubling", "merged", "fold", "grazing", "limit"]
 
-FIRST_STEP = 1e-4
-LONGEST_STEP = 2e-2
-SMALLEST_STEP = 1e-13
-JUMP = 0.3  # a flight time that changes by more than this in one step belongs to another cycle
-HALVES = 0.02  # two halves of a cycle alike to this are about to meet, at the doubling of half the cycle
-NEAR_FOLD = 0.8  # a cycle lost with a multiplier beyond this is lost at a fold
-
 
 @dataclass(frozen=True)
 class Branch:
@@ -57,12 +50,13 @@ def next_cycle(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycl
     new = close(parameter, state_of(cycle), cycle.tau.size)
     if new is None or new.periods != cycle.periods:
         return None
-    return new if any(np.max(np.abs(np.roll(new.tau, k) - cycle.tau)) < JUMP for k in range(new.tau.size)) else None
+    # a flight time that changes by 0.3 rad in one step belongs to another cycle, whichever flight either begins with
+    return new if any(np.max(np.abs(np.roll(new.tau, k) - cycle.tau)) < 0.3 for k in range(new.tau.size)) else None
 
 
 def _follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[float, End]:
     direction = 1.0 if limit > at else -1.0
-    step = FIRST_STEP
+    step = 1e-4
     trail = [(at, cycle)]
     while True:
         here, known = trail[-1]
@@ -70,17 +64,19 @@ def _follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[
         if direction * (target - limit) > 0.0:
             target = limit
         new = next_cycle(close, target, known)
+        # a stable cycle doubles where its multiplier passes -1, and meets its unstable twin (a fold) where it passes 1
         if new is not None and new.multiplier <= -1.0:
             return _doubling(close, trail[-1], (target, new)), "period doubling"
         if new is None or new.multiplier >= 1.0:
             step *= 0.25
-            if step < SMALLEST_STEP * max(1.0, abs(here)):
+            # nearer by quarters: at a graze, the cycle ends without a sign in its multiplier
+            if step < 1e-13 * max(1.0, abs(here)):
                 return _lost(close, trail)
             continue
         if target == limit:
             return limit, "limit"
         trail = [*trail[-2:], (target, new)]
-        step = min(1.5 * step, LONGEST_STEP)
+        step = min(1.5 * step, 2e-2)
 
 
 def _doubling(close: Close, inside: tuple[float, LockedCycle], outside: tuple[float, LockedCycle]) -> float:
@@ -96,14 +92,18 @@ def _doubling(close: Close, inside: tuple[float, LockedCycle], outside: tuple[fl
 def _lost(close: Close, trail: Sequence[tuple[float, LockedCycle]]) -> tuple[float, End]:
     """Where and how a cycle ended that cannot be followed any further."""
     here, cycle = trail[-1]
-    if cycle.multiplier < NEAR_FOLD or len(trail) < 2:
+    # at a fold the multiplier goes to 1; a graze ends a cycle of any multiplier
+    if cycle.multiplier < 0.8 or len(trail) < 2:
         return here, "grazing"
     n = cycle.tau.size
-    if n % 2 == 0 and float(np.max(np.abs(cycle.tau[: n // 2] - cycle.tau[n // 2 :]))) < HALVES:
+    # two halves of a cycle as alike as this are about to meet, at the doubling of half the cycle
+    if n % 2 == 0 and float(np.max(np.abs(cycle.tau[: n // 2] - cycle.tau[n // 2 :]))) < 0.02:
         half = close(here, state_of(cycle), n // 2)
+        # the long cycle has a double root there, the short one a simple one: its doubling is the better equation
         merging = None if half is None else doubling_near(close, here, half, 1e-3)
         if merging is not None:
             return merging[0], "merged"
+    # near a fold 1 - multiplier goes with the root of the distance: its square is a straight line to zero
     before, old = trail[-2]
     a, b = (1.0 - old.multiplier) ** 2, (1.0 - cycle.multiplier) ** 2
     return (here if a == b else here + b * (here - before) / (a - b)), "fold"

@@ -18,9 +18,7 @@ from model.flight.records import FrictionRestitution
 from model.orbits.attractor import Ball, LockedCycle, State
 
 SEEDS = 24  # phases from which Newton begins, at one gamma
-SEEDS_APART, STEP = 0.03, 0.01  # in gamma
-SHORTEST_STEP = 1e-5
-SAME = 0.02  # radians within which two cycles at one gamma are one
+STEP = 0.01  # in gamma
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class CycleBranch:
 
     @property
     def flights(self) -> int:
-        """Of one cycle."""
+        """Flights of one cycle."""
         return int(self.tau.shape[1])
 
     def near(self, gamma: float, cycle: LockedCycle) -> bool:
@@ -43,14 +41,16 @@ class CycleBranch:
         if cycle.tau.size != self.flights or not self.gamma[0] <= gamma <= self.gamma[-1]:
             return False
         here = np.array([np.interp(gamma, self.gamma, column) for column in np.unwrap(self.phase, axis=0).T])
+        # the same cycle may be entered at another of its flights
         turns = [np.remainder(here - np.roll(cycle.phase, k) + 0.5 * TWO_PI, TWO_PI) for k in range(self.flights)]
-        return bool(min(np.max(np.abs(turn - 0.5 * TWO_PI)) for turn in turns) < SAME)
+        # cycles within 0.02 rad of each other at one gamma are one
+        return bool(min(np.max(np.abs(turn - 0.5 * TWO_PI)) for turn in turns) < 0.02)
 
 
 def cycle_branches(ball: Ball, low: float, high: float, most_flights: int = 2) -> list[CycleBranch]:
     """Every branch of cycles of at most so many flights that passes a seed between gammas ``low`` and ``high``."""
     found: list[CycleBranch] = []
-    for gamma in np.linspace(low, high, max(2, round((high - low) / SEEDS_APART) + 1)).tolist():
+    for gamma in np.linspace(low, high, max(2, round((high - low) / 0.03) + 1)).tolist():
         for cycle in _cycles(ball, gamma, most_flights):
             if not any(branch.near(gamma, cycle) for branch in found):
                 found.append(followed(ball, gamma, cycle, low, high))
@@ -79,7 +79,7 @@ def followed(ball: Ball, gamma: float, cycle: LockedCycle, low: float, high: flo
 def _walk(ball: Ball, gamma: float, cycle: LockedCycle, limit: float) -> Iterator[tuple[float, LockedCycle]]:
     """The same cycle from ``gamma`` on towards ``limit``, without the first."""
     sign, step = (1.0 if limit > gamma else -1.0), STEP
-    while step > SHORTEST_STEP and gamma != limit:
+    while step > 1e-5 and gamma != limit:
         target = min(gamma + step, limit) if sign > 0.0 else max(gamma - step, limit)
         new = next_cycle(ball.close, target, cycle)
         if new is None:

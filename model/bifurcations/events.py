@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from model.bifurcations import itinerary_windows
 from model.bifurcations.itinerary_windows import Search, Window
-from model.bifurcations.locked_windows import locked_beside, locked_within
+from model.bifurcations.locked_windows import locked_from, locked_within
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import State
 from model.orbits.cycles import FLIGHTS, PERIOD
@@ -28,12 +28,7 @@ NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
 LONGEST = 32  # flights of the longest cycle looked for
 SAME = 1e-9  # two edges nearer than this are one event
-CONTINUOUS = 1e-3  # a landing moving less than this over neighbouring doubles has not jumped (cube roots move 1e-5)
-BESIDE = 8  # doubles beyond an edge at which the other side is looked at
-BESIDE_CYCLE = 0.1  # how near to a cycle a landing must pass on either side of an accumulation
-FALLS = 1e-6  # how near to a cycle a landing must come at an accumulation: rounding, stretched on the way
-LAST_COMMON = 6  # landings before the orbits part, of which one is asked whether it falls on a cycle
-ACCUMULATES = 4  # flights of the longest unstable cycle on which an accumulation is looked for
+BEYOND = 8  # doubles past an edge at which the other side is looked at
 
 
 @dataclass(frozen=True)
@@ -126,10 +121,11 @@ def cycle_windows(
     for a, b in zip([low, *levels], [*levels, high], strict=True):
         if not births.size or b <= births[0]:
             continue
+        # levels part the range: a window born within a stretch would renumber the symbols that windows are compared by
         room = 4 * np.spacing(max(b, 1.0))  # at the level itself rounding decides the number of windows
         out += itinerary_windows.windows(
             lambda g: ball.itinerary_codes(g, ball.most_flights),
-            lambda w: locked_beside(ball, w),
+            lambda w: locked_from(ball, w),
             lambda stretches, spacing: locked_within(ball, stretches, spacing),
             Search(a + room, b - room, narrowest, longest, ball.coarse),
         )
@@ -148,6 +144,7 @@ def _edges(ball: ExactBall, windows: list[Window], cuts: list[float]) -> list[Bi
     while i < len(ends):
         gamma = ends[i][0]
         here = [e for e in ends[i : i + 2] if e[0] - gamma < SAME]
+        # two upper ends, or two lower ones, at one gamma are two edges; only an end and a start are one event
         if len(here) == 2 and here[0][2] == here[1][2]:
             here = here[:1]
         i += len(here)
@@ -166,12 +163,17 @@ def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | N
     after = _side(right) if right is not None else _side_at(ball, gamma, +1, [])
     if known in ("period doubling", "merged"):
         factor = 2.0 if known == "period doubling" else 0.5
-        return Bifurcation(gamma, "period doubling", *_doubled(before, after, factor))
+        # a locked cycle or its double may have no window wide enough to be listed: it follows from the other
+        if before.flights is not None and after.flights is None:
+            after = _times(before, factor)
+        elif after.flights is not None and before.flights is None:
+            before = _times(after, factor)
+        return Bifurcation(gamma, "period doubling", before, after)
     if known == "fold" and right is not None and right.flights == 1 and right.locked:
         return Bifurcation(gamma, "lock", before, after)
     if known in ("fold", "grazing"):
         return Bifurcation(gamma, known, before, after)
-    room = BESIDE * np.spacing(max(gamma, 1.0))
+    room = BEYOND * np.spacing(max(gamma, 1.0))
     low = left.high if left is not None and not left.locked else gamma - room
     high = right.low if right is not None and not right.locked else max(gamma, low) + room
     kind = change(ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights))
@@ -182,15 +184,6 @@ def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | N
     if kind == "stick gained" and after.resets == 1:
         return Bifurcation(gamma, kind, _unstuck(after), after)
     return Bifurcation(gamma, kind, before, after)
-
-
-def _doubled(before: Side, after: Side, factor: float) -> tuple[Side, Side]:
-    """A locked cycle and its double, where only one of the two has a window wide enough to be listed."""
-    if before.flights is not None and after.flights is None:
-        return before, _times(before, factor)
-    if after.flights is not None and before.flights is None:
-        return _times(after, factor), after
-    return before, after
 
 
 def _times(side: Side, factor: float) -> Side:
@@ -204,7 +197,7 @@ def _unstuck(side: Side) -> Side:
 
 
 def change(below: Itinerary, above: Itinerary) -> str:
-    """What happens between two neighbouring gammas: told by the first flight whose symbol differs."""
+    """What happens between two neighbouring gammas, by the first flight whose symbol differs."""
     n = min(below.symbol.size, above.symbol.size)
     differ = np.flatnonzero((below.symbol[:n] != above.symbol[:n]) | (below.rests[:n] != above.rests[:n]))
     if differ.size == 0:
@@ -212,7 +205,8 @@ def change(below: Itinerary, above: Itinerary) -> str:
     k = int(differ[0])
     if below.symbol[k] == above.symbol[k]:  # a chatter that comes to its end, or just does not
         return "stick lost" if below.rests[k] else "stick gained"
-    if abs(math.remainder(below.landing[k] - above.landing[k], TWO_PI)) > CONTINUOUS:
+    # over neighbouring doubles a landing moves by 1e-5 at most (as a cube root) unless it jumps
+    if abs(math.remainder(below.landing[k] - above.landing[k], TWO_PI)) > 1e-3:
         return "grazing"
     if k < min(below.first, above.first):
         return "basin"
@@ -228,12 +222,13 @@ def _side(window: Window) -> Side:
 
 
 def _side_at(ball: ExactBall, gamma: float, direction: int, windows: list[Window]) -> Side:
-    """The cycle just beside ``gamma``: from the windows, else from the orbit from rest there."""
-    beside = gamma + direction * 64 * np.spacing(max(gamma, 1.0))
+    """The cycle just below or above ``gamma``: from the windows, else from the orbit from rest there."""
+    # 64 doubles away: nearer, rounding may put a landing on the wrong side of a threshold
+    near = gamma + direction * 64 * np.spacing(max(gamma, 1.0))
     for window in windows:
-        if window.low <= beside <= window.high:
+        if window.low <= near <= window.high:
             return _side(window)
-    row = ball.itinerary_codes(np.array([beside]), ball.most_flights)[0]
+    row = ball.itinerary_codes(np.array([near]), ball.most_flights)[0]
     if row[FLIGHTS] == 0:
         return Side(1, 0, 0)
     return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[1])) if row[FLIGHTS] > 0 else Side()
@@ -245,7 +240,7 @@ def _accumulations(ball: ExactBall, windows: list[Window], cuts: list[float]) ->
     for left, right in pairwise(windows):
         if right.low - left.high < SAME or left.locked or right.locked or _near(left.high, cuts):
             continue
-        for n in range(1, ACCUMULATES + 1):
+        for n in range(1, 5):  # unstable cycles of up to four flights
             gamma = _falls_on_cycle(ball, left.high, right.low, n)
             if gamma is not None:
                 out.append(Bifurcation(gamma, "accumulation", _side(left), _side(right)))
@@ -259,7 +254,9 @@ def _falls_on_cycle(ball: ExactBall, low: float, high: float, n: int) -> float |
     m = min(below.symbol.size, above.symbol.size)
     differ = np.flatnonzero(below.symbol[:m] != above.symbol[:m])
     common = int(differ[0]) if differ.size else m
-    for k in range(common - 1, max(common - 1 - LAST_COMMON, -1), -1):
+    # landings farther back hardly depend on gamma, and one on the cycle stays on it: the last six are asked
+    for k in range(common - 1, max(common - 7, -1), -1):
+        # a landing in a concave branch waits for the threshold: it falls on no cycle
         if below.symbol[k] % 2 == 1:
             return None
 
@@ -273,9 +270,11 @@ def _falls_on_cycle(ball: ExactBall, low: float, high: float, n: int) -> float |
 
         try:
             a, b = miss(low), miss(high)
-            if a * b < 0.0 and max(abs(a), abs(b)) < BESIDE_CYCLE:
+            # the landing must pass the cycle between both gammas, and near to it: a far change of sign is a whole turn
+            if a * b < 0.0 and max(abs(a), abs(b)) < 0.1:
                 gamma = float(brentq(miss, low, high, xtol=1e-15, rtol=1e-15))
-                return gamma if abs(miss(gamma)) < FALLS else None
+                # rounding, stretched on the way through the flights before, leaves no more than this
+                return gamma if abs(miss(gamma)) < 1e-6 else None
         except _NoCycleError:
             continue
     return None

@@ -19,8 +19,6 @@ from model.tones import Forcing
 
 Fly = Callable[[Floats], tuple[Floats, Integers]]
 
-PHASES = 1000  # take-off phases tried in a window
-JUMP = 1e-13  # phase to which a jump is bisected
 SMALLEST_ZONE = 1e-3  # gaps narrower than this are not shown
 
 
@@ -32,6 +30,7 @@ def _flights_from(
         phi = fold(phases[k], edge[0])
         a0 = max(gamma * q_and_slope(tones, phi)[0] - 1.0, 0.0)
         tau[k], landing, _, _ = ideal.land(tones, gamma, edge, n_windows, phi, a0, 0.0)
+        # equal numbers mean equal branches of the flight: the flight time is continuous between two such phases
         turns = round((phi + tau[k] - landing) / TWO_PI)
         index[k] = 2 * n_windows * turns + branch_of(edge, n_windows, landing)
 
@@ -69,7 +68,7 @@ def _pieces(
         return tau, index
 
     # closer together near the ends, where flights are short and grazes crowd
-    phases = start + (stop - start) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, PHASES + 1)))[:-1]
+    phases = start + (stop - start) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 1001)))[:-1]
     tau, index = fly(phases)
     pieces = [[(float(phases[0]), float(tau[0]))]]
     for k in range(1, phases.size):
@@ -88,7 +87,7 @@ def _jumps(fly: Fly, a: float, b: float) -> list[tuple[tuple[float, float], tupl
     last = fly(np.array([b]))[1][0]
     while (here := fly(np.array([a]))[1][0]) != last:
         low, high = a, b
-        while high - low > JUMP:
+        while high - low > 1e-13:
             middle = 0.5 * (low + high)
             if fly(np.array([middle]))[1][0] == here:
                 low = middle
@@ -107,6 +106,7 @@ def _range_of(fly: Fly, piece: Floats) -> tuple[float, float]:
     ends = []
     for sign in (1.0, -1.0):
         k = int(np.argmin(sign * tau))
+        # an extremum between samples is smooth; at an end of the piece the sample itself is the extremum
         best = float(tau[k])
         if 0 < k < tau.size - 1:
             inside = minimize_scalar(

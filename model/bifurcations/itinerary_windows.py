@@ -1,6 +1,6 @@
 """The windows of gamma in which the orbit from rest ends in one and the same cycle, to the last digit of their edges.
 
-A window is told by whole numbers alone (`ItineraryCodes`), so an edge is bisected to neighbouring
+A window is defined by whole numbers (`ItineraryCodes`), so an edge is bisected to neighbouring
 doubles with no tolerance; the stretch between two windows is searched again, ever finer, until it is narrower than the
 narrowest window asked for.
 """
@@ -19,7 +19,6 @@ ItineraryCodes = Callable[[Floats], Integers]
 """Maps gammas (m,) to (m, CODE_SIZE) whole numbers, see `model.orbits.cycles`."""
 
 DIGITS = 11  # of gamma, to which the same edge found twice is the same
-DOUBLES_APART = 2  # an edge is known when its bracket is this many units in the last place wide
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Search:
 
 def windows(
     codes: ItineraryCodes,
-    locked_beside: Callable[[Window], list[Window]],
+    locked_from: Callable[[Window], list[Window]],
     locked_within: Callable[[list[tuple[float, float]], float], list[Window]],
     search: Search,
 ) -> list[Window]:
@@ -69,7 +68,7 @@ def windows(
     ----------
     codes
         Of the orbits from rest.
-    locked_beside
+    locked_from
         The windows of locked cycles that begin at the edges of a window with a reset.
     locked_within
         The windows of locked cycles that are met in stretches not yet covered, sampled at a spacing.
@@ -80,16 +79,17 @@ def windows(
     locked: list[Window] = []
     found: list[Window] = []
     stretches = [(low, high)] if low < high else []
-    for spacing in [s for s in (100.0 * search.coarse, search.coarse, search.coarse / 10.0) if s > narrowest] + [
-        0.9 * narrowest
-    ]:
+    # coarse first: what a wide window covers is not searched again; in the end no gap can hold a window
+    spacings = [s for s in (100.0 * search.coarse, search.coarse, search.coarse / 10.0) if s > narrowest]
+    for spacing in [*spacings, 0.9 * narrowest]:
         pieces = _joined(pieces + _windows_of(codes, _grid(stretches, spacing), narrowest, longest))
         closed = [w for w in pieces if w.width > narrowest]
         for window in closed:
+            # an edge found again on a finer grid differs in its last digits
             edges = round(window.low, DIGITS), round(window.high, DIGITS)
             if edges not in asked:
                 asked.add(edges)
-                locked += [w for w in locked_beside(window) if w.width > narrowest]
+                locked += [w for w in locked_from(window) if w.width > narrowest]
         open_ = _between(_reached(locked, closed, low, high), low, high, narrowest)
         locked += [w for w in locked_within(open_, spacing) if w.width > narrowest]
         found = _reached(locked, closed, low, high)
@@ -156,9 +156,9 @@ def _windows_of(codes: ItineraryCodes, grids: list[Floats], narrowest: float, lo
         for i, j in zip(first, last, strict=True):
             if 1 <= rows[i, FLIGHTS] <= longest:
                 before, after = max(i - 1, 0), min(j + 1, grid.size - 1)
-                # beside the same cycle, entered otherwise, even a narrow piece belongs to a window that may be wide
-                kin_beside = any(k != m and rows[k, CODE] == rows[m, CODE] for k, m in ((before, i), (after, j)))
-                ends.append((grid[i], rows[i], grid[before], grid[after], kin_beside))
+                # next to the same cycle, entered otherwise, even a narrow piece belongs to a window that may be wide
+                kin_near = any(k != m and rows[k, CODE] == rows[m, CODE] for k, m in ((before, i), (after, j)))
+                ends.append((grid[i], rows[i], grid[before], grid[after], kin_near))
                 left.append(grid[i])
                 right.append(grid[j])
     if not ends:
@@ -167,6 +167,7 @@ def _windows_of(codes: ItineraryCodes, grids: list[Floats], narrowest: float, lo
     low, below = np.array(left), np.array([e[2] for e in ends])
     high, above = np.array(right), np.array([e[3] for e in ends])
     kin = np.array([e[4] for e in ends])
+    # roughly first, so that only what is wide enough is bisected to the last digit
     for tolerance in (0.02 * narrowest, 0.0):
         low, below = bisect(codes, low, below, rows, tolerance)
         high, above = bisect(codes, high, above, rows, tolerance)
@@ -189,10 +190,12 @@ def bisect(
     inside, outside = inside.copy(), outside.copy()
     if inside.size == 0:
         return inside, outside
+    # the search ended within the window: there is no edge on this side
     known = np.all(codes(outside) == rows, axis=1)
     inside[known] = outside[known]
     while True:
-        smallest = DOUBLES_APART * np.spacing(np.maximum(np.abs(inside), 1.0))
+        # an edge is known when its bracket is two units in the last place wide
+        smallest = 2 * np.spacing(np.maximum(np.abs(inside), 1.0))
         open_ = np.abs(outside - inside) > np.maximum(smallest, tolerance)
         if not open_.any():
             return inside, outside

@@ -1,4 +1,4 @@
-"""Families of cycles that never sticks, followed from where they begin: the edge at which a landing meets a threshold.
+"""Families of cycles that never stick, followed from where they begin: the edge at which a landing meets a threshold.
 
 A family is followed in the phase ``after`` the threshold at which its first flight leaves, and
 gamma is solved for. So a fold is an ordinary point of the walk, and every end is the root of a smooth function of one
@@ -23,9 +23,6 @@ Family = Callable[[float, float, int], Point]
 
 End = Literal["period doubling", "fold", "merged", "itinerary"]
 
-AT_START = 1e-6  # |miss| below which a cycle does begin at the edge asked about
-STEPS = 16  # of the walk, over the stretch in which the multiplier would reach 1 if it kept its first slope
-LONGEST_WALK = 400
 ROOT = 1e-15
 
 
@@ -49,8 +46,10 @@ class _Cycle:
 def follow(point: Family, n: int, start: float) -> Followed | None:
     """Follow the family of ``n`` flights that begins at gamma ``start``; None when none does."""
     ok, miss, _, _, _ = point(start, 0.0, n)
-    if not ok or abs(miss) > AT_START:
+    # no cycle of this family begins at the edge asked about
+    if not ok or abs(miss) > 1e-6:
         return None
+    # the first cycle that leaves after the threshold, as near to it as Newton finds one
     unit = 1e-9
     first = _solve(point, n, unit, start, 1e-9)
     while first is None and unit > 1e-15:
@@ -58,10 +57,12 @@ def follow(point: Family, n: int, start: float) -> Followed | None:
         first = _solve(point, n, unit, start, 1e-3 * unit)
     if first is None or first.multiplier == 0.0:
         return None
-    step = unit / abs(first.multiplier) / STEPS
+    # sixteen steps to where the multiplier, 0 at the start, would reach 1 by its first slope
+    step = unit / abs(first.multiplier) / 16
     before, here = (0.0, _Cycle(start, 0.0, first.half, first.code)), (unit, first)
-    for _ in range(LONGEST_WALK):
+    for _ in range(400):
         after = here[0] + step
+        # gamma is extrapolated along the walk: at a fold it turns back, while ``after`` goes on
         slope = (here[1].gamma - before[1].gamma) / (here[0] - before[0])
         new = _solve(point, n, after, here[1].gamma + slope * step, slope * step)
         if new is None or new.code != first.code:
@@ -107,6 +108,7 @@ def _end(point: Family, n: int, left: tuple[float, _Cycle], right: tuple[float, 
         ("fold", lambda c: c.multiplier - 1.0),
     ]
     for how, test in tests:
+        # the two halves pass a whole turn as well: there their distance jumps, and does not vanish
         a, b = test(left[1]), test(right[1])
         if math.isnan(a) or not a * b <= 0.0 or (how == "merged" and abs(a) + abs(b) > 1.0):
             continue
@@ -122,6 +124,7 @@ def _doubling_between(point: Family, n: int, left: tuple[float, _Cycle], right: 
     """Where the cycle of ``n`` flights that lies between two points of its doubled cycle's walk has multiplier -1."""
     width = right[0] - left[0]
     ends = []
+    # the short cycle's take-off is followed a width farther: its doubling may lie just past the long one's points
     for after in (max(left[0] - width, 0.0), right[0] + width):
         cycle = _solve(point, n, after, left[1].gamma, 1e-3 * width)
         if cycle is None:

@@ -15,11 +15,10 @@ from model.bifurcations.itinerary_windows import Window
 from model.orbits.attractor import attractor
 from model.orbits.exact_ball import ExactBall
 
-MOST_SAMPLES = 64  # orbits run in a stretch to meet the locked cycles of a ball that bounces
 
-
-def locked_beside(ball: ExactBall, window: Window) -> list[Window]:
+def locked_from(ball: ExactBall, window: Window) -> list[Window]:
     """Windows of the locked cycles that begin where the last stick of ``window`` is lost."""
+    # a cycle that has two resets keeps one where the other is lost
     if window.resets != 1 or ball.bounces:
         return []
     out = []
@@ -48,12 +47,12 @@ def locked_beside(ball: ExactBall, window: Window) -> list[Window]:
 
 
 def locked_within(ball: ExactBall, stretches: list[tuple[float, float]], spacing: float) -> list[Window]:
-    """Windows of locked cycles met by sampling the orbits from rest: all there is to do where a landing has a speed."""
+    """Windows of locked cycles met by sampling the orbits from rest, for a ball that bounces."""
     if not ball.bounces:
         return []
     out: list[Window] = []
     for low, high in stretches:
-        count = min(max(int((high - low) / spacing), 1), MOST_SAMPLES)
+        count = min(max(int((high - low) / spacing), 1), 64)
         for gamma in low + (np.arange(count) + 0.5) * (high - low) / count:
             if any(w.low <= gamma <= w.high for w in out):
                 continue

@@ -19,15 +19,13 @@ from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
 from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
-CHANGES_A_STEP = 8  # bisected in one step at most
 MOST_FLIGHTS = 2048
 SHARP = 1e-12  # gamma
 ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
 TYPES = frozenset(("take-off", "rest", "period doubling", "lock", "stick lost", "stick gained")) | frozenset(
     ("flight lost", "flight gained", "jump")
 )
-"""Every type of change that a sweep tells."""
-COARSER = 4  # times fewer steps for an integrated ball, each of whose orbits costs an integration
+"""Every type of change that a sweep reports."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ def observed_bifurcations(
         ``"up"`` or ``"down"``: the state is carried, and `before` and `after` follow the sweep; None: each gamma from
         rest, upwards.
     steps
-        Gammas looked at; a window narrower than a step is met by chance alone.
+        Gammas looked at; a window narrower than a step is met by chance.
     narrowest
         A change is bisected to `SHARP`, windows between two changes in one step down to this width.
 
@@ -73,7 +71,7 @@ def each_observed(
     narrowest: float = 1e-6,
     sharp: float = 0.0,
 ) -> Iterator[Bifurcation]:
-    """Changes one by one as `observed_bifurcations` lists them: who needs the first ones pays for no more.
+    """Changes one by one as `observed_bifurcations` lists them; the search goes no farther than they are taken.
 
     ``sharp``: width, in gamma, to which a change is bisected where less will do than the ball allows.
     """
@@ -81,17 +79,19 @@ def each_observed(
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
     walk = _Sweep(ball, sweep is not None, max(sharp, SHARP if exact else ROUGHLY))
-    grid = np.linspace(*ends, (steps if exact else steps // COARSER) + 1)
+    # each orbit of such a ball costs an integration: a quarter of the steps
+    grid = np.linspace(*ends, (steps if exact else steps // 4) + 1)
     here = walk.look(float(grid[0]), AT_REST)
     for a, b in pairwise(grid):
         start, at = float(a), here
-        for _ in range(CHANGES_A_STEP):
+        # more than eight changes in one step are the cascade before chaos: its end is what counts
+        for _ in range(8):
             end = walk.look(float(b), at.last)
             if key(end) == key(at):
                 break
-            gamma, beside, left, right = _bisect(walk, start, float(b), at)
+            gamma, past, left, right = _bisect(walk, start, float(b), at)
             # what comes and goes within the narrowest window counts as one change
-            ahead = beside + math.copysign(min(narrowest, abs(b - beside)), b - a)
+            ahead = past + math.copysign(min(narrowest, abs(b - past)), b - a)
             after = walk.look(ahead, right.last)
             if key(after) != key(at):
                 yield _typed(ball, gamma, left, after)
@@ -127,6 +127,7 @@ def _typed(ball: Ball, gamma: float, left: Attractor, right: Attractor) -> Bifur
     if left.flights == 0 or right.flights == 0:
         return Bifurcation(gamma, "take-off" if left.flights == 0 else "rest", before, after)
     if left.locked and right.locked and 2 in (_ratio(left, right), _ratio(right, left)):
+        # the shorter cycle's multiplier passes -1 there: an equation, where bisection sees only which attractor won
         short = left if _ratio(left, right) == 2 else right
         cycle = ball.close(gamma, State(short.last.phase, short.last.speed), short.flights)
         exact = None if cycle is None else doubling_near(ball.close, gamma, cycle, 1e-3)

@@ -4,7 +4,7 @@ An effect is one file. Its module holds ``EFFECT`` and any of these hooks, compi
 where ``p`` is the row of all parameters, the local g last, and ``k`` the place of the effect's first one:
 
 ====================================== =========================================================================
-``gravity(p, k)``                      constant downward acceleration of the ball beside the local g, m/s^2
+``gravity(p, k)``                      constant downward acceleration of the ball besides the local g, m/s^2
 ``force(s, h, v, u, p, k)``            acceleration of the ball in m/s^2, positive up; `s` seconds since take-off, `h`
                                        height above the plate (m), `v` velocity relative to the plate and `u` absolute
                                        velocity (m/s)
@@ -24,7 +24,7 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ``accelerometer_response(p,              complex factor by which the accelerometer reads too much, and late, at
 omega_radps)``                         ``omega_radps`` (any shape)
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
-``impact_delay_s(p)``                  delay of impacts in the accelerometer, where no landing shows it beside an edge
+``impact_delay_s(p)``                  delay of impacts in the accelerometer, where no edge shows the landing as well
 ``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
 accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,)
                                        as large: complex, its phase counted from where the first is a sine
@@ -113,7 +113,7 @@ class Parameter:
     stated_by
         Quantity of the profile whose stated uncertainty replaces ``calibration``.
     calibrated_by
-        Standard deviation that a measurement beside the run would give, by its name ("flip test", "drop test").
+        Standard deviation that a measurement other than the run would give, by its name ("flip test", "drop test").
     power
         The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height, 0.5 where
         data are squares.
@@ -122,7 +122,7 @@ class Parameter:
     plate_only
         True for a number that changes plate data and never a flight, in an effect that changes both.
     drifts
-        True where its trend alone is a candidate from the first round on.
+        True where its trend is a candidate of its own from the first round on.
     carries_term
         Kind of smooth term whose value this number can take, another one in each flight.
     covariate

@@ -11,7 +11,7 @@ from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="contact_gap",
-    summary="the circuit opens late because contact is kept over a small height",
+    summary="the circuit opens late because contact lasts over a small height",
     parameters=(
         Parameter(
             "gap_m",
@@ -22,7 +22,7 @@ EFFECT = Effect(
             calibration=2e-6,
             start_grid=(3e-7, 3e-6),
             power=3.0,
-            meaning="height kept in contact",
+            meaning="height over which contact lasts",
         ),
     ),
     confused_with={"adhesion": "landing times, dwell time, two comparator levels"},

@@ -1,7 +1,7 @@
 """The continuity channel lags the others, both edges alike.
 
-The events happened earlier than they were seen. A circuit that seems early stands beside an accelerometer that is
-late: `accelerometer_lag`.
+The events happened earlier than they were seen. Where the circuit seems early, the accelerometer is late:
+`accelerometer_lag`.
 """
 
 from __future__ import annotations
@@ -10,14 +10,12 @@ from collections.abc import Mapping
 
 from model.effects.base import ORDINARY_LAG, Effect, Parameter
 
-EARLIEST_S = -1e-5  # no circuit closes before the ball lands, but its channel may be read a little before the others
-
 EFFECT = Effect(
     name="contact_latency",
     summary="the contact circuit reports both edges late",
     parameters=(
         Parameter(
-            "delay_s", "s", EARLIEST_S, 5e-3, 1e-5, calibration=2e-6, start_grid=(1e-4, 1e-3), meaning="event to edge"
+            "delay_s", "s", -1e-5, 5e-3, 1e-5, calibration=2e-6, start_grid=(1e-4, 1e-3), meaning="event to edge"
         ),
     ),
     confused_with={"phase_lag": "drive -> plate", "contact_gap": "landing times"},

@@ -8,8 +8,6 @@ from __future__ import annotations
 from kernels import njit
 from model.effects.base import Effect, Parameter, Row
 
-COARSE = (0.05, 0.12, 0.2, 0.3, 0.45)
-
 
 def _mu(way: str) -> Parameter:
     """Friction on the ``way`` up or down."""
@@ -20,7 +18,7 @@ def _mu(way: str) -> Parameter:
         3.0,
         0.02,
         start_grid=(0.1, 0.3),
-        coarse_grid=COARSE,
+        coarse_grid=(0.05, 0.12, 0.2, 0.3, 0.45),
         coarse_step=0.03,
         calibrated_by={"drop test": 1e-2},
         carries_term="friction",

@@ -1,4 +1,4 @@
-"""The plate moves at multiples of the forcing that nobody asked for.
+"""The plate moves at multiples of the forcing that the drive does not ask for.
 
 Either each harmonic keeps its part of the first tone, or drive and plate are bent by a polynomial.
 """
@@ -67,6 +67,7 @@ def harmonics(
     out = turn * np.where(multiple == 2, p["second"], np.where(multiple == 3, p["third"], 0.0))
     if p["quadratic_per_g"] == 0.0 and p["cubic_per_g2"] == 0.0:
         return np.asarray(out)
+    # shares rounded to 1e-3 are few: each is computed once
     parts = np.array(
         [_powers(int(c), complex(np.round(s, 3)), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
     ).reshape(-1, 2)

@@ -34,5 +34,5 @@ EFFECT = Effect(
 
 @njit(error_model="numpy")
 def gravity(p: Row, k: int) -> float:
-    """Constant downward acceleration of the ball beside the local g, m/s^2."""
+    """Constant downward acceleration of the ball besides the local g, m/s^2."""
     return float(p[k])

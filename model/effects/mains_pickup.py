@@ -14,8 +14,6 @@ from model.effects.base import Effect, Parameter
 
 MAINS_HZ = np.array([50.0, 60.0])
 MULTIPLES = np.arange(1, 8)  # that are fitted where mains are found
-REACH_HZ = 0.5  # mains are kept within a few tenths of a hertz
-NONE_OF_IT = 1e9  # factor by which a reading exceeds a motion that is not there
 
 EFFECT = Effect(
     name="mains_pickup",
@@ -45,5 +43,6 @@ def pickup_mps2(p: Mapping[str, float]) -> float:
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Floats:
     """Reading over truth: without bound at the mains frequency and its multiples, where the plate is still."""
     hz = np.asarray(omega_radps)[..., None, None] / (2.0 * np.pi) / MULTIPLES[:, None]
-    shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < REACH_HZ).any(axis=(-2, -1))
-    return np.where(shown, NONE_OF_IT, 1.0)
+    # the mains stay within a few tenths of a hertz of their nominal frequency
+    shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < 0.5).any(axis=(-2, -1))
+    return np.where(shown, 1e9, 1.0)  # over a motion that is not there the reading has no bound

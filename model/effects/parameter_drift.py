@@ -1,4 +1,4 @@
-"""A linear trend of a parameter with the time in the run, named beside that parameter's effect.
+"""A linear trend of a parameter with the time in the run, named together with that parameter's effect.
 
 The drift is relative to the parameter's value in the middle of the run, and the whole run long.
 """

@@ -12,9 +12,6 @@ import numpy as np
 from kernels.arrays import Complexes, Floats
 from model.effects.base import ORDINARY_LAG, Effect, Parameter
 
-LEAST_RADPS = 1e-3  # nothing of the plate moves slower
-SHARPNESS = (0.0, 0.5, 1.0)  # of first order; Butterworth; of damping 0.5
-
 EFFECT = Effect(
     name="phase_lag",
     summary="the plate follows the drive later than declared",
@@ -53,7 +50,7 @@ EFFECT = Effect(
             0.0,
             4.0,
             0.5,
-            start_grid=SHARPNESS,
+            start_grid=(0.0, 0.5, 1.0),  # of first order; Butterworth; of damping 0.5
             is_shape=True,
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
@@ -68,6 +65,7 @@ EFFECT = Effect(
 def transfer(p: Mapping[str, float], omega_radps: Floats, accel_g: Floats) -> Complexes:
     """Factor on drive -> plate."""
     low = 1j * omega_radps * p["low_pass_s"]
-    high = 2.0 * np.pi * p["high_pass_hz"] / (1j * np.maximum(omega_radps, LEAST_RADPS))
+    # a place that no tone uses has the frequency 0
+    high = 2.0 * np.pi * p["high_pass_hz"] / (1j * np.maximum(omega_radps, 1e-3))
     filters = (1.0 + low + p["sharpness"] * low**2) * (1.0 + high + p["sharpness"] * high**2)
     return np.asarray(np.exp(-1j * omega_radps * p["delay_s"]) / filters)

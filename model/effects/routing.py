@@ -40,7 +40,7 @@ def plate_gain(effects: Effects, accel_g: float) -> float:
 
 
 def shapes_the_plate(effects: Effects) -> list[str]:
-    """Names of declared effects that give the plate a motion whose phase nobody declared."""
+    """Names of declared effects that give the plate a motion of undeclared phase."""
     hooks = ("harmonics", "hum_mps2", "modulation")
     return sorted({e.effect.name for hook in hooks for e, _ in _with(effects, hook)})
 

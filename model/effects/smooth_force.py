@@ -11,7 +11,6 @@ from kernels import njit
 from model.effects.base import CurveOf, Effect, Parameter, Row
 
 KNOTS = 45
-TURNS_MPS = 0.01  # speed over which a force against the motion changes its sign, so that the integrator can follow
 
 EFFECT = Effect(
     name="smooth_force",
@@ -51,6 +50,7 @@ def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     if of == 0.0:
         return 0.0
     x = h if of == 1.0 else v if of == 2.0 else u if of == 3.0 else s if of == 4.0 else s + p[k + 2]
+    # constant beyond the outer knots
     place = min(max((x - p[k + 3]) / p[k + 4], 0.0), KNOTS - 1.0)
     i = min(int(place), KNOTS - 2)
     part = place - i
@@ -59,4 +59,5 @@ def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
         return float(size)
     if h <= 0.0 and v == 0.0:  # at rest on the plate it holds the ball down
         return float(-size)
-    return float(-size * v / math.hypot(v, TURNS_MPS))
+    # the sign changes over 0.01 m/s, not at once: the integrator could not follow a jump
+    return float(-size * v / math.hypot(v, 0.01))

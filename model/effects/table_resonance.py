@@ -2,7 +2,7 @@
 
 The impulse is ``mass_ratio (1 + e) v`` on the mode's velocity, downwards; a ball at rest also
 presses it down by its weight and its inertia, until it leaves. The drive was scaled to the plate that the operator had
-before him: bare, or with the ball at rest on it.
+before him: bare, or loaded with the ball at rest.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ import numpy as np
 
 from kernels import njit
 from model.effects.base import Effect, Parameter, Row
-
-UNDAMPED = 1e-6  # a mode that nothing damps has no steady answer at its own frequency
 
 EFFECT = Effect(
     name="table_resonance",
@@ -73,5 +71,6 @@ def plate_mode(p: Row, k: int) -> tuple[float, float, float]:
 def transfer(p: Mapping[str, float], omega_radps: Any, accel_g: Any) -> Any:
     """Factor on the bare plate's tones, where the drive's scale is that of the plate under the ball."""
     own = 2.0 * np.pi * p["frequency_hz"]
-    bare = own**2 - omega_radps**2 + 2j * max(p["damping"], UNDAMPED) * own * omega_radps
+    # a mode that nothing damps has no steady answer at its own frequency
+    bare = own**2 - omega_radps**2 + 2j * max(p["damping"], 1e-6) * own * omega_radps
     return 1.0 - p["loaded"] * p["mass_ratio"] * omega_radps**2 / bare

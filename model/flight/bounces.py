@@ -81,7 +81,7 @@ def _series(tones: Floats, gamma: float, phi: float) -> tuple[float, Series]:
 
 @compiled
 def surely_long(tones: Floats, law: FrictionRestitution, pull: float, v0: float) -> bool:
-    """Whether `short_bounce` leaves a bounce alone that begins where the plate's acceleration is ``pull``, for length.
+    """Whether a bounce that begins where the plate's acceleration is ``pull`` is too long for `short_bounce`.
 
     A thousandth is left for the rounding of ``pull``.
     """
@@ -112,6 +112,7 @@ def short_bounce(
     changed = longest * (6.0 * abs(series[0]) + 0.5 * snap * longest)
     if top * longest > REACH or changed > 0.25 * d:  # then the bounce is indeed shorter than `longest`
         return False, 0.0, 0.0
+    # up: Newton for h' = 0 from the time under the pull at the impact
     t = v0 / a
     for _ in range(NEWTON):
         _, g1, g2 = _rest(series, t)
@@ -121,6 +122,7 @@ def short_bounce(
             break
     g_top, g1_top, _ = _rest(series, t)
     top_height = t * (v0 - 0.5 * a * t) + g_top
+    # down: Newton for h = 0, counted from the top, where the height is a difference of small numbers
     x = math.sqrt(2.0 * top_height / d)
     speed = 0.0
     for _ in range(NEWTON):
@@ -147,6 +149,7 @@ def tail_of_chatter(tones: Floats, gamma: float, law: FrictionRestitution, phi: 
         return -1.0
     jerk = gamma * slope
     ratio = math.sqrt(d / a)
+    # rebounds that do not shrink have no last one: the plate's pull outweighs the restitution
     rho = e0 * ratio
     if rho >= 1.0:
         return -1.0
@@ -158,6 +161,7 @@ def tail_of_chatter(tones: Floats, gamma: float, law: FrictionRestitution, phi: 
     turn = abs(jerk) * total / d  # how far the pull changes meanwhile, and how fast e does
     if total * (4.0 * turn * turn + snap * total * total / d + 4.0 * (e1 * v) ** 2) / (1.0 - rho) > PHASE_BOUND:
         return -1.0
+    # second order: what the jerk changes in rise, fall and return speed of one bounce
     kappa = (jerk / (6.0 * a**3) + 0.5 * jerk * w * w / a + jerk * w**3 / 6.0) / (d * w)
     t2 = 0.5 * jerk / a**3 + kappa
     u2 = d * kappa - jerk * w / a - 0.5 * jerk * w * w  # of the impact speed: ratio v + u2 v^2

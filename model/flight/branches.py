@@ -58,6 +58,7 @@ def turning_points(tones: Floats, start: float, stop: float) -> Floats:
     bound_third = 0.0
     for j in range(tones.shape[0]):
         n = tones[j, 0]
+        # max|q''| <= sum |b| n^4, max|q'''| <= sum |b| n^5
         bound_curvature += abs(tones[j, 1]) * n**4
         bound_third += abs(tones[j, 1]) * n**5
     found = []
@@ -74,6 +75,7 @@ def turning_points(tones: Floats, start: float, stop: float) -> Floats:
         elif abs(curvature) > radius * bound_third:
             at_lo = _slope_and_curvature(tones, lo)[0]
             at_hi = _slope_and_curvature(tones, hi)[0]
+            # a root at an end belongs to the interval that begins there, so that none is counted twice
             if at_lo == 0.0 or ((at_lo < 0.0) != (at_hi < 0.0) and at_hi != 0.0):
                 found.append(_turning_point_between(tones, lo, hi, at_lo < 0.0))
         else:
@@ -84,7 +86,7 @@ def turning_points(tones: Floats, start: float, stop: float) -> Floats:
 
 @compiled
 def _turning_point_between(tones: Floats, lo: float, hi: float, rising: bool) -> float:
-    """The single root of ``q'`` in ``[lo, hi]``: Newton kept inside a shrinking bracket."""
+    """The single root of ``q'`` in ``[lo, hi]``: Newton inside a shrinking bracket."""
     x = 0.5 * (lo + hi)
     for _ in range(200):
         slope, curvature = _slope_and_curvature(tones, x)
@@ -102,7 +104,7 @@ def _turning_point_between(tones: Floats, lo: float, hi: float, rising: bool) ->
 
 @compiled
 def crossing(tones: Floats, gamma: float, lo: float, hi: float, rising: bool) -> float:
-    """The single root of ``gamma q - 1`` in ``[lo, hi]``, where it is monotone: Newton kept inside a bracket."""
+    """The single root of ``gamma q - 1`` in ``[lo, hi]``, where it is monotone: Newton inside a bracket."""
     x = 0.5 * (lo + hi)
     for _ in range(200):
         q, slope = q_and_slope(tones, x)
@@ -164,6 +166,7 @@ def fill_edges(tones: Floats, turning: Floats, gamma: float, edge: Floats) -> in
         for i in range(count - 1):
             edge[i] = edge[i + 1]
         edge[count - 1] = first + TWO_PI
+    # the last crossing may lie past the period's end
     while edge[0] >= TWO_PI:
         for i in range(count):
             edge[i] -= TWO_PI
@@ -175,6 +178,7 @@ def fill_edges(tones: Floats, turning: Floats, gamma: float, edge: Floats) -> in
 def fold(phi: float, first_edge: float) -> float:
     """``phi`` shifted by whole turns into ``[first_edge, first_edge + 2 pi)``."""
     folded = phi - TWO_PI * math.floor((phi - first_edge) / TWO_PI)
+    # rounding of the quotient may leave a phase one turn off at either end
     if folded < first_edge:
         folded += TWO_PI
     if folded >= first_edge + TWO_PI:

@@ -20,7 +20,6 @@ from model.flight.plate_lanes import plate
 
 TABLE = ROW  # numbers a table holds of an edge: its phase, and s, s' and q' there
 FOUND = 5  # rows of lanes that a crossing needs while tables are made
-NEWTON = 80
 CONVERGED = 1e-8  # a last step of Newton smaller than this leaves an error of its square
 
 
@@ -38,7 +37,7 @@ def crossing_lanes(tones: Floats, gamma: Any, lo: float, hi: float, guess: Any, 
     low, high = spread(lo), spread(hi)
     x = select((guess > lo) & (guess < hi), guess, 0.5 * (lo + hi))
     moving = wanted
-    for _ in range(NEWTON):
+    for _ in range(80):
         q, jerk, snap = spread(0.0), spread(0.0), spread(0.0)
         for j in range(tones.shape[0]):
             n = tones[j, 0]
@@ -69,6 +68,7 @@ def fill_tables(tones: Floats, turning: Floats, gammas: Floats, table: Floats, w
     """Tables of edges of all ``gammas`` (a multiple of `WIDTH`), as `model.flight.branches.fill_edges` orders them."""
     m = turning.shape[0]
     stride = TABLE * (m + 2)
+    # turning points do not depend on gamma: their q is computed once for all lanes
     q_turning = np.empty(m)
     for i in range(m):
         q_turning[i] = 0.0
@@ -113,6 +113,7 @@ def _arrange(found: Floats, lane: int, m: int, table: Floats, base: int) -> int:
             for k in range(TABLE):
                 table[base + TABLE * count + k] = found[(FOUND * i + k) * WIDTH + lane]
             count += 1
+    # two turning points equal to rounding disagree about a touch: no window
     if count % 2 == 1:
         count -= 1
     if count == 0:

@@ -18,8 +18,6 @@ from model.flight import branches, ideal, segment
 from model.flight.precision import check_gamma, check_harmonics
 from model.tones import Forcing
 
-SNAP = 2e-15  # a phase this near to a threshold, relative, is that threshold
-
 
 class FlightFlag(enum.IntFlag):
     """What is special about a flight."""
@@ -49,7 +47,7 @@ class Landing:
 
 @lru_cache(maxsize=64)
 def turning_points(forcing: Forcing) -> Floats:
-    """Phases in [0, 2 pi) where the plate's jerk vanishes: gamma-independent, so kept for each forcing.
+    """Phases in [0, 2 pi) where the plate's jerk vanishes: gamma-independent, so computed once for each forcing.
 
     Raises
     ------
@@ -119,7 +117,8 @@ def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) 
         raise ValueError(f"phi0 must be finite and v0 finite and not negative, not {phi0} and {v0}")
     table, n = edges(forcing, gamma)
     phi = branches.fold(phi0, table[0])
-    snap = SNAP * max(1.0, abs(phi0))
+    # a phase this near to a threshold is that threshold: rounded otherwise, the ball would wait a period for the next
+    snap = 2e-15 * max(1.0, abs(phi0))
     for threshold in table[0 : 2 * n + 1 : 2] if n else ():
         if abs(phi - threshold) <= snap:
             phi = table[0] if threshold == table[2 * n] else threshold

@@ -39,6 +39,7 @@ def rise(tones: Floats, gamma: float, up: Floats, n_up: int, segment: Segment) -
     """Time and phase at which a rising ball first stands still relative to the plate."""
     phi0, _, slope0, a0, v0, _, level = segment
     fastest = total_speed(tones)
+    # the plate's speed is at most ``fastest``: before ``sure`` the ball rises, whole turns of it are skipped
     sure = max((v0 + gamma * (slope0 - fastest)) / level, 0.0)  # rising at least so long
     if n_up == 0:
         last = (v0 + gamma * (slope0 + fastest)) / level
@@ -116,6 +117,7 @@ def _flown(
         total += wait
         level = 1.0 + law.mu_up if rising else 1.0 - law.mu_down
         segment = segment_from(tones, gamma, phi, v, h, level, at_edge)  # v: what rounding left of a standstill
+        # the saltation of a change of pull: the shift of the speed goes on in proportion to the new acceleration
         factor = 0.0 if wait > 0.0 or pull == 0.0 else segment.acceleration / pull
         w_phi, w_v = w_phi * factor, w_v * factor
     return math.inf, phi, 0.0, flag | RESTS, 0.0, (math.nan, math.nan, math.nan, math.nan)

@@ -27,7 +27,6 @@ from model.flight.records import Segment
 from model.flight.segment import SHORT, height
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
-PLAIN_SPEED = 0.05  # impacts of falls shorter than `SHORT` and slower than this are left to its series
 PLAIN_TIME = 0.01  # segments shorter than this are left to the series of `model.flight.segment`
 TURN = 1.0 / TWO_PI
 BRANCH_ROWS = 7
@@ -226,6 +225,7 @@ def land_in_lanes(
     take_off = (phi0 - turns, s0, slope0, v0, h0, level)
     x, (_, v, s, slope, q), away = root_in_branch(tones, gamma, take_off, (lo, hi), x, False, wanted)
     tau = x - phi0 + turns
-    surely = ((v < 0.0) & (tau >= SHORT)) | (v < -PLAIN_SPEED)
+    # a short and slow fall is rounding noise in the plain sum for the height: `SHORT` has its series
+    surely = ((v < 0.0) & (tau >= SHORT)) | (v < -0.05)
     plain = ~away & surely & (tau >= PLAIN_TIME) & (h_lo > 0.0) & (h_hi <= 0.0)
     return tau, x, v, (s, slope, q), plain

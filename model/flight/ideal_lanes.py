@@ -19,7 +19,6 @@ from model.flight.plate_lanes import plate, root_in_branch, start_of_root
 from model.flight.segment import SHORT, clear_times
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
-DIPS = 8  # halvings of a dip, at most
 
 
 @inlined
@@ -65,7 +64,7 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
     touched, undecided = never, never
     dl, hl, sl = left
     dr, hr, sr = right
-    for _ in range(DIPS):
+    for _ in range(8):
         y = dl + (hr - hl - sr * (dr - dl)) / (sl - sr)
         s, slope, _, _, _ = plate(tones, y)
         h, h1 = _height(gamma, take_off, y, s, slope)
@@ -73,6 +72,7 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
         near = unsure & (size(h) <= PLAIN_GRAZE)
         falls = unsure & ~touches & (h1 < 0.0)
         ends = unsure & (touches | (h1 >= 0.0))
+        # the minimum lies between a falling and a rising point: the bracket closes on it
         dl, hl, sl = select(falls, (y, h, h1), (dl, hl, sl))
         dr, hr, sr = select(ends, (y, h, h1), (dr, hr, sr))
         touched, undecided = touched | touches, undecided | near
@@ -122,6 +122,7 @@ def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: 
         tangent = select(found, select(concave, far - g / g1, edge - h / h1), tangent)
         left, right = select(found, (edge, h, h1), left), select(found, (far, g, g1), right)
         total = select(found, turns, total)
+        # a convex branch lies above its end tangents: where these meet above the plate, it is clear
         meet = (g - h - g1 * width) / (h1 - g1)
         unsure = searching & ~concave & (h1 < 0.0) & (g1 > 0.0) & (g > 0.0) & (h + h1 * meet <= PLAIN_GRAZE)
         if any_of(unsure):

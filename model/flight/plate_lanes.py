@@ -13,10 +13,8 @@ from kernels.arrays import Floats
 from kernels.lanes import any_of, select, size
 from model.flight.numerics import C4, C6, C8, S3, S5, S7, Number, inlined, sincos
 
-ROUNDS = 8  # at most; two are taken mostly
 NEAR = 0.05  # radians over which `turned` is exact to rounding
 CONVERGED = 1e-5  # a last step smaller than this leaves an error of its fourth power
-ON_POLYNOMIAL = 2  # steps
 
 
 @inlined
@@ -86,7 +84,7 @@ def start_of_root(left: Any, right: Any, guess: Number) -> Number:
     a4 = -15.0 * r + 7.0 * r1 - r2
     a5 = 6.0 * r - 3.0 * r1 + 0.5 * r2
     u = (guess - lo) / w
-    for _ in range(ON_POLYNOMIAL):
+    for _ in range(2):
         f = h + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5))))
         f1 = a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * (5.0 * a5))))
         f2 = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * (20.0 * a5)))
@@ -129,7 +127,8 @@ def root_in_branch(
     """
     lo, hi = bracket
     end = (x, x, x, x, x)
-    for _ in range(ROUNDS):
+    # two rounds are taken mostly
+    for _ in range(8):
         near = x
         angle = sincos(x)
         if of_speed:  # for ``h`` the start is so good that it would cost more than it saves
@@ -143,12 +142,14 @@ def root_in_branch(
         heights = _heights(gamma, take_off, near, (s, slope, q, jerk, snap))
         f, f1, f2, f3 = heights[1:] if of_speed else heights[:4]
         g = f1 * f1
+        # Householder's third-order step: the error left is the fourth power of it
         step = 3.0 * f * (2.0 * g - f * f2) / (6.0 * f1 * (g - f * f2) + f * f * f3)
         new = near - step
         inside = (new > lo) & (new <= hi)
         gentle = (size(step) <= CONVERGED) & (size(step * f2) <= CONVERGED * size(f1))
         h, h1, h2, h3, h4 = heights
         third, half = step * (1.0 / 3.0), 0.5 * step
+        # the state at the new phase by Taylor from the old one: no second sine and cosine
         there = (
             h - step * (h1 - half * (h2 - third * h3)),
             h1 - step * (h2 - half * (h3 - third * h4)),

@@ -22,8 +22,6 @@ PROVEN_PHASE = 1e-9
 """Largest uncertainty of a landing phase, radians: the last digit that is printed."""
 LARGEST_ANGLE = 1e6
 """Up to which `model.flight.numerics.sincos` is proven; a phase of the n-th harmonic goes up to ``4 pi n``."""
-MOST_ELASTIC = 0.99
-"""Restitution beyond which speeds are taken to grow no further."""
 MOST_WINDOWS = 20_000
 """Take-off windows that one flight may pass over: a few milliseconds."""
 
@@ -101,5 +99,6 @@ def lengthened(mu_down: ArrayLike, e0: ArrayLike) -> Floats:
     Friction leaves a pull of ``1 - mu_down``. With restitution ``e`` a launch is at most ``e v + (1 + e) gamma N``
     after an impact at ``v``, so speeds stay below ``(1 + e) / (1 - e)`` times the plate's.
     """
-    e = np.clip(np.asarray(e0, dtype=np.float64), 0.0, MOST_ELASTIC)
+    # beyond 0.99 speeds are taken to grow no further: the bound has a pole at 1
+    e = np.clip(np.asarray(e0, dtype=np.float64), 0.0, 0.99)
     return np.asarray((1.0 + e) / ((1.0 - e) * (1.0 - np.asarray(mu_down, dtype=np.float64))))

@@ -67,6 +67,7 @@ def _remainders(x: float) -> tuple[float, float, float, float]:
     if y < 1.0:
         cosine, sine = y * cosine_series(y), sine_series(y)
         return -cosine, -x * sine, y * sine, x * (0.5 - cosine)
+    # 1 - cos x = 2 sin^2(x / 2) keeps its digits where cos x is near 1
     sine_half = math.sin(0.5 * x)
     one_minus_cos = 2.0 * sine_half * sine_half
     sine = math.sin(x)
@@ -137,6 +138,7 @@ def root_in_concave(
             hi = x
         else:
             return x, -h1
+        # Halley's step only where it goes the right way and is no longer than twice Newton's; else bisection
         determinant = 2.0 * h1 * h1 - h * h2
         if h1 < 0.0 and determinant > h1 * h1:
             step = 2.0 * h * h1 / determinant
@@ -235,6 +237,7 @@ def _fall_for_ever(tones: Floats, gamma: float, segment: Segment) -> tuple[bool,
     """`landing_or_standstill` on a plate that throws no ball: concave for ever, any point below ends the bracket."""
     phi0, v0 = segment.phase, segment.speed
     reach = 1.0
+    # the pull wins in the end, so some doubled time lies below the plate
     while motion(tones, gamma, segment, phi0 + reach, reach)[0] > 0.0:
         reach *= 2.0
     guess = (v0 + math.sqrt(v0 * v0 + 2.0 * segment.pull * segment.height)) / segment.pull
@@ -273,6 +276,7 @@ def landing_or_standstill(
                 guess = max(hi + 2.0 * h / (math.sqrt(max(v * v + 2.0 * level * h, 0.0)) - v), lo)
                 x, speed = root_in_concave(tones, gamma, segment, turns, lo, hi, guess)
                 return True, x - phi0 + turns, x, speed, flag
+            # whole turns in which the plate at its highest stays below the ball: high flights pass thousands of windows
             if safe_from < tau < safe_to - TWO_PI:
                 skipped = TWO_PI * math.floor((safe_to - tau) / TWO_PI)
                 turns += skipped
@@ -283,6 +287,7 @@ def landing_or_standstill(
             if found:
                 return True, x - phi0 + turns, x, speed, flag
             if stops:
+                # a fall that met no root in a convex branch stands still at the height's minimum there
                 x = standstill(tones, gamma, segment, turns, lo, hi, hi, True)
                 return False, x - phi0 + turns, x, 0.0, flag
         i += 1

@@ -11,7 +11,6 @@ from model.integrator.hooks import dry_friction, force, gravity, takeoff_thresho
 from model.integrator.plate import STEPS_PER_PERIOD, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.records import Law, Mode, Plate, Start, StepEnds, compiled, inlined
 
-FIRST_STEP_PART = 1.0 / 16.0  # of a full step, so that tiny flights and the opening of the contact are resolved
 WAIT_PARTS = 3  # parts of a step at which a ball at rest is looked at: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0
 MOST_SECANTS = 40
@@ -23,12 +22,12 @@ GOES_ON, LANDS, STANDS = 0, 1, 2  # values of ENDED
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
 Coefficients = tuple[float, float, float, float, float, float]
-CLOSE = 1e-13  # part of a step to which a root is found
 
 
 @inlined
 def _coefficients(ends: StepEnds) -> Coefficients:
     """Coefficients of the quintic in the part z of the step."""
+    # what the first three coefficients leave of height, velocity and acceleration at the far end gives the last three
     d, h0, v0, a0, h1, v1, a1 = ends
     c0, c1, c2 = h0, v0 * d, 0.5 * a0 * d * d
     e = h1 - c0 - c1 - c2
@@ -89,7 +88,7 @@ def _root(polynomial: Coefficients, lo: float, hi: float, guess: float, positive
         on = z - f / slope if slope != 0.0 else lo
         if not lo < on < hi:
             on = 0.5 * (lo + hi)
-        if abs(on - z) < CLOSE:
+        if abs(on - z) < 1e-13:
             return on
         z = on
     return z
@@ -104,6 +103,7 @@ def first_standstill(ends: StepEnds, direction: float) -> float:
     if ends.v1 * direction < 0.0:
         return standstill(ends, 1.0) if ends.v0 * direction > 0.0 else 1.0
     if ends.v0 * direction > 0.0 and ends.a0 * direction < 0.0 < ends.a1 * direction:
+        # both ends move in ``direction``: between them the velocity has its extremum where the acceleration vanishes
         z = slowest(ends)
         if hermite5(z, ends)[1] * direction < 0.0:
             return standstill(ends, z)
@@ -147,6 +147,7 @@ def pull_of(v: float, a: float, h: float, p: Floats, forced: bool) -> float:
 @compiled
 def between(lo: float, hi: float, below: float, above: float, k: int) -> float:
     """Where to look next for the sign change between ``below`` < 0 at lo and ``above`` > 0 at hi, in round k."""
+    # a bisection now and then: a secant creeps where the function is a step
     if k % 8 == 7 or above <= below:
         return 0.5 * (lo + hi)
     at = lo - below * (hi - lo) / (above - below)
@@ -175,6 +176,7 @@ def wait(t0: float, h: float, s0: float, dwell0: float, plate: Plate, law: Law) 
     0 when it never does.
     """
     p, (tones, mode) = law.p, plate
+    # static friction is the limit of dry friction at speed 0
     up = dry_friction(h, 0.0, 1.0, p)
     down = dry_friction(h, 0.0, -1.0, p)
     last, over_before, f_before = 0.0, 0.0, 0.0
@@ -216,7 +218,7 @@ def _effects(s: float, h: float, v: float, u: float, direction: float, p: Floats
 
 @inlined
 def _coasting(s: float, start: Start, plate: tuple[float, float, float], g: float) -> tuple[float, float, float, float]:
-    """Under gravity alone, s after ``start``: height, velocity, the plate's velocity, relative acceleration.
+    """Under gravity, without forces, s after ``start``: height, velocity, the plate's velocity, relative acceleration.
 
     ``plate`` is its displacement, velocity and acceleration then.
     """
@@ -286,13 +288,6 @@ def note_end(nodes: Floats, z: float, ended: int) -> None:
 
 
 @inlined
-def _is_constant(fr: float, direction: float, p: Floats) -> bool:
-    """Whether dry friction ``fr`` is the same at two other places and speeds."""
-    one, other = dry_friction(1.0, 1.0, direction, p), dry_friction(0.0, 0.1, direction, p)
-    return bool(fr == -direction * one and fr == -direction * other)
-
-
-@inlined
 def segment(
     t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
 ) -> tuple[int, float, float, float, float]:
@@ -304,14 +299,18 @@ def segment(
     """
     p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
     g = gravity(p)
-    step = law.step_s * FIRST_STEP_PART
+    # a short first step resolves tiny flights and the opening of the contact, where the height is a cubic
+    step = law.step_s / 16.0
     turning = law.turning
     moving = start_turning(t0, s0, 0.5 * step, tones, mode, turning)
     x0, xd0, xdd0 = motion(moving, turning)
     start = Start(h0, v0, x0, xd0)
     dev, devd, h, v = 0.0, 0.0, h0, v0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
-    constant = law.rubbed and not law.forced and _is_constant(fr, direction, p)
+    constant = False
+    if law.rubbed and not law.forced:  # Coulomb's friction is the same at other places and speeds
+        one, other = dry_friction(1.0, 1.0, direction, p), dry_friction(0.0, 0.1, direction, p)
+        constant = fr == -direction * one and fr == -direction * other
     f0 = _effects(s0, h, v, xd0, direction, p, acting)
     a = -g - xdd0 + f0
     halved = (law.forced or law.rubbed) and not constant
@@ -369,6 +368,7 @@ def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float) -> tuple[fl
             return s, -v, opened
         if ended == GOES_ON:
             break
+        # in mid-air: the take-off threshold belongs to a ball at height 0
         stay, direction = wait(t0 + s, max(h, 1e-12), s, 0.0, plate, law)
         if direction == 0.0:
             break

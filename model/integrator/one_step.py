@@ -58,7 +58,7 @@ class Measured:
         Row of `PlateSteps`.
     wanted
         Flights for which a prediction is wanted.
-    beside, share
+    other_step, share
         In a fade: row of the other step (-1: the plate at rest), and the share of its motion. None without fades.
     gained_mps, pressed_mps, pressed_at
         Integral of the plate's acceleration plus gravity in a fade, as the accelerometer shows it: over the flight, and
@@ -74,7 +74,7 @@ class Measured:
     linked: Bools
     step: Integers
     wanted: Bools
-    beside: Integers | None = None
+    other_step: Integers | None = None
     share: Floats | None = None
     gained_mps: Floats | None = None
     pressed_mps: Floats | None = None
@@ -176,7 +176,7 @@ class ToneProbe(Protocol):
 
 @dataclass(frozen=True)
 class ContinuousProbe:
-    """Tones measured all the time, far apart from one another."""
+    """Tones measured all the time, of well separated frequencies."""
 
     omega_radps: Floats
 
@@ -197,6 +197,7 @@ def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
     one = np.asarray(value)
     values = np.empty(n, dtype=one.dtype if one.dtype == np.bool_ else np.float64)
     values[:] = one
+    # numba compiles a read-only array as a type of its own: always the one, never both
     values.flags.writeable = False
     return values
 
@@ -238,7 +239,7 @@ class Problem:
             _of_each(np.any(self.rows[:, columns_of("rebound")] > 0.0, axis=1), n),
             _of_each(self.detection.gap_m, n),
             _of_each(self.detection.weak_mps, n),
-            for_kernel(np.full(n, -1, dtype=np.int64) if m.beside is None else m.beside),
+            for_kernel(np.full(n, -1, dtype=np.int64) if m.other_step is None else m.other_step),
             for_kernel(np.zeros(n) if m.share is None else m.share),
             for_kernel(np.zeros(n) if m.part is None else m.part),
             for_kernel(np.zeros(n) if m.ahead_s is None else m.ahead_s),
@@ -293,6 +294,7 @@ def one_ahead(
     ringing = bool(np.any(rows[:, columns_of("plate_mode")] > 0.0))
     if ringing and mode is not None:
         amplitudes, projection, observed_s = mode.mode_amplitudes, mode.projection, mode.observed_s
+    # two passes: the measured tones contain what the mode adds, and only the rest is driven
     elif ringing:
         amplitudes, projection, observed_s = _mode_projected(problem, probe)
     if ringing:

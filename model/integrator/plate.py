@@ -55,6 +55,7 @@ def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turni
         od = om * math.sqrt(1.0 - ze * ze)
         back, on = math.exp(-ze * om * s), math.exp(-ze * om * d)
         b, c, sn = -(qd + ze * om * q) / od, math.cos(od * s), math.sin(od * s)
+        # the free oscillation as a decaying phasor; its real part is the displacement
         turning[0, 0], turning[0, 1] = back * (q * c - b * sn), back * (b * c + q * sn)
         turning[0, 2], turning[0, 3] = on * math.cos(od * d), on * math.sin(od * d)
         turning[0, 4], turning[0, 5] = -ze * om, od
@@ -127,14 +128,14 @@ def step_length(period: float, tones: Floats) -> float:
 
 
 @compiled
-def between_steps(every: Floats, m: int, beside: int, share: float) -> Floats:
-    """Tones of step ``m`` less a ``share`` that those of the step ``beside`` have; that of a plate at rest for -1."""
+def between_steps(every: Floats, m: int, other: int, share: float) -> Floats:
+    """Tones of step ``m``, a ``share`` of them replaced by those of the step ``other`` (-1: of a plate at rest)."""
     tones: Floats = every[m].copy()
     for k in range(tones.shape[0]):
         re, im = (1.0 - share) * tones[k, 1], (1.0 - share) * tones[k, 2]
-        for j in range(tones.shape[0] if beside >= 0 else 0):
-            if abs(every[beside, j, 0] - tones[k, 0]) < SAME_TONE * tones[k, 0]:
-                re, im = re + share * every[beside, j, 1], im + share * every[beside, j, 2]
+        for j in range(tones.shape[0] if other >= 0 else 0):
+            if abs(every[other, j, 0] - tones[k, 0]) < SAME_TONE * tones[k, 0]:
+                re, im = re + share * every[other, j, 1], im + share * every[other, j, 2]
                 break
         tones[k, 1], tones[k, 2] = re, im
     return tones
@@ -182,6 +183,7 @@ def mode_at_rest(t: float, tones: Floats, p: Floats) -> tuple[float, float, floa
     for k in range(tones.shape[0]):
         if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:
             continue
+        # q'' + 2 z w q' + w^2 q = -ratio (g + a): the ball's inertia adds to the mode's, its weight presses it down
         stiff, loss = om * om - (1.0 + ratio) * tones[k, 0] * tones[k, 0], 2.0 * ze * om * tones[k, 0]
         size = -ratio / (stiff * stiff + loss * loss)
         qr, qi = size * (tones[k, 1] * stiff + tones[k, 2] * loss), size * (tones[k, 2] * stiff - tones[k, 1] * loss)
@@ -197,7 +199,7 @@ def mode_at_rest(t: float, tones: Floats, p: Floats) -> tuple[float, float, floa
 def loaded(t: float, plate: Plate, p: Floats) -> Plate:
     """The same plate with a ball resting on it from time t on.
 
-    What the ball presses out of the mode is part of the tones; the state is what rings beside.
+    What the ball presses out of the mode is part of the tones; the state is what rings besides.
     """
     ratio = plate_mode(p)[2]
     if ratio == 0.0:
@@ -207,6 +209,7 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
     under = tones.copy()
     for k in range(tones.shape[0]):
         if tones[k, 1] != 0.0 or tones[k, 2] != 0.0:
+            # the plate's tone as it moves, the mode's forced answer included
             push = complex(om * om - (1.0 + ratio) * tones[k, 0] * tones[k, 0], 2.0 * ze * om * tones[k, 0])
             z = complex(tones[k, 1], tones[k, 2]) * (1.0 + ratio * tones[k, 0] * tones[k, 0] / push)
             under[k, 1], under[k, 2] = z.real, z.imag
@@ -235,6 +238,7 @@ def strike(mode: Mode, s: float, impact: float, p: Floats) -> tuple[float, float
     if ratio == 0.0:
         return 0.0, 0.0
     x, v, _ = mode_at(s, mode)
+    # momentum: both masses share the impact, and the ball leaves with the restitution's part of it
     return x, v - ratio / (1.0 + ratio) * (1.0 + rebound(impact, p)) * impact
 
 
@@ -284,6 +288,7 @@ def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, p
         x0, v0, _ = mode_at_rest(t0, tones, p)
         om, ze = om / root, ze / root
     decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
+    # the mode's acceleration is the real part of size exp(decay t)
     size = complex(q - x0, -((qd - v0) + ze * om * (q - x0)) / decay.imag) * decay * decay
     firsts, span_s, omega, projection, observed_s = probe
     first, last = firsts[m], firsts[m + 1]

@@ -34,8 +34,6 @@ from model.integrator.records import (
 )
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
-OFF_PERIODS = 0.1  # a flight from rest that lands farther from the measured landing is another one
-FOLLOWED = 0.2  # part of a kick where the chain begins after a contact whose push was measured
 # columns of the table of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over
 # and kind (-1 none) as predicted; of the measured flight itself launch velocity and impact speed
 TAKEOFF, LAUNCH, LANDING, IMPACT, OPENING, HIDDEN, KIND, OWN_LAUNCH, OWN_IMPACT = range(9)
@@ -72,6 +70,7 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
 @compiled
 def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Floats) -> int:
     """Write the prediction of an event from the landing before; return the weak impacts passed."""
+    # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
     own = Visibility(event.gap_m, shortest, seen.passable_s, seen.closure_s)
     plate = with_state(bare, last.q, last.qd)
@@ -101,9 +100,11 @@ def _measured(
     q, qd = _rested(start - last.t, pressed, last, bare, p)
     if not (event.relaunched and bounces):
         lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
-    if lasts < 0.0 or abs(start + lasts - landing) > OFF_PERIODS * period:
+    # a flight from rest that lands farther from the measured landing is another one
+    if lasts < 0.0 or abs(start + lasts - landing) > 0.1 * period:
         if direct:
             start, q, qd = last.t, last.q, last.qd
+        # the prediction is a flight whose landing is known: a start for the secant
         near = out[LAUNCH] if passed == 0 and out[KIND] == 1.0 and event.relaunched else -1.0
         out[WAY] = TWO_POINTS
         v0, hit = launch_of(start, landing, near, out[LANDING], with_state(bare, q, qd), law)
@@ -125,7 +126,7 @@ def plate_of(i: int, events: Events, steps: Steps, lengths: Floats) -> tuple[Flo
     m = events.step[i]
     tones, length = steps.tones[m], lengths[m]
     if events.share[i] > 0.0:
-        tones = between_steps(steps.tones, m, events.beside[i], events.share[i])
+        tones = between_steps(steps.tones, m, events.other_step[i], events.share[i])
         length = step_length(steps.period[m], tones)
     if events.part[i] != 0.0 or events.ahead_s[i] != 0.0:
         tones = corrected(tones, events.part[i], events.ahead_s[i])
@@ -170,7 +171,8 @@ def one_ahead(
         if not event.linked:
             chained = 0
             last = begin_chain(event, steps.period[m], last, bare, p)
-            loose = 1.0 if np.isnan(events.pressed_mps[i]) else FOLLOWED
+            # a contact whose push was measured tells how the mode moves, but for a fifth of the kick
+            loose = 1.0 if np.isnan(events.pressed_mps[i]) else 0.2
             last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(event, last, bare, law, seen, out[i])
@@ -183,6 +185,7 @@ def one_ahead(
             # the flight as measured is several: only the prediction knows its end
             hit, out[i, WAY] = out[i, IMPACT], AS_PREDICTED
         if ratio != 0.0 and not np.isnan(events.gained_mps[i]):
+            # what the accelerometer integrated over the flight, less the launch, is the impact speed in a fade
             hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
             out[i, WAY] = MEASURED
         hit = max(hit, 0.0)

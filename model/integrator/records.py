@@ -61,7 +61,7 @@ class Law(NamedTuple):
     """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction.
 
     ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`; ``nodes`` (r, 12) is room
-    for the steps of one flight, see `model.integrator.flight.note`: none where nobody asks for them.
+    for the steps of one flight, see `model.integrator.flight.note`: of size 0 where they are not needed.
     """
 
     p: Floats
@@ -147,7 +147,7 @@ class Events(NamedTuple):
     bounces: Bools
     gap_m: Floats
     weak_mps: Floats
-    beside: Integers
+    other_step: Integers
     share: Floats
     part: Floats
     ahead_s: Floats
@@ -157,7 +157,7 @@ class Events(NamedTuple):
 
 
 class Event(NamedTuple):
-    """One of `Events`: its numbers alone, as calls copy every array of a record, its shape and strides included."""
+    """One of `Events` in numbers, as calls copy every array of a record, its shape and strides included."""
 
     opening: float
     landing: float
@@ -196,7 +196,7 @@ class Chain(NamedTuple):
     """The last landing in a chain of flights: time, impact speed, the mode's state just after it.
 
     ``known`` tells whether it belongs to the chain, ``chained`` how many impact speeds in a row were asked for: the
-    first one's own prediction leans on nothing.
+    first one's own prediction needs none.
     """
 
     t: float

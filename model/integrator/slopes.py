@@ -44,7 +44,6 @@ INFO = 7
 the flight lasts; relative acceleration and velocity at its end; by how much time its kind might change."""
 FASTER_MPS = 1e-4  # difference of an impact speed
 NEAR_S = 1e-5  # differences in time of what throws the ball
-AT_ONCE_MPS2 = 1e-3  # more than this, and the ball leaves at once
 SAME_S = 1e-7  # a measured flight that is flown again must land so near
 
 
@@ -108,7 +107,8 @@ def at_takeoff(
     behind = _throws(off - NEAR_S, since + more - NEAR_S, plate, law)
     rate, bend = 0.5 * (ahead - behind) / NEAR_S, (ahead + behind - 2.0 * over) / (NEAR_S * NEAR_S)
     info[1], info[2] = 0.0, 0.0
-    if kind == 0 and over < AT_ONCE_MPS2 and rate > 0.0:
+    # a pull above the threshold by more than this at the landing throws the ball at once: no root to move
+    if kind == 0 and over < 1e-3 and rate > 0.0:
         info[1], info[2], info[6] = rate, 0.5 * bend / rate, since
         _when_thrown(off, since + more, rate, plate, law, work, out)
     else:
@@ -143,6 +143,7 @@ def _when_thrown(off: float, dwell: float, rate: float, plate: Plate, law: Law, 
     if law.forced:
         moves = 0.5 * (force(0.0, 0.0, 0.0, u + SPEED_MPS, p) - force(0.0, 0.0, 0.0, u - SPEED_MPS, p)) / SPEED_MPS
     for j in range(d):
+        # implicit function: over(t, tones) = 0 at the take-off, so dt = -d over / rate
         out.off[j] = -(moves * work.velocity[j] - work.acceleration[j]) / rate
     grows = 0.5 * (takeoff_threshold(dwell + NEAR_S, p) - takeoff_threshold(dwell - NEAR_S, p)) / NEAR_S
     out.off[LANDING] -= grows / rate
@@ -242,12 +243,14 @@ def _measured(landing: float, last: Chain, plate: Plate, law: Law, found: Floats
         _chained(by[0], leaving, work.hits)
         if usable:
             for j in range(len(work.hits)):
+                # the landing is measured: the launch speed changes so that it stays where it is
                 leaving.launch[j] = -work.hits[j] / by[0, LAUNCH]
             own_hit = by[1, LAUNCH] / by[0, LAUNCH]
     _chained(by[1], leaving, hit)
     for j in range(len(hit)):
         if not math.isfinite(hit[j]):
             hit[j] = 0.0
+    # one flight farther: this landing is the landing before of the next
     hit[LANDING_BEFORE], hit[LANDING] = hit[LANDING], own_hit
     sound = usable and way < predict.AS_PREDICTED  # else the speed is not this flight's
     return Chain(landing, speed, 0.0, 0.0, True, 0), sound

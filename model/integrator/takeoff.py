@@ -19,11 +19,9 @@ from model.integrator.plate import (
 )
 from model.integrator.records import Flight, Law, Plate, Visibility, compiled, inlined
 
-TAIL_PART = 2e-4  # part of a period: a shorter bounce begins the tail of a chatter, summed in closed form
 MOST_BOUNCES = 400
-UNRESOLVED_PART = 0.2  # of the time between impacts that are one: how well it is known which one counts
-RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 MOST_RESTITUTION = 0.999
+RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 
 
 @compiled
@@ -39,7 +37,8 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
     plate = loaded(t, bare, p)
     net = pull(t, 0.0, 0.0, plate.tones, plate.mode, p, law.forced)
     up = net - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell0, p)
-    shortest = TAIL_PART * (law.step_s * STEPS_PER_PERIOD)
+    # a shorter bounce begins the tail of a chatter, summed in closed form
+    shortest = 2e-4 * (law.step_s * STEPS_PER_PERIOD)
     if v0 > 0.0:
         rise = net - dry_friction(0.0, v0, 1.0, p)
         if rise >= 0.0:
@@ -50,7 +49,9 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
             back = math.sqrt(fall / rise)
             if lasts > shortest:
                 return t, v0, 1, t
+            # each bounce is e sqrt(fall / rise) times as long as the one before: a geometric series
             tail = lasts / (1.0 - e * back) if e * back < 1.0 else lasts
+        # friction holds the ball where it stops: the rise is all there is
         elif v0 / -rise > shortest:
             return t, v0, 1, t
         else:
@@ -109,7 +110,7 @@ def weak_rebounds(
     Impacts closer together than `RESOLVED_S` are one, and which of them is no free choice: the first where each keeps
     the circuit closed for a while (``closure_s``), else the last, less a part of what lies between, which is uncertain.
     A stronger impact that keeps the circuit closed for no time at all may fall between two samples: it too is passed
-    where the rebound after it is shorter than ``unseen_s``, so that no instrument tells both landings apart.
+    where the rebound after it is shorter than ``unseen_s``, so that no instrument separates both landings.
     The mode's state is that just after the landing. Returns (landing, impact speed, impacts passed, ambiguity in s).
     """
     land, hit = landing
@@ -133,7 +134,8 @@ def weak_rebounds(
         land, hit = off + lasts, v_next
         if not marked and land - near <= RESOLVED_S:
             if seen.closure_s == 0.0:
-                ambiguity += UNRESOLVED_PART * (land - near)
+                # which of the impacts that look like one was timed is known to a fifth of the time between them
+                ambiguity += 0.2 * (land - near)
                 near, near_hit, near_passed = land, hit, passed
         elif abs(land - target) < abs(near - target):
             near, near_hit, near_passed, ambiguity = land, hit, passed, 0.0
@@ -156,6 +158,7 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
     rx0, rv0 = mode.q, mode.qd
     rx1, rv1, _ = mode_at(t1 - t0, mode)
     lasts = t1 - t0
+    # free flight from plate to plate: h = 0 at both ends gives the launch speed
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
     va, fa, va_hit = v_near, t_near - t1, hit
@@ -171,6 +174,7 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
             break
         if i == 0 or vb == va:
             va, fa = vb, fb
+            # on a still plate a flight lasts 2 v / g: the first step by that, then the secant
             vb = max(vb - 0.5 * g * fb, 0.0)
             if vb == va:
                 break
@@ -191,6 +195,7 @@ def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
     level = dry_friction(0.0, 0.0, 1.0, p) + takeoff_threshold(1e9, p)
     tones, mode = loaded(t_open, bare, p)
     back = 0.5 * period
+    # backwards by quarters of a step: the last moment counts, and a window may be short
     n = int(back / law.step_s) * 4
     d = back / n
     later = t_open + 4.0 * d

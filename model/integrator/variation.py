@@ -40,8 +40,6 @@ TAKEOFF, LAUNCH, TONES = 0, 1, 2
 """Places of a variation: of the take-off's time and speed; the two quadratures of every tone follow."""
 MOST_NODES = 2000
 HEIGHT_M, SPEED_MPS, TIME_S = 1e-7, 1e-5, 1e-6  # differences of a hook
-HANGS_S = 1e-12  # a standstill that lasts longer is a hang
-STEEP_MPS2 = 1e-6  # least change of acceleration at a standstill
 
 
 class Room(NamedTuple):
@@ -131,7 +129,7 @@ def _turn(phi: Floats, d: float, stiff: float, loss: float) -> None:
 
 @compiled
 def _coasting_variations(tau: float, room: Room, height: Floats, speed: Floats) -> None:
-    """Changes of height and velocity under gravity alone, ``tau`` after the start of the segment."""
+    """Changes of height and velocity under gravity, without forces, ``tau`` after the start of the segment."""
     for e in range(len(height)):
         rate = room.start[1, e]
         height[e] = room.height[e] + room.speed[e] * tau - (room.now[0, e] - room.start[0, e] - rate * tau)
@@ -154,6 +152,7 @@ def _carry(tau: float, weight: float, by: tuple[float, float, float, float], wal
     """
     room, phi = walk.room, walk.phi
     by_s, by_h, by_v, by_u = by
+    # variation of constants: the forces' change, taken back to the start by the inverse of phi
     det = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
     back_h, back_v = -weight * phi[0, 1] / det, weight * phi[0, 0] / det
     if by_h != 0.0 or by_v != 0.0 or by_u != 0.0 or by_s != 0.0:
@@ -163,6 +162,7 @@ def _carry(tau: float, weight: float, by: tuple[float, float, float, float], wal
             speed = room.speed[e] - (room.now[1, e] - rate)
             b = by_h * height + by_v * speed + by_u * (speed + room.now[1, e])
             if e == TAKEOFF:
+                # a later take-off at a fixed motion of the plate: the forces see less time since it
                 b -= by_s
             room.carried[0, e] += back_h * b
             room.carried[1, e] += back_v * b
@@ -266,6 +266,7 @@ def flight_variations(
     clear(room.speed)
     clear_rows(room.start)
     clear_rows(room.now)
+    # a take-off later by dt finds the plate v0 dt nearer and the speed h'' dt behind
     room.height[TAKEOFF], room.speed[TAKEOFF], room.speed[LAUNCH] = -v0, -nodes[1, A0], 1.0
     walk = Walk(t0, tones, law, room, np.empty((2, 2)))
     height, speed = np.empty(len(room.height)), np.empty(len(room.height))
@@ -285,10 +286,12 @@ def flight_variations(
         s, v, net = _end(row, began, walk, height, speed)
         if row[ENDED] == LANDS:
             return v < 0.0 and _landed(height, speed, v, net, opening_speed, room, out), net, v
-        if abs(net) < STEEP_MPS2:
+        # with no change of acceleration the standstill moves without bound: a graze has no derivative
+        if abs(net) < 1e-6:
             return False, net, v
         # a ball that was held leaves when forces let it: the variation of its speed is gone
-        left = nodes[r + 1, A0] / net if nodes[r + 1, NODE_S] - s <= HANGS_S else 0.0
+        # a standstill that lasts is a hang: the release does not know when the ball stopped
+        left = nodes[r + 1, A0] / net if nodes[r + 1, NODE_S] - s <= 1e-12 else 0.0
         for e in range(len(height)):
             room.height[e], room.speed[e] = height[e], left * speed[e]
     return False, 0.0, 0.0
@@ -298,6 +301,7 @@ def flight_variations(
 def _landed(height: Floats, speed: Floats, v: float, net: float, opening_speed: float, room: Room, out: Floats) -> bool:
     """Derivatives ``out`` (3, e) at an impact at velocity ``v`` and relative acceleration ``net``."""
     for i in range(len(height)):
+        # the landing shifts by what the height lacks over the speed; the impact speed changes on the way as well
         out[0, i] = -height[i] / v
         out[1, i] = -(speed[i] + net * out[0, i])
         out[2, i] = -room.opening[i] / opening_speed if opening_speed > 0.0 else 0.0

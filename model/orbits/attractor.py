@@ -23,7 +23,6 @@ FEW_FLIGHTS = 256  # tried first: most orbits have arrived by then
 LONGEST_LOCKED = 64  # flights of the longest cycle without a reset that is looked for
 NEAR = 0.2  # how closely the tail of an orbit repeats before Newton is tried, in phase
 ARRIVED = 1e-6  # distance from a locked cycle at which an orbit has reached it
-JUST_DOUBLED = -1.1  # a multiplier at which an orbit may still be on its way from a cycle to its double
 HALVINGS = 24  # of the distance to that cycle, at which the double is looked for
 SLOW = 0.97  # a multiplier beyond which an orbit may still be on its way after `MAX_FLIGHTS`
 CHAOS_SHOWN = 64  # flights shown of an orbit that never closes
@@ -172,7 +171,16 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
         if path.tau.size == 0:
             return Attractor("periodic", 1, 0, 0, False, none, none, none, 0.0, None, path.last)
         if path.first >= 0:
-            return _closed(path)
+            cycle = slice(path.first, None)
+            reset = path.reset[cycle]
+            # several resets: begin at the one with the smallest phase, so that the order does not depend on the start
+            starts = np.flatnonzero(reset)
+            shift = -int(starts[np.argmin(np.mod(path.phase[cycle][starts], TWO_PI))])
+            tau, phase, speed = (np.roll(x[cycle], shift) for x in (path.tau, path.phase, path.speed))
+            phase, resets = np.mod(phase, TWO_PI), int(reset.sum())
+            kind: Kind = "chattering" if bool(path.chatter[cycle].any()) else "periodic"
+            # a reset forgets where the ball came from: no shift survives it, the multiplier is 0
+            return Attractor(kind, path.periods, tau.size, resets, False, tau, phase, speed, 0.0, None, path.last)
         tail = _locked(ball, gamma, path)
         if tail is not None:
             break
@@ -184,6 +192,10 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
         )
     shown = slice(-CHAOS_SHOWN, None)
     resets = int(path.reset[shown].sum())
+    # Lyapunov's exponent: the mean of log|slope|, without the first quarter, which is on its way to the attractor
+    slope = path.slope[path.slope.size // 4 :]
+    with np.errstate(divide="ignore"):
+        growth = float(np.mean(np.log(np.abs(slope)))) if slope.size else math.nan
     return Attractor(
         "chaotic",
         None,
@@ -194,21 +206,8 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
         path.phase[shown],
         path.speed[shown],
         None,
-        _exponent(path.slope[path.slope.size // 4 :]),
+        growth if math.isfinite(growth) else None,
         path.last,
-    )
-
-
-def _closed(path: Path) -> Attractor:
-    cycle = slice(path.first, None)
-    reset = path.reset[cycle]
-    # several resets: begin at the one with the smallest phase, so that the order does not depend on the start
-    starts = np.flatnonzero(reset)
-    shift = -int(starts[np.argmin(np.mod(path.phase[cycle][starts], TWO_PI))])
-    tau, phase, speed = (np.roll(x[cycle], shift) for x in (path.tau, path.phase, path.speed))
-    kind: Kind = "chattering" if bool(path.chatter[cycle].any()) else "periodic"
-    return Attractor(
-        kind, path.periods, tau.size, int(reset.sum()), False, tau, np.mod(phase, TWO_PI), speed, 0.0, None, path.last
     )
 
 
@@ -219,13 +218,14 @@ def _locked(ball: Ball, gamma: float, path: Path) -> LockedCycle | None:
         if not repeating(phase, speed, phase.size, n, NEAR):
             continue
         middle = phase.size // 2
-        apart = _apart(phase[-1 - n], phase[-1]) + abs(speed[-1] - speed[-1 - n])
-        earlier = _apart(phase[middle - n], phase[middle]) + abs(speed[middle] - speed[middle - n])
-        cycle = ball.close(gamma, path.last, n) if apart <= max(earlier, ARRIVED) else None
+        # an orbit that leaves an unstable cycle repeats worse at its end than in its middle
+        late = _distance(phase[-1 - n], phase[-1]) + abs(speed[-1] - speed[-1 - n])
+        early = _distance(phase[middle - n], phase[middle]) + abs(speed[middle] - speed[middle - n])
+        cycle = ball.close(gamma, path.last, n) if late <= max(early, ARRIVED) else None
         cycle = cycle or _just_doubled(ball, gamma, path.last, n)
         if cycle is None or not abs(cycle.multiplier) < 1.0:
             continue
-        off = min(_apart(p, phase[-1]) for p in cycle.phase)
+        off = min(_distance(p, phase[-1]) for p in cycle.phase)
         if off < ARRIVED or (abs(cycle.multiplier) > SLOW and off < NEAR):
             return cycle
     return None
@@ -238,9 +238,10 @@ def _just_doubled(ball: Ball, gamma: float, last: State, n: int) -> LockedCycle 
     double is looked for at ever smaller and larger parts of the orbit's distance from the half.
     """
     half = ball.close(gamma, last, n // 2) if n % 2 == 0 else None
-    if half is None or not JUST_DOUBLED < half.multiplier < -1.0:
+    # near a doubling an orbit goes so slowly to the new cycle that it looks like the old one, or like neither
+    if half is None or not -1.1 < half.multiplier < -1.0:
         return None
-    nearest = int(np.argmin([_apart(p, last.phase) for p in half.phase]))
+    nearest = int(np.argmin([_distance(p, last.phase) for p in half.phase]))
     phase, speed = float(half.phase[nearest]), float(half.start[nearest])
     off = math.remainder(last.phase - phase, TWO_PI), last.speed - speed
     most = NEAR / max(abs(off[0]) + abs(off[1]), 1e-9)
@@ -251,14 +252,8 @@ def _just_doubled(ball: Ball, gamma: float, last: State, n: int) -> LockedCycle 
     return None
 
 
-def _apart(phase: float, other: float) -> float:
+def _distance(phase: float, other: float) -> float:
     return abs(math.remainder(phase - other, TWO_PI))
-
-
-def _exponent(slope: Floats) -> float | None:
-    with np.errstate(divide="ignore"):
-        value = float(np.mean(np.log(np.abs(slope)))) if slope.size else math.nan
-    return value if math.isfinite(value) else None
 
 
 def sweep(ball: Ball, gammas: Iterable[float], start: State = AT_REST) -> list[Attractor]:

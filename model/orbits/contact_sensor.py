@@ -113,13 +113,18 @@ def observe(
     times, flight = _edges(opens, landing, instrument, rng)
     exact = times * instrument.rate_hz
     samples = np.ceil(exact - 4e-16 * np.abs(exact)).astype(np.int64)  # an event on a sample belongs to it
-    edges = _believed(samples, round(instrument.dead_time_s * instrument.rate_hz))
+    # debounce: an edge counts where its level lasts for the dead time and is another one than before
+    lasts = np.append(np.diff(samples) >= max(round(instrument.dead_time_s * instrument.rate_hz), 1), True)
+    edges = np.flatnonzero(lasts)
+    kind = edges % 2  # 0: an opening
+    edges = edges[kind != np.concatenate([[1], kind[:-1]])]
+    edges = edges[: edges.size // 2 * 2]  # a flight that has not ended is not shown
     at, of = samples[edges] / instrument.rate_hz, flight[edges]
     first, last = of[::2], of[1::2]
     false = (first < 0) & (last < 0)
     first, last = np.where(first < 0, last, first), np.where(last < 0, first, last)
-    alone = first[(first == last) & ~false]
-    hidden = np.setdiff1d(np.arange(takeoff.size), alone)
+    single = first[(first == last) & ~false]
+    hidden = np.setdiff1d(np.arange(takeoff.size), single)
     return Observed(at[::2], at[1::2], np.where(false, -1, first), np.where(false, -1, last), hidden)
 
 
@@ -140,12 +145,3 @@ def _edges(
         order = np.argsort(times, kind="stable")
         times, flight = times[order], flight[order]
     return times, flight
-
-
-def _believed(samples: Integers, dead: int) -> Integers:
-    """Which of the alternating edges (opening first) begin a level that lasts for ``dead`` samples and is a new one."""
-    lasts = np.append(np.diff(samples) >= max(dead, 1), True)
-    edges = np.flatnonzero(lasts)
-    kind = edges % 2  # 0: an opening
-    edges = edges[kind != np.concatenate([[1], kind[:-1]])]
-    return np.asarray(edges[: edges.size // 2 * 2], dtype=np.int64)

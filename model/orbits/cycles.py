@@ -3,7 +3,7 @@
 Sticking forgets everything but the threshold, so an orbit closes exactly when a threshold repeats; no tolerance decides
 it. What differs between the balls is one flight, and what follows an impact (`cycles_of`).
 
-Where an orbit went is kept as whole numbers. The *symbol* of a flight is the number of the branch (see
+Where an orbit went is stored as whole numbers. The *symbol* of a flight is the number of the branch (see
 `model.flight.branches`) in which it lands, counted from its take-off's period, ``2 w`` branches a period. Two orbits
 with equal symbols (one itinerary) differ smoothly; where a symbol changes, a bifurcation is passed.
 """
@@ -32,8 +32,6 @@ PERIOD = 2  # forcing periods of the cycle
 CODE = 3  # hash of the cycle's symbols, from its lowest threshold on
 ENTRY = 4  # hash of the way into the cycle; 0 when it begins at once
 CODE_SIZE = 5
-NEWTON = 60  # steps on the way to a cycle that never rests
-REPEATS = 8  # flights at least that must repeat themselves before a locked cycle is looked for
 
 
 class Flown(NamedTuple):
@@ -108,7 +106,8 @@ def nearest_turn(angle: float) -> float:
 @compiled
 def repeating(phase: Floats, speed: Floats, count: int, n: int, near: float) -> bool:
     """Whether each of the last flights lies within ``near`` of the one ``n`` before it, in phase and speed."""
-    shown = max(n, REPEATS)
+    # eight flights at least must repeat themselves: two alike may be chance
+    shown = max(n, 8)
     if count < shown + n:
         return False
     for k in range(count - shown, count):
@@ -215,7 +214,7 @@ def locked_family_of(tables_of: Callable[..., EdgeTables], flight: Callable[...,
         -------
         ok, miss, multiplier, half, code
             ``miss`` is landing minus take-off modulo ``2 pi``: 0 on a cycle; ``half`` is the same half-way (0 where an
-            even cycle folds onto one of half its length; NaN for odd ``n``); ``code`` tells itineraries apart. Not
+            even cycle folds onto one of half its length; NaN for odd ``n``); ``code`` differs between itineraries. Not
             ``ok`` where the ball sticks before the last landing or the window is too short.
         """
         tables = tables_of(tones, turning, gamma, law)
@@ -266,7 +265,7 @@ def close_cycle_of(flight: Callable[..., Any]) -> Callable[..., Any]:
         taus, phases, speeds, starts = cycle
         up, n_up = tables.up, tables.n_up
         last, turn, a, b, c, d = math.inf, 0, 1.0, 0.0, 0.0, 1.0
-        for _ in range(NEWTON):
+        for _ in range(60):
             phi = fold(phi, up[0])
             x, y, turn = phi, v, 0
             a, b, c, d = 1.0, 0.0, 0.0, 1.0
@@ -279,6 +278,7 @@ def close_cycle_of(flight: Callable[..., Any]) -> Callable[..., Any]:
                     return False, turn, 0.0, 0.0
                 landing = fold(landing, up[0])
                 turn += round((x + taus[k] - landing) / TWO_PI)
+                # the Jacobian of all flights so far: the chain rule, one 2 x 2 matrix a flight
                 a, b, c, d = p * a + q * c, p * b + q * d, r * a + s * c, r * b + s * d
                 x, y = landing, friction.rebound(law, speeds[k])
             miss, gain = x - phi, y - v
@@ -291,6 +291,7 @@ def close_cycle_of(flight: Callable[..., Any]) -> Callable[..., Any]:
             if not math.isfinite(size):
                 return False, turn, 0.0, 0.0
             last = size
+            # steps of 0.1 at most: farther out the cycle found would be another one
             shrink = min(1.0, 0.1 / max(abs(step), abs(faster)))
             phi += shrink * step
             v = max(v + shrink * faster, 0.0)

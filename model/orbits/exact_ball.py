@@ -73,6 +73,7 @@ class ExactBall:
         """
         turning = first_landing.turning_points(self.forcing)
         q = _q(self.forcing, turning)
+        # a window is born where gamma times a maximum of q reaches 1, and two merge at a minimum
         before, after = _q(self.forcing, turning - 1e-3), _q(self.forcing, turning + 1e-3)
         maximum = (q > before) & (q > after) & (q > 0)
         minimum = (q < before) & (q < after) & (q > 0)
@@ -112,21 +113,21 @@ class ExactBall:
         flown, first, _, _ = self._fly(gamma, tables, State(), max_flights)
         start = tables.up[0]
         landing = np.mod(flown.phase + flown.tau - start, TWO_PI) + start
-        kept: list[int] = []
+        shown: list[int] = []
         pending: list[int] = []
         rests: list[bool] = []
         entry = -1
         for k, bits in enumerate(flown.mark):
             if k == first:
-                entry = len(kept)
+                entry = len(shown)
             pending.append(k)
             if bits & CHATTERS:
                 pending = pending[:1]
             if bits & CHATTERS or k + 1 == flown.tau.size or not flown.mark[k + 1] & SMALL:
-                kept += pending
+                shown += pending
                 rests += [False] * (len(pending) - 1) + [bool(bits & CHATTERS)]
                 pending = []
-        return Itinerary(landing[kept], flown.symbol[kept], np.array(rests, dtype=bool), entry)
+        return Itinerary(landing[shown], flown.symbol[shown], np.array(rests, dtype=bool), entry)
 
     def itinerary_codes(self, gammas: Floats, max_flights: int) -> Integers:
         """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
@@ -156,6 +157,7 @@ class ExactBall:
         shorter = (np.all(np.abs(phases - np.roll(phases, k)) < 1e-9) for k in range(1, n) if n % k == 0)
         if not ok or any(shorter):
             return None
+        # eigenvalues of the 2 x 2 Jacobian by its trace and determinant
         root = cmath.sqrt(trace * trace / 4.0 - determinant)
         return locked_cycle(cycle, periods, (trace / 2.0 + root, trace / 2.0 - root))
 
@@ -184,7 +186,7 @@ class IdealBall(ExactBall):
 class FrictionBall(ExactBall):
     """A ball with friction ``mu_up``, ``mu_down`` and restitution ``e0 - e1 v`` (v in g/w) on ``forcing``.
 
-    Friction is in units of the weight; restitution is kept within [0, 1].
+    Friction is in units of the weight; restitution is clipped to [0, 1].
 
     Raises
     ------

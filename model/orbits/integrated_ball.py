@@ -26,7 +26,6 @@ from model.tones import Forcing, Plate
 REPEATS = 1e-6  # phase
 MOST_FLIGHTS = 300  # flown, whatever is asked for: each costs an integration
 TANGENT = 1e-5  # shift of phase and speed by which the Jacobian is measured
-NEWTON = 12
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class IntegratedBall:
 
     @property
     def omega_radps(self) -> float:
-        """Of the first tone."""
+        """Angular frequency of the first tone."""
         return TWO_PI * self.frequency_hz
 
     @property
@@ -60,7 +59,14 @@ class IntegratedBall:
         self._check(gamma)
         w = self.omega_radps
         tones = self._tones * (1.0, gamma, gamma)
-        start = (phase / w, self._impact_for(launch) * self.g_mps2 / w)
+        # the kernel starts at an impact: the speed v whose rebound e0 v - e1 v^2 is the launch
+        e0 = self.effects.get("restitution", {}).get("e0", 0.0)
+        e1 = self.effects.get("restitution", {}).get("e1_s_per_m", 0.0) * self.g_mps2 / self.omega_radps
+        impact = 0.0
+        if launch > 0.0 and e0 > 0.0:
+            root = e0 * e0 - 4.0 * e1 * launch
+            impact = launch / e0 if e1 == 0.0 else (e0 - math.sqrt(max(root, 0.0))) / (2.0 * e1)
+        start = (phase / w, impact * self.g_mps2 / w)
         return one_step.flown(self._law, tones, 1.0 / self.frequency_hz, flights, start)
 
     @cached_property
@@ -79,17 +85,6 @@ class IntegratedBall:
         plate = Plate(n * self.omega_radps, 1j * self.g_mps2 * n**2 * b * np.exp(1j * p))
         return tones_for_kernel(plate.omega_radps, plate.acceleration)
 
-    def _impact_for(self, launch: float) -> float:
-        """The impact speed that rebounds at ``launch`` (both in g/w): the kernel is started at an impact."""
-        e0 = self.effects.get("restitution", {}).get("e0", 0.0)
-        e1 = self.effects.get("restitution", {}).get("e1_s_per_m", 0.0) * self.g_mps2 / self.omega_radps
-        if launch <= 0.0 or e0 <= 0.0:
-            return 0.0
-        if e1 == 0.0:
-            return launch / e0
-        root = e0 * e0 - 4.0 * e1 * launch
-        return (e0 - math.sqrt(root)) / (2.0 * e1) if root >= 0.0 else e0 / (2.0 * e1)
-
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbits.attractor.Ball.fly`."""
         w, speed_unit = self.omega_radps, self.g_mps2 / self.omega_radps
@@ -103,16 +98,16 @@ class IntegratedBall:
         chatter[:-1] = reset[1:] & self.bounces
         first, stop = _closes(phase, reset)
         periods = round((takeoff[stop] - takeoff[first]) / TWO_PI) if first >= 0 else 0
-        kept = slice(0, stop)
+        done = slice(0, stop)
         launch = found.launch_mps[stop] / speed_unit if stop < count else 0.0
         last = State(float(landing[stop - 1] % TWO_PI), float(launch))
         return Path(
-            (landing - takeoff)[kept],
-            phase[kept],
-            found.impact_mps[kept] / speed_unit,
+            (landing - takeoff)[done],
+            phase[done],
+            found.impact_mps[done] / speed_unit,
             np.full(stop, math.nan),
-            reset[kept],
-            chatter[kept],
+            reset[done],
+            chatter[done],
             first,
             periods,
             last,
@@ -122,7 +117,7 @@ class IntegratedBall:
         """See `model.orbits.attractor.Ball.close`: Newton with a measured Jacobian."""
         x = np.array([near.phase, near.speed])
         size = 2 if self.bounces else 1
-        for _ in range(NEWTON):
+        for _ in range(12):
             here = self._after(gamma, x, n)
             if here is None:
                 return None
@@ -162,9 +157,9 @@ class IntegratedBall:
 
 
 def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    apart = one - other
-    apart[0] -= TWO_PI * round(apart[0] / TWO_PI)
-    return np.asarray(apart)
+    moved = one - other
+    moved[0] -= TWO_PI * round(moved[0] / TWO_PI)
+    return np.asarray(moved)
 
 
 def _closes(phase: np.ndarray, reset: np.ndarray) -> tuple[int, int]:

@@ -20,9 +20,7 @@ from kernels.arrays import Floats, Integers
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import AT_REST, Ball, State
 
-ORBIT = 4096  # flights from which the fastest take-off is taken
 FINER = 2.0  # power by which cells of small speed are finer: the bounces of a chatter shrink by a factor
-ROUNDS = 400  # of the shares through the map; a flight's memory lasts a few
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ def landing_map(
     ValueError
         Where the ball rests on the plate, or never rebounds.
     """
-    path = ball.fly(gamma, AT_REST, ORBIT)
+    path = ball.fly(gamma, AT_REST, 4096)
     fastest = float(np.max(np.where(path.reset[1:], 0.0, path.speed[:-1]), initial=0.0))
     if fastest == 0.0:
         raise ValueError(f"gamma = {gamma:g}: the ball never takes off from an impact; its landing map has one state")
@@ -104,6 +102,7 @@ def landing_map(
         target[k] = n_cells - 1 if one.last.speed <= 0.0 else column * rows + row
     onward = csr_matrix((np.full(source.size, 1.0 / flights), (target, source)), shape=(n_cells, n_cells))
     share = np.full(n_cells, 1.0 / n_cells)
-    for _ in range(ROUNDS):
+    # a flight's memory lasts a few landings, so the shares have settled long before
+    for _ in range(400):
         share = 0.5 * (share + onward @ share)  # halves: a cycle's cells would take turns for ever
     return LandingMap(phase, speed, tau, branch_of(phase, tau), share[source] / flights)

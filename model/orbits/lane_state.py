@@ -1,7 +1,7 @@
 """The state of orbits flown side by side, one a lane: named rows of arrays, how an orbit is begun, and its take-offs.
 
 An orbit's parameters and motion are numbers (``work``; after them, with friction, the branches of its rises and falls
-and the edges of its falls), its bookkeeping whole numbers (``whole``); its flights are kept in ``flights`` and
+and the edges of its falls), its bookkeeping whole numbers (``whole``); its flights are stored in ``flights`` and
 ``marks`` (a row, a lane, a flight). Rows are named as in ``work[GAMMA, lane]``.
 """
 
@@ -44,7 +44,7 @@ THRESHOLDS, MARKS = range(2)  # of ``marks``
 
 
 class Lanes(NamedTuple):
-    """What orbits side by side are kept in; ``both`` holds the tables going up, a lane after the other, then down."""
+    """Storage of orbits side by side; ``both`` holds the tables going up, a lane after the other, then down."""
 
     both: Floats
     work: Floats
@@ -147,6 +147,7 @@ def _wait(lanes: Lanes, closes: bool, lane: int, branch: int) -> int:
     work, whole = lanes.work, lanes.whole
     n_up = int(work[UP_LAST, lane]) // 2
     window = ((branch + 1) // 2) % n_up
+    # after the last window of a period the ball waits for the first of the next
     if branch == 2 * n_up - 1:
         whole[TURN, lane] += 1
     if closes and whole[SEEN + window, lane] >= 0:

@@ -38,8 +38,8 @@ FIRST_LOOK = 64  # flights after which a locked cycle is looked for first: many 
 class Points(NamedTuple):
     """Parameter points, and what comes out for each.
 
-    ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``; ``outcome`` is (m, `OUTCOME_SIZE`), ``kept`` (m, keep) flight
-    times. Unless an orbit ``closes``, all its flights are flown and the last are kept.
+    ``laws`` (m, 4) holds ``mu_up, mu_down, e0, e1``; ``outcome`` is (m, `OUTCOME_SIZE`), ``taus`` (m, keep) flight
+    times. Unless an orbit ``closes``, all its flights are flown and the last are stored.
     """
 
     tones: Floats
@@ -48,7 +48,7 @@ class Points(NamedTuple):
     laws: Floats
     closes: bool
     outcome: Integers
-    kept: Floats
+    taus: Floats
 
 
 class Tables(NamedTuple):
@@ -62,7 +62,7 @@ class Tables(NamedTuple):
 
 
 @compiled
-def _keep_cycle(lanes: Lanes, lane: int, outcome: Integers, kept: Floats) -> None:
+def _keep_cycle(lanes: Lanes, lane: int, outcome: Integers, taus: Floats) -> None:
     """Write a cycle's outcome, and its flight times from the reset with the smallest phase on."""
     whole, flights, marks = lanes.whole, lanes.flights, lanes.marks
     first, stop = whole[at.FIRST, lane], whole[at.COUNT, lane]
@@ -75,20 +75,20 @@ def _keep_cycle(lanes: Lanes, lane: int, outcome: Integers, kept: Floats) -> Non
         if marks[at.MARKS, lane, k] & CHATTERS:
             outcome[CHATTERING] = 1
     outcome[PERIOD], outcome[FLIGHTS] = whole[at.PERIODS, lane], stop - first
-    for k in range(min(stop - first, kept.shape[0])):
+    for k in range(min(stop - first, taus.shape[0])):
         j = start + k
-        kept[k] = flights[at.TAUS, lane, j if j < stop else j - (stop - first)]
+        taus[k] = flights[at.TAUS, lane, j if j < stop else j - (stop - first)]
 
 
 @compiled
-def _keep_chaos(lanes: Lanes, lane: int, outcome: Integers, kept: Floats) -> None:
+def _keep_chaos(lanes: Lanes, lane: int, outcome: Integers, taus: Floats) -> None:
     """Write the last flights of an orbit that did not close."""
     count = lanes.whole[at.COUNT, lane]
     outcome[CHAOTIC], outcome[PERIOD], outcome[FLIGHTS] = 1, 0, min(count, CHAOS_SHOWN)
     for k in range(count - outcome[FLIGHTS], count):
         outcome[RESETS] += lanes.marks[at.THRESHOLDS, lane, k] >= 0
-        if k - count + outcome[FLIGHTS] < kept.shape[0]:
-            kept[k - count + outcome[FLIGHTS]] = lanes.flights[at.TAUS, lane, k]
+        if k - count + outcome[FLIGHTS] < taus.shape[0]:
+            taus[k - count + outcome[FLIGHTS]] = lanes.flights[at.TAUS, lane, k]
 
 
 @compiled
@@ -117,7 +117,7 @@ def _settle_of(close_cycle: Callable[..., Any]) -> Callable[..., bool]:
     """The kernel that looks for the locked cycle that an orbit has reached; ``close_cycle`` is Newton's method."""
 
     @compiled
-    def settle(tones: Floats, lanes: Lanes, lane: int, cycle: Floats, outcome: Integers, kept: Floats) -> bool:
+    def settle(tones: Floats, lanes: Lanes, lane: int, cycle: Floats, outcome: Integers, taus: Floats) -> bool:
         """Whether the orbit of a lane nearly repeats itself; a locked cycle that it has reached is written."""
         both, work, whole, flights, _ = lanes
         count, phases, speeds = whole[at.COUNT, lane], flights[at.PHASES, lane], flights[at.SPEEDS, lane]
@@ -152,8 +152,8 @@ def _settle_of(close_cycle: Callable[..., Any]) -> Callable[..., bool]:
                     start = k
             if off < ARRIVED or (count >= FEW_FLIGHTS and multiplier > SLOW and off < NEAR):
                 outcome[LOCKED], outcome[PERIOD], outcome[FLIGHTS] = 1, periods, n
-                for k in range(min(n, kept.shape[0])):
-                    kept[k] = cycle[at.TAUS, (start + k) % n]
+                for k in range(min(n, taus.shape[0])):
+                    taus[k] = cycle[at.TAUS, (start + k) % n]
                 break
         return near
 
@@ -165,19 +165,19 @@ def _finish_of(close_cycle: Callable[..., Any]) -> Callable[..., bool]:
     settle = _settle_of(close_cycle)
 
     @compiled
-    def finish(points: Points, lanes: Lanes, lane: int, cycle: Floats, outcome: Integers, kept: Floats) -> bool:
+    def finish(points: Points, lanes: Lanes, lane: int, cycle: Floats, outcome: Integers, taus: Floats) -> bool:
         """Write what became of a lane's orbit; False where it is to be flown on."""
         status, most = lanes.whole[at.STATUS, lane], lanes.flights.shape[2]
         if status == at.CLOSED:
-            _keep_cycle(lanes, lane, outcome, kept)
+            _keep_cycle(lanes, lane, outcome, taus)
         elif status == at.FULL and not points.closes:
-            _keep_chaos(lanes, lane, outcome, kept)
+            _keep_chaos(lanes, lane, outcome, taus)
         elif status == at.FULL:
-            near = settle(points.tones, lanes, lane, cycle, outcome, kept)
+            near = settle(points.tones, lanes, lane, cycle, outcome, taus)
             if outcome[LOCKED] == 0 and lanes.whole[at.COUNT, lane] < most:
                 return False
             if not near:
-                _keep_chaos(lanes, lane, outcome, kept)
+                _keep_chaos(lanes, lane, outcome, taus)
             elif outcome[LOCKED] == 0:
                 outcome[FLIGHTS] = OPEN
         else:
@@ -208,8 +208,8 @@ def _batch_of(kernels: ModuleType, cycles: Cycles, *, both_ways: bool) -> Callab
 
     @compiled
     def fly(points: Points, highest: float, lanes: Lanes, tables: Tables, cycle: Floats) -> int:
-        """Fill ``outcome`` and ``kept``; returns the flights flown."""
-        tones, outcome, kept, whole, closes = points.tones, points.outcome, points.kept, lanes.whole, points.closes
+        """Fill ``outcome`` and ``taus``; returns the flights flown."""
+        tones, outcome, taus, whole, closes = points.tones, points.outcome, points.taus, lanes.whole, points.closes
         rows, most = points.gammas.shape[0], lanes.flights.shape[2]
         limit = min(FIRST_LOOK, most) if closes else most
         taken = begun = stop = flown = 0  # rows taken; those with tables are begun .. stop - 1
@@ -219,7 +219,7 @@ def _batch_of(kernels: ModuleType, cycles: Cycles, *, both_ways: bool) -> Callab
                 while whole[at.STATUS, lane] != at.FLIES:
                     if whole[at.STATUS, lane] != at.IDLE:
                         r = whole[at.ROW, lane]
-                        if not finish(points, lanes, lane, cycle, outcome[r], kept[r]):
+                        if not finish(points, lanes, lane, cycle, outcome[r], taus[r]):
                             whole[at.LIMIT, lane] = min(4 * whole[at.LIMIT, lane], most)
                             leave(tones, lanes, closes, lane)
                             continue
@@ -250,13 +250,13 @@ def _batch_of(kernels: ModuleType, cycles: Cycles, *, both_ways: bool) -> Callab
         return fly(points, highest, lanes, tables, cycle)
 
     def cycle_batch(points: Points, most: int) -> int:
-        """Fill ``outcome`` (FLIGHTS -1 where the orbit is left open) and ``kept``; returns the flights flown."""
+        """Fill ``outcome`` (FLIGHTS -1 where the orbit is left open) and ``taus``; returns the flights flown."""
         size = points.turning.size + 2
         windows = np.zeros((2, BLOCK), dtype=np.int64)
         made, found = np.zeros((2, BLOCK, TABLE * size)), np.zeros(FOUND * size * WIDTH)
         tables = Tables(made, windows[0], windows[1], np.ones(BLOCK), found)
         points.outcome[:] = 0
-        points.kept[:] = math.nan
+        points.taus[:] = math.nan
         highest = float(np.sum(np.abs(points.tones[:, 1])))
         return begin(points, highest, room_for_lanes(size, most), tables, np.zeros((4, LONGEST_LOCKED)))
 

@@ -20,8 +20,7 @@ from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
 
-KEEP = 64  # flight times kept of a row
-FEW_ROWS = 1000  # flown one at a time: the kernels in lanes take half a minute to compile, once
+KEEP = 64  # flight times stored of a row
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
 HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
 
@@ -104,7 +103,8 @@ def exact_rows(
     check_gamma(forcing, gammas, lengthening)
     tones, turning = forcing.tones, first_landing.turning_points(forcing)
     rows = empty_rows(gammas, keep)
-    if gammas.size < FEW_ROWS:
+    # the kernels in lanes take half a minute to compile, once: few rows are flown one at a time
+    if gammas.size < 1000:
         for i, gamma in enumerate(gammas):
             put(rows, i, attractor(ball_at(i), float(gamma)))
         return rows
@@ -163,6 +163,7 @@ def adaptive(
         flights, resets = rows.flights * (rows.kind == 0), rows.resets * (rows.kind < 2)
         marks = np.stack([rows.kind, rows.period, flights, resets], axis=1)
         change = np.flatnonzero(np.any(marks[1:] != marks[:-1], axis=1))
+        # in chaotic ranges every halving finds new changes: the diagram grows to fifty times its grid at most
         if change.size == 0 or rows.gamma.size + change.size > 50 * steps:
             break
         rows = joined([rows, rows_at(0.5 * (rows.gamma[change] + rows.gamma[change + 1]))]).sorted()

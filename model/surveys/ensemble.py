@@ -1,6 +1,6 @@
-"""Many parameter points on many cores: a job, cut into chunks, flown by a pool of processes or a cluster, kept in HDF5.
+"""Many parameter points on many cores: a job, cut into chunks, flown by a pool of processes or a cluster, into HDF5.
 
-A chunk is computed from the job and its bounds alone, so it can run anywhere and in any order; the
+A chunk is computed from the job and its bounds, so it can run anywhere and in any order; the
 file is written by one process, and a file left unfinished is continued where it stopped.
 """
 
@@ -61,7 +61,7 @@ class Job:
     sweep
         Whether the state is carried along the gammas; then a chunk is a whole row of gammas.
     keep
-        Flight times kept of each point.
+        Flight times stored of each point.
     """
 
     ratio: int
@@ -125,6 +125,7 @@ def check(job: Job) -> None:
         raise ValueError("a job needs at least one gamma and one value of every axis")
     if job.size > MOST_POINTS:
         raise ValueError(f"a diagram has at most {MOST_POINTS:,} points (half a kilobyte each), not {job.size:,}")
+    # every value of every axis once: the whole grid would be as long as the job
     lengths = [len(a.values) for a in job.axes]
     for which in range(max(lengths, default=1)):
         columns = {a.name: np.array([a.values[min(which, len(a.values) - 1)]]) for a in job.axes}
@@ -188,8 +189,10 @@ def run(
         For a job that cannot be computed, or a file that belongs to another job.
     """
     check(job)
-    chunk = min(chunk, _chunk_size(job))
-    chunk = len(job.gammas) if job.sweep else chunk
+    # fewer points where flights are long: between chunks progress is shown and a stop is possible
+    windows = max(job.gammas, default=0.0) / largest_gamma(job.forcing) * MOST_WINDOWS
+    chunk = min(chunk, max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS)))))
+    chunk = len(job.gammas) if job.sweep else chunk  # the state is carried along a row of gammas
     with _open(job, path, chunk) as file:
         done: Bools = file["chunk_done"][:]
         todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
@@ -208,13 +211,6 @@ def run(
                 progress(finished, job.size)
 
 
-def _chunk_size(job: Job) -> int:
-    """Points in a chunk, fewer where flights are long: between chunks progress is shown and a stop is possible."""
-    forcing = job.forcing
-    windows = max(job.gammas, default=0.0) / largest_gamma(forcing) * MOST_WINDOWS
-    return max(1, min(CHUNK, int(CHUNK * USUAL_WINDOWS / max(windows, USUAL_WINDOWS))))
-
-
 @contextmanager
 def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
     description = json.dumps({**asdict(job), "chunk": chunk}, sort_keys=True)
@@ -223,7 +219,9 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
         opened = h5py.File(path, "a")
     except OSError as error:
         wanted = "a diagram written by bench predict --out (HDF5), to be continued" if path.is_file() else "a new file"
-        raise ValueError(f"{path}: wanted {wanted}; {_reason(error)}; give another --out") from error
+        # the operating system's reason, or HDF5's first words, without its inner ones
+        own = os.strerror(error.errno) if error.errno else str(error).partition("(")[2].partition(")")[0]
+        raise ValueError(f"{path}: wanted {wanted}; {own or error}; give another --out") from error
     with opened as file:
         if fresh:
             file.attrs["job"] = description
@@ -240,11 +238,6 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
         elif file.attrs.get("job") != description:
             raise ValueError(f"{path} holds the results of another job: give another --out, or remove it")
         yield file
-
-
-def _reason(error: OSError) -> str:
-    """The operating system's reason, or HDF5's first words, without its inner ones."""
-    return os.strerror(error.errno) if error.errno else str(error).partition("(")[2].partition(")")[0] or str(error)
 
 
 def save(job: Job, rows: Rows, path: Path) -> None:

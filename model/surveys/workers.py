@@ -101,12 +101,12 @@ def _in_processes(
                     else:
                         yield _outcome(task[0], future.result)
             suspects += running.values()
-        for task in suspects:  # one of them took its worker down: each alone, so that no other pays for it
-            yield _alone(compute, task)
+        for task in suspects:  # one of them took its worker down: each by itself, so that no other pays for it
+            yield _isolated(compute, task)
         suspects.clear()
 
 
-def _alone(compute: Callable[..., Result], task: Task[Key]) -> Outcome[Key, Result]:
+def _isolated(compute: Callable[..., Result], task: Task[Key]) -> Outcome[Key, Result]:
     """The task in a process of its own, tried again where that dies."""
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool

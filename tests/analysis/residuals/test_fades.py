@@ -54,7 +54,7 @@ def test_a_mode_rings_on_from_flights_in_the_fade(tmp_path: Path) -> None:
     sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=5)
     observations = observations_from([path])
     unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
-    abrupt = replace(observations, measured=replace(unread, beside=None, share=None))
+    abrupt = replace(observations, measured=replace(unread, other_step=None, share=None))
     assert scatter_us(replace(observations, measured=unread)) < 8.0
     assert scatter_us(abrupt) > 3.0 * scatter_us(replace(observations, measured=unread))
     assert scatter_us(observations) < 8.0
