@@ -19,6 +19,8 @@ import typer
 from typer.core import TyperGroup
 
 from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
+from bench.terminal.defect import DEFECTS, end_with_defect
+from kernels.errors import InputError
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "profile": ("bench.commands.profile", "List, show and make profiles of rigs."),
@@ -83,10 +85,10 @@ class LazyGroup(TyperGroup):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command: status 2 where the call was wrong, 1 where the run, a device or the disk failed."""
+        """Run a command: status 2 where the call was wrong, 1 where the run, a device, the disk or this code failed."""
         try:
             return super().invoke(ctx)
-        except ValueError as error:  # `InputError`, and what the model refuses
+        except InputError as error:
             fail(str(error), EXIT_USAGE)
         except OSError as error:
             if error.errno == errno.ENAMETOOLONG:
@@ -100,6 +102,8 @@ class LazyGroup(TyperGroup):
             if devices is None or not isinstance(error, devices.BackendError):
                 raise
             fail(str(error), EXIT_FAILED)
+        except DEFECTS as error:
+            end_with_defect(error)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
         """The names that begin so, from the table only."""

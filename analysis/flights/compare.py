@@ -16,6 +16,7 @@ import numpy.typing as npt
 from analysis.flights.classify import BandTest, Change, StepClass, band_test, changes, classify
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Floats, Integers
 from model.bifurcations.forbidden_zones import forbidden_zones
@@ -166,7 +167,7 @@ def _check_plausible(flights: Flights) -> None:
     """Refuse a plate motion beyond any shaker: its scale is wrong, and its flights would take hours to compute."""
     for plate in flights.plate.steps:
         if plate is not None and plate.gamma > MAX_GAMMA:
-            raise ValueError(
+            raise InputError(
                 f"step {plate.step}: the accelerometer reads gamma = {plate.gamma:.4g}; no shaker goes beyond "
                 f"{MAX_GAMMA:g}: check channels.accelerometer.sensitivity and its unit, or pass a --profile"
             )

@@ -9,6 +9,7 @@ import typer
 
 from bench.outputs import Folder, Scenario, check_outputs
 from bench.terminal.console import EXIT_FAILED, fail, write_json
+from bench.terminal.defect import DEFECTS
 from bench.terminal.progress import progress_bar
 from daq.setup.errors import InputError
 
@@ -53,15 +54,18 @@ def command(
     checked, text = _simulated(profile)
     hidden = _sealed(seed, checked) if scenario is None else load_scenario(find_scenario(scenario))
     _claim(folder)
-    sealed = folder / "sealed.toml"
+    sealed, kept = folder / "sealed.toml", f"what was made is in {folder}; the same call starts anew there"
     try:
         sealed.write_text(hidden.to_toml(), encoding="utf-8")
         if scenario is None:
             typer.echo("an ordinary instrument, drawn by chance, stands between this rig and its recording")
         recording = _drive(checked, text, folder, sealed, seed)
         loop, complete = _close(recording, _reprocess(recording, folder), folder)
-    except (OSError, ValueError) as error:
-        fail(f"{error}\nwhat was made is in {folder}; the same call starts anew there")
+    except (OSError, InputError) as error:
+        fail(f"{error}\n{kept}")
+    except DEFECTS as error:
+        error.add_note(kept)
+        raise
     effects = load_scenario(sealed).effects
     found = ", ".join(f.name for f in loop.effects) or "no effect added"
     names = ", ".join(effects) or "nothing"

@@ -87,19 +87,16 @@ def command(
         File("--json", json_target, JSON), Folder("--out", out if pictures and not page else None, made),
         Edited("--into", into), inputs=[*files, balls], overwrite=overwrite,
     )  # fmt: skip
-    try:
-        by_hand = Corrections(from_s, until_s, tuple(ignore or ()), tuple(add or ()), parse_region(region), axis)
-        request = Request(
-            tuple(files), fps, scale, ball_size, scale_uncertainty, fps_uncertainty, tuple(drop_height or ()),
-            height_uncertainty, use_height, gravity, mass, diameter, (by_hand,), seed, balls,
-        )  # fmt: skip
-        check_request(request)
-        if page:
-            _serve(request, json_target, into, port)
-        else:
-            _measure(request, json_target, out if pictures else None, into, stale)
-    except ValueError as error:
-        fail(str(error), EXIT_USAGE)
+    by_hand = Corrections(from_s, until_s, tuple(ignore or ()), tuple(add or ()), parse_region(region), axis)
+    request = Request(
+        tuple(files), fps, scale, ball_size, scale_uncertainty, fps_uncertainty, tuple(drop_height or ()),
+        height_uncertainty, use_height, gravity, mass, diameter, (by_hand,), seed, balls,
+    )  # fmt: skip
+    check_request(request)
+    if page:
+        _serve(request, json_target, into, port)
+    else:
+        _measure(request, json_target, out if pictures else None, into, stale)
 
 
 def _serve(request: Request, json_target: str | None, into: Path | None, port: int | None) -> None:

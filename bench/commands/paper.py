@@ -26,14 +26,9 @@ def command(
     from bench.jobs.paper import paper
     from bench.outputs import Folder, check_outputs
     from bench.profiles.find import load
-    from bench.terminal.console import EXIT_USAGE, fail
     from bench.terminal.progress import progress_bar
-    from daq.setup.errors import InputError
 
-    try:
-        check_outputs(Folder("--out", out, makes=("paper.md", "paper/*")), inputs=[profile], overwrite=overwrite)
-        with progress_bar() as say:
-            paper(load(profile)[1], out, seed, say)
-    except (InputError, OSError, ValueError) as error:
-        fail(str(error), EXIT_USAGE)
+    check_outputs(Folder("--out", out, makes=("paper.md", "paper/*")), inputs=[profile], overwrite=overwrite)
+    with progress_bar() as say:
+        paper(load(profile)[1], out, seed, say)
     typer.echo(f"{out / 'paper.md'}: the page; its pictures and tables are in {out / 'paper'}")

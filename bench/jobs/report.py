@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.jobs.keep_verdict import keep_verdict, verdict_file
+from bench.terminal.defect import DEFECTS
 from bench.terminal.progress import progress_bar
 from daq.recording import Recording, open_recording
 from daq.recording.verify import verify
@@ -83,8 +84,10 @@ def _loop(
         say(f"{saved.name} is not used: {other}")
     try:
         loop = close_loop([recording.path], progress=lambda what, part: bar(what, 0.3 + 0.5 * part))
-    except (InputError, ValueError) as error:
+    except InputError as error:
         return None, "none", str(error).rstrip(".")
+    except DEFECTS as error:  # the page of what was measured is worth having without a verdict
+        return None, "none", f"a defect of shakerbench ended it ({type(error).__name__}: {error})".rstrip(".")
     if problem := keep_verdict(loop, [recording.path]):
         say(problem)
     return loop, "computed", ""

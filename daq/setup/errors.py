@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-
-class InputError(ValueError):
-    """Bad input: the message names the file, the place, what was wanted, what came and what to do."""
+from kernels.errors import InputError as InputError  # everybody above the model takes it from here
 
 
 def require_file(path: Path) -> None:

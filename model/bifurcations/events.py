@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import brentq
 
+from kernels.errors import InputError
 from model.bifurcations import itinerary_windows
 from model.bifurcations.itinerary_windows import Search, Window
 from model.bifurcations.locked_windows import locked_from, locked_within
@@ -70,7 +71,7 @@ def bifurcations(
 
     Raises
     ------
-    ValueError
+    InputError
         If the range is empty, negative or not finite.
     """
     found = cycle_windows(ball, low, high, narrowest=narrowest, longest=longest)
@@ -92,7 +93,7 @@ def bifurcations(
 def check_range(low: float, high: float) -> None:
     """Refuse a range of gamma that is empty, negative or not finite (ValueError)."""
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
-        raise ValueError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+        raise InputError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
 
 
 def cycle_windows(
@@ -102,15 +103,15 @@ def cycle_windows(
 
     Raises
     ------
-    ValueError
+    InputError
         If the range is empty, negative or not finite.
     """
     check_range(low, high)
     if not narrowest > 0.0:
-        raise ValueError(f"the narrowest window must be wider than 0, not {narrowest:g}")
+        raise InputError(f"the narrowest window must be wider than 0, not {narrowest:g}")
     finest = min(narrowest, ball.coarse)
     if not (high - low) <= MOST_GAMMAS * finest:
-        raise ValueError(
+        raise InputError(
             f"bifurcations from {low:g} to {high:g} down to windows of {finest:g} want {(high - low) / finest:.1e} "
             f"gammas looked at, more than {MOST_GAMMAS:.0e}: ask for a narrower range, or for wider windows "
             "(--narrowest)"

@@ -46,6 +46,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from kernels.arrays import Floats
+from kernels.errors import InputError
 
 Row = Floats
 """The row of all parameters, the local g last."""
@@ -236,14 +237,14 @@ class Effect:
 
         Raises
         ------
-        ValueError
+        InputError
             When the effect has no such parameter; the message lists those it has, with their meaning.
         """
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         known = ", ".join(str(q) for q in self.parameters)
-        raise ValueError(f"effect {self.name} has no parameter {name!r}; it has {known}")
+        raise InputError(f"effect {self.name} has no parameter {name!r}; it has {known}")
 
     @property
     def null_values(self) -> dict[str, float]:

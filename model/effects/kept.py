@@ -15,11 +15,13 @@ import traceback
 from pathlib import Path
 from types import ModuleType
 
+from kernels.errors import InputError
+
 VARIABLE = "SHAKERBENCH_EFFECTS"
 PACKAGE = "model.effects"
 
 
-class EffectFileError(ValueError):
+class EffectFileError(InputError):
     """A file of the library of effects that cannot be one."""
 
 
@@ -75,13 +77,13 @@ def check_name(name: str) -> None:
 
     Raises
     ------
-    ValueError
+    InputError
         With what was wanted.
     """
     if not (name.isidentifier() and name.isascii() and name == name.lower() and not name.startswith("_")):
-        raise ValueError(f"{name!r} cannot be an effect's name; wanted small letters, digits and _, as sticky_rod")
+        raise InputError(f"{name!r} cannot be an effect's name; wanted small letters, digits and _, as sticky_rod")
     if keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        raise ValueError(f"{name!r} is a word of Python and cannot be an effect's name; wanted one as sticky_rod")
+        raise InputError(f"{name!r} is a word of Python and cannot be an effect's name; wanted one as sticky_rod")
 
 
 def load(path: Path) -> ModuleType:

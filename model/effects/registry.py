@@ -19,6 +19,7 @@ import numpy as np
 
 import model.effects
 from kernels.arrays import Floats
+from kernels.errors import InputError
 from model.effects import kept
 from model.effects.base import COMPILED_HOOKS, PLAIN_HOOKS, SIGNATURES, Effect, Parameter, Registered
 from model.effects.kept import EffectFileError
@@ -143,7 +144,7 @@ def effect(name: str) -> Registered:
 
     Raises
     ------
-    ValueError
+    InputError
         When there is none; the message names the nearest.
     """
     entry = _by_name().get(name)
@@ -152,7 +153,7 @@ def effect(name: str) -> Registered:
     known = [r.effect.name for r in registry() if r.effect.library]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]}?" if near else f"; known are {', '.join(known)}"
-    raise ValueError(f"no effect is called {name!r}{hint}")
+    raise InputError(f"no effect is called {name!r}{hint}")
 
 
 def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
@@ -162,7 +163,7 @@ def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
 
     Raises
     ------
-    ValueError
+    InputError
         For an unknown effect or parameter, or a value outside its bounds.
     """
     resolved: dict[str, dict[str, float]] = {}
@@ -175,7 +176,7 @@ def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
         for key, value in table.items():
             parameter = e.parameter(key)
             if not parameter.low <= value <= parameter.high:
-                raise ValueError(
+                raise InputError(
                     f"{name}.{key} = {value:g} {parameter.unit} is outside {parameter.low:g} .. {parameter.high:g}"
                 )
             values[key] = float(value)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kernels.arrays import Floats
+from kernels.errors import InputError
 from model.flight.segment import ROUNDING
 from model.tones import Forcing
 
@@ -31,12 +32,12 @@ def check_harmonics(forcing: Forcing) -> None:
 
     Raises
     ------
-    ValueError
+    InputError
         With the largest harmonic that is proven.
     """
     most = math.floor(LARGEST_ANGLE / (4.0 * math.pi))
     if max(forcing.harmonic, default=0.0) > most:
-        raise ValueError(
+        raise InputError(
             f"c = {max(forcing.harmonic):g} is beyond what double precision proves: the sine of a phase is proven up "
             f"to {LARGEST_ANGLE:g} rad, which is c = {most}"
         )
@@ -72,11 +73,11 @@ def check_gamma(forcing: Forcing, gamma: ArrayLike, lengthening: ArrayLike = 1.0
 
     Raises
     ------
-    ValueError
+    InputError
         For a gamma that is negative, not finite or too large.
     """
     if not (np.all(np.isfinite(gamma)) and np.all(np.asarray(gamma) >= 0)):
-        raise ValueError(f"gamma must be finite and not negative, not {gamma!r}")
+        raise InputError(f"gamma must be finite and not negative, not {gamma!r}")
     check_harmonics(forcing)
     most = largest_gamma(forcing) / float(np.max(lengthening, initial=1.0))
     largest = float(np.max(gamma, initial=0.0))
@@ -87,7 +88,7 @@ def check_gamma(forcing: Forcing, gamma: ArrayLike, lengthening: ArrayLike = 1.0
             if _walked(forcing, speed) == largest_gamma(forcing)
             else f"rounding would leave the landing phase uncertain by more than {PROVEN_PHASE:g} rad"
         )
-        raise ValueError(
+        raise InputError(
             f"gamma = {largest:g} is beyond what double precision proves on this plate: {why}; the largest is "
             f"{most:.4g}"
         )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from kernels.errors import InputError
 from model.effects.base import SIGNATURES
 from model.effects.registry import registry
 
@@ -37,7 +38,7 @@ def _source() -> str:
         arguments, nothing = signature.removesuffix(", k"), _NOTHING.get(hook, "0.0")
         terms = [f"{hook}_{e.effect.name}({arguments}, {e.offset})" for e in entries if hook in e.hooks]
         if hook == "plate_mode" and len(terms) > 1:
-            raise ValueError("only one effect may bring a plate mode")
+            raise InputError("only one effect may bring a plate mode")
         total = " + ".join([nothing, *terms] if hook == "gravity" else terms) or nothing
         lines += ["", "@njit(error_model='numpy')", f"def {hook}({arguments}):", f"    return {total}"]
     return "\n".join(lines)

@@ -15,6 +15,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from kernels.arrays import Bools, Floats
+from kernels.errors import InputError
 from model.flight.branches import TWO_PI
 from model.orbits.cycles import repeating
 
@@ -160,11 +161,11 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
 
     Raises
     ------
-    ValueError
+    InputError
         If gamma is negative or not finite.
     """
     if not (math.isfinite(gamma) and gamma >= 0.0):
-        raise ValueError(f"gamma must be finite and not negative, not {gamma}")
+        raise InputError(f"gamma must be finite and not negative, not {gamma}")
     none = np.empty(0)
     for flights in sorted({min(FEW_FLIGHTS, max_flights), max_flights}):
         path = ball.fly(gamma, start, flights)

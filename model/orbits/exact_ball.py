@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from kernels.arrays import Bools, Floats, Integers
+from kernels.errors import InputError
 from model.flight import first_landing
 from model.flight.branches import TWO_PI
 from model.flight.precision import check_gamma, lengthened
@@ -190,7 +191,7 @@ class FrictionBall(ExactBall):
 
     Raises
     ------
-    ValueError
+    InputError
         If a value is not finite or out of range; with ``mu_down >= 1`` the ball would stay on the rod of a still plate.
     """
 
@@ -203,11 +204,11 @@ class FrictionBall(ExactBall):
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
         if not all(map(math.isfinite, self.law)):
-            raise ValueError(f"friction and restitution must be finite, not {self.law}")
+            raise InputError(f"friction and restitution must be finite, not {self.law}")
         if not (self.mu_up >= 0.0 and 0.0 <= self.mu_down < 1.0):
-            raise ValueError(f"friction must satisfy 0 <= mu_up and 0 <= mu_down < 1, not {self.mu_up}, {self.mu_down}")
+            raise InputError(f"friction must satisfy 0 <= mu_up and 0 <= mu_down < 1, not {self.mu_up}, {self.mu_down}")
         if not 0.0 <= self.e0 <= 1.0:
-            raise ValueError(f"restitution at speed zero must be within [0, 1], not {self.e0}")
+            raise InputError(f"restitution at speed zero must be within [0, 1], not {self.e0}")
 
     @property
     def law(self) -> FrictionRestitution:

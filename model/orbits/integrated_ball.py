@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from kernels.arrays import Floats
+from kernels.errors import InputError
 from model.flight.branches import TWO_PI
 from model.integrator import one_step
 from model.integrator.flight import LONGEST_PERIODS
@@ -50,7 +51,7 @@ class IntegratedBall:
     def _check(self, gamma: float) -> None:
         """Refuse a gamma at which a flight may be longer than the integration follows it."""
         if not gamma <= self._most_gamma:
-            raise ValueError(
+            raise InputError(
                 f"gamma = {gamma:g}: with these effects a flight is followed for {LONGEST_PERIODS:g} periods of the "
                 f"forcing, which is enough up to gamma = {self._most_gamma:.4g} on this plate"
             )

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
 from kernels.arrays import Floats, Integers
+from kernels.errors import InputError
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import AT_REST, Ball, State
 
@@ -78,13 +79,13 @@ def landing_map(
 
     Raises
     ------
-    ValueError
+    InputError
         Where the ball rests on the plate, or never rebounds.
     """
     path = ball.fly(gamma, AT_REST, 4096)
     fastest = float(np.max(np.where(path.reset[1:], 0.0, path.speed[:-1]), initial=0.0))
     if fastest == 0.0:
-        raise ValueError(f"gamma = {gamma:g}: the ball never takes off from an impact; its landing map has one state")
+        raise InputError(f"gamma = {gamma:g}: the ball never takes off from an impact; its landing map has one state")
     columns, rows = cells
     n_cells = columns * rows + 1  # the last cell is rest: whatever comes there waits for the threshold
     source = np.append(np.repeat(np.arange(n_cells - 1), flights), [n_cells - 1] * flights)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kernels.arrays import Bools, Floats
+from kernels.errors import InputError
 from model.flight import first_landing
 from model.flight.precision import check_gamma, lengthened
 from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
@@ -73,12 +74,12 @@ def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
 
     Raises
     ------
-    ValueError
+    InputError
         If a gamma is negative or not finite.
     """
     grid = np.ascontiguousarray(gammas, dtype=np.float64)
     if not np.all(np.isfinite(grid) & (grid >= 0.0)):
-        raise ValueError("every gamma must be finite and not negative")
+        raise InputError("every gamma must be finite and not negative")
     if isinstance(ball, IdealBall):
         laws = None
     elif isinstance(ball, FrictionBall):

@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 
 from kernels.arrays import Bools, Floats
+from kernels.errors import InputError
 from model.effects.registry import resolve
 from model.flight.precision import MOST_WINDOWS, largest_gamma
 from model.orbits.attractor import Ball, attractor
@@ -118,13 +119,13 @@ def check(job: Job) -> None:
 
     Raises
     ------
-    ValueError
+    InputError
         For an unknown effect or parameter, a value out of bounds or a missing frequency, at any point of the axes.
     """
     if job.size == 0:
-        raise ValueError("a job needs at least one gamma and one value of every axis")
+        raise InputError("a job needs at least one gamma and one value of every axis")
     if job.size > MOST_POINTS:
-        raise ValueError(f"a diagram has at most {MOST_POINTS:,} points (half a kilobyte each), not {job.size:,}")
+        raise InputError(f"a diagram has at most {MOST_POINTS:,} points (half a kilobyte each), not {job.size:,}")
     # every value of every axis once: the whole grid would be as long as the job
     lengths = [len(a.values) for a in job.axes]
     for which in range(max(lengths, default=1)):
@@ -185,7 +186,7 @@ def run(
 
     Raises
     ------
-    ValueError
+    InputError
         For a job that cannot be computed, or a file that belongs to another job.
     """
     check(job)
@@ -221,7 +222,7 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
         wanted = "a diagram written by bench predict --out (HDF5), to be continued" if path.is_file() else "a new file"
         # the operating system's reason, or HDF5's first words, without its inner ones
         own = os.strerror(error.errno) if error.errno else str(error).partition("(")[2].partition(")")[0]
-        raise ValueError(f"{path}: wanted {wanted}; {own or error}; give another --out") from error
+        raise InputError(f"{path}: wanted {wanted}; {own or error}; give another --out") from error
     with opened as file:
         if fresh:
             file.attrs["job"] = description
@@ -236,7 +237,7 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
                 )
             file.create_dataset("chunk_done", data=np.zeros(-(-job.size // chunk), dtype=bool))
         elif file.attrs.get("job") != description:
-            raise ValueError(f"{path} holds the results of another job: give another --out, or remove it")
+            raise InputError(f"{path} holds the results of another job: give another --out, or remove it")
         yield file
 
 
@@ -245,11 +246,11 @@ def save(job: Job, rows: Rows, path: Path) -> None:
 
     Raises
     ------
-    ValueError
+    InputError
         If ``path`` exists.
     """
     if path.exists():
-        raise ValueError(f"{path} exists: give another --out, or remove it")
+        raise InputError(f"{path} exists: give another --out, or remove it")
     whole = replace(job, gammas=tuple(rows.gamma.tolist()))
     with _open(whole, path, whole.size) as file:
         for name in FIELDS:
@@ -262,12 +263,12 @@ def load(path: Path) -> tuple[Rows, dict[str, Any]]:
 
     Raises
     ------
-    ValueError
+    InputError
         If the file is not one written by `run`.
     """
     with h5py.File(path, "r") as file:
         if "chunk_done" not in file:
-            raise ValueError(f"{path} is not a diagram written by bench predict --out")
+            raise InputError(f"{path} is not a diagram written by bench predict --out")
         attributes = dict(file.attrs)
         rows = Rows(*(file[name][:] for name in FIELDS))
         done = np.repeat(file["chunk_done"][:], file["gamma"].chunks[0])[: rows.gamma.size]

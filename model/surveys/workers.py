@@ -11,6 +11,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from kernels.errors import InputError
+
 Result = TypeVar("Result")
 Key = TypeVar("Key", bound=Hashable)
 Task = tuple[Key, tuple[Any, ...]]
@@ -56,7 +58,7 @@ def outcomes(
 
     Raises
     ------
-    ValueError
+    InputError
         Where Dask is asked for and not installed.
     """
     if cluster is not None:
@@ -133,7 +135,7 @@ def _on_cluster(
         import dask
         from distributed import Client, KilledWorker, LocalCluster, as_completed
     except ImportError as error:
-        raise ValueError("--cluster needs Dask: pip install 'shakerbench[distributed]'") from error
+        raise InputError("--cluster needs Dask: pip install 'shakerbench[distributed]'") from error
     remaining = iter(tasks)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": ATTEMPTS - 1}))

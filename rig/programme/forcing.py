@@ -13,6 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Floats
@@ -33,7 +34,7 @@ class PhaseClock:
         """The clock of ``frequency_hz`` sampled at ``rate_hz``, both taken as the decimals they are written as."""
         turns = (Fraction(repr(frequency_hz)) / Fraction(repr(rate_hz))).limit_denominator(_MAX_DENOMINATOR)
         if turns <= 0:
-            raise ValueError(f"no usable phase clock for {frequency_hz} Hz at {rate_hz} samples a second")
+            raise InputError(f"no usable phase clock for {frequency_hz} Hz at {rate_hz} samples a second")
         return cls(turns.numerator, turns.denominator)
 
     def phase(self, sample: int) -> int:
@@ -77,7 +78,7 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
 
     Raises
     ------
-    ValueError
+    InputError
         Where the drive's scale was not measured.
     """
     f_hz, corner_hz = setup.forcing.frequency_hz, setup.drive.highpass_hz or 0.0
@@ -85,7 +86,7 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
     for m, d in setup.forcing.displacement_tones():
         response = setup.drive.response(m)
         if response is None:
-            raise ValueError("drive.g_per_volt is unknown")
+            raise InputError("drive.g_per_volt is unknown")
         volts.append(-gamma * m * m * d / response * (1.0 - 1j * corner_hz / (m * f_hz)))
     return tuple(volts)
 
