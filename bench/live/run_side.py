@@ -6,7 +6,6 @@ Nothing here waits for the page. A page that is slow, hangs or is gone changes n
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.terminal.orders import steps_from
 from daq.files.json_values import json_object
 from daq.recorder.recorder_process import RecorderProcess
+from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.backends.base import Backend
@@ -54,10 +54,12 @@ class RunSide:
         Between run and page.
     also
         Called after each block too.
+    clock
+        The machine's, or that of a simulation.
     """
 
-    def __init__(self, board: Board, also: Callable[[Status], None] | None = None) -> None:
-        self._board, self._also = board, also
+    def __init__(self, board: Board, also: Callable[[Status], None] | None = None, clock: Clock = SYSTEM) -> None:
+        self._board, self._also, self._clock = board, also, clock
         self._request = StopRequest()
         self._progress: Callable[[Status], None] = lambda status: None
         self._sent_at = -math.inf
@@ -90,7 +92,7 @@ class RunSide:
         if self._board.commands.waiting:
             for command in self._board.commands.read()[0]:
                 self._obey(command)
-        now = time.monotonic()
+        now = self._clock.monotonic_s()
         state = (status.state, status.step.index, self._request.pause, self._request.wanted)
         if now - self._sent_at >= EVERY_S or state != self._sent:
             self._sent_at, self._sent = now, state

@@ -6,12 +6,13 @@ comes. With a device the search runs in a thread, with a simulated rig at once.
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
 
 from daq.clocks.lag import LARGEST, LATENCY, Stretch, candidates, lag_at
+from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Floats
 
 SURE_SAMPLES = 0.05  # a lag known less well than this decides nothing
@@ -158,9 +159,9 @@ class AtOnce:
 class InThread(AtOnce):
     """Search in a thread; one question at a time, so that nothing piles up."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock = SYSTEM) -> None:
         super().__init__()
-        self._thread = ThreadPoolExecutor(1, "loss-search")
+        self._thread = clock.executor("loss-search")
 
     def ask(self, question: Question) -> bool:
         """Hand it over, where the thread is free."""

@@ -7,7 +7,6 @@ written down at the time.
 from __future__ import annotations
 
 import enum
-import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -111,11 +110,11 @@ def crc32(array: NDArray[Any], before: int = 0) -> int:
     return zlib.crc32(np.ascontiguousarray(array).data, before)
 
 
-def note_rows(sample: int, texts: Sequence[str]) -> NDArray[np.void]:
-    """`NOTE_DTYPE` rows of notes that came now, at ``sample``; a long one goes on in the next row, of the same time."""
+def note_rows(sample: int, texts: Sequence[str], unix_ns: int) -> NDArray[np.void]:
+    """`NOTE_DTYPE` rows of notes that came at ``sample``, at ``unix_ns``; a long one goes on in the next row."""
     rows = []
     for i, text in enumerate(texts):
-        left, now_ns = text.replace("\0", ""), time.time_ns() + i  # the time tells one note from the next
+        left, now_ns = text.replace("\0", ""), unix_ns + i  # the time tells one note from the next
         while True:
             piece = left.encode()[:NOTE_BYTES].decode(errors="ignore")  # cut between two characters
             rows.append((sample, now_ns, piece.encode()))

@@ -12,12 +12,11 @@ import multiprocessing
 import os
 import signal
 import sys
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +24,43 @@ from numpy.typing import NDArray
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, renumbered
 from daq.recording.writer import ClosedRun, Ending, RecordingWriter
+from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 IDLE_S = 0.001
 NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")  # words to the run, which then closes the recording
 _BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Pipe(Protocol):
+    """What is used of `multiprocessing.connection.Connection`."""
+
+    def send(self, obj: Any) -> None: ...
+    def recv(self) -> Any: ...
+    def poll(self, timeout: float = 0.0) -> bool: ...
+
+
+class Process(Protocol):
+    """What is used of `multiprocessing.Process`."""
+
+    def is_alive(self) -> bool: ...
+    def join(self, timeout: float | None = None) -> None: ...
+
+
+Order = tuple[tuple[int, int, int, str], str, str, dict[str, Any]]
+"""Of a recorder: its ring, path, setup as JSON, and options of `RecordingWriter`."""
+
+
+def spawn(order: Order) -> tuple[Pipe, Process]:
+    """A process that records, and the pipe to it."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_record, args=(theirs, *order), name="recorder")
+    with _start_conditions():
+        process.start()
+    theirs.close()
+    return ours, process
 
 
 class RecorderProcess(ClosedRun):
@@ -49,6 +79,8 @@ class RecorderProcess(ClosedRun):
         wait.
     private
         Whether no other process attaches to the ring by its name; it then loses its name once the recorder runs.
+    start, clock
+        How the process is started, and its user's clock; a simulation has its own.
 
     Raises
     ------
@@ -65,23 +97,19 @@ class RecorderProcess(ClosedRun):
         ring_s: float | None = None,
         patience_s: float = 10.0,
         private: bool = True,
+        start: Callable[[Order], tuple[Pipe, Process]] = spawn,
+        clock: Clock = SYSTEM,
         **options: Any,
     ) -> None:
         self.path = Path(path)
+        self._clock = clock
         rate_hz, channels = setup.sampling.rate_hz, len(options["channels"])
         if ring_s is None:  # the recorder may be unable to write for half a minute, unless that takes too much memory
             ring_s = max(4.0, min(30.0, 2**25 / (2 * channels * rate_hz)))
         self.ring = Ring(max(4, int(np.ceil(ring_s * rate_hz / block_samples)) + 1), block_samples, channels)
         self._patience_s, self._ring_s = patience_s, ring_s
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
         shape = (self.ring.slots, block_samples, channels, self.ring.name)
-        self._process = context.Process(
-            target=_record, args=(theirs, shape, str(path), setup.model_dump_json(), options), name="recorder"
-        )
-        with _start_conditions():
-            self._process.start()
-        theirs.close()
+        self._pipe, self._process = start((shape, str(path), setup.model_dump_json(), options))
         self.n_samples = 0
         self._is_open = True
         self._fault = ""  # the recorder's message when it gave up
@@ -115,9 +143,11 @@ class RecorderProcess(ClosedRun):
         for block in (piece for whole in blocks for piece in whole.pieces(self.ring.block_samples)):
             if self._pipe.poll():
                 self._answer("error", 0.0)
-            until = time.monotonic() + self._patience_s
-            while self.ring.backlog >= self.ring.slots and time.monotonic() < until and self._process.is_alive():
-                time.sleep(IDLE_S)
+            until = self._clock.monotonic_s() + self._patience_s
+            while (
+                self.ring.backlog >= self.ring.slots and self._clock.monotonic_s() < until and self._process.is_alive()
+            ):
+                self._clock.sleep(IDLE_S)
             if not self.ring.put(block):
                 raise OSError(
                     f"{self.path}: the recorder has not written for {self._ring_s:.0f} s (stopped, or a stalled disk); "
@@ -155,9 +185,9 @@ class RecorderProcess(ClosedRun):
 
     def _answer(self, to: str, within_s: float) -> None:
         """Wait for the recorder's answer; an error it reports is raised here."""
-        until = time.monotonic() + within_s
+        until = self._clock.monotonic_s() + within_s
         while not self._pipe.poll(min(0.2, within_s)):
-            if not self._process.is_alive() or time.monotonic() > until:
+            if not self._process.is_alive() or self._clock.monotonic_s() > until:
                 raise OSError(f"{self.path}: the recorder does not answer ({to}); run: bench recover {self.path}")
         kind, message = self._pipe.recv()
         if kind == "input":
@@ -196,20 +226,40 @@ def _start_conditions() -> Iterator[None]:
 def _record(
     pipe: Connection, shape: tuple[int, int, int, str], path: str, setup_json: str, options: dict[str, Any]
 ) -> None:
-    """Body of the recorder's process."""
+    """The recorder's process: it leaves the operator's signals alone, does not collect garbage, and records."""
     for number in _not_for_us():
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _not_for_us())
+    turns = recording(pipe, (shape, path, setup_json, options))
+    next(turns, None)
+    gc.collect()  # a collection later would pause the recorder
+    gc.freeze()
+    sys.setswitchinterval(0.0005)
+    for _ in turns:
+        pass
+
+
+def recording(pipe: Pipe, order: Order, clock: Clock = SYSTEM) -> Iterator[None]:
+    """Record what comes through the ring, until asked to close; the first turn opens the file, each other takes blocks.
+
+    Parameters
+    ----------
+    pipe
+        To the run: words come, "ready" and how it ended go.
+    order
+        What to record.
+    clock
+        The machine's, or that of a simulation, whose iterator takes turns with all else.
+    """
+    shape, path, setup_json, options = order
     try:
-        writer = RecordingWriter(path, Setup.model_validate_json(setup_json), **options)
+        writer = RecordingWriter(path, Setup.model_validate_json(setup_json), clock=clock, **options)
     except InputError as error:
         pipe.send(("input", str(error)))
         return
     ring = Ring(*shape)
-    gc.collect()  # a collection later would pause the recorder
-    gc.freeze()
-    sys.setswitchinterval(0.0005)
+    yield
     pipe.send(("ready", ""))
     closing: tuple[Ending, str, int | None] | None = None
     try:
@@ -220,6 +270,7 @@ def _record(
                 ring.set_counter("safe_samples", writer.n_samples)
             if closing is None:
                 closing = _obey(pipe, writer, 0.0 if blocks else IDLE_S)
+            yield
         how, why, expected_samples = closing
         writer.close(how, why, expected_samples=expected_samples)
         pipe.send(("closed", ""))
@@ -236,7 +287,7 @@ def _record(
         ring.unname()
 
 
-def _obey(pipe: Connection, writer: RecordingWriter, wait_s: float) -> tuple[Ending, str, int | None] | None:
+def _obey(pipe: Pipe, writer: RecordingWriter, wait_s: float) -> tuple[Ending, str, int | None] | None:
     """Do what is asked; returns how to close when that is asked, or when the asking process is gone."""
     while pipe.poll(wait_s):
         wait_s = 0.0

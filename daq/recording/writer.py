@@ -25,6 +25,7 @@ from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording.live_columns import LiveColumns
 from daq.recording.opening import open_checked
 from daq.recording.reader import Recording
+from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
@@ -33,9 +34,10 @@ RESERVE_BYTES = 8_000_000
 Ending = Literal["complete", "stopped", "failed"]
 
 
-def now_utc() -> str:
+def now_utc(clock: Clock = SYSTEM) -> str:
     """The wall clock as ISO 8601 in UTC."""
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
+    now = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC) + datetime.timedelta(microseconds=clock.unix_ns() // 1000)
+    return now.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
 
 
 def root_attributes(
@@ -111,6 +113,8 @@ class RecordingWriter(ClosedRun):
         Channel name to ``(volts_per_code, offset_v)``; the default is the channel's range over 16 bits.
     expected_samples
         How long the run will be; refused where the disk has no room for it.
+    clock
+        The machine's, or that of a simulation.
 
     Raises
     ------
@@ -132,8 +136,10 @@ class RecordingWriter(ClosedRun):
         scenario_sha256: str | None = None,
         scales: Mapping[str, tuple[float, float]] | None = None,
         expected_samples: int = 0,
+        clock: Clock = SYSTEM,
     ) -> None:
         self.path = Path(path)
+        self._clock = clock
         require_space(self.path, expected_samples, len(channels))
         attributes = root_attributes(
             setup, profile_text=profile_text, backend=backend, simulated=simulated, note=note, extra=extra,
@@ -145,7 +151,7 @@ class RecordingWriter(ClosedRun):
         attributes |= {
             "channels": list(channels),
             "scales_json": json.dumps(known),
-            "started": now_utc(),
+            "started": now_utc(clock),
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
         }
@@ -219,7 +225,7 @@ class RecordingWriter(ClosedRun):
         where = self.path
         try:
             if not self._frames.is_broken:
-                ending: dict[str, Any] = {"ended": how, "why": why, "ended_at": now_utc()}
+                ending: dict[str, Any] = {"ended": how, "why": why, "ended_at": now_utc(self._clock)}
                 if expected_samples is not None:
                     missing = expected_samples - self._frames.n_samples - self._frames.n_lost
                     suspect = abs(missing) > self._frames.n_doubtful

@@ -8,9 +8,8 @@ fades out through the card before it is let go.
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
+from daq.setup.clock import SYSTEM, Clock, Joinable
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError, checked_drive
@@ -78,14 +78,18 @@ class SerialReader:
         Nominal rate, for how much is held.
     opener
         How the port is opened; a test hands in one of its own.
+    clock
+        The machine's, or that of a simulation.
     """
 
-    def __init__(self, name: str, channels: int, rate_hz: float, opener: Callable[[], Port]) -> None:
-        self.name = name
+    def __init__(
+        self, name: str, channels: int, rate_hz: float, opener: Callable[[], Port], clock: Clock = SYSTEM
+    ) -> None:
+        self.name, self.clock = name, clock
         self.rows_in_frame = 1
         self._channels, self._opener = channels, opener
         self._most = round(HELD_S * rate_hz)
-        self._thread: threading.Thread | None = None
+        self._thread: Joinable | None = None
         self._changed = threading.Condition()
         self._begin()
 
@@ -118,8 +122,7 @@ class SerialReader:
         self._begin()
         port = self._opener()
         port.reset_input_buffer()
-        self._thread = threading.Thread(target=self._drain, args=(port,), name=f"serial {self.name}", daemon=True)
-        self._thread.start()
+        self._thread = self.clock.background(self._drain(port), f"serial {self.name}")
         self._wait(lambda: self._newest >= 0, FIRST_S)
 
     def stop(self) -> None:
@@ -161,20 +164,24 @@ class SerialReader:
     def await_rows(self, counter: int, until_s: float) -> None:
         """Wait for the row before ``counter``, no longer than the monotonic clock's ``until_s``."""
         with self._changed:
-            self._changed.wait_for(lambda: self._newest >= counter or self._fault, max(0.0, until_s - time.monotonic()))
+            while self._newest < counter and not self._fault:
+                left_s = until_s - self.clock.monotonic_s()
+                if left_s <= 0.0 or not self.clock.wait(self._changed, left_s):
+                    return
 
     def _wait(self, ready: Callable[[], bool], patience_s: float = SILENCE_S) -> None:
         """Until ``ready``, or what keeps it from coming; silence is counted from the last frame."""
         with self._changed:
-            until, seen = time.monotonic() + patience_s, self._newest
+            until, seen = self.clock.monotonic_s() + patience_s, self._newest
             while not ready():
                 if self._thread is None:
                     raise BackendError("not started")
                 if self._fault:
                     raise BackendError(self._fault)
                 if self._newest != seen:
-                    until, seen = time.monotonic() + patience_s, self._newest
-                if not self._changed.wait(max(0.0, until - time.monotonic())) and time.monotonic() >= until:
+                    until, seen = self.clock.monotonic_s() + patience_s, self._newest
+                left_s = max(0.0, until - self.clock.monotonic_s())
+                if not self.clock.wait(self._changed, left_s) and self.clock.monotonic_s() >= until:
                     raise BackendError(self._silent(patience_s))
 
     def _silent(self, waited_s: float) -> str:
@@ -188,14 +195,15 @@ class SerialReader:
             why = "is the device running, and is it this port?"
         return f"serial DAQ {self.name}: no good frame for {waited_s:g} s; {why}"
 
-    def _drain(self, port: Port) -> None:
-        """The thread: read what is there, decode, hold."""
+    def _drain(self, port: Port) -> Iterator[None]:
+        """The thread: read what is there, decode, hold; it yields after each read."""
         fault = ""
         try:
             while not self._stopping and not fault:
                 frames = self._decoder.feed(port.read(max(1, port.in_waiting)))
                 if frames:
                     fault = self._keep(frames)
+                yield
         except (serial.SerialException, OSError) as error:
             fault = f"serial DAQ {self.name}: went away ({error}); check its cable, then resume the run"
         finally:
@@ -297,9 +305,8 @@ class SoundcardSerialBackend:
         # frames that the card skipped: so much of the drive was never played
         if heard.lost_before or len(heard.codes) < len(drive):
             flags |= BlockFlag.UNDERFLOW
-        block = Block(
-            self._given, codes, flags=flags, clock_ns=time.monotonic_ns(), lost_before=lost, place=first + self._whole
-        )
+        now_ns = self._reader.clock.monotonic_ns()
+        block = Block(self._given, codes, flags=flags, clock_ns=now_ns, lost_before=lost, place=first + self._whole)
         self._given += len(codes)
         return block
 
@@ -320,7 +327,7 @@ class SoundcardSerialBackend:
         begin = self._reader.position
         least = len(quiet) + len(marker) + len(quiet)
         found, played = None, 0
-        began_s, newest = time.monotonic(), self._reader.newest
+        began_s, newest = self._reader.clock.monotonic_s(), self._reader.newest
         while played + block <= len(playing) and (found is None or played < least):
             self._card.exchange(playing[played : played + block])
             played += block

@@ -10,12 +10,13 @@ from __future__ import annotations
 import gc
 import sys
 import threading
-import time
+from collections.abc import Callable
 
 import numpy as np
 
 from daq.clocks.clock_sync import find_marker, start_marker
 from daq.files.tables import Block, volts_per_code
+from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
 from rig.backends.card_ring import CardRing
@@ -43,6 +44,8 @@ class SoundcardBackend:
         Its ``[backend]`` names the card and its channels, ``[channels]`` their ranges.
     play_only
         Whether nothing is recorded: another device does that (`rig.backends.serial_daq`).
+    opener, clock
+        What opens the stream instead of PortAudio, and the machine's clock; a simulation has its own.
 
     Attributes
     ----------
@@ -56,7 +59,15 @@ class SoundcardBackend:
     simulated = False
     scenario_sha256: str | None = None
 
-    def __init__(self, profile: Profile, *, play_only: bool = False) -> None:
+    def __init__(
+        self,
+        profile: Profile,
+        *,
+        play_only: bool = False,
+        opener: Callable[..., CardStream] | None = None,
+        clock: Clock = SYSTEM,
+    ) -> None:
+        self._opener, self._clock = opener, clock
         table = card_options(profile.backend)
         wired = {} if play_only else table.inputs.wired(profile.channels)
         self.channels = tuple(wired)
@@ -83,7 +94,7 @@ class SoundcardBackend:
         self._ring.reset()
         self._flags = self._given = 0
         self._due = None
-        self._stream = open_stream(
+        self._stream = (self._opener or open_stream)(
             self._table.device, self.rate_hz, self._table.output, self._ring.n_inputs, self._ring.exchange, self._woke
         )
         try:
@@ -139,20 +150,20 @@ class SoundcardBackend:
         if stream is None:
             return
         self._ring.fade_out(round(FADE_S * self.rate_hz))
-        alive, until = self._calls(), time.monotonic() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
-        while alive and self._ring.at < self._ring.written and time.monotonic() < until:
+        alive, until = self._calls(), self._clock.monotonic_s() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
+        while alive and self._ring.at < self._ring.written and self._clock.monotonic_s() < until:
             alive = self._calls()
         stream.close(alive=alive)
 
     def _calls(self) -> bool:
         """Whether the driver calls within `SILENCE_S`."""
         self._changed.clear()
-        return self._changed.wait(SILENCE_S)
+        return self._clock.wait(self._changed, SILENCE_S)
 
     def _woke(self, flags: int) -> None:
         """Called after each callback, and with `BlockFlag` bits that the driver claims."""
         self._flags |= flags
-        self._woken = (self._ring.at, time.monotonic_ns())
+        self._woken = (self._ring.at, self._clock.monotonic_ns())
         self._changed.set()
 
     def _ns(self, frames: int) -> int:
@@ -161,14 +172,14 @@ class SoundcardBackend:
 
     def _await(self, frame: int, patience_s: float) -> None:
         """Until the card has reached ``frame``."""
-        until = time.monotonic() + patience_s
+        until = self._clock.monotonic_s() + patience_s
         while self._ring.known < frame:
             self._changed.clear()
             if self._ring.known >= frame:
                 break
             if self._stream is None or not self._stream.active:
                 raise BackendError(self._failed("the stream ended"))
-            if not self._changed.wait(0.05) and time.monotonic() > until:
+            if not self._clock.wait(self._changed, 0.05) and self._clock.monotonic_s() > until:
                 raise BackendError(self._failed(f"no samples for {patience_s:.2g} s"))
         if self._ring.at - frame > self._ring.size // 2:
             raise BackendError(self._failed("its samples were not taken for seconds"))

@@ -13,7 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from daq.clocks.loss_search import AtOnce, InThread
+from daq.clocks.loss_search import AtOnce
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block
 from kernels.arrays import Floats
@@ -35,8 +35,8 @@ class LossAccount:
         Column of the looped-back drive in a frame.
     scale
         Its ``(volts_per_code, offset_v)``.
-    threaded
-        Whether searches run in a thread: for a device, which does not wait.
+    searcher
+        Runs the searches: at once, or `daq.clocks.loss_search.InThread`, for a device, which does not wait.
 
     Attributes
     ----------
@@ -45,11 +45,11 @@ class LossAccount:
     """
 
     def __init__(
-        self, profile: Profile, drive_column: int, scale: tuple[float, float], *, threaded: bool = False
+        self, profile: Profile, drive_column: int, scale: tuple[float, float], searcher: AtOnce | None = None
     ) -> None:
         rate_hz = profile.sampling.rate_hz
         chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
-        self._finder = LossDetector(rate_hz, chunk, InThread() if threaded else AtOnce())
+        self._finder = LossDetector(rate_hz, chunk, searcher)
         self._column = drive_column
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)
         self.lag_samples = 0

@@ -7,16 +7,17 @@ zero while the device answers, and the recording is closed with the reason in it
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 
+from daq.clocks.loss_search import InThread
 from daq.files.tables import Block, note_rows
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import RecordingWriter
+from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Bools
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
@@ -48,6 +49,7 @@ def run_ramp(
     stop_request: StopRequest | None = None,
     programme: Programme | None = None,
     hold: BranchHold | None = None,
+    clock: Clock = SYSTEM,
 ) -> RunSummary:
     """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
 
@@ -67,6 +69,8 @@ def run_ramp(
         `rig.programme.ramp.plan` of the profile, where the caller has it already.
     hold
         What holds the ball on a branch, where it is to be held.
+    clock
+        The machine's, or that of a simulation.
 
     Returns
     -------
@@ -80,9 +84,9 @@ def run_ramp(
         Before anything moves, where the device's delay exceeds what the branch's multiplier allows.
     """
     instruments = replace(_Instruments.of(profile, backend, programme or plan(profile)), hold=hold)
-    watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest())
+    watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest(), clock)
     run = _Run(profile, backend, writer, instruments, watcher)
-    began = time.monotonic()
+    began = clock.monotonic_s()
     with writer:
         try:
             with Running(backend):
@@ -90,15 +94,16 @@ def run_ramp(
         except BackendError as error:
             run.end("failed", f"back end {backend.name}: {error}")
         writer.close(run.how, run.why, expected_samples=run.account.expected_samples)
-    return run.summary(time.monotonic() - began)
+    return run.summary(clock.monotonic_s() - began)
 
 
 @dataclass(frozen=True)
 class Watcher:
-    """The operator's side of a run: what is called after each block, and where a stop is asked for."""
+    """The operator's side of a run: what is called after each block, where a stop is asked for, and the time."""
 
     progress: Callable[[Status], None]
     stop_request: StopRequest
+    clock: Clock
 
 
 @dataclass(frozen=True)
@@ -152,7 +157,8 @@ class _Run:
         self._instruments, self._watcher = instruments, watcher
         self._sequencer, self._meter, self._interlock = instruments.sequencer, instruments.meter, instruments.interlock
         drive = backend.channels.index("drive")
-        self.account = LossAccount(profile, drive, backend.scales["drive"], threaded=not backend.simulated)
+        searcher = None if backend.simulated else InThread(watcher.clock)
+        self.account = LossAccount(profile, drive, backend.scales["drive"], searcher)
         self._metered = -1
         self._last_achieved = math.nan, math.nan
         self._touching: Bools | None = None
@@ -240,7 +246,7 @@ class _Run:
         self.flush()
         if self._recording:
             try:
-                self._writer.mark_rows("notes", note_rows(self._writer.n_samples, texts))
+                self._writer.mark_rows("notes", note_rows(self._writer.n_samples, texts, self._watcher.clock.unix_ns()))
             except OSError as error:
                 self._disk_failed(error)
 
@@ -249,9 +255,9 @@ class _Run:
         drive = self._interlock.clamp(self._sequencer.take(self._block))
         self.account.played(drive)
         self._device_lost = True  # until it has answered
-        asked = time.monotonic()
+        asked = self._watcher.clock.monotonic_s()
         block = self._backend.exchange(drive)
-        waited_s = time.monotonic() - asked
+        waited_s = self._watcher.clock.monotonic_s() - asked
         self._device_lost = False
         self._record(self.account.heard(block, len(drive)))
         circuit = self._interlock.circuit(block.codes)

@@ -99,7 +99,7 @@ def test_table_filtered_sorted_and_marked(server: str, browser: Any, folder: Pat
 def test_click_opens_and_zooms_to_a_single_contact(server: str, browser: Any, folder: Path) -> None:
     """A click opens the run; wheel, keys and drag lead from all of it to single samples and back."""
     writer = record(folder / "long.h5", gammas=(0.9,) * 40, close=False)
-    writer.mark_rows("notes", note_rows(15_000, ["a knock"]))
+    writer.mark_rows("notes", note_rows(15_000, ["a knock"], time.time_ns()))
     writer.close()
     noted_s = 15_000 / RATE_HZ
     browser.goto(f"{server}/runs")

@@ -27,7 +27,7 @@ def noted(tmp_path: Path) -> Path:
     """A recording with a note given before, two typed during the run, one added later, and a tag."""
     path = tmp_path / "noted.h5"
     writer = record(path, note=GIVEN, close=False)
-    writer.mark_rows("notes", note_rows(500, [DURING, LONG]))
+    writer.mark_rows("notes", note_rows(500, [DURING, LONG], 10**18))
     writer.close()
     assert bench("note", path, LATER).exit_code == 0 and bench("tag", path, "warm").exit_code == 0
     return path
@@ -41,7 +41,7 @@ def bench(*words: object):
 def test_a_long_note_is_kept_whole() -> None:
     """Notes of any length come back as they were typed, also several at once and of characters of many bytes."""
     texts = ["", "x", "y" * NOTE_BYTES, LONG, "\U0001f3b1" * 700, "x", "x"]
-    rows = note_rows(7, texts)
+    rows = note_rows(7, texts, 1)
     assert [(sample, text) for sample, _, text in notes_of_rows(rows)] == [(7, text) for text in texts]
 
 

@@ -18,6 +18,7 @@ from daq.files.tables import STEP_DTYPE, Block
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recorder.shared_ring import FOLDER, NAME, Ring, clear_left_behind
 from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.setup.clock import Clock
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -171,12 +172,21 @@ def test_a_recorder_that_never_writes_ends_the_run(tmp_path: Path, setup: Setup)
     assert (report.state, report.n_samples) == ("stopped", n) and n >= 4000
 
 
-def test_a_stepped_clock_moves_no_sample(tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The system's clock set back by a day in the middle of a run: samples and their times stay what they were."""
-    writer = RecordingWriter(tmp_path / "a.h5", setup, **OPTIONS)
+class SteppedClock(Clock):
+    """A machine whose wall clock is set while a run lasts."""
+
+    now_ns = 1_800_000_000 * 10**9
+
+    def unix_ns(self) -> int:
+        return self.now_ns
+
+
+def test_a_stepped_clock_moves_no_sample(tmp_path: Path, setup: Setup) -> None:
+    """The system's clock set back by years in the middle of a run: samples and their times stay what they were."""
+    clock = SteppedClock()
+    writer = RecordingWriter(tmp_path / "a.h5", setup, clock=clock, **OPTIONS)
     writer.append(Block(0, CODES[:1000], clock_ns=10**9))
-    monkeypatch.setattr("daq.recording.writer.now_utc", lambda: "2001-01-01T00:00:00.000000Z")
-    monkeypatch.setattr(time, "time", lambda: 1e9)
+    clock.now_ns = 10**18
     writer.append(Block(1000, CODES[1000:2000], clock_ns=2 * 10**9))
     writer.close("complete", expected_samples=2000)
     report = verify(tmp_path / "a.h5")

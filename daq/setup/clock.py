@@ -1,0 +1,63 @@
+"""Time, waiting and threads, as the machine has them: the seam at which a simulation takes their place.
+
+What measures or waits is given a `Clock`; the default is the machine's. Decision 460.
+"""
+
+from __future__ import annotations
+
+import collections
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import Protocol
+
+
+class Waitable(Protocol):
+    """`threading.Event`, or a `threading.Condition` that is held."""
+
+    def wait(self, timeout: float) -> bool: ...
+
+
+class Joinable(Protocol):
+    """What runs beside the caller until it ends."""
+
+    def join(self, timeout: float) -> None: ...
+
+
+class Clock:
+    """The machine's clocks and threads."""
+
+    def monotonic_ns(self) -> int:
+        """Nanoseconds that only grow."""
+        return time.monotonic_ns()
+
+    def monotonic_s(self) -> float:
+        """The same in seconds."""
+        return self.monotonic_ns() * 1e-9
+
+    def unix_ns(self) -> int:
+        """The wall clock, nanoseconds since 1970 (UTC)."""
+        return time.time_ns()
+
+    def sleep(self, seconds: float) -> None:
+        """Do nothing for a while."""
+        time.sleep(seconds)
+
+    def wait(self, changed: Waitable, seconds: float) -> bool:
+        """Wait for a change, no longer than ``seconds``; whether it came."""
+        return changed.wait(seconds)
+
+    def executor(self, name: str) -> Executor:
+        """One thread that takes work in order."""
+        return ThreadPoolExecutor(1, name)
+
+    def background(self, body: Iterator[None], name: str) -> Joinable:
+        """Run ``body``, which yields after each wait, to its end in a thread of its own."""
+        # a deque that holds nothing takes all that an iterator gives
+        thread = threading.Thread(target=collections.deque, args=(body, 0), name=name, daemon=True)
+        thread.start()
+        return thread
+
+
+SYSTEM = Clock()
