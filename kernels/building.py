@@ -22,10 +22,9 @@ from numba.extending import typeof_impl
 
 from kernels.emit import lanes
 from kernels.fingerprint import fingerprint_of_closure
-from kernels.kernel import Kernel
+from kernels.kernel import Kernel, watchers
 from kernels.lanes import Intrinsic
 from kernels.machine_code import Kept
-from kernels.watch import watchers
 
 TESTED = (0, 63), (0, 69)
 """numba's releases whose private interfaces were tried: from the first, up to and without the second."""

@@ -1,4 +1,4 @@
-"""Machine code of kernels: taken from the folder under the hash of everything that it is made of, else compiled.
+"""The decorator of kernels, and their machine code: taken from the folder by the hash of all it is made of, or built.
 
 numba's own cache looks at the file in which a function stands, not at the functions it calls, and so runs stale code
 after an edit of one of those. Here the name of a kept kernel is a hash of its bytecode and constants and those of every
@@ -14,22 +14,40 @@ import functools
 import hashlib
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from llvmlite import binding
-
-from kernels import folder, machine_code
-from kernels.arguments import Kind, text
+from kernels import folder
 from kernels.fingerprint import fingerprint
-from kernels.kernel import Function, Kernel
+from kernels.kernel import Function, Kernel, Kind, text
 
 DIGEST_BYTES = 32
 _one_at_a_time = threading.RLock()
 
 
+def njit(**options: Any) -> Callable[[Function], Any]:
+    """Compile a function at its first call, and keep the machine code for later processes.
+
+    Parameters
+    ----------
+    **options
+        As `numba.njit` takes them; ``cache`` has no effect: it is always on.
+
+    Returns
+    -------
+    callable
+        The decorator, which gives a `Kernel`; with ``NUMBA_DISABLE_JIT`` set, the function as it is.
+    """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return lambda function: function
+    return lambda function: Kernel(function, options, machine_code_of)
+
+
 def machine_code_of(kernel: Kernel, kinds: tuple[Kind, ...], arguments: tuple[Any, ...]) -> Function:
     """What runs ``kernel`` for arguments of the given kinds, of which ``arguments`` are an example."""
+    from kernels import machine_code  # an import of the program needs nothing of it
+
     with _one_at_a_time:
         name = _name(kernel, kinds)
         data = folder.read(name)
@@ -60,6 +78,8 @@ def _settings() -> tuple[object, ...]:
 @functools.cache
 def _machine() -> tuple[str, ...]:
     """The processor, and the hash of the sources that compile."""
+    from llvmlite import binding
+
     own = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         own.update(path.read_bytes())

@@ -16,6 +16,7 @@ from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
@@ -84,7 +85,7 @@ class Hypothesis:
         ``plate_ratio`` is that of plate data where it is another.
         """
         model, values = self.model, self.fitted.values
-        flights = rms_standardised(model, values, model.uncertainty(values))
+        flights = rms_standardised(model, values, uncertainty_at(model, values))
         return flights < ratio and plate_rms_standardised(model, values) < (plate_ratio or ratio)
 
     def passes(self, limits: Thresholds) -> bool:

@@ -20,7 +20,6 @@ from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
 from analysis.discovery.symbolic import FittedForm, search_forms
 from analysis.discovery.terms import label
 from analysis.parallel import THREADS
-from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import plate_effects
@@ -120,7 +119,7 @@ def discover(
         None where no term gains on held-out steps over the named effects and its constant. Of terms within chance of
         the best it is the one of least curvature.
     """
-    train, tables = fitter.train, covariates(model, explanation.fitted.values)
+    train, tables = fitter.train, model.covariates(explanation.fitted.values)
     found: list[RefinedTerm] = []
     # the effects of plate and instruments are held on to first, then all named ones
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())

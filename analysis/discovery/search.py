@@ -35,6 +35,7 @@ from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Cur
 from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import ParameterId, Values
 from analysis.residuals.whitening import Whitener
 from kernels.arrays import Bools, Floats
@@ -217,7 +218,7 @@ class TermSearch:
         """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
         observations = self.model.observations
         rows = observations.scored & self.train[observations.measured.step]
-        z = (landing_s / np.hypot(augmented.uncertainty(values).landing_total_s, LEAST_SIGMA_S))[rows]
+        z = (landing_s / np.hypot(uncertainty_at(augmented, values).landing_total_s, LEAST_SIGMA_S))[rows]
         return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:

@@ -9,6 +9,7 @@ from scipy.special import ndtri
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import excess_noise, log_odds, robust_loss
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
 from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
 from kernels.arrays import Bools, Floats, Integers
@@ -39,7 +40,7 @@ class StackedResiduals:
     @classmethod
     def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
         """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,)."""
-        observations, u = model.observations, model.uncertainty(values)
+        observations, u = model.observations, uncertainty_at(model, values)
         opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(observations.scored)
         event = np.concatenate([opening, landing])
         step = observations.measured.step[event]

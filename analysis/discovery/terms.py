@@ -253,7 +253,7 @@ class AugmentedModel(ForwardModel):
 
     def __init__(self, model: ForwardModel, curves: Sequence[Curve], dwell_s: Floats) -> None:
         super().__init__(model.observations, model.declared, like=model)
-        self.without, self.covariates = model, model.covariates
+        self.without, self.declared_covariates = model, model.declared_covariates
         self.curves, self.dwell_s = tuple(curves), np.nan_to_num(dwell_s)
 
     def rows(self, values: Values) -> Floats:

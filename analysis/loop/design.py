@@ -25,7 +25,8 @@ from daq.setup.values import STANDARD_GRAVITY_MPS2
 from kernels.arrays import Floats
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, registry
-from model.integrator.one_step import Measured, PlateSteps, simulate
+from model.integrator.one_step import simulate
+from model.integrator.problem import Measured, PlateSteps
 from model.tones import Plate
 
 STEPS = 14  # of a designed ramp

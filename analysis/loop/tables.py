@@ -16,8 +16,8 @@ from analysis.loop.result import (
     Source,
     StepTable,
 )
-from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
 from daq.recording import open_recording
 from daq.recording.identity import stored_id
@@ -47,12 +47,12 @@ def flight_table(model: ForwardModel, before: Values, after: Values) -> FlightTa
         model.from_rest,
         first,
         first if after == before else _predictions(model, after),
-        covariates(model, after),
+        model.covariates(after),
     )
 
 
 def _predictions(model: ForwardModel, values: Values) -> Predictions:
-    r, u = model.residuals(values), model.uncertainty(values)
+    r, u = model.residuals(values), uncertainty_at(model, values)
     return Predictions(
         r.predicted.opening_s,
         r.predicted.landing_s,

@@ -10,17 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kernels.arrays import Bools, Floats, Integers
-from model.integrator.one_step import PlateSteps
-
-if TYPE_CHECKING:
-    from analysis.residuals.forward_model import ForwardModel
-    from analysis.residuals.values import Values
-
+from analysis.residuals.observations import Observations
+from kernels.arrays import Bools, Complexes, Floats, Integers
+from model.integrator.problem import PlateSteps
 
 HEIGHT_POINTS = 33  # points of a flight in the search of its highest one
 
@@ -70,31 +65,32 @@ COVARIATES: Mapping[str, Covariate] = {
 }
 
 
-def covariates(model: ForwardModel, values: Values) -> dict[str, Floats]:
+def covariates_of(ev: Observations, late_s: tuple[Floats, Floats], reading: Complexes | Floats) -> dict[str, Floats]:
     """Covariates of every flight of the observations.
 
     Parameters
     ----------
-    model
+    ev
         The observations.
-    values
-        Fitted values, of which only the delays of edges and impacts and the accelerometer's response are used.
+    late_s
+        By how much later than they happened openings and landings were seen, (n,) each.
+    reading
+        What the accelerometer shows of each tone of the plate, relative to it, (m, k).
 
     Returns
     -------
     dict of arrays (n,)
         By the names of `COVARIATES`, SI units; NaN where the flight before is not known.
     """
-    ev = model.observations
+    gravity = ev.setup.g_mps2.value
     events, step = ev.measured, ev.measured.step
-    opening_late_s, landing_late_s = model.late_s(values)
-    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / model.reading(values))
+    plate = replace(ev.steps.plate, acceleration_mps2=ev.steps.plate.acceleration_mps2 / reading)
     before = np.maximum(np.arange(len(step)) - 1, 0)
     linked = events.linked
-    land, opening = events.landing_s - landing_late_s, events.opening_s - opening_late_s
+    land, opening = events.landing_s - late_s[1], events.opening_s - late_s[0]
     start = np.where(events.relaunched & linked, land[before], opening)
     lasts = land - start
-    launch, impact = _ends(model.gravity, plate, step, start, lasts, events.relaunched & linked)
+    launch, impact = _ends(gravity, plate, step, start, lasts, events.relaunched & linked)
     _, at_land, a_land = _plate(plate, step, land)
     _, at_start, _ = _plate(plate, step, start)
 
@@ -121,7 +117,7 @@ def covariates(model: ForwardModel, values: Values) -> dict[str, Floats]:
         "flight_s": lasts,
         "impact_mps": impact,
         "landing_phase_rad": _phase(plate, step, land),
-        "height_m": _height(model.gravity, plate, step, start, lasts, launch),
+        "height_m": _height(gravity, plate, step, start, lasts, launch),
         "plate_speed_at_landing_mps": at_land,
     }
 

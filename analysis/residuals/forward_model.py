@@ -1,7 +1,7 @@
-"""Forward model: parameter values to residuals one event ahead, and their uncertainty.
+"""Forward model: parameter values to residuals one event ahead.
 
-The uncertainty of a residual is that of the measured numbers (edges of this and the earlier flights, the plate's
-tones), propagated through the prediction; it is never taken from the scatter of residuals.
+The uncertainty of a residual (`analysis.residuals.uncertainty`) is that of the measured numbers (edges of this and the
+earlier flights, the plate's tones), propagated through the prediction; it is never taken from the scatter of residuals.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.residuals.covariates import COVARIATES, covariates
+from analysis.residuals.covariates import COVARIATES, covariates_of
 from analysis.residuals.memory import Memory
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_mode import Ringing
 from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
-from analysis.residuals.uncertainty import Uncertainty, uncertainty_at
 from analysis.residuals.values import (
     TREND,
     AllValues,
@@ -31,8 +30,8 @@ from analysis.residuals.values import (
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
-from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead
-from model.integrator.problem import columns_of
+from model.integrator.one_step import Predicted, one_ahead
+from model.integrator.problem import Detection, Measured, PlateSteps, columns_of
 from model.integrator.slopes import Slopes, slopes_of
 
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
@@ -101,7 +100,7 @@ class ForwardModel:
         self.from_rest = (
             observations.scored & ~observations.measured.relaunched
         )  # take-offs after a rest, as the circuit saw
-        self.covariates: dict[str, Floats] = {}  # computed where an effect follows one
+        self.declared_covariates: dict[str, Floats] = {}  # computed where an effect follows one
         of_steps = observations.steps.run_part[observations.measured.step]
         self._run_part_events = of_steps if observations.run_part is None else observations.run_part
 
@@ -132,9 +131,13 @@ class ForwardModel:
 
     def _covariate(self, name: str) -> Floats:
         """A quantity of each flight as measured, by the declared calibrations, (n,); NaN where it is not known."""
-        if not self.covariates:
-            self.covariates.update(covariates(self, {}))
-        return self.covariates[name]
+        if not self.declared_covariates:
+            self.declared_covariates.update(self.covariates({}))
+        return self.declared_covariates[name]
+
+    def covariates(self, values: Values) -> dict[str, Floats]:
+        """`covariates_of` the flights; of ``values`` only delays and the accelerometer's response matter."""
+        return covariates_of(self.observations, self.late_s(values), self.reading(values))
 
     def by_step(self, values: Values) -> dict[str, dict[str, Floats]]:
         """Parameters in each step, by effect and parameter, for the plate data."""
@@ -365,11 +368,6 @@ class ForwardModel:
         inexact = np.hypot(inexact, power_uncertainty(ev.plate, predicted))
         scale = ev.plate.sigma / np.hypot(ev.plate.sigma, inexact)
         return np.asarray(scale * (ev.plate.value - predicted))
-
-    def uncertainty(self, values: Values) -> Uncertainty:
-        """Uncertainty of the residuals at ``values``: that of edges and plate, carried through the prediction."""
-        values = self.start(values)
-        return self.memory.recall(("uncertainty", values.flying), lambda: uncertainty_at(self, values))
 
 
 @functools.cache

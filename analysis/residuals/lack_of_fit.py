@@ -20,10 +20,9 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from analysis.linear_algebra import cholesky, solve
-from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import near_grazing
-from analysis.residuals.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope
+from analysis.residuals.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope, uncertainty_at
 from analysis.residuals.values import Values
 from analysis.thresholds import (
     FARTHEST_SIGMAS,
@@ -103,9 +102,9 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
     limits
         Thresholds of the verdict: the covariate is named where its probability is below ``lack_p``.
     """
-    u = model.uncertainty(values)
+    u = uncertainty_at(model, values)
     found = innovations(model, values, u)
-    tables = covariates(model, values)
+    tables = model.covariates(values)
     logs = {name: _log_p_of_covariate(found, x) for name, x in tables.items()}
     first = min(logs, key=lambda name: logs[name])
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))

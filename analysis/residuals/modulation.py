@@ -22,7 +22,7 @@ from analysis.residuals.fitted_steps import intervals_of, tones_of, window_spans
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Complexes, Floats, Integers
-from model.integrator.one_step import PlateSteps
+from model.integrator.problem import PlateSteps
 
 FASTEST = 0.45  # highest frequency over the windows' rate: beyond, it is aliased
 FINENESS = 5.0  # frequencies tried in the inverse of a recording's length

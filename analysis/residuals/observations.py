@@ -29,7 +29,7 @@ from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
-from model.integrator.one_step import Measured, PlateSteps
+from model.integrator.problem import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2
 
 NOT_EVENTS = FlightFlag.FALSE

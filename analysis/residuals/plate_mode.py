@@ -17,7 +17,8 @@ from analysis.plate.phasors import signed_frequencies
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
 from kernels.arrays import Bools, Complexes, Floats, Integers
-from model.integrator.one_step import PlateSteps, Predicted
+from model.integrator.one_step import Predicted
+from model.integrator.problem import PlateSteps
 
 KNOWN = 0.99  # least part of a window's time in which the mode is followed
 LEAST = 1e-6  # least driven part of a tone

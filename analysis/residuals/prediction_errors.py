@@ -15,6 +15,7 @@ import numpy as np
 from analysis.linear_algebra import cholesky, inv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import log_odds, robust_loss
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import ParameterId
 from analysis.statistics import MAD_TO_SIGMA, chance_of_squares
 from analysis.thresholds import (
@@ -87,7 +88,7 @@ def near_grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bo
 
 def _grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
     ev = model.observations
-    total = model.uncertainty(values).landing_total_s
+    total = uncertainty_at(model, values).landing_total_s
     usual = GRAZING_RATIO * float(np.median(total[ev.scored])) if ev.scored.any() else np.inf
     base = model.predicted(values)
     out = total >= usual
@@ -147,7 +148,7 @@ def held_out_errors(
 
 def _lost(model: ForwardModel, values: Mapping[ParameterId, float], landing_s: Floats, rows: Integers) -> Bools:
     """Which landings (k,) are likelier to be outliers than missed by noise, in the likelihood of the fits."""
-    sigma = np.hypot(model.uncertainty(values).landing_total_s[rows], SHARED_S)
+    sigma = np.hypot(uncertainty_at(model, values).landing_total_s[rows], SHARED_S)
     odds = log_odds(sigma, model.observations.steps.plate.period_s[model.observations.measured.step[rows]])
     return np.asarray(robust_loss(landing_s / sigma) > -odds)
 
@@ -169,7 +170,7 @@ def noise_floors_us(model: ForwardModel, values: Mapping[ParameterId, float], ro
     tuple of float
         Of landings, and of the take-offs that were seen; NaN where there are none.
     """
-    u, from_rest = model.uncertainty(values), rows[model.from_rest[rows]]
+    u, from_rest = uncertainty_at(model, values), rows[model.from_rest[rows]]
     landing, opening = u.landing_total_s[rows], u.opening_total_s[from_rest]
     return _rms_us(landing), _rms_us(opening)
 
@@ -190,7 +191,7 @@ def noise_quantiles_us(
     tuple of float
         Of landings, and of the take-offs that were seen; 0 where there are none.
     """
-    u, from_rest, rng = model.uncertainty(values), rows[model.from_rest[rows]], np.random.default_rng(seed)
+    u, from_rest, rng = uncertainty_at(model, values), rows[model.from_rest[rows]], np.random.default_rng(seed)
     step = model.observations.measured.step
 
     def quantile(events: Integers, sigma: Floats, by_tone: Floats) -> float:
@@ -218,7 +219,7 @@ def landing_probability(
     The sum of their squares is that of correlated normal errors. The largest `OUTLIER_FRACTION` of the errors may be
     other events than those predicted, and is left out of both.
     """
-    u, r, step = model.uncertainty(values), model.residuals(values), model.observations.measured.step
+    u, r, step = uncertainty_at(model, values), model.residuals(values), model.observations.measured.step
     half = 0.5 * model.observations.steps.plate.period_s[step[rows]]
     missed = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
     order = np.argsort(np.abs(missed) / u.landing_total_s[rows])
@@ -267,7 +268,7 @@ def given_openings(
     A tone's error shifts all openings and landings of a step together. Where few steps are held out, one whose tones
     are two standard deviations off would decide; its openings tell that error, within its stated uncertainty.
     """
-    u, r, step = model.uncertainty(values), model.residuals(values), model.observations.measured.step
+    u, r, step = uncertainty_at(model, values), model.residuals(values), model.observations.measured.step
     half = 0.5 * model.observations.steps.plate.period_s
     rng, squares, noise, drawn = np.random.default_rng(seed), 0.0, 0.0, np.zeros(DRAWS)
     for s in np.unique(step[rows]):

@@ -11,7 +11,7 @@ import numpy as np
 
 from analysis.plate.motion import StepPlate
 from kernels.arrays import Floats
-from model.integrator.one_step import PlateSteps
+from model.integrator.problem import PlateSteps
 
 WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
 SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats, Integers
-from model.integrator.one_step import Measured
+from model.integrator.problem import Measured
 
 SHORT = 1.0 / 16.0  # of a cycle: a change of the drive as short as that is a correction at a launch
 NEAR = 1.0 / 8.0  # of a cycle, between a correction and the launch that it belongs to

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from analysis.residuals.forward_model import ForwardModel, Inputs
 from analysis.residuals.plate_mode import INEXACT
 from analysis.residuals.sample_rounding import rounding_errors
+from analysis.residuals.values import Values
 from kernels.arrays import Bools, Complexes, Floats, Integers
-from model.integrator.one_step import Measured, PlateSteps, Predicted, one_ahead
+from model.integrator.one_step import Predicted, one_ahead
+from model.integrator.problem import Measured, PlateSteps
 from model.integrator.slopes import Slopes
-
-if TYPE_CHECKING:
-    from analysis.residuals.forward_model import ForwardModel, Inputs
-    from analysis.residuals.values import Values
-
 
 Kicks = tuple[tuple[float, float], ...]
 
@@ -65,7 +63,13 @@ class Uncertainty:
 
 
 def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
-    """Uncertainty of the residuals of ``model`` at ``values``."""
+    """Uncertainty of the residuals of ``model`` at ``values``, from its memory where it was asked for before."""
+    point = model.start(values)
+    return model.memory.recall(("uncertainty", point.flying), lambda: _propagated(model, point))
+
+
+def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
+    """Uncertainty of edges and plate, carried through the prediction."""
     ev, base = model.observations, model.predicted(values)
     tones, kicks = _tone_changes(model, values), model.kicks(values)
     own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)

@@ -17,6 +17,7 @@ from scipy.optimize import minimize_scalar
 from analysis.linear_algebra import NotFiniteError, svd
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
 from analysis.statistics import mad_sigma
 from analysis.thresholds import (
@@ -76,7 +77,7 @@ class Whitener:
     @classmethod
     def _made(cls, model: ForwardModel, values: Values, lean: bool) -> Whitener:
         ev = model.observations
-        u, r = model.uncertainty(values), model.residuals(values)
+        u, r = uncertainty_at(model, values), model.residuals(values)
         opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(ev.scored)
         step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
         period = ev.steps.plate.period_s[step]

@@ -1,10 +1,16 @@
 """Sequential design on the simulated rig: run, analyse, choose the next run, until one hypothesis stands.
 
-The analysis reads only recordings; what the rig hides stays in the scenario file that only the back end reads.
+The analysis reads only recordings; what the rig hides stays in the scenario file, which only the process that makes a
+run (`bench ramp`) reads. Decision 448.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -78,12 +84,21 @@ def until_clear(
 
 def _made_run(profile: str, out: Path, scenario: Path | None, seed: int, quiet: bool) -> str:
     """Record the ramp of ``profile`` on the simulated rig; returns why it could not be made, empty where it could."""
-    from bench.jobs.run_ramp import make_backend, record
-    from rig.profile import parse_profile
-
-    try:
-        checked = parse_profile(profile, "next run")
-        summary = record(checked, profile, make_backend(checked, scenario=scenario, seed=seed), out, quiet=quiet)
-    except (InputError, OSError) as error:
-        return str(error)
-    return "" if summary.how == "complete" else f"{out}: the run was {summary.how}: {summary.why}"
+    with tempfile.TemporaryDirectory() as folder:
+        path, summary, errors = (Path(folder) / name for name in ("next_run.toml", "summary.json", "errors.txt"))
+        path.write_text(profile, encoding="utf-8", newline="")
+        words = ["ramp", str(path), "--out", str(out), "--seed", str(seed), "--json", str(summary)]
+        words += [] if scenario is None else ["--scenario", str(scenario)]
+        with errors.open("w+", encoding="utf-8") as stream:
+            shown = stream if quiet else None  # None: errors and display on this terminal
+            ramp = subprocess.Popen([sys.executable, "-m", "bench", *words], stdout=subprocess.DEVNULL, stderr=shown)
+            while ramp.returncode is None:
+                with contextlib.suppress(KeyboardInterrupt):  # goes to the ramp as well, which stops softly
+                    ramp.wait()
+        if ramp.returncode == 0:
+            return ""
+        if summary.exists():
+            ended = json.loads(summary.read_text(encoding="utf-8"))
+            return f"{out}: the run was {ended['how']}: {ended['why']}"
+        said = errors.read_text(encoding="utf-8", errors="replace").strip().removeprefix("error: ")
+        return said or f"{out}: could not be made, for the reason above"

@@ -16,6 +16,7 @@ from analysis.flights.classify import classify
 from analysis.flights.table import FlightFlag, Flights
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observed
+from analysis.residuals.uncertainty import uncertainty_at
 from daq.recording import Recording
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
@@ -95,7 +96,7 @@ def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[l
         model = ForwardModel(seen, resolve(recording.setup.declared_values()))
         row = np.minimum(np.searchsorted(flights.landing_s, seen.measured.landing_s - 1e-9), len(flights) - 1)[judged]
         residual[row] = model.residuals({}).landing_s[judged]
-        noise[row] = model.uncertainty({}).landing_total_s[judged]
+        noise[row] = uncertainty_at(model, {}).landing_total_s[judged]
     mark = np.where(flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE), DOUBTFUL, PLAIN)
     mark = np.where(flights.has(_POOR), POOR, mark).astype(np.uint8)
     labels, steps = {one.step: one.label for one in classify(flights)}, []

@@ -10,13 +10,13 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from kernels.watch import watchers
+from kernels.kernel import watchers
 
 Progress = Callable[[str, float], None]
 
 
 class _Compiling:
-    """Watcher of compilations (`kernels.watch`); kept kernels cause none.
+    """Watcher of compilations (`kernels.kernel.watchers`); kept kernels cause none.
 
     Parameters
     ----------

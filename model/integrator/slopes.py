@@ -21,9 +21,9 @@ from kernels.arrays import Floats
 from model.integrator import predict
 from model.integrator.flight import NODE_COLUMNS, flight, pull
 from model.integrator.hooks import dry_friction, force, rebound, takeoff_threshold
-from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, Problem
+from model.integrator.one_step import Predicted, Problem
 from model.integrator.plate import tones_at
-from model.integrator.problem import active, for_kernel
+from model.integrator.problem import Detection, Measured, PlateSteps, active, for_kernel
 from model.integrator.records import Acting, Chain, Events, Law, Mode, Plate, Steps, clear, clear_rows, compiled
 from model.integrator.takeoff import MOST_RESTITUTION
 from model.integrator.variation import (

@@ -12,9 +12,8 @@ from typing import Any
 
 from kernels import njit
 from rig.sim.forces import gravity, hang_margin, net, plate_acceleration, rebound, release_margin
-from rig.sim.rng import uniform
 from rig.sim.sensors import landing_edges, push_edge, ring_now
-from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN
+from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN, uniform
 
 ROCKING_MPS = 0.5
 """Impact speed that sets the block rocking by one unit."""

@@ -1,12 +1,15 @@
-"""Every effect the simulated rig can hide: names, parameters, units, and how strong is strong.
+"""Every effect the simulated rig can hide, as `effects.toml` lists them, and the rig around them.
 
-One table. The layout of the compiled plant's parameter record, the strictness of scenario
-files, the sealed draws and the documentation all come from it. A parameter at its neutral value does nothing.
+The layout of the compiled plant's parameter record, the strictness of scenario files, the sealed draws and the
+documentation all come from that file. A parameter at its neutral value does nothing. Decision 449.
 """
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -46,387 +49,46 @@ class EffectEntry:
     name : str
         Name used in scenario files.
     parameters : tuple of Parameter
-    in_words : str
+    words : str
         What it does.
     unit_us : float
         Microseconds by which one hundredth of the middle of the strong range typically moves the next landing or
         take-off (or what is as easily seen in another channel); strengths are drawn in these units.
     named : bool
         True where the effect has an agreed name among the candidates; False for effects beyond them.
-    term : str
-        What it changes: force, threshold, restitution, plate or sensor.
+    evaluated : str
+        What the plant evaluates of it between events: force, friction (that is not constant) or contact; else empty.
     covariate : str
         Where the effect is a smooth term of one covariate: which; else empty.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
-    in_words: str
+    words: str
     unit_us: float
     named: bool = True
-    term: str = "force"
+    evaluated: str = ""
     covariate: str = ""
 
 
-def _size(name: str, lo: float, hi: float, low: float = -np.inf, high: float = np.inf) -> Parameter:
-    return Parameter(name, (lo, hi), True, 0.0, low, high)
+def _read(tables: dict[str, dict[str, Any]], *, named: bool) -> tuple[EffectEntry, ...]:
+    """Entries of one part of the file; what is no table there belongs to the effect, each table is a parameter."""
+    found = []
+    for name, table in tables.items():
+        parameters = []
+        for key, row in ((k, x) for k, x in table.items() if isinstance(x, dict)):
+            low, high = row.get("limits", (row.get("least", 1e-12), np.inf))
+            parameters.append(Parameter(key, tuple(row["strong"]), "limits" in row, row.get("neutral", 0.0), low, high))
+        own = {key: x for key, x in table.items() if not isinstance(x, dict)}
+        found.append(EffectEntry(name, tuple(parameters), named=named, **own))
+    return tuple(found)
 
 
-def _shape(name: str, lo: float, hi: float, neutral: float, low: float = 1e-12) -> Parameter:
-    return Parameter(name, (lo, hi), False, neutral, low, np.inf)
+_TABLES = tomllib.loads(files(__package__).joinpath("effects.toml").read_text(encoding="utf-8"))
 
+NAMED: tuple[EffectEntry, ...] = _read(_TABLES["named"], named=True)
 
-def _named(name: str, unit_us: float, term: str, words: str, *parameters: Parameter) -> EffectEntry:
-    return EffectEntry(name, parameters, words, unit_us, True, term)
-
-
-def _beyond(name: str, unit_us: float, term: str, covariate: str, words: str, *parameters: Parameter) -> EffectEntry:
-    return EffectEntry(name, parameters, words, unit_us, False, term, covariate)
-
-
-NAMED: tuple[EffectEntry, ...] = (
-    _named(
-        "coulomb_friction",
-        37.0,
-        "force",
-        "dry friction on the rod, in units of the local weight, against motion relative to the plate",
-        _size("mu_up", 0.05, 0.3, 0.0, 2.0),
-        _size("mu_down", 0.05, 0.3, 0.0, 2.0),
-    ),
-    _named(
-        "stribeck_friction",
-        29.0,
-        "force",
-        "dry friction falling from its static to its kinetic value as speed grows",
-        _size("mu_static", 0.1, 0.3, 0.0, 2.0),
-        _size("mu_kinetic", 0.02, 0.08, 0.0, 2.0),
-        _shape("speed_mps", 0.02, 0.2, 1.0),
-    ),
-    _named(
-        "viscous_damping", 5.9, "force", "force against relative velocity", _size("rate_per_s", 1.0, 6.0, 0.0, 200.0)
-    ),
-    _named(
-        "quadratic_drag",
-        2.5,
-        "force",
-        "force against absolute velocity squared",
-        _size("k_per_m", 5.0, 30.0, 0.0, 200.0),
-    ),
-    _named(
-        "restitution",
-        20.0,
-        "restitution",
-        "rebound e = e0 - e1 v, v the impact speed relative to the plate",
-        _size("e0", 0.1, 0.55, 0.0, 0.99),
-        _size("e1_s_per_m", 0.0, 0.15, -2.0, 2.0),
-    ),
-    _named(
-        "adhesion",
-        5.8,
-        "threshold",
-        "extra pull in contact that is gone once they part",
-        _size("pull_g", 0.05, 0.3, 0.0, 5.0),
-    ),
-    _named(
-        "position_force",
-        16.0,
-        "force",
-        "spring towards the plate, and a magnet whose pull decays with height",
-        _size("spring_per_s2", 50.0, 300.0, -10000.0, 10000.0),
-        _size("magnet_g", 0.0, 0.1, -2.0, 2.0),
-        _shape("range_m", 0.001, 0.005, 1.0),
-    ),
-    _named(
-        "local_gravity",
-        14.6,
-        "force",
-        "gravity differs from the standard one",
-        _size("relative", 0.02, 0.08, -0.5, 0.5),
-    ),
-    _named(
-        "table_resonance",
-        7.6,
-        "plate",
-        "a slow mode of the whole shaker, driven by the impacts and the ball's weight",
-        _shape("frequency_hz", 4.0, 12.0, 5.0),
-        _shape("damping", 0.02, 0.1, 0.05),
-        _size("mass_ratio", 0.01, 0.04, 0.0, 1.0),
-    ),
-    _named("drive_gain", 22.0, "plate", "the amplifier's gain is off", _size("relative", 0.03, 0.12, -0.9, 5.0)),
-    _named(
-        "gain_compression",
-        32.0,
-        "plate",
-        "gain falls with the drive's mean square",
-        _size("per_v2", 0.05, 0.2, 0.0, 10.0),
-    ),
-    _named(
-        "phase_lag", 8.8, "plate", "first-order lag of the shaker", _size("time_constant_s", 0.0002, 0.001, 0.0, 0.02)
-    ),
-    _named(
-        "harmonic_distortion",
-        8.0,
-        "plate",
-        "the amplifier bends: second and third harmonics",
-        _size("second_per_v", 0.01, 0.04, -1.0, 1.0),
-        _size("third_per_v2", 0.01, 0.04, -1.0, 1.0),
-    ),
-    _named(
-        "mains_hum",
-        3.0,
-        "plate",
-        "motion of the plate at the mains frequency",
-        _size("amplitude_g", 0.03, 0.12, 0.0, 5.0),
-        _shape("frequency_hz", 49.95, 50.05, 50.0),
-        _shape("phase_rad", 0.0, 6.28, 0.0, 0.0),
-    ),
-    _named(
-        "amplitude_modulation",
-        10.0,
-        "plate",
-        "the drive's amplitude breathes",
-        _size("depth", 0.02, 0.08, 0.0, 0.9),
-        _shape("frequency_hz", 0.3, 2.0, 1.0),
-    ),
-    _named(
-        "accelerometer_gain",
-        22.0,
-        "sensor",
-        "the accelerometer's scale is off",
-        _size("relative", 0.03, 0.1, -0.9, 5.0),
-    ),
-    _named(
-        "accelerometer_offset",
-        35.0,
-        "sensor",
-        "the accelerometer's zero is off",
-        _size("offset_g", 0.05, 0.3, -20.0, 20.0),
-    ),
-    _named(
-        "contact_latency",
-        5.0,
-        "sensor",
-        "the contact circuit reports both edges late",
-        _size("delay_s", 0.0002, 0.0008, 0.0, 0.02),
-    ),
-    _named(
-        "accelerometer_lag",
-        5.0,
-        "sensor",
-        "low-pass of first order in the accelerometer",
-        _size("time_constant_s", 0.0002, 0.0008, 0.0, 0.02),
-    ),
-    _named(
-        "accelerometer_high_pass",
-        5.0,
-        "sensor",
-        "high-pass of first order in the accelerometer's amplifier",
-        _size("corner_hz", 0.5, 2.0, 0.0, 20.0),
-    ),
-    _named(
-        "mains_pickup",
-        3.0,
-        "sensor",
-        "the accelerometer's cable picks up the mains",
-        _size("amplitude_g", 0.05, 0.15, 0.0, 5.0),
-        _shape("frequency_hz", 49.95, 50.05, 50.0),
-        _shape("phase_rad", 0.0, 6.28, 0.0, 0.0),
-    ),
-    _named(
-        "contact_gap", 20.0, "sensor", "the circuit opens only at this height", _size("gap_m", 1e-07, 5e-07, 0.0, 0.001)
-    ),
-    _named(
-        "clock_error",
-        3.3,
-        "sensor",
-        "the card's true rate differs from its nominal one",
-        _size("relative", 0.002, 0.01, -0.1, 0.1),
-    ),
-    _named(
-        "mass_loading", 14.6, "plate", "the ball in contact loads the table", _size("mass_ratio", 0.02, 0.08, 0.0, 1.0)
-    ),
-    _named(
-        "contact_closure",
-        6.0,
-        "sensor",
-        "an impact keeps the circuit closed for a while",
-        _size("duration_s", 0.0002, 0.001, 0.0, 0.01),
-    ),
-)
-
-BEYOND: tuple[EffectEntry, ...] = (
-    _beyond(
-        "height_friction",
-        4.6,
-        "force",
-        "height",
-        "friction grows with height",
-        _size("mu_per_m", 20.0, 60.0, 0.0, 1000.0),
-    ),
-    _beyond(
-        "velocity_friction",
-        13.0,
-        "force",
-        "velocity",
-        "friction has a hump at one speed",
-        _size("mu", 0.1, 0.3, 0.0, 2.0),
-        _shape("centre_mps", 0.1, 0.25, 1.0),
-        _shape("width_mps", 0.05, 0.1, 1.0),
-    ),
-    _beyond(
-        "latch_force",
-        5.0,
-        "force",
-        "height",
-        "a magnet on the rod pulls back above a height",
-        _size("pull_g", 0.05, 0.2, -2.0, 2.0),
-        _shape("height_m", 0.001, 0.003, 1.0),
-        _shape("width_m", 0.0002, 0.001, 1.0),
-    ),
-    _beyond(
-        "level_friction",
-        50.0,
-        "force",
-        "gamma",
-        "friction grows with the level of the drive",
-        _size("mu_per_v2", 0.1, 0.4, 0.0, 10.0),
-    ),
-    _beyond(
-        "warming_force",
-        21.0,
-        "force",
-        "time in run",
-        "a downward pull that builds up as the rig warms, and saturates",
-        _size("pull_g", 0.05, 0.2, -2.0, 2.0),
-        _shape("time_constant_s", 5.0, 20.0, 1.0),
-    ),
-    _beyond(
-        "charge_force",
-        21.0,
-        "force",
-        "previous flight",
-        "a pull set by how long the previous flight rubbed the rod",
-        _size("pull_g", 0.05, 0.2, -2.0, 2.0),
-        _shape("flight_s", 0.02, 0.05, 1.0),
-    ),
-    _beyond(
-        "ageing_threshold",
-        5.6,
-        "threshold",
-        "dwell time",
-        "the stick threshold grows with the time spent in contact",
-        _size("pull_g", 0.2, 0.8, 0.0, 5.0),
-        _shape("time_constant_s", 0.002, 0.02, 1.0),
-    ),
-    _beyond(
-        "impact_restitution",
-        20.0,
-        "restitution",
-        "impact speed",
-        "rebound only around one impact speed",
-        _size("e", 0.1, 0.4, 0.0, 0.95),
-        _shape("centre_mps", 0.2, 0.4, 1.0),
-        _shape("width_mps", 0.05, 0.15, 1.0),
-    ),
-    _beyond(
-        "memory_restitution",
-        20.0,
-        "restitution",
-        "previous flight",
-        "rebound grows with the previous flight's length",
-        _size("e", 0.1, 0.4, 0.0, 0.95),
-        _shape("flight_s", 0.02, 0.05, 1.0),
-    ),
-    _beyond(
-        "acceleration_restitution",
-        20.0,
-        "restitution",
-        "plate acceleration",
-        "rebound grows with the plate's acceleration at impact",
-        _size("e", 0.1, 0.4, 0.0, 0.95),
-        _shape("scale_g", 1.0, 3.0, 1.0),
-    ),
-    _beyond(
-        "recovery_friction",
-        21.0,
-        "force",
-        "time since impact",
-        "friction high just after an impact, then decaying",
-        _size("mu", 0.1, 0.4, 0.0, 2.0),
-        _shape("time_constant_s", 0.005, 0.02, 1.0),
-    ),
-    _beyond(
-        "air_cushion",
-        7.0,
-        "force",
-        "",
-        "squeezed air resists motion near the plate",
-        _size("rate_per_s", 20.0, 100.0, 0.0, 5000.0),
-        _shape("height_m", 5e-05, 0.0003, 1.0),
-    ),
-    _beyond(
-        "oil_film",
-        21.0,
-        "force",
-        "",
-        "a film holds the ball back as it leaves, the more the faster",
-        _size("pull_g", 0.3, 1.5, 0.0, 20.0),
-        _shape("height_m", 5e-05, 0.0002, 1.0),
-        _shape("speed_mps", 0.01, 0.05, 1.0),
-    ),
-    _beyond(
-        "rod_rocking",
-        30.0,
-        "force",
-        "",
-        "impacts set the block rocking on the rod, which modulates friction until it dies out",
-        _size("mu", 0.2, 0.6, 0.0, 3.0),
-        _shape("frequency_hz", 30.0, 90.0, 50.0),
-        _shape("decay_s", 0.02, 0.08, 1.0),
-    ),
-    _beyond(
-        "alternate_seat",
-        7.0,
-        "force",
-        "",
-        "two seats taken in turn: friction after every other impact only",
-        _size("mu", 0.05, 0.25, 0.0, 2.0),
-    ),
-    _beyond(
-        "rod_angle_friction",
-        22.0,
-        "force",
-        "",
-        "the block turns slowly about the rod, which is rough on one side",
-        _size("mu", 0.1, 0.3, 0.0, 2.0),
-        _shape("period_s", 1.0, 5.0, 1.0),
-    ),
-    _beyond(
-        "impact_hold",
-        60.0,
-        "threshold",
-        "",
-        "a soft table holds the ball for a time set by the impact speed",
-        _size("hold_s_per_mps", 0.01, 0.05, 0.0, 1.0),
-    ),
-    _beyond(
-        "worn_bearing",
-        30.0,
-        "force",
-        "",
-        "friction appears at one moment of the run",
-        _size("mu", 0.05, 0.25, 0.0, 2.0),
-        _shape("since_s", 5.0, 15.0, 1.0),
-    ),
-    _beyond(
-        "scattered_restitution",
-        20.0,
-        "restitution",
-        "",
-        "rebound drawn anew at each impact, from nothing to this",
-        _size("e", 0.1, 0.4, 0.0, 0.95),
-    ),
-)
+BEYOND: tuple[EffectEntry, ...] = _read(_TABLES["beyond"], named=False)
 
 EFFECTS: dict[str, EffectEntry] = {entry.name: entry for entry in (*NAMED, *BEYOND)}
 """All effects by name (`parameter_drift` is a modifier of these, see `rig.sim.scenario`)."""

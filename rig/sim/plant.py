@@ -19,10 +19,9 @@ from rig.sim.catalogue import RIG_DEFAULTS
 from rig.sim.drive_chain import drive_plate
 from rig.sim.forces import G_MPS2, gravity, plate_acceleration
 from rig.sim.instrument import SECTIONS, SUBSTEPS, Converter, sections, shown_acceleration
-from rig.sim.rng import small_noise
 from rig.sim.scenario import Scenario
 from rig.sim.sensors import run_circuit
-from rig.sim.state import FLIGHT, initial_state
+from rig.sim.state import FLIGHT, initial_state, small_noise
 
 CHANNELS = ("continuity", "accelerometer", "drive", "displacement")
 """Channels in the order of a frame; the last is recorded where the rig has a displacement sensor."""

@@ -26,17 +26,6 @@ DRIFT = "parameter_drift"
 
 DRIFT_DTYPE = np.dtype([("place", "i8"), ("base", "f8"), ("rate_per_s", "f8"), ("low", "f8"), ("high", "f8")])
 
-_UNUSUAL_FRICTION = (
-    "stribeck_friction", "height_friction", "velocity_friction", "level_friction", "recovery_friction", "rod_rocking",
-    "rod_angle_friction", "alternate_seat", "worn_bearing",
-)  # fmt: skip
-_FORCES = (
-    "viscous_damping", "quadratic_drag", "position_force", "latch_force", "warming_force", "charge_force",
-    "air_cushion", "oil_film",
-)  # fmt: skip
-
-_NOT_SIMPLE = ("adhesion", "ageing_threshold", "impact_hold", "mass_loading")
-
 
 @dataclass(frozen=True)
 class Scenario:
@@ -101,13 +90,14 @@ class Scenario:
             given = self.effects.get(entry.name, {})
             for parameter in entry.parameters:
                 params[f"{entry.name}_{parameter.name}"] = given.get(parameter.name, parameter.neutral)
-        unusual, forced = self._has(*_UNUSUAL_FRICTION), self._has(*_FORCES)
+        evaluated = {EFFECTS[name].evaluated for name in self.effects}
+        unusual, forced = "friction" in evaluated, "force" in evaluated
         params["has_unusual_friction"], params["has_force"] = unusual, forced
         params["has_friction"] = unusual or self._has("coulomb_friction")
         params["has_hold"], params["has_mode"] = self._has("impact_hold"), self._has("table_resonance")
         params["has_front"] = any(params[key][0] != 0.0 for key in ANALOGUE)
         ballistic = not (unusual or forced or self._has("table_resonance"))
-        params["is_ballistic"], params["is_simple"] = ballistic, ballistic and not self._has(*_NOT_SIMPLE)
+        params["is_ballistic"], params["is_simple"] = ballistic, ballistic and "contact" not in evaluated
         places = {name: place for place, name in enumerate(dtype.names or ())}
         drift = np.zeros(len(self.drift_per_minute), DRIFT_DTYPE)
         for row, (dotted, per_minute) in enumerate(self.drift_per_minute.items()):

@@ -10,8 +10,7 @@ import math
 from typing import Any
 
 from kernels import njit
-from rig.sim.rng import uniform
-from rig.sim.state import BOUNCE_CLOSE, BOUNCE_OPEN, CLOSE, EDGE_CAPACITY, HIT_CAPACITY, OPEN
+from rig.sim.state import BOUNCE_CLOSE, BOUNCE_OPEN, CLOSE, EDGE_CAPACITY, HIT_CAPACITY, OPEN, uniform
 
 
 @njit()

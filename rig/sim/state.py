@@ -1,17 +1,26 @@
 """Layout of the compiled plant's state: everything carried from one sample to the next.
 
-A block boundary is invisible, so whatever a later sample needs is a field of this record.
+A block boundary is invisible, so whatever a later sample needs is a field of this record. So are the counters of the
+random numbers, SplitMix64 words from keys drawn off the passed generator: a number depends on its key and counter only.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+
+from kernels import njit
 
 EDGE_CAPACITY = 64
 HIT_CAPACITY = 16
 
 CONTACT, FLIGHT, HANGING = 0, 1, 2
 OPEN, CLOSE, BOUNCE_OPEN, BOUNCE_CLOSE = 0, 1, 2, 3
+
+_GOLDEN, _MIX_1, _MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_HALF_WORD = np.uint64(0xFFFF)
+_FOUR_UNIFORMS_MEAN, _FOUR_UNIFORMS_SD = 131070.0, 37837.2
 
 _FLOATS = (
     "t_s",  # time at the start of the interval
@@ -85,3 +94,27 @@ def initial_state(noise_key: int, event_key: int, start_s: float) -> np.ndarray:
     state["closed"] = 1
     state["left_s"] = state["landed_s"] = state["contact_since_s"] = state["closed_s"] = -1.0
     return state
+
+
+@njit()
+def _word(counter: Any) -> Any:
+    """64 well mixed bits (Steele, Lea and Flood 2014, SplitMix64)."""
+    z = counter * _GOLDEN
+    z = (z ^ (z >> np.uint64(30))) * _MIX_1
+    z = (z ^ (z >> np.uint64(27))) * _MIX_2
+    return z ^ (z >> np.uint64(31))
+
+
+@njit()
+def small_noise(counter: Any) -> float:
+    """Noise of unit variance, the sum of four uniforms: for channels whose noise is a few codes."""
+    z = _word(counter)
+    total = (z & _HALF_WORD) + ((z >> np.uint64(16)) & _HALF_WORD) + ((z >> np.uint64(32)) & _HALF_WORD)
+    return (float(total + (z >> np.uint64(48))) - _FOUR_UNIFORMS_MEAN) / _FOUR_UNIFORMS_SD
+
+
+@njit()
+def uniform(s: Any) -> float:
+    """The next number in [0, 1) of the plant's events (contact bounce, scattered rebounds)."""
+    s.event_counter += np.uint64(1)
+    return float(_word(s.event_counter) >> np.uint64(11)) * 2.0**-53

@@ -22,7 +22,7 @@ from daq.files.tables import Block, step_row
 from daq.recording import RecordingWriter
 from daq.setup.setup import Ball, Forcing, Setup
 from kernels.arrays import Bools
-from model.integrator.one_step import Measured, PlateSteps
+from model.integrator.problem import Measured, PlateSteps
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 

@@ -67,8 +67,8 @@ print(InputTable().wired(setup.channels)["force"])
 
 
 def test_the_how_to_for_hiding_an_effect_hides_one(tmp_path: Path) -> None:
-    """With three edits the ball is pushed up above the edge, by what the scenario says, in every interval."""
-    assert len(edited_copy("hide-an-effect.md", tmp_path)) == 3
+    """With two edits the ball is pushed up above the edge, by what the scenario says, in every interval."""
+    assert len(edited_copy("hide-an-effect.md", tmp_path)) == 2
     without, hidden = run_in(tmp_path, HIDDEN)
     assert without[:2] == [1.0, 1.0]
     assert hidden[:2] == [0.0, 0.0]

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from kernels import building, compiler, folder, njit
-from kernels.kernel import Kernel
 
 
 @njit()
@@ -192,7 +191,7 @@ def test_a_release_of_numba_that_was_not_tried_compiles_plainly(monkeypatch: pyt
     for cache in caches:
         cache.cache_clear()
     try:
-        plain = Kernel(total.py_func, total.targetoptions)
+        plain = njit(**total.targetoptions)(total.py_func)
         assert plain(values) == own
         with pytest.raises(ValueError, match="zero"):
             plain(np.array([0.0]))

@@ -16,7 +16,6 @@ from analysis.discovery.search import SCREENING_TAILS, TermSearch
 from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
-from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import held_out_errors, scored_rows
 from analysis.residuals.values import ParameterId
@@ -52,7 +51,7 @@ def unexplained(model: ForwardModel, fitter: Fitter) -> Hypothesis:
 def search_of(model: ForwardModel, fitter: Fitter) -> TermSearch:
     """A search beside nothing."""
     explanation = unexplained(model, fitter)
-    tables = covariates(model, explanation.fitted.values)
+    tables = model.covariates(explanation.fitted.values)
     return TermSearch(model, fitter, explanation, (), tables)
 
 

@@ -9,7 +9,6 @@ from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.search import TermSearch
 from analysis.discovery.symbolic import search_forms
 from analysis.discovery.terms import IN_FLIGHT, Curve, ranges_of
-from analysis.residuals.covariates import covariates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN
@@ -26,7 +25,7 @@ def test_the_law_of_a_spring_is_recovered(
     whitener = Whitener.of(model, {})
     fitted = fitter.fit(whitener, (), {})
     nothing = Hypothesis((), fitted, whitener, fitted.held_out(whitener))
-    tables = covariates(model, fitted.values)
+    tables = model.covariates(fitted.values)
     search = TermSearch(model, fitter, nothing, (), tables)
     term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
     found = search.refine(Curve.even(term, ranges_of(tables, model.observations.scored)[term.of], 5))

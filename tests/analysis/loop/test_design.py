@@ -16,7 +16,7 @@ from daq.channels.accelerometer import AccelerometerChannel
 from daq.channels.registry import Channels
 from daq.setup.setup import Ball, Forcing, Setup
 from kernels.arrays import Bools
-from model.integrator.one_step import Measured, PlateSteps
+from model.integrator.problem import Measured, PlateSteps
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.2, ("coulomb_friction", "mu_down"): 0.2}
 

@@ -11,7 +11,8 @@ import pytest
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import held_out_errors, near_grazing, noise_floors_us, scored_rows
 from model.effects.registry import row
-from model.integrator.one_step import Detection, Measured, PlateSteps, one_ahead, simulate
+from model.integrator.one_step import one_ahead, simulate
+from model.integrator.problem import Detection, Measured, PlateSteps
 from model.integrator.takeoff import RESOLVED_S
 from model.tones import Plate
 

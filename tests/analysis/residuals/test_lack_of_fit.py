@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.residuals.covariates import COVARIATES, covariates
+from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, innovations
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.thresholds import FROZEN
 
 MU = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
@@ -37,7 +38,7 @@ def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., Forwa
 def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., ForwardModel]) -> None:
     """An edge enters the next predictions: neighbours are correlated before, not after."""
     model = fly_ramp(MU, 2)
-    found = innovations(model, MU, model.uncertainty(MU))
+    found = innovations(model, MU, uncertainty_at(model, MU))
     assert np.std(found.z) == pytest.approx(1.0, abs=0.1)
     together = found.step[1:] == found.step[:-1]
     lagged = np.corrcoef(found.z[:-1][together], found.z[1:][together])[0, 1]
@@ -47,8 +48,8 @@ def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., Fo
 def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Landings late in proportion to the time in the run, half an uncertainty at its ends: so much is seen."""
     model = fly_ramp(MU, 3)
-    ev, total = model.observations, model.uncertainty(MU).landing_total_s
-    time = covariates(model, MU)["time_in_run_s"]
+    ev, total = model.observations, uncertainty_at(model, MU).landing_total_s
+    time = model.covariates(MU)["time_in_run_s"]
     part = (time - time.mean()) / np.ptp(time)
     late = ev.measured.landing_s + 2.5 * total * part
     slanted = ForwardModel(replace(ev, measured=replace(ev.measured, landing_s=late)), {})

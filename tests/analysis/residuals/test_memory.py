@@ -14,6 +14,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.memory import Memory
 from analysis.residuals.noise_model import EXCESSES_S, excess_noise, log_odds, robust_loss
 from analysis.residuals.plate_observables import expected
+from analysis.residuals.uncertainty import uncertainty_at
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 PLATE = {("drive_gain", "relative"): 0.02, ("phase_lag", "delay_s"): 1e-4, ("drive_gain", "relative@drift"): 0.01}
@@ -65,7 +66,7 @@ def test_no_flight_is_flown_for_what_touches_the_plate_alone(fly_ramp: Callable[
     """A drive's gain or lag leaves prediction and uncertainty the very objects they were, a friction does not."""
     model = fly_ramp(FRICTION, 1)
     assert model.predicted({**FRICTION, **PLATE}) is model.predicted(FRICTION)
-    assert model.uncertainty({**FRICTION, **PLATE}) is model.uncertainty(FRICTION)
+    assert uncertainty_at(model, {**FRICTION, **PLATE}) is uncertainty_at(model, FRICTION)
     assert model.predicted({}) is not model.predicted(FRICTION)
 
 

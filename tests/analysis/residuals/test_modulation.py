@@ -13,11 +13,13 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.plate_observables import HUM, MODULATION, PlateData
+from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import FROZEN
 from kernels.arrays import Complexes, Floats
 from model.effects.registry import row
-from model.integrator.one_step import Measured, PlateSteps, one_ahead
+from model.integrator.one_step import one_ahead
+from model.integrator.problem import Measured, PlateSteps
 
 G = 9.80665
 FORCING_HZ = 25.37
@@ -192,7 +194,7 @@ def test_a_hidden_modulation_explains_plate_and_landings(make, hz: float) -> Non
     assert found[0] == pytest.approx(hz, abs=0.02)
     assert found[1] == pytest.approx(0.03, rel=0.05)
     values = dict(zip(DEEP, (found[1], hz), strict=True))
-    before, after, sigma = model.residuals({}), model.residuals(values), model.uncertainty(values).landing_total_s
+    before, after, sigma = model.residuals({}), model.residuals(values), uncertainty_at(model, values).landing_total_s
     assert np.sqrt(np.mean((after.plate[rows] / observations.plate.sigma[rows]) ** 2)) < 1.25
     judged = observations.scored & np.isfinite(after.landing_s) & np.isfinite(before.landing_s)
     miss = [np.median(np.abs(r.landing_s[judged] / sigma[judged])) for r in (before, after)]

@@ -9,7 +9,8 @@ from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.plate_mode import IntervalSums, Ringing, driven
 from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from kernels.arrays import Floats
-from model.integrator.one_step import PlateSteps, Predicted
+from model.integrator.one_step import Predicted
+from model.integrator.problem import PlateSteps
 
 FORCING_HZ, RING_HZ, DECAY_PER_S = 25.37, 9.1, 6.0
 CYCLES, POINTS, WINDOWS = 20, 20_000, 9

@@ -17,6 +17,7 @@ from analysis.residuals.prediction_errors import (
     noise_quantiles_us,
     scored_rows,
 )
+from analysis.residuals.uncertainty import uncertainty_at
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 
@@ -31,7 +32,7 @@ def test_the_floor_is_what_a_true_model_misses_by(fly_ramp: Callable[..., Forwar
         landing.append(errors.landing_rms_us / floors[0])
         opening.append(errors.takeoff_rms_us / floors[1])
         assert errors.landing_rms_us_low < errors.landing_rms_us < errors.landing_rms_us_high
-        own = model.uncertainty(FRICTION).landing_sigma_s[rows]
+        own = uncertainty_at(model, FRICTION).landing_sigma_s[rows]
         assert floors[0] > 1e6 * np.sqrt(np.mean(own**2))  # the plate's tones add to the edges
     assert np.mean(landing) == pytest.approx(1.0, abs=0.1)
     assert np.mean(opening) == pytest.approx(1.0, abs=0.1)

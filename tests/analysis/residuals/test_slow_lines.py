@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.residuals.slow_lines import clustered, other_lines_radps
-from model.integrator.one_step import PlateSteps
+from model.integrator.problem import PlateSteps
 
 
 def test_a_line_counts_where_several_steps_show_it() -> None:

@@ -4,12 +4,10 @@ from pathlib import Path
 
 import pytest
 
-import bench.jobs.run_ramp
 import bench.profiles.next_run
 from analysis.loop.design import Design, Ranked
 from analysis.loop.result import ClosedLoop
 from bench.jobs import adaptive_runs
-from daq.setup.errors import InputError
 
 
 class Simulated:
@@ -25,20 +23,14 @@ class Simulated:
 
 
 def test_a_failed_run_keeps_the_verdict_before_it(closed_loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop closed before the failing run comes back with the reason, instead of an exception."""
+    """The loop closed before a run that cannot be driven comes back with the reason, instead of an exception."""
     ranked = Ranked(Design("ratio_2", "c = 2", 2, (0.3, 0.5)), 90.0, ("restitution",))
-
-    def fails(*_: object, **__: object) -> None:
-        raise InputError("no space left on device")
 
     monkeypatch.setattr("daq.recording.open_recording", lambda path: Simulated())
     monkeypatch.setattr(adaptive_runs, "fit_loop", lambda *a, **k: (closed_loop, None))
     monkeypatch.setattr(bench.profiles.next_run, "possible_runs", lambda *a: [ranked])
     monkeypatch.setattr(bench.profiles.next_run, "profile_of", lambda text, design: text)
-    monkeypatch.setattr(bench.profiles.next_run, "profile_text", lambda path: "")
-    monkeypatch.setattr("rig.profile.parse_profile", lambda *a: None)
-    monkeypatch.setattr(bench.jobs.run_ramp, "make_backend", lambda *a, **k: None)
-    monkeypatch.setattr(bench.jobs.run_ramp, "record", fails)
+    monkeypatch.setattr(bench.profiles.next_run, "profile_text", lambda path: "name = 'next'")
     found, _, made, failure = adaptive_runs.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
     assert found is closed_loop and made == [Path("run.h5")]
-    assert "no space left" in failure
+    assert "next_run.toml" in failure and "ramp" in failure

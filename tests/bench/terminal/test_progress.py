@@ -3,7 +3,7 @@
 import pytest
 
 from bench.terminal import progress
-from kernels.watch import watchers
+from kernels.kernel import watchers
 
 
 def compiles(name: str) -> None:

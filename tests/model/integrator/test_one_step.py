@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from model.effects.harmonic_distortion import harmonics
 from model.effects.registry import effect, row
-from model.integrator.one_step import Measured, PlateSteps, law_of, one_ahead, simulate
+from model.integrator.one_step import law_of, one_ahead, simulate
+from model.integrator.problem import Measured, PlateSteps
 from model.tones import Plate
 
 G_MPS2 = 9.80665

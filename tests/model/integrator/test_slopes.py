@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from model.effects.registry import row
-from model.integrator.one_step import Detection, Measured, PlateSteps, Predicted, one_ahead, simulate
+from model.integrator.one_step import Predicted, one_ahead, simulate
+from model.integrator.problem import Detection, Measured, PlateSteps
 from model.integrator.slopes import Slopes, slopes_of
 from model.tones import Plate
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kernels import njit
-from kernels.arguments import kind, text
+from kernels.kernel import kind, text
 
 
 class Pair(NamedTuple):
