@@ -26,6 +26,7 @@ FRAMES, FRAME_BLOCKS, FRAME_STEPS = "frames", "frame_blocks", "frame_steps"
 FRAME_SIDE = {"drive_changes": "frame_drive", "clock_readings": "frame_clock", "clock_map": "frame_clock_map",
               "notes": "frame_notes"}  # fmt: skip
 FRAME_END = "frame_end"
+FRAME_MARKS = "frame_marks"
 ROW_CRC = "row_crc32"
 _SUPERBLOCK_BYTES = 48  # of versions 2 and 3
 
@@ -38,11 +39,10 @@ def sealed_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 def sealed_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Rows, each with the CRC-32 of its bytes."""
-    sealed = np.zeros(len(rows), sealed_dtype(rows.dtype))
-    for name in rows.dtype.names or ():
-        sealed[name] = rows[name]
-    sealed[ROW_CRC] = [crc32(row) for row in rows]
-    return sealed
+    held, size = rows.tobytes(), rows.dtype.itemsize
+    pieces = [held[at : at + size] for at in range(0, len(held), size)]
+    sealed = b"".join([piece + zlib.crc32(piece).to_bytes(4, "little") for piece in pieces])
+    return np.frombuffer(sealed, sealed_dtype(rows.dtype))
 
 
 def is_being_written(path: Path) -> bool:

@@ -9,6 +9,7 @@ recording. The end state is ``incomplete`` from the start.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import tempfile
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from daq.files.frame_file import (
     FRAME_BLOCKS,
     FRAME_END,
+    FRAME_MARKS,
     FRAME_SIDE,
     FRAME_STEPS,
     FRAMES,
@@ -30,8 +32,9 @@ from daq.files.frame_file import (
     sealed_dtype,
     sealed_rows,
 )
+from daq.files.frame_marks import MarkLog, running_crcs
 from daq.files.seal import text_crc
-from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, crc32, step_row
+from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, step_row
 from daq.setup.errors import InputError
 
 _END_BYTES = 4096
@@ -69,9 +72,10 @@ class FrameWriter:
         self._n_channels = len(channels)
         self._n_blocks = self._n_steps = 0
         self._last_step_first = -1
-        rows = max(1, 65536 // (2 * self._n_channels))
+        self._chunk_rows = max(1, 65536 // (2 * self._n_channels))
+        shape = self._chunk_rows, self._n_channels
         self._frames = self._file.create_dataset(
-            FRAMES, (0, self._n_channels), "<i2", maxshape=(None, self._n_channels), chunks=(rows, self._n_channels)
+            FRAMES, (0, self._n_channels), "<i2", maxshape=(None, self._n_channels), chunks=shape
         )
         self._blocks = self._table(FRAME_BLOCKS, BLOCK_DTYPE, 256)
         self._steps = self._table(FRAME_STEPS, STEP_DTYPE, 16)
@@ -80,7 +84,12 @@ class FrameWriter:
         self.end({"ended": "incomplete", "why": "", "ended_at": ""})
         self._frame_type = h5py.h5t.py_create(np.dtype("<i2"))
         self._row_type = h5py.h5t.py_create(sealed_dtype(BLOCK_DTYPE))
-        self._file.attrs.update(dict(attributes) | {"attributes_crc32": text_crc(attributes)})
+        attributes = dict(attributes) | {"attributes_crc32": text_crc(attributes)}
+        self._file.attrs.update(attributes)
+        self._log = MarkLog(attributes, self._n_channels, self._chunk_rows)
+        page = self._log.page_bytes
+        self._marks = self._file.create_dataset(FRAME_MARKS, (0,), "u1", maxshape=(None,), chunks=(page,))
+        self._n_pages = 0
         self._file.flush()
         self._file.swmr_mode = True
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
@@ -128,20 +137,35 @@ class FrameWriter:
         """Frames first, then the rows that acknowledge them."""
         pieces = [np.ascontiguousarray(block.codes, "<i2") for block in blocks]
         frames = np.concatenate(pieces) if len(pieces) > 1 else pieces[0]
+        crcs = [running_crcs(piece) for piece in pieces]
         rows = np.array(
             [
-                (b.first_sample, len(c), b.flags, b.clock_ns, b.lost_before, b.lost_uncertainty, b.adc_ns, crc32(c))
-                for b, c in zip(blocks, pieces, strict=True)
+                (b.first_sample, len(c), b.flags, b.clock_ns, b.lost_before, b.lost_uncertainty, b.adc_ns, crc[-1])
+                for b, c, crc in zip(blocks, pieces, crcs, strict=True)
             ],
             BLOCK_DTYPE,
         )
         # a kill between the two leaves frames without a row, which are no part of the recording
         _extend(self._frames, self.n_samples, frames, self._frame_type)
         _extend(self._blocks, self._n_blocks, sealed_rows(rows), self._row_type)
+        for i, block in enumerate(blocks):
+            self._log.add_block(self._n_blocks + i, rows[i : i + 1], crcs[i])
+            self.n_lost += block.lost_before
+            self.n_doubtful += block.lost_uncertainty
         self.n_samples += len(frames)
-        self.n_lost += int(rows["lost_before"].sum())
-        self.n_doubtful += int(rows["lost_uncertainty"].sum())
         self._n_blocks += len(rows)
+        if self._log.n_chunks * self._chunk_rows < self.n_samples:
+            self._write_marks()
+
+    def _write_marks(self) -> None:
+        """Write what the marks do not hold yet, and where the chunks of frames lie that were begun since."""
+        for first in range(self._log.n_chunks * self._chunk_rows, self.n_samples, self._chunk_rows):
+            self._log.add_chunk(self._frames.id.get_chunk_info_by_coord((first, 0)).byte_offset)
+        for page in self._log.pages():
+            # straight to the file, past HDF5's cache: nothing waits for a flush
+            self._marks.id.set_extent(((self._n_pages + 1) * len(page),))
+            self._marks.id.write_direct_chunk((self._n_pages * len(page),), page)
+            self._n_pages += 1
 
     def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
         """Write a step's row; one with the same ``first_sample`` as the last replaces it. Then sync to the disk."""
@@ -153,6 +177,9 @@ class FrameWriter:
                 self._last_step_first = int(row["first_sample"][0])
             self._steps[self._n_steps - 1 :] = sealed_rows(row)
             self._steps.id.flush()
+            # the row above is written where the one before it stood, which a loss of power may leave half changed
+            self._log.add_rows("steps", self._n_steps - 1, row)
+            self._write_marks()
             os.fsync(self._descriptor)
 
     def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
@@ -161,8 +188,10 @@ class FrameWriter:
         with self._refusals():
             n = dataset.shape[0]
             dataset.resize((n + len(rows),))
-            dataset[n:] = sealed_rows(rows.astype(SIDE_TABLES[table]))
+            rows = rows.astype(SIDE_TABLES[table])
+            dataset[n:] = sealed_rows(rows)
             dataset.id.flush()
+            self._log.add_rows(table, n, rows)
 
     def _let_go(self) -> None:
         """Keep HDF5 from the file: it writes again what was refused, when it closes the file and when the process ends.
@@ -187,6 +216,8 @@ class FrameWriter:
             text = text_of({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]})
         self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
         self._end.id.flush()
+        if self.n_samples:
+            self._write_marks()
 
     @property
     def is_open(self) -> bool:
@@ -233,8 +264,14 @@ class FrameWriter:
 
 def _extend(dataset: Any, start: int, rows: NDArray[Any], memory_type: Any) -> None:
     """Append rows and flush, by HDF5's own calls: a third of the time that h5py's indexing takes, every block."""
-    dataset.id.set_extent((start + len(rows), *rows.shape[1:]))
-    where = dataset.id.get_space()
-    where.select_hyperslab((start,) + (0,) * (rows.ndim - 1), rows.shape)
-    dataset.id.write(h5py.h5s.create_simple(rows.shape), where, rows, memory_type)
-    dataset.id.flush()
+    place, shape = dataset.id, rows.shape
+    place.set_extent((start + len(rows), *shape[1:]))
+    where = place.get_space()
+    where.select_hyperslab((start,) + (0,) * (rows.ndim - 1), shape)
+    place.write(_memory_space(shape), where, rows, memory_type)
+    place.flush()
+
+
+@functools.lru_cache(maxsize=16)
+def _memory_space(shape: tuple[int, ...]) -> Any:
+    return h5py.h5s.create_simple(shape)

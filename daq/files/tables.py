@@ -161,6 +161,17 @@ def step_row(step: np.void | Mapping[str, Any]) -> NDArray[np.void]:
     return row
 
 
+def joined(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Ranges ``(first, one past the last)`` in order, those that touch as one."""
+    found: list[tuple[int, int]] = []
+    for first, last in sorted(spans):
+        if found and found[-1][1] >= first:
+            found[-1] = (found[-1][0], max(last, found[-1][1]))
+        else:
+            found.append((first, last))
+    return found
+
+
 @dataclass(frozen=True)
 class Holes:
     """Samples of a file that are left where others are gone.

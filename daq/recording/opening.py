@@ -19,6 +19,7 @@ from daq.files.claims import in_words
 from daq.files.column_file import FORMAT, FORMAT_VERSION
 from daq.files.disk import PatchedFile
 from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short, stated_bytes
+from daq.files.marked_frames import has_marks
 from daq.files.seal import Checked, check, check_tables
 from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording
@@ -80,7 +81,7 @@ def require_hdf5(path: Path) -> None:
             head, tail = raw.read(len(SIGNATURE)), check(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    if head != SIGNATURE and tail is None and not h5py.is_hdf5(path):
+    if head != SIGNATURE and tail is None and not h5py.is_hdf5(path) and not has_marks(path):
         raise InputError(
             f"{path}: cannot be read as HDF5 (it does not begin as one); other files become recordings with "
             f"bench import {path} --profile P.toml --out REC.h5."

@@ -19,6 +19,7 @@ from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import TABLES, read_table
 from daq.files.disk import Closing
 from daq.files.frame_file import FRAMES, FrameFile
+from daq.files.marked_frames import MarkedFrames
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, BlockFlag, Holes
 from daq.setup.errors import InputError
@@ -90,7 +91,11 @@ class Recording(Closing):
         self._file, self._lost = file, dict(lost or {})
         self._columns: dict[str, Any] = {}  # open datasets: each holds the chunks that it read last
         self._holes: Holes | None = None
-        self.frames = FrameFile(file, path, without=tuple(self._lost)) if FRAMES in file else None
+        self.frames: FrameFile | MarkedFrames | None
+        if isinstance(file, MarkedFrames):
+            self.frames = file
+        else:
+            self.frames = FrameFile(file, path, without=tuple(self._lost)) if FRAMES in file else None
         self.stored: dict[str, Any] = {k: _plain(v) for k, v in file.attrs.items()}
         if self.frames is not None and "attributes_crc32" in self.stored and not attributes_intact(self.stored):
             self.frames.faults.append("the root attributes differ from what was written")

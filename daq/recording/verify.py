@@ -12,11 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
 from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, stated_bytes, table_of
+from daq.files.marked_frames import MarkedFrames, has_marks
 from daq.files.seal import Checked, check, once_per_state
-from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32
+from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32, joined
 from daq.recording.opening import UNCHECKED, differing_blocks, open_checked, open_file, require_hdf5, unsealed
 from daq.recording.reader import ALL, Recording, attributes_intact
 from daq.recording.subprocess_reader import Tell, in_subprocess
@@ -62,13 +66,43 @@ def examine(path: Path) -> tuple[Recording, Survey]:
             raise UnreadableError(path, [*found.where, str(error)]) from error
     else:
         looked = survey(path)
-        if not looked.opens:
+        marked = _by_marks(path, looked) if looked.where else None
+        if not looked.opens and marked is None:
             raise UnreadableError(path, [*(() if found is None else found.where), *looked.where])
-        recording = open_checked(path, looked, ended=bool(looked.where))
+        if marked is not None:
+            recording, looked = marked
+        else:
+            recording = open_checked(path, looked, ended=bool(looked.where))
         intact = recording.frames is not None or attributes_intact(recording.stored)
         recording.damage += unsealed(recording, found, intact=intact)
     recording.damage += tuple(differing_blocks(recording))
     return recording, looked
+
+
+def _by_marks(path: Path, looked: Survey) -> tuple[Recording, Survey] | None:
+    """A damaged frames file as its marks have it; None without marks, or where HDF5 reads more of it."""
+    further: dict[str, NDArray[np.void]] = {}
+    n_samples = 0
+    if looked.opens:
+        with open_checked(path, looked, ended=True) as recording:
+            if recording.frames is None:
+                return None
+            n_samples = recording.n_samples
+            further = {"steps": recording.frames.steps, **recording.frames.side}
+    try:
+        frames = MarkedFrames(path, further)
+    except LookupError:
+        return None
+    others = [line for line in looked.where if not line.startswith("block ")]  # the marks know it more exactly
+    lines = (*others, *frames.faults) or (
+        "rows of its tables differ from what was written; marks in the file have them",
+    )
+    found = Survey(where=lines, bad_blocks=tuple(frames.bad_blocks))
+    recording = Recording(path, frames, {}, found.where)
+    if recording.n_samples < n_samples:
+        recording.close()
+        return None
+    return recording, found
 
 
 @once_per_state
@@ -96,7 +130,9 @@ def _survey(path: Path, *, ended: bool, tries: int = MOST_TRIES) -> Survey:
             answer = in_subprocess("daq.recording.verify:look", str(path), ended, skip)
         except InputError as error:
             if "damaged" not in str(error) and "cannot be read as HDF5" not in str(error):
-                raise
+                if not has_marks(path):
+                    raise
+                return Survey(where=("its root attributes are gone",), opens=False)
             size, stated = path.stat().st_size, stated_bytes(path)
             cut_short = (
                 f"cut off after {size} of {stated} bytes: what is left may hold samples, but set-up, scales and the "
@@ -143,9 +179,9 @@ def look(path: str, ended: bool, skip: list[str], tell: Tell) -> dict[str, Any]:
             bad = _look_at_frames(recording, lost, where, skip, tell)
         else:
             where += _look_at_columns(recording, lost, skip, tell)
-            spans = [(name, a, b) for name in lost for a, b in _joined(lost[name]) if (a, b) != ALL]
+            spans = [(name, a, b) for name in lost for a, b in joined(lost[name]) if (a, b) != ALL]
             where += [f"{name}: samples {a} to {b - 1} do not read back" for name, a, b in spans]
-    return {"lost": {name: _joined(spans) for name, spans in lost.items()}, "bad_blocks": bad, "where": where}
+    return {"lost": {name: joined(spans) for name, spans in lost.items()}, "bad_blocks": bad, "where": where}
 
 
 def _unreadable_tables(file: Any, path: Path, skip: list[str], tell: Tell) -> Iterator[str]:
@@ -206,17 +242,6 @@ def _look_at_columns(recording: Recording, lost: dict[str, Any], skip: list[str]
         if name not in lost and crc != int(dataset.attrs.get("crc32", -1)):
             faults.append(f"{name}: the checksum over all its samples does not fit")
     return faults
-
-
-def _joined(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Ranges that touch as one."""
-    joined: list[tuple[int, int]] = []
-    for first, last in spans:
-        if joined and joined[-1][1] == first:
-            joined[-1] = (joined[-1][0], last)
-        else:
-            joined.append((first, last))
-    return joined
 
 
 State = Literal["complete", "stopped", "incomplete", "damaged"]

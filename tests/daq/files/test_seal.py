@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.daq import hostile_recordings
+from daq.files.frame_marks import MAGIC
 from daq.files.seal import FOOTER, Seal, mended, read_seal, text_crc
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Holes
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
@@ -228,9 +229,10 @@ def test_an_unreadable_table_is_left_out(run: tuple[Path, np.ndarray]) -> None:
     assert "the table steps does not read back" in found.damage
 
 
+@pytest.mark.parametrize("marked", [True, False])
 @pytest.mark.parametrize("table", ["frame_blocks", "frame_steps"])
-def test_rows_of_a_run_that_was_cut_off_are_checked(tmp_path: Path, setup: Setup, table: str) -> None:
-    """A changed number in the tables of a run that was cut off is found; a block's costs that block."""
+def test_rows_of_a_run_that_was_cut_off_are_checked(tmp_path: Path, setup: Setup, table: str, marked: bool) -> None:
+    """A changed number in the tables of a run that was cut off is found; without marks a block's costs that block."""
     path, codes = tmp_path / "a.h5", np.random.default_rng(1).integers(-9, 9, (3000, 3), np.int16)
     writer = RecordingWriter(path, setup, profile_text="", channels=CHANNELS, backend="s", simulated=True)
     for first in range(0, 3000, 1000):
@@ -240,13 +242,15 @@ def test_rows_of_a_run_that_was_cut_off_are_checked(tmp_path: Path, setup: Setup
     itemsize = writer._frames._file[table].dtype.itemsize
     writer._frames._file.close()
     change(path, info.byte_offset + itemsize + 25)  # a clock, or a gamma, of the second row
+    if not marked:
+        path.write_bytes(path.read_bytes().replace(MAGIC, bytes(len(MAGIC))))
     report = verify(path)
     assert report.state == "damaged"
     assert "row" in report.where[0]
     with open_recording(recover(path).path) as recording:
-        left = np.r_[0:1000, 2000:3000] if table == "frame_blocks" else np.r_[0:3000]
+        left = np.r_[0:1000, 2000:3000] if table == "frame_blocks" and not marked else np.r_[0:3000]
         np.testing.assert_array_equal(recording.codes("drive"), codes[left, 2])
-        assert len(recording.steps) == 2
+        assert len(recording.steps) == 3 if marked else 2
 
 
 @given(

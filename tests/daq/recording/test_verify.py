@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from daq.files.frame_marks import MAGIC
 from daq.recording import CHANNELS, Block, RecordingWriter, verify
 from daq.recording.recover import recover
 from daq.setup.errors import InputError
@@ -65,7 +66,7 @@ def test_a_changed_byte_is_placed(tmp_path: Path, setup: Setup, name: str) -> No
 
 
 def test_a_changed_byte_in_the_frames_is_placed(tmp_path: Path, setup: Setup) -> None:
-    """A run that was cut off and whose frames were changed names the block; so does the file made of it."""
+    """A run that was cut off and whose frames were changed names the samples; without marks, the block."""
     path = tmp_path / "a.h5"
     writer = record(path, setup)
     writer._frames.close()
@@ -73,7 +74,11 @@ def test_a_changed_byte_in_the_frames_is_placed(tmp_path: Path, setup: Setup) ->
     overwrite(path, "frames", 60_000 // rows_per_chunk)
     report = verify(path)
     assert report.state == "damaged"
-    assert "block 1: samples 50000 to 99999" in report.where[0]
+    first = int(report.where[0].split()[1])
+    assert report.where[0].startswith("samples 5")
+    assert 59_000 < first <= 60_000 < int(report.where[0].split()[3])
+    path.write_bytes(path.read_bytes().replace(MAGIC, bytes(len(MAGIC))))
+    assert "block 1: samples 50000 to 99999" in verify(path).where[0]
 
 
 def test_a_missing_chunk_is_damage(tmp_path: Path, setup: Setup) -> None:
