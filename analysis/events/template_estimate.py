@@ -29,8 +29,8 @@ from analysis.events.impact_template import (
 )
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
 from analysis.plate.step_state import multiples_of
-from analysis.signals.saturation import STANDS, share_at_an_end
 from analysis.signals.stream import Piece
+from daq.instrument.saturation import STANDS, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers

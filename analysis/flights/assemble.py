@@ -47,7 +47,7 @@ SPLIT_S, STRENGTH_S = 1.5e-4, 2e-4  # the same in time: a contact's jitter does 
 MATCH_SIGMAS = 4.0  # the same in standard deviations of the impact's time
 
 
-def flights_of(recording: Recording, *, progress: Progress | None = None) -> Flights:
+def flights_of(recording: Recording, *, progress: Progress | None = None, high_pass_hz: float | None = None) -> Flights:
     """Flights and plate motion of a recording, in one pass and bounded memory.
 
     Parameters
@@ -56,13 +56,15 @@ def flights_of(recording: Recording, *, progress: Progress | None = None) -> Fli
         Open.
     progress : callable, optional
         Called with the part done, 0 to 1, after each piece.
+    high_pass_hz : float, optional
+        Corner of a high-pass behind the accelerometer; None: the declared one.
 
     Raises
     ------
     InputError
         When there is no accelerometer channel.
     """
-    return assemble(scan(recording, progress), recording.setup, recording.rate_hz, recording.n_samples)
+    return assemble(scan(recording, progress, high_pass_hz), recording.setup, recording.rate_hz, recording.n_samples)
 
 
 def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Flights:

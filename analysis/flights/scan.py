@@ -22,8 +22,10 @@ from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.coloured_noise import with_coloured_noise
 from analysis.plate.motion import PlateMotion
+from analysis.signals.high_pass import LEAST_HZ, HighPass
 from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
+from daq.instrument.saturation import NO_ENDS, Ends, common_ends
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE
@@ -50,12 +52,15 @@ class Survey:
         None where the accelerometer shows no impacts.
     coupling : Coupling or None
         High-pass of an AC-coupled contact circuit.
+    ends_v : pair of float
+        Volts beyond which the accelerometer does not read; infinite where it does not come to its end.
     """
 
     levels: Levels | None
     noise: NoiseSpectrum | None
     template: ImpactTemplate | None
     coupling: Coupling | None = None
+    ends_v: Ends = NO_ENDS
 
     @property
     def mask_s(self) -> float:
@@ -117,8 +122,15 @@ def _channels(recording: Recording) -> tuple[str, ...]:
     return tuple(name for name in ("continuity", "accelerometer", "drive") if name in recording.channels)
 
 
-def survey(recording: Recording) -> Survey:
-    """Levels, noise and the impact template from a few pieces.
+def high_pass_of(recording: Recording, corner_hz: float | None) -> HighPass | None:
+    """The accelerometer's high-pass, where one is known, or declared, whose tails of impacts matter."""
+    if corner_hz is None:
+        corner_hz = recording.setup.declared_values().get("accelerometer_high_pass", {}).get("corner_hz", 0.0)
+    return HighPass(corner_hz, recording.rate_hz) if corner_hz > LEAST_HZ else None
+
+
+def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
+    """Levels, noise and the impact template from a few pieces; ``high_pass_hz`` as in `scan`.
 
     Raises
     ------
@@ -134,15 +146,27 @@ def survey(recording: Recording) -> Survey:
         )
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
-    noise, template = estimate_template(looked, resolved_steps(recording), recording.rate_hz, recording.gaps)
+    steps = resolved_steps(recording)
+    ends_v = common_ends([x for piece in looked for x in _by_step(piece, steps)])
+    for piece in looked:
+        if (blocks := high_pass_of(recording, high_pass_hz)) is not None:
+            blocks.undo(piece)
+    noise, template = estimate_template(looked, steps, recording.rate_hz, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
-        return Survey(None, noise, template)
+        return Survey(None, noise, template, ends_v=ends_v)
     volts = [p.own("continuity") for p in looked]
     if contact.coupling == "ac":
         coupling = measure_coupling([own.astype(np.float64) for own in volts], contact.swing_v, recording.rate_hz)
-        return Survey(coupling.levels, noise, template, coupling)
-    return Survey(measure_levels(np.concatenate(volts), contact.closed_v.value, contact.open_v.value), noise, template)
+        return Survey(coupling.levels, noise, template, coupling, ends_v)
+    levels = measure_levels(np.concatenate(volts), contact.closed_v.value, contact.open_v.value)
+    return Survey(levels, noise, template, ends_v=ends_v)
+
+
+def _by_step(piece: Piece, steps: npt.NDArray[np.void]) -> list[Volts]:
+    """The accelerometer in a piece, cut where a step begins."""
+    starts = [int(first) - piece.first for first in steps["first_sample"] if piece.first < first < piece.last]
+    return np.split(piece.own("accelerometer"), starts)
 
 
 def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tuple[str, ...]) -> None:
@@ -165,7 +189,7 @@ def _open_fraction(piece: Piece, levels: Levels) -> Volts:
     return volts
 
 
-def scan(recording: Recording, progress: Progress | None = None) -> Scan:
+def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: float | None = None) -> Scan:
     """Crossings, impacts and plate motion of a recording in one pass.
 
     Parameters
@@ -174,6 +198,8 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         Open.
     progress : callable, optional
         Called with the part done, 0 to 1, after each piece.
+    high_pass_hz : float, optional
+        Corner of a high-pass behind the accelerometer; None: the declared one.
 
     Raises
     ------
@@ -181,14 +207,16 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         When there is no accelerometer channel, or the survey refuses the recording.
     """
     channels = _channels(recording)
-    known = survey(recording)
+    known, blocks = survey(recording, high_pass_hz), high_pass_of(recording, high_pass_hz)
     steps, rate_hz = resolved_steps(recording), recording.rate_hz
     contact = CrossingScan(known.levels or NO_CIRCUIT)
     restorer = LevelRestorer(known.coupling, rate_hz) if known.coupling is not None else None
     detector = ImpactScan(known.template, rate_hz) if known.template is not None else None
-    accumulator = StepAccumulator(recording, steps, known.mask_s)
+    accumulator = StepAccumulator(recording, steps, known.mask_s, known.ends_v)
     for piece in pieces(recording, channels):
         acceleration_v, drive_v = piece.channels["accelerometer"], piece.channels.get("drive")
+        if blocks is not None:
+            blocks.undo(piece)
         fraction, landings = None, [np.zeros(0, np.int64)]
         if known.levels is not None:
             fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
@@ -197,6 +225,8 @@ def scan(recording: Recording, progress: Progress | None = None) -> Scan:
         if detector is not None:
             landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
             detector.subtract_impacts(acceleration_v, piece.first, PAD)
+        if blocks is not None:
+            blocks.redo(piece)
         trimmed = PlatePiece(
             piece.first,
             piece.trim(acceleration_v),

@@ -38,6 +38,7 @@ from analysis.residuals.prediction_errors import (
 )
 from analysis.residuals.values import TREND
 from analysis.residuals.whitening import step_losses
+from analysis.signals.high_pass import LEAST_HZ
 from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful
 from daq.setup.errors import InputError
@@ -154,7 +155,13 @@ def judge_loop(
             "bench info whether the contact channel is what the profile says, or drive harder"
         )
     try:
-        return _loop_of(observations, recordings, limits, say, anyway=anyway)
+        found = _loop_of(observations, recordings, limits, say, anyway=anyway)
+        corner_hz = high_pass_hz(found[0])
+        if corner_hz > LEAST_HZ:
+            # what an impact leaves behind such a high-pass bends the tones that were taken: read once more, knowing it
+            observations = observations_from(recordings, setup=setup, high_pass_hz=corner_hz)
+            found = _loop_of(observations, recordings, limits, say, anyway=anyway)
+        return found
     except NotFiniteError as error:
         raise InputError(
             f"{names}: the declared model cannot be fitted, {error}; look at the channels with bench info, and at the "
@@ -194,6 +201,12 @@ def _loop_of(
         notes=_notes(observations, selection),
     )
     return result, FittedLoop(model, selection)
+
+
+def high_pass_hz(loop: ClosedLoop) -> float:
+    """Corner of the accelerometer's high-pass that a verdict names; 0 for none."""
+    named = [e.parameters["corner_hz"][0] for e in loop.effects if e.name == "accelerometer_high_pass"]
+    return max(named, default=0.0)
 
 
 def refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:

@@ -41,12 +41,14 @@ from analysis.plate.step_state import (
 )
 from analysis.plate.windows import fit_windows, refined_hz
 from analysis.signals.stream import block_means
+from daq.instrument.saturation import NO_ENDS, Ends, blocks_at_an_end
 from daq.lock_in import LockIn
 from daq.recording import Recording
 from kernels import njit
-from kernels.arrays import Floats, Integers
+from kernels.arrays import Bools, Floats, Integers
 
 Volts = npt.NDArray[np.float32]
+Means = tuple[Volts, Volts | None, Volts | None, Bools | None]
 
 BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # time before an impact that is masked with it
@@ -87,12 +89,18 @@ class PlatePiece:
         """One past the last sample."""
         return self.first + self.acceleration_v.size
 
-    def means(self, width: int, lost: int) -> tuple[Volts, Volts | None, Volts | None]:
-        """Means over blocks of ``width`` samples on the grid that counts ``lost`` samples before the piece."""
+    def means(self, width: int, lost: int, ends: Ends) -> Means:
+        """Means over blocks of ``width`` samples on the grid that counts ``lost`` samples before the piece.
+
+        Of accelerometer, drive and open fraction; last, which blocks hold a code at or beyond one of the ``ends``.
+        """
         skip = -(self.first + lost) % width
         drive = None if self.drive_v is None else block_means(self.drive_v, width, skip)
         fraction = None if self.open_fraction is None else block_means(self.open_fraction, width, skip)
-        return block_means(self.acceleration_v, width, skip), drive, fraction
+        cut_off = None
+        if self.codes is not None and np.any(np.isfinite(ends)):
+            cut_off = blocks_at_an_end(self.codes, width, skip, ends)
+        return block_means(self.acceleration_v, width, skip), drive, fraction, cut_off
 
 
 def block_width(rate_hz: float, steps: npt.NDArray[np.void]) -> int:
@@ -111,11 +119,18 @@ class StepAccumulator:
         Frequencies filled in.
     mask_s : float
         How long after an impact the accelerometer is left out.
+    ends_v : pair of float
+        Volts at which the accelerometer is at its end: blocks that reach them are left out, too.
     """
 
-    def __init__(self, recording: Recording, steps: npt.NDArray[np.void], mask_s: float) -> None:
+    def __init__(
+        self, recording: Recording, steps: npt.NDArray[np.void], mask_s: float, ends_v: Ends = NO_ENDS
+    ) -> None:
         self.recording, self.steps = recording, steps
         self.rate_hz = recording.rate_hz
+        factor, offset = recording.scale("accelerometer")
+        low, high = sorted((end - offset) / factor for end in ends_v)
+        self.ends = low, high  # as codes
         self.width = block_width(self.rate_hz, steps)
         self.block_rate_hz = self.rate_hz / self.width
         self.masks = np.array([max(int(np.ceil(part * mask_s * self.block_rate_hz)), 1) for part in MASK_PARTS])
@@ -133,8 +148,8 @@ class StepAccumulator:
         begins = np.sort(np.concatenate(self.impacts))
 
         @cache
-        def means(lost: int) -> tuple[Volts, Volts | None, Volts | None]:
-            return piece.means(self.width, lost)
+        def means(lost: int) -> Means:
+            return piece.means(self.width, lost, self.ends)
 
         for k in range(len(self.done) + len(self.waiting), len(self.steps)):
             start, stop = int(self.starts[k]), int(self.stops[k])
@@ -165,7 +180,8 @@ class StepAccumulator:
         start, stop = int(self.starts[k]), int(self.stops[k])
         hold_s = max((stop - start) / self.rate_hz, 1.0 / self.rate_hz)
         nominal_hz, ratio = float(self.steps["frequency_hz"][k]), int(self.steps["ratio"][k])
-        return StepState(k, nominal_hz, ratio, start, start, hold_s)
+        ends = self.ends if np.any(np.isfinite(self.ends)) else None
+        return StepState(k, nominal_hz, ratio, start, start, hold_s, ends=ends)
 
     def _unbroken(self, start: int, stop: int) -> list[tuple[int, int]]:
         """``[start, stop)`` broken at lost samples."""
@@ -177,7 +193,7 @@ class StepAccumulator:
         state: StepState,
         first: int,
         samples: tuple[int, int],
-        means: Callable[[int], tuple[Volts, Volts | None, Volts | None]],
+        means: Callable[[int], Means],
         impacts: Integers,
     ) -> None:
         """Keep the block means of unbroken ``samples`` of the piece that begins at ``first``."""
@@ -186,7 +202,7 @@ class StepAccumulator:
         block, end = -(-(samples[0] + lost) // self.width), (samples[1] + lost) // self.width
         if end <= block:
             return
-        acceleration, drive, fraction = means(lost)
+        acceleration, drive, fraction, cut_off = means(lost)
         origin = -(-(first + lost) // self.width)
         own = slice(block - origin, end - origin)
         values = np.zeros((end - block, 2))
@@ -194,7 +210,10 @@ class StepAccumulator:
         if drive is not None:
             values[:, 1] = drive[own]
         open_fraction = np.full(end - block, 0.5, np.float32) if fraction is None else fraction[own]
-        state.spans.append(Span(block, values, self._block_class(block, end, impacts + lost, open_fraction)))
+        classes = self._block_class(block, end, impacts + lost, open_fraction)
+        if cut_off is not None:  # masked as if an impact had been there
+            classes -= np.where(cut_off[own], classes % N_MASK_LEVELS, 0).astype(np.int8)
+        state.spans.append(Span(block, values, classes))
         state.blocks += end - block
         state.last_sample = samples[1]
 

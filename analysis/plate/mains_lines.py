@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from analysis.statistics import median
 from daq.lock_in import ToneFit
 from kernels.arrays import Complexes, Floats
 
@@ -97,14 +98,15 @@ def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> 
         do not count.
     """
     out = np.zeros((cycles.size - first, 2))
-    size, power = residual.size, np.abs(np.fft.rfft(residual)) ** 2
+    size, spectrum = residual.size, np.fft.rfft(residual)
     white = float(residual @ residual)
     for line, own in enumerate(cycles[first:] * size if white > 0.0 else []):
         reach = NEAR_HZ / rate_hz * size
-        bins = np.arange(max(math.ceil(own - reach), 1), min(int(own + reach) + 1, power.size))
+        bins = np.arange(max(math.ceil(own - reach), 1), min(int(own + reach) + 1, spectrum.size))
         bins = bins[np.abs(bins[:, None] - cycles * size).min(axis=1) > APART] if bins.size else bins
         if bins.size:
-            out[line] = float(np.median(power[bins])) / math.log(2.0) / white * bins.size, bins.size
+            power = np.abs(spectrum[bins]) ** 2
+            out[line] = median(power) / math.log(2.0) / white * bins.size, bins.size
     return out
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from analysis.linear_algebra import cholesky
 from analysis.plate.contact_flight_fit import ContactFlightFit
 from analysis.plate.fit_mask import FitIntervals
-from analysis.signals.saturation import STANDS
+from daq.instrument.saturation import STANDS
 from daq.lock_in import ToneFit
 from kernels.arrays import Complexes, Floats, Integers
 from model.tones import Plate
@@ -24,6 +24,7 @@ FALSE_ALARM = 1e-5  # probability of a slow line in noise alone, below which it 
 MIN_VALUES = 16  # values of the slow residual needed for a spectrum
 MIN_BINS = 8  # bins of the spectrum needed for its background
 MAX_LINES = 3
+MOST_CUT_OFF = 0.35  # part of a step at the sensor's end, up to which the rest gives its tones
 PADDING = 4  # zero padding of the spectrum
 LINE_BINS = 12  # bins on either side of a line that belong to it
 BELOW_FORCING = 0.9  # upper end of the search, in units of the forcing frequency
@@ -151,6 +152,8 @@ class StepPlate:
         Fraction of the hold left out after impacts.
     cut_off : float
         Fraction of its first samples at which the accelerometer stands at its largest or smallest value.
+    ends_masked : bool
+        Whether the fit leaves such samples out.
     windows : Windows
     slow : SlowMotion
     intervals : FitIntervals
@@ -176,6 +179,7 @@ class StepPlate:
     phase0_rad: float
     masked: float
     cut_off: float
+    ends_masked: bool
     windows: Windows
     slow: SlowMotion
     intervals: FitIntervals
@@ -194,6 +198,11 @@ class StepPlate:
     def saturated(self) -> bool:
         """Whether the accelerometer cuts off part of the motion, not the peaks of impacts alone."""
         return self.cut_off > STANDS
+
+    @property
+    def usable(self) -> bool:
+        """Whether the tones are those of the motion: nothing of it is cut off, or little, which the fit leaves out."""
+        return not self.saturated or (self.ends_masked and self.cut_off < MOST_CUT_OFF)
 
     @property
     def omega_radps(self) -> float:
@@ -268,16 +277,21 @@ class PlateMotion:
 
     def saturation_warnings(self) -> tuple[str, ...]:
         """A sentence that names the steps whose accelerometer saturates; none where it does not."""
-        those = [s for s in self.steps if s is not None and s.saturated]
-        if not those:
-            return ()
-        numbers = ", ".join(str(s.step) for s in those)
-        most, least_g = max(s.cut_off for s in those), min(s.gamma_peak for s in those)
-        return (
-            f"the accelerometer saturates in step {numbers}: up to {most:.0%} of the samples stand at its largest or "
-            "smallest value, and gamma comes out too small; closed loops leave these steps out. "
-            f"Take a sensor or a range for more than {least_g:.2g} g",
-        )
+        found = []
+        for usable in (True, False):
+            those = [s for s in self.steps if s is not None and s.saturated and s.usable is usable]
+            if those:
+                numbers = ", ".join(str(s.step) for s in those)
+                most, least_g = max(s.cut_off for s in those), min(s.gamma_peak for s in those)
+                what = (
+                    "gamma comes from the rest" if usable
+                    else "gamma comes out too small; closed loops leave these steps out"
+                )  # fmt: skip
+                found.append(
+                    f"the accelerometer saturates in step {numbers}: up to {most:.0%} of the samples stand at its "
+                    f"largest or smallest value, and {what}. Take a sensor or a range for more than {least_g:.2g} g"
+                )
+        return tuple(found)
 
     @property
     def ratio(self) -> int:

@@ -19,7 +19,7 @@ from analysis.plate.motion import SlowMotion, StepPlate, Windows
 from analysis.plate.rounding import converter_step, with_rounding
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, StepState
 from analysis.plate.windows import WINDOW_CYCLES
-from analysis.signals.saturation import share_at_an_end
+from daq.instrument.saturation import share_at_an_end
 from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording
@@ -104,7 +104,8 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         gamma_drive=_drive_gamma(drive, multiples, setup, state.ratio),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),
-        cut_off=share_at_an_end(some, recording.rate_hz),
+        cut_off=share_at_an_end(some, recording.rate_hz, state.ends),
+        ends_masked=state.ends is not None,
         windows=windows,
         slow=_slow(state, factor),
         intervals=_intervals(state),

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import MainsLine
+from daq.instrument.saturation import Ends
 from daq.lock_in import LockIn, ToneFit
 from kernels.arrays import Bools, Complexes, Floats, Integers
 
@@ -88,7 +89,8 @@ class ChunkFit:
 class StepState:
     """Accumulated state of one step: open spans, tones, normal equations and closed chunks.
 
-    ``first_codes`` are its first accelerometer samples as stored, where they came in one piece.
+    ``first_codes`` are its first accelerometer samples as stored, where they came in one piece; ``ends`` the codes at
+    which the accelerometer is at its end, where blocks that reach them are masked.
     """
 
     step: int
@@ -107,6 +109,7 @@ class StepState:
     mask_level: int = N_MASK_LEVELS
     chunks: list[ChunkFit] = field(default_factory=list)
     first_codes: npt.NDArray[Any] | None = None
+    ends: Ends | None = None
 
     @property
     def rows(self) -> list[int]:

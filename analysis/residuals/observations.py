@@ -148,6 +148,7 @@ def observations_from(
     progress: Callable[[str, float], None] | None = None,
     on_flights: Callable[[Recording, Flights], None] | None = None,
     known: MutableMapping[Path, Observations] | None = None,
+    high_pass_hz: float | None = None,
 ) -> Observations:
     """Reduce recordings to observations.
 
@@ -163,6 +164,8 @@ def observations_from(
         Called with each recording and its flights, so that nobody reads it a second time for them.
     known
         Recordings that were reduced before, with the same setup; those that were not are added.
+    high_pass_hz
+        As in `analysis.flights.scan.scan`.
 
     Raises
     ------
@@ -177,7 +180,8 @@ def observations_from(
         with open_recording(path) as recording:
             if setup is not None:
                 recording.measure_with(setup)
-            flights = flights_of(recording, progress=None if progress is None else partial(progress, path.name))
+            say = None if progress is None else partial(progress, path.name)
+            flights = flights_of(recording, progress=say, high_pass_hz=high_pass_hz)
             if on_flights is not None:
                 on_flights(recording, flights)
             parts[path] = observed(recording, flights)
@@ -187,7 +191,7 @@ def observations_from(
 def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) -> Observations:
     """Observations of one recording; ``with_mode`` a ringing mode is identified, in about a second."""
     setup = recording.setup
-    fitted = [s for s in flights.plate.steps if s is not None and not s.saturated]
+    fitted = [s for s in flights.plate.steps if s is not None and s.usable]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
     steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)

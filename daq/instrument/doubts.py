@@ -47,6 +47,7 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
     if "accelerometer_sense" not in kinds:
         scale += tuple(_bias(seen, setup))
     found += scale
+    found += tuple(_cut_off(seen, setup))
     if seen.interpolation_hz is not None:
         found += (
             Doubt(
@@ -265,6 +266,27 @@ def _scale(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     else:
         cure = "correct g_per_volt in [drive], or sensitivity and unit in [channels.accelerometer]"
         yield Doubt("scale", both, cure, True)
+
+
+def ends_g(seen: Measured, setup: Setup) -> tuple[float | None, float | None]:
+    """Lowest and highest acceleration that the accelerometer shows; None for an end that it does not reach."""
+    offset_v = setup.channels.accelerometer.offset_v
+    zero_v = 0.0 if offset_v is None else offset_v.value
+    low, high = sorted((end - zero_v) / volts_per_g(setup) for end in seen.ends_v)
+    return low if math.isfinite(low) else None, high if math.isfinite(high) else None
+
+
+def _cut_off(seen: Measured, setup: Setup) -> Iterator[Doubt]:
+    """Motion beyond the accelerometer's end; impacts beyond it do no harm."""
+    if seen.cut_off:
+        ends = " and ".join(f"{end:+.3g} g" for end in ends_g(seen, setup) if end is not None)
+        yield Doubt(
+            "cut_off",
+            f"the accelerometer is at its end at {ends}, and the plate goes beyond in {seen.cut_off} of the "
+            f"{len(seen.holds)} steps that were looked at",
+            "gamma comes from the rest of each cycle there, less exactly: take a sensor or a range that goes farther",
+            False,
+        )
 
 
 def _rest_g(seen: Measured, setup: Setup) -> float | None:

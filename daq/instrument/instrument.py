@@ -9,7 +9,7 @@ from typing import Any, Self
 STORED = "instrument_json"  # root attribute of a recording
 DOUBT_KINDS = (
     "accelerometer_sense", "contact_sense", "drive_sense", "exchanged", "tones", "bias", "scale", "dead", "contact",
-    "resampled",
+    "resampled", "cut_off",
 )  # fmt: skip
 
 
@@ -64,6 +64,9 @@ class Instrument:
         scale: -1 where both are right.
     levels_v
         Lower and upper level of the contact circuit.
+    ends_g
+        Lowest and highest acceleration that the accelerometer shows, by the profile's sense and scale, where it comes
+        to its end there; None for one that it does not reach.
     doubts
         Contradictions to the profile.
     """
@@ -81,6 +84,7 @@ class Instrument:
     takeoff_g: float | None
     levels_v: tuple[float, float] | None
     doubts: tuple[Doubt, ...] = ()
+    ends_g: tuple[float | None, float | None] = (None, None)
 
     @property
     def grave(self) -> tuple[Doubt, ...]:
@@ -112,6 +116,9 @@ class Instrument:
             sensor.append(f"{self.bias_v:.4f} V on average")
         if self.phase_deg is not None:
             sensor.append(f"{self.phase_deg:+.1f} degrees after the drive")
+        if any(end is not None for end in self.ends_g):
+            ends = " and ".join(f"{end:+.3g} g" for end in self.ends_g if end is not None)
+            sensor.append(f"at its end at {ends}")
         if sensor:
             lines.append(f"accelerometer: {', '.join(sensor)}")
         if self.levels_v is not None:

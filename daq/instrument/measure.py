@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daq.channels.continuity import ContinuityChannel
 from daq.instrument.noise import described, interpolation_hz, spectrum, window_samples
+from daq.instrument.saturation import NO_ENDS, STANDS, Ends, common_ends, share_at_an_end
 from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import Setup
 from daq.steps.find_steps import gamma_of
@@ -77,13 +78,19 @@ class Hold:
 
 @dataclass(frozen=True)
 class Measured:
-    """Everything that was measured: by step, and of the noise of all of them."""
+    """Everything that was measured: by step, and of the noise of all of them.
+
+    ``ends_v`` are the volts beyond which the accelerometer does not read, infinite where it does not come to its end;
+    ``cut_off`` is the number of holds whose motion goes beyond.
+    """
 
     holds: tuple[Hold, ...]
     levels_v: tuple[float, float] | None
     bias_v: float | None
     noise: tuple[float, float, float | None] | None
     interpolation_hz: float | None
+    ends_v: Ends = NO_ENDS
+    cut_off: int = 0
 
 
 def volts_per_g(setup: Setup) -> float:
@@ -127,7 +134,8 @@ def measure(
         holds.append(hold)
         bias.append(hold.plate.offset)
         windows += _quiet(rest, high, rate_hz)
-    found = spectrum(windows, rate_hz)
+    found, shown = spectrum(windows, rate_hz), [volts["accelerometer"] for _, volts, _ in pieces]
+    ends_v = common_ends(shown)
     channels = [[volts[role] for _, volts, _ in pieces] for role in read]
     return Measured(
         tuple(holds),
@@ -135,6 +143,8 @@ def measure(
         float(np.median(bias)) if bias else None,
         None if found is None else described(*found),
         interpolation_hz(channels, rate_hz),
+        ends_v,
+        sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),
     )
 
 

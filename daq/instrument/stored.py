@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.instrument.doubts import at_edges_g, doubts_of, drive_phase_deg, edges_g
+from daq.instrument.doubts import at_edges_g, doubts_of, drive_phase_deg, edges_g, ends_g
 from daq.instrument.instrument import STORED, Instrument
 from daq.instrument.measure import measure, volts_per_g
 from daq.recording import Recording, open_recording
@@ -53,6 +53,7 @@ def examine(
         takeoff_g=at_edges_g(opens),
         levels_v=seen.levels_v,
         doubts=doubts_of(seen, setup),
+        ends_g=ends_g(seen, setup),
     )
 
 

@@ -11,6 +11,7 @@ from analysis.flights.scan import plate_of
 from analysis.plate.accumulator import PlatePiece, _classify, block_width
 from analysis.plate.step_state import CONTACT, FLIGHT, N_MASK_LEVELS, NEITHER
 from daq.files.tables import Block
+from daq.instrument.saturation import NO_ENDS
 from daq.recording import RecordingWriter, open_recording
 
 RATE_HZ, FREQUENCY_HZ = 20000.0, 25.37
@@ -19,9 +20,18 @@ RATE_HZ, FREQUENCY_HZ = 20000.0, 25.37
 def test_blocks_begin_on_a_grid_that_counts_lost_samples() -> None:
     """A piece whose first sample is number 7 of the run has its first block of four at sample 8."""
     piece = PlatePiece(4, np.arange(12, dtype=np.float32), None, None)
-    acceleration, drive, fraction = piece.means(4, 3)
+    acceleration, drive, fraction, cut_off = piece.means(4, 3, NO_ENDS)
     np.testing.assert_array_equal(acceleration, [2.5, 6.5])
-    assert drive is None and fraction is None
+    assert drive is None and fraction is None and cut_off is None
+
+
+def test_blocks_with_a_code_at_the_sensors_end_are_marked_with_their_neighbours() -> None:
+    """Of six blocks of four the third holds one code at the upper end: it and the ones next to it are marked."""
+    codes = np.zeros(24, dtype=np.int16)
+    codes[9] = 100
+    piece = PlatePiece(0, codes.astype(np.float32), None, None, codes)
+    *_, cut_off = piece.means(4, 0, (-np.inf, 90.0))
+    np.testing.assert_array_equal(cut_off, [False, True, True, True, False, False])
 
 
 @pytest.mark.parametrize("lost", [(7, 13), (7, 14), (20, 20)])

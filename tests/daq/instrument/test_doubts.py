@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.plants import other_plant
+from benchmarks.plants.instrument import Instrument as Chain
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
 from daq.instrument.instrument import Instrument
@@ -95,6 +96,12 @@ def resampled(v: Volts) -> None:
     v.update({name: np.interp(new, t, v[name]) for name in ("continuity_v", "accelerometer_v", "drive_v")}, time_s=new)
 
 
+def cut_off(v: Volts) -> None:
+    """A sensor of 0.1 V/g that ends at 4 g, with noise behind it."""
+    noise = 3e-4 * np.random.default_rng(8).standard_normal(v["accelerometer_v"].size)
+    v["accelerometer_v"] = np.clip(v["accelerometer_v"], -0.4, 0.4) + noise
+
+
 def without_drive(spoil: Spoil) -> Spoil:
     """The same where no drive was recorded."""
 
@@ -144,14 +151,28 @@ def test_what_contradicts_the_profile_is_a_doubt_with_its_cure(
         refuse_doubtful([summary.path])
 
 
-@pytest.mark.parametrize(("spoil", "kind"), [(drive_inverted, "drive_sense"), (resampled, "resampled")])
+@pytest.mark.parametrize(
+    ("spoil", "kind"), [(drive_inverted, "drive_sense"), (resampled, "resampled"), (cut_off, "cut_off")]
+)
 def test_what_a_verdict_survives_is_said_and_not_refused(tmp_path: Path, spoil: Spoil, kind: str) -> None:
-    """Reversed leads of the drive and linear interpolation are doubts that stop nothing."""
+    """Reversed leads of the drive, linear interpolation and motion beyond the sensor's end stop nothing."""
     volts = dict(_simulated(2, (), False))
     spoil(volts)
     summary = bring_in(volts, other_plant.profile_of(run_of(2)), tmp_path)
     assert [(doubt.kind, doubt.makes_meaningless) for doubt in summary.instrument.doubts] == [(kind, False)]
     refuse_doubtful([summary.path])
+
+
+def test_the_accelerometers_end_is_said_where_it_comes_to_it(tmp_path: Path) -> None:
+    """Impacts beyond -4 g on motion of at most 3.6 g: no doubt, but that end is stated in g; none in a sound run."""
+    run = replace(run_of(1), gammas=tuple(g / 1.4 for g in run_of(1).gammas), instrument=Chain(sensor_clip_g=4.0))
+    found = bring_in(handed_over(run), other_plant.profile_of(run), tmp_path).instrument
+    assert found.doubts == () and found.ends_g[0] == pytest.approx(-4.0, abs=0.1)
+    assert any("at its end at -" in line for line in found.in_words())
+    sound = tmp_path / "sound"
+    sound.mkdir()
+    whole = bring_in(dict(_simulated(1, (), False)), other_plant.profile_of(run_of(1)), sound).instrument
+    assert whole.ends_g == (None, None)
 
 
 @pytest.mark.parametrize(("c", "stated"), [(1, 2), (1, 3), (2, 1), (2, 3), (3, 1), (3, 2)])

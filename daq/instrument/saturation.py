@@ -7,13 +7,14 @@ but they are not the waveform that other impacts have. Decision 310.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from kernels import njit
-from kernels.arrays import Floats
+from kernels.arrays import Bools, Floats
 
 STANDS = 0.02  # share of the samples at an end from which it saturates: a sine cut off there has lost 0.2 % of its peak
 STANDS_S = 1e-3  # time at an end from which it is the motion that stands there: a table's ringing turns sooner
@@ -21,9 +22,11 @@ BANDS = (200.0, 100.0, 50.0, 25.0)  # parts of the range that noise may spread a
 CROWDED = 3.0  # times as many in the outermost band as in the next one; where a sine turns there are 2.4 times as many
 CROWDED_SIGMAS = 4.0  # significance of that
 SPREAD_SIGMAS = 4.0  # standard deviations of the noise about an end within which a reading is at the end
+BEYOND = 0.5  # of the spread about an end, by which readings of other stretches may exceed it
 LOOKED_AT = 4096  # samples from which the step of the readings is taken
 
 Ends = tuple[float, float]
+NO_ENDS: Ends = (-math.inf, math.inf)
 
 
 def ends_of(values: npt.NDArray[Any]) -> Ends:
@@ -33,8 +36,10 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     the next one, for parts of several sizes.
     """
     x = np.asarray(values, dtype=np.float64)
-    steps = np.diff(np.unique(x[:LOOKED_AT]))
-    least = 2.0 * float(steps.min()) if steps.size else 0.0
+    in_order = np.sort(values[:LOOKED_AT]).astype(np.float64)  # whole codes are sorted several times faster
+    steps = np.diff(in_order)
+    least = 2.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
+    least = least if least < math.inf else 0.0
     widths = [max(float(np.ptp(x)) / part, least) for part in BANDS]
     return -_end(-x, widths), _end(x, widths)
 
@@ -52,9 +57,43 @@ def _end(x: Floats, widths: list[float]) -> float:
     return math.inf
 
 
-def share_at_an_end(values: npt.NDArray[Any], rate_hz: float) -> float:
-    """Share of ``values`` (n,) in stretches of `STANDS_S` or more at an end: of the motion, not of impacts alone."""
-    return float(_standing(values, *ends_of(values), max(int(STANDS_S * rate_hz), 1))) / len(values)
+def common_ends(stretches: Sequence[npt.NDArray[Any]]) -> Ends:
+    """Ends that some stretches of a sensor's readings, (n,) each, show, and beyond which no other one reads.
+
+    Each stretch holds one motion: together, where weaker ones turn, there are as many readings as at an end.
+    """
+    pairs, ends = [ends_of(x) for x in stretches], []
+    for side, sign in enumerate((-1.0, 1.0)):
+        tops = [float(np.max(sign * x)) for x in stretches]
+        found = [sign * pair[side] for pair in pairs]
+        held = [end for end, top in zip(found, tops, strict=True) if max(tops) <= top + BEYOND * (top - end)]
+        ends.append(sign * min(held, default=math.inf))
+    return ends[0], ends[1]
+
+
+def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None = None) -> float:
+    """Share of ``values`` (n,) in stretches of `STANDS_S` or more at an end: of the motion, not of impacts alone.
+
+    ``ends`` are those of the same sensor in readings that go farther; None: of these values.
+    """
+    low, high = ends_of(values) if ends is None else ends
+    return float(_standing(values, low, high, max(int(STANDS_S * rate_hz), 1))) / len(values)
+
+
+def blocks_at_an_end(values: npt.NDArray[Any], width: int, skip: int, ends: Ends) -> Bools:
+    """Which blocks of ``width`` values after the first ``skip`` hold one at an end, or are next to one that does."""
+    out = np.zeros(max(len(values) - skip, 0) // width, dtype=np.bool_)
+    _reach(values, width, skip, *ends, out)
+    return out
+
+
+@njit()
+def _reach(values, width, skip, low, high, out):  # type: ignore[no-untyped-def]
+    """Mark each block that holds a value at or below ``low``, or at or above ``high``, and its neighbours."""
+    for i in range(skip, skip + out.shape[0] * width):
+        if values[i] <= low or values[i] >= high:
+            block = (i - skip) // width
+            out[max(block - 1, 0) : block + 2] = True
 
 
 @njit()
