@@ -24,7 +24,7 @@ from daq.files.claims import dataset_of, objects_of, refuse_claims
 from daq.files.disk import DiskFile
 from daq.files.seal import text_crc, write_seal
 from daq.files.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
-from daq.files.whole_file import sync
+from daq.files.whole_file import sync, sync_folder
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Integers
@@ -245,11 +245,12 @@ class ColumnWriter:
         while True:
             try:
                 self.part.replace(self.path)
-                return
+                break
             except PermissionError:  # on Windows also while the frames are read: by a live page, a virus scanner
                 if sys.platform != "win32" or time.monotonic() > ends:
                     raise
                 time.sleep(0.05)
+        sync_folder(self.path.parent)
 
     def _finish_attributes(self) -> None:
         """Root attributes and their checksum; the times as the axis of every channel."""

@@ -35,6 +35,7 @@ from daq.files.frame_file import (
 from daq.files.frame_marks import MarkLog, running_crcs
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, step_row
+from daq.files.whole_file import sync_folder
 from daq.setup.errors import InputError
 
 _END_BYTES = 4096
@@ -94,6 +95,7 @@ class FrameWriter:
         self._file.swmr_mode = True
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         self._hdf5_descriptor = self._file.id.get_vfd_handle()
+        sync_folder(path.parent)  # a step that is synced later is of no use in a file without a name
         self._identity = os.fstat(self._descriptor).st_ino  # by which a file that was replaced is noticed
         self.is_broken = False
 
@@ -218,6 +220,7 @@ class FrameWriter:
         self._end.id.flush()
         if self.n_samples:
             self._write_marks()
+            os.fsync(self._descriptor)  # a loss of power may undo the rename that follows
 
     @property
     def is_open(self) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import mmap
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,8 @@ class MarkedFrames:
 
     Parameters
     ----------
-    path
-        A file; it is only read.
+    data
+        Bytes of a file, as `mapped` gives them.
     further
         Rows of tables other than that of the blocks that were read by another way: they are added.
 
@@ -53,15 +53,12 @@ class MarkedFrames:
         When the file has no marks.
     """
 
-    def __init__(self, path: Path, further: Mapping[str, NDArray[np.void]] | None = None) -> None:
-        with path.open("rb") as raw:
-            if not raw.seek(0, 2):
-                raise LookupError(path)
-            self._data: Any = mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ)
-        marks = read_marks(self._data)
+    def __init__(self, data: Any, further: Mapping[str, NDArray[np.void]] | None = None) -> None:
+        self._data = data
+        marks = read_marks(data)
         if marks is None:
             self.close()
-            raise LookupError(path)
+            raise LookupError("a file without marks")
         self._marks = marks
         self.attrs = marks.attributes
         self.faults: list[str] = []
@@ -113,7 +110,7 @@ class MarkedFrames:
                 crcs.append(self._marks.crcs[number])
                 at = first + n
         follow()
-        return (np.concatenate(rows) if rows else np.zeros(0, BLOCK_DTYPE)), crcs
+        return _stacked(rows, BLOCK_DTYPE), crcs
 
     def _seek(self, chunk: int) -> None:
         """Find a chunk whose place no mark holds behind the one before it, by the CRC-32 of a block that lies in it."""
@@ -183,7 +180,7 @@ class MarkedFrames:
         for other in further.get(name, np.zeros(0, dtype)):
             row = np.array([other], dtype)
             held[row["first_sample"].tobytes() if is_step else row.tobytes()] = row
-        table: NDArray[np.void] = np.concatenate([np.zeros(0, dtype), *held.values()])
+        table = _stacked(held.values(), dtype)
         return table[np.argsort(table[(dtype.names or ("",))[0]], kind="stable")]
 
     def _ending(self) -> dict[str, Any]:
@@ -214,7 +211,19 @@ class MarkedFrames:
 
     def close(self) -> None:
         """Let go of the file."""
-        self._data.close()
+        if isinstance(self._data, mmap.mmap):
+            self._data.close()
+
+
+def _stacked(rows: Iterable[NDArray[np.void]], dtype: np.dtype[Any]) -> NDArray[np.void]:
+    """Rows (1,) as one array; `numpy.concatenate` compares their types field by field, each time."""
+    return np.frombuffer(bytearray(b"".join(row.tobytes() for row in rows)), dtype)
+
+
+def mapped(path: Path) -> Any:
+    """Bytes of a file, read as they are asked for; an empty one has none."""
+    with path.open("rb") as raw:
+        return mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) if raw.seek(0, 2) else b""
 
 
 def has_marks(path: Path) -> bool:

@@ -7,6 +7,7 @@ on the disk before the next one is begun; a last line that was cut off is left o
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -41,6 +42,7 @@ def whole(path: Path) -> Iterator[Path]:
             shutil.copymode(target, part)
         sync(part)
         part.replace(target)
+        sync_folder(target.parent)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -61,6 +63,23 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def sync_folder(folder: Path) -> None:
+    """Ask the operating system to put the names in a folder on the disk: a file's own sync does not promise its name.
+
+    POSIX only: Windows syncs no folder, and its file systems log changes of names.
+    """
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a file system that knows no sync of folders, as some of networks
+            raise
+    finally:
+        os.close(descriptor)
+
+
 Row = dict[str, Any]
 
 
@@ -74,7 +93,8 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rows: dict[str, Row] = {}
-        text = path.read_bytes() if path.exists() else b""
+        self._is_new = not path.exists()
+        text = b"" if self._is_new else path.read_bytes()
         lines = text.split(b"\n")
         for number, line in enumerate(lines[:-1], start=1):
             if not line.strip():
@@ -100,4 +120,7 @@ class Journal:
             stream.write(line.encode() + b"\n")
             stream.flush()
             os.fsync(stream.fileno())
+        if self._is_new:
+            sync_folder(self.path.parent)
+            self._is_new = False
         self.rows[key] = row

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
 from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, stated_bytes, table_of
-from daq.files.marked_frames import MarkedFrames, has_marks
+from daq.files.marked_frames import MarkedFrames, has_marks, mapped
 from daq.files.seal import Checked, check, once_per_state
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32, joined
 from daq.recording.opening import UNCHECKED, differing_blocks, open_checked, open_file, require_hdf5, unsealed
@@ -90,7 +90,7 @@ def _by_marks(path: Path, looked: Survey) -> tuple[Recording, Survey] | None:
             n_samples = recording.n_samples
             further = {"steps": recording.frames.steps, **recording.frames.side}
     try:
-        frames = MarkedFrames(path, further)
+        frames = MarkedFrames(mapped(path), further)
     except LookupError:
         return None
     others = [line for line in looked.where if not line.startswith("block ")]  # the marks know it more exactly
