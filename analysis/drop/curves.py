@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.drop.falls.fit import height_m
+from analysis.drop.falls.fit import heights_m
 from analysis.drop.falls.judge import Judged as JudgedFalls
 from analysis.drop.film.camera_fit import CameraFit
 from analysis.drop.laws.choice import Verdict
@@ -60,7 +60,7 @@ class FitPlot:
 
 
 def in_plain_words(name: str) -> str:
-    """A model's name as a legend says it: ``quadratic_drag+axis_scale`` is "quadratic drag, axis scale"."""
+    """A model's name as a legend says it: ``quadratic_drag+axis_distortion`` is "quadratic drag, axis distortion"."""
     return name.replace("+", ", ").replace("_", " ")
 
 
@@ -112,7 +112,7 @@ def falls_plot(judged: JudgedFalls, clips: list[int]) -> FitPlot:
         fit = judged.verdict.candidate(name).fit
         grids = [np.linspace(fall.time_s[0], fall.time_s[-1], _FLIGHT_GRID) for fall in judged.falls]
         pieces = [
-            (grid, height_m(fit.values, judged.setting, fall, grid))
+            (grid, heights_m(fit.values, judged.setting, [fall], [grid]))
             for fall, grid in zip(judged.falls, grids, strict=True)
         ]
         left = [(fall.time_s, own) for fall, own in zip(judged.falls, fit.left, strict=True)]

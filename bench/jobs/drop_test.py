@@ -235,7 +235,7 @@ def _from_falls(paths: list[Path2D], files: list[int], request: Request) -> tupl
     from analysis.drop.curves import falls_plot
     from analysis.drop.falls.fall import Fall, with_balls
     from analysis.drop.falls.judge import judge_falls
-    from analysis.drop.falls.outcome import of_falls, weight_shares
+    from analysis.drop.falls.outcome import of_falls
     from analysis.drop.read.balls import read_balls
 
     falls = []
@@ -256,8 +256,8 @@ def _from_falls(paths: list[Path2D], files: list[int], request: Request) -> tupl
         if len(names) > 1:
             raise InputError(f"--mass and --diameter: of one ball, and these are {len(names)}; give a table as --balls")
         sizes[names[0]] = (request.mass_kg, request.diameter_m)
-    judged = judge_falls(falls, request.gravity_mps2, weight_shares(sizes))
-    return of_falls(judged, sizes), falls_plot(judged, files)
+    judged = judge_falls(falls, request.gravity_mps2, sizes)
+    return of_falls(judged), falls_plot(judged, files)
 
 
 def _from_paths(

@@ -65,26 +65,25 @@ def with_balls(falls: Sequence[Fall]) -> list[Fall]:
     return [replace(fall, ball=ball) for fall, ball in zip(falls, balls, strict=True)]
 
 
-def fallen_m(since_s: Floats, g_mps2: float, k_per_m: float, c_per_s: float) -> Floats:
-    """Way down since the ball was at rest in still air, m; times before that are of a ball that rises.
+def fallen_m(since_s: Floats, g_mps2: Floats | float, k_per_m: Floats | float, c_per_s: Floats | float) -> Floats:
+    """Way down since the ball was at rest in still air, m (n,); times before that are of a ball that rises.
 
-    Quadratic drag ``k`` (ln cosh, Rayleigh) or linear drag ``c`` (Stokes). A drag below zero is no ball's; it goes on
-    smoothly so that the interval of a drag can hold zero.
+    Quadratic drag ``k`` (ln cosh, Rayleigh) or linear drag ``c`` (Stokes), one for all or one a time. A drag below zero
+    is no ball's; it goes on smoothly so that the interval of a drag can hold zero.
     """
-    if c_per_s:
+    if np.any(c_per_s):
         x = c_per_s * since_s
         small = np.abs(x) < 1e-3
         safe = np.where(small, 1.0, x)
         share = np.where(small, 0.5 - x / 6.0, (safe + np.expm1(-safe)) / safe**2)
         return np.asarray(g_mps2 * since_s**2 * share)
-    if abs(k_per_m) < 1e-9:
-        return 0.5 * g_mps2 * since_s**2
-    size = abs(k_per_m)
-    x = np.sqrt(max(size * g_mps2, 0.0)) * np.abs(since_s)  # a step of a fit may try a gravity below zero
-    slowed = (since_s >= 0.0) == (k_per_m > 0.0)
+    size = np.maximum(np.abs(k_per_m), 1e-9)
+    x = np.sqrt(np.maximum(size * g_mps2, 0.0)) * np.abs(since_s)  # a step of a fit may try a gravity below zero
+    slowed = (since_s >= 0.0) == (np.asarray(k_per_m) > 0.0)
     with np.errstate(over="ignore"):
         way = np.where(slowed, x + np.log1p(np.exp(-2.0 * x)) - np.log(2.0), -np.log(np.cos(np.minimum(x, 1.5))))
-    return np.asarray(way / size)
+    # Of the logarithms only rounding is left where the ball is slow: there the first terms of their series.
+    return np.asarray(np.where(x < 1e-2, 0.5 * x**2 * (1.0 - np.where(slowed, 1.0, -1.0) * x**2 / 6.0), way) / size)
 
 
 @dataclass(frozen=True)
@@ -94,13 +93,14 @@ class Axis:
     middle_m: float
     reach_m: float
 
-    def seen_m(self, height_m: Floats, bend: float) -> Floats:
-        """Height read for a ball at ``height_m``: wrong by ``bend`` times the reach in the middle, right at both ends.
+    def terms_m(self, height_m: Floats) -> Floats:
+        """Errors of heights (n, 3) that a scale, a bend and a skew of one make.
 
-        The scale that goes with it changes by ``4 bend`` from the lower to the upper end: a tilted camera.
+        A bend is wrong by the reach in the middle and right at both ends: the scale changes by four times as much from
+        the lower to the upper end, as where a camera is tilted. A skew is right at both ends and in the middle: a lens.
         """
         h = np.clip((height_m - self.middle_m) / self.reach_m, -1.5, 1.5)
-        return np.asarray(height_m + bend * self.reach_m * (h * h - 1.0))
+        return np.asarray(self.reach_m * np.column_stack([h, h * h - 1.0, h**3 - h]))
 
 
 def axis_of(falls: Sequence[Fall]) -> Axis:

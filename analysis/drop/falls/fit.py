@@ -14,13 +14,19 @@ from kernels.arrays import Floats
 # Every parameter and whose it is. A drop's release is always its own: its height and its time.
 COMMON, BALL, DROP = "common", "ball", "drop"
 OWNER = {
-    "g_mps2": COMMON, "bend": COMMON, "wind_mps": COMMON, "k_per_m": BALL, "c_per_s": BALL, "share": BALL,
-    "scale": DROP, "lead_s": DROP, "top_m": DROP, "release_s": DROP,
+    "g_mps2": COMMON, "scale": COMMON, "bend": COMMON, "skew": COMMON, "wind_mps": COMMON,
+    "k_per_m": BALL, "c_per_s": BALL, "own_scale": DROP, "own_bend": DROP, "own_skew": DROP,
+    "below_m": DROP, "top_m": DROP, "release_s": DROP,
 }  # fmt: skip
-# Priors (value, standard deviation): a drop is nearer to the camera or farther than the ruler, a hand gives a speed
-# of a few m/s, air rises or sinks by as much. Without them noise would set the release and the scale of a heavy ball.
-PRIORS = {"scale": (1.0, 0.05), "lead_s": (0.0, 0.2), "wind_mps": (0.0, 2.0)}
+AXIS, OWN_AXIS = ("scale", "bend", "skew"), ("own_scale", "own_bend", "own_skew")
+# Standard deviations of priors about zero: a ruler is laid in a plane that the balls need not be in, a hand gives a
+# speed of a metre or two a second, air rises or sinks by as much. Each drop is a film that was calibrated by itself:
+# what is its own axis's has `Noise.axis`.
+PRIORS = {"scale": 0.05, "bend": 0.1, "skew": 0.05, "below_m": 0.2, "wind_mps": 2.0}
+SPHERE = (0.5, 0.3)  # drag coefficient, smooth or rough, before the drag crisis or beyond it, with holes or without
+AIR_KG_PER_M3 = 1.2
 
+Sizes = Mapping[str, tuple[float, float]]  # ball -> mass, kg, and diameter, m
 Values = Mapping[str, Mapping[str, float]]  # parameter -> owner -> value; the owner of what is common is ""
 
 
@@ -30,8 +36,33 @@ class Setting:
 
     axis: Axis
     g_mps2: float
-    share: Mapping[str, float]  # of a ball's weight, what buoyancy and the air that moves with it leave
-    prior_m: float = 0.1  # residual that counts as one standard deviation against a prior
+    sizes: Sizes
+
+    def weight_share(self, ball: str) -> float:
+        """Acceleration of a ball at rest over gravity: buoyancy, and half of the displaced air that moves with it."""
+        air = self._air(ball)
+        return (1.0 - air) / (1.0 + 0.5 * air)
+
+    def drag_per_m(self, ball: str) -> float | None:
+        """Drag of a ball of known size with a drag coefficient of one, 1/m."""
+        if ball not in self.sizes:
+            return None
+        mass_kg, diameter_m = self.sizes[ball]
+        return 0.125 * AIR_KG_PER_M3 * np.pi * diameter_m**2 / mass_kg / (1.0 + 0.5 * self._air(ball))
+
+    def _air(self, ball: str) -> float:
+        """Mass of the displaced air over that of the ball."""
+        mass_kg, diameter_m = self.sizes.get(ball, (1.0, 0.0))
+        return AIR_KG_PER_M3 * np.pi / 6.0 * diameter_m**3 / mass_kg
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of the heights."""
+
+    sigma_m: float = 0.1  # of one height
+    worth: float = 0.5  # independent samples per sample
+    axis: float = 0.0  # standard deviation of scale, bend and skew of a drop's own axis
 
 
 @dataclass(frozen=True)
@@ -40,8 +71,9 @@ class FallFit:
 
     names: tuple[str, ...]  # of the parameters beyond the releases
     values: dict[str, dict[str, float]]  # as `Values`
-    sigmas: dict[str, dict[str, float]]  # standard deviations, residuals taken as independent
+    sigmas: dict[str, dict[str, float]]  # standard deviations
     left: list[Floats]  # of each fall: read less predicted, m
+    evidence: float  # logarithm of the probability of the heights, all parameters integrated out (Laplace)
     sigma_m: float  # rms residual over the degrees of freedom
 
     @property
@@ -55,44 +87,35 @@ def owner_of(name: str, fall: Fall) -> str:
     return {COMMON: "", BALL: fall.ball, DROP: fall.name}[OWNER[name]]
 
 
-def height_m(values: Values, setting: Setting, fall: Fall, time_s: Floats) -> Floats:
-    """Height read for one fall at ``time_s`` (n,); parameters that ``values`` lacks are those of free fall."""
+def heights_m(values: Values, setting: Setting, falls: Sequence[Fall], times_s: Sequence[Floats]) -> Floats:
+    """Heights read for falls at times of each, one after the other; what ``values`` lacks is as in free fall."""
+    counts = [len(times) for times in times_s]
 
-    def value(name: str, default: float = 0.0) -> float:
-        return float(values.get(name, {}).get(owner_of(name, fall), default))
+    def value(name: str, usual: float = 0.0) -> Floats:
+        own = values.get(name, {})
+        return np.repeat([own.get(owner_of(name, fall), usual) for fall in falls], counts)
 
-    share = setting.share.get(fall.ball, 1.0)
-    g = value("g_mps2", setting.g_mps2) * value("scale", 1.0) * share
-    # Held until its release; a lead makes the release earlier or later than the rest in still air.
-    since = np.maximum(time_s - value("release_s"), value("lead_s"))
-    wind = value("wind_mps") * (since - value("lead_s"))
-    fallen = fallen_m(since, g, value("k_per_m"), value("c_per_s"))
-    return setting.axis.seen_m(value("top_m") - fallen + wind, value("bend"))
-
-
-def _start(slots: Sequence[tuple[str, str]], falls: Sequence[Fall], setting: Setting, near: FallFit | None) -> Floats:
-    """Free fall from the first height with the drag of a light ball; or what a fit to nearly the same has."""
-    first = {fall.name: fall for fall in falls}
-    usual = {"g_mps2": setting.g_mps2, "k_per_m": 0.01, "c_per_s": 0.1, "scale": 1.0}
-    out = []
-    for name, owner in slots:
-        value = usual.get(name, 0.0)
-        if name == "top_m":
-            value = float(first[owner].height_m.max())
-        elif name == "release_s":
-            value = float(first[owner].time_s[0])
-        out.append(near.values.get(name, {}).get(owner, value) if near is not None else value)
-    return np.array(out)
+    g = value("g_mps2", setting.g_mps2) * np.repeat([setting.weight_share(fall.ball) for fall in falls], counts)
+    drag, wind = (value("k_per_m"), value("c_per_s")), value("wind_mps")
+    since, below = np.concatenate(times_s) - value("release_s"), value("below_m")
+    before = wind / setting.g_mps2  # at rest in air that moves is as fallen in still air for a while
+    fallen = fallen_m(np.maximum(since, 0.0) + before, g, *drag) - fallen_m(before, g, *drag) - wind * since.clip(0.0)
+    # Held until it moves: at rest at the apex of its path, or so far below it as its first speed is worth.
+    fallen = np.where(since > np.sqrt(2.0 * np.maximum(below, 0.0) / setting.g_mps2), fallen, below)
+    height = value("top_m") - fallen
+    wrong = [value(one) + value(own) for one, own in zip(AXIS, OWN_AXIS, strict=True)]
+    return np.asarray(height + (setting.axis.terms_m(height) * np.column_stack(wrong)).sum(axis=1))
 
 
 def fit_falls(
     falls: Sequence[Fall],
     names: Sequence[str],
     setting: Setting,
+    noise: Noise,
     known: Values | None = None,
     near: FallFit | None = None,
 ) -> FallFit:
-    """Least squares of all falls.
+    """Least squares of all falls under the priors.
 
     Parameters
     ----------
@@ -106,11 +129,11 @@ def fit_falls(
     fitted = (*names, "top_m", "release_s")
     slots = list(dict.fromkeys((name, owner_of(name, fall)) for name in fitted for fall in falls))
     bounds = np.cumsum([0, *(len(fall.time_s) for fall in falls)])
-    priors = dict(PRIORS)
-    if "scale" in names:  # else nothing else says how large g is
-        priors["g_mps2"] = (setting.g_mps2, PRIORS["scale"][1] * setting.g_mps2)
-    judged = [k for k, (name, _) in enumerate(slots) if name in priors]
-    usual, width = np.array([priors[slots[k][0]] for k in judged]).reshape(-1, 2).T
+    read, times = np.concatenate([fall.height_m for fall in falls]), [fall.time_s for fall in falls]
+    count, unit = int(bounds[-1]), noise.sigma_m / float(np.sqrt(noise.worth))
+    usual, width = np.array([_prior(*slot, setting, noise) for slot in slots]).T
+    judged = np.flatnonzero(np.isfinite(width))
+    usual, width = usual[judged], width[judged]
 
     def named(vector: Floats) -> dict[str, dict[str, float]]:
         out: dict[str, dict[str, float]] = {name: {} for name in fitted}
@@ -120,12 +143,13 @@ def fit_falls(
 
     def left(vector: Floats) -> Floats:
         values = {**(known or {}), **named(vector)}
-        parts = [fall.height_m - height_m(values, setting, fall, fall.time_s) for fall in falls]
-        return np.concatenate([*parts, (vector[judged] - usual) / width * setting.prior_m])
+        return np.concatenate(
+            [(read - heights_m(values, setting, falls, times)) / unit, (vector[judged] - usual) / width]
+        )
 
     def slopes(vector: Floats) -> Floats:
         """Derivatives of `left`; all owners of one parameter are moved at once, for no sample knows two of them."""
-        here, out = left(vector), np.zeros((bounds[-1] + len(judged), len(vector)))
+        here, out = left(vector), np.zeros((count + len(judged), len(vector)))
         for name in fitted:
             own = [k for k, slot in enumerate(slots) if slot[0] == name]
             moved = vector.copy()
@@ -133,15 +157,40 @@ def fit_falls(
             change = (left(moved) - here) / 1e-6
             for fall, start, stop in zip(falls, bounds[:-1], bounds[1:], strict=True):
                 out[start:stop, slots.index((name, owner_of(name, fall)))] = change[start:stop]
-        out[np.arange(len(judged)) + bounds[-1], judged] = setting.prior_m / width
+        out[np.arange(len(judged)) + count, judged] = 1.0 / width
         return out
 
     # MINPACK uses one thread: of matrices as small as these, several only wait for each other.
-    found = least_squares(
-        left, _start(slots, falls, setting, near), jac=slopes, method="lm", x_scale="jac", max_nfev=60, ftol=1e-6
-    )
-    sigma = float(np.sqrt(found.fun @ found.fun / max(int(bounds[-1]) - len(found.x) + len(judged), 1)))
+    begin = _start(slots, falls, setting, near)
+    found = least_squares(left, begin, jac=slopes, method="lm", x_scale="jac", max_nfev=60, ftol=1e-6)
     steep = slopes(found.x)
-    wide = np.sqrt(np.maximum(np.diag(np.linalg.pinv(steep.T @ steep)), 0.0)) * sigma
-    residuals = np.split(found.fun[: bounds[-1]], bounds[1:-1])
-    return FallFit(tuple(names), named(found.x), named(wide), residuals, sigma)
+    normal = steep.T @ steep
+    wide = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal)), 0.0))
+    volume = float(np.log(width).sum()) + 0.5 * float(np.linalg.slogdet(normal)[1])
+    evidence = -0.5 * float(found.fun @ found.fun) - volume - noise.worth * count * float(np.log(noise.sigma_m))
+    residuals = [part * unit for part in np.split(found.fun[:count], bounds[1:-1])]
+    squares = float(sum(part @ part for part in residuals))
+    sigma = float(np.sqrt(squares / max(count - len(slots) + len(judged), 1)))
+    return FallFit(tuple(names), named(found.x), named(wide), residuals, evidence, sigma)
+
+
+def _prior(name: str, owner: str, setting: Setting, noise: Noise) -> tuple[float, float]:
+    """What a parameter usually is, and its standard deviation: infinite where nothing is known."""
+    if name == "k_per_m" and (unit := setting.drag_per_m(owner)) is not None:
+        return SPHERE[0] * unit, SPHERE[1] * unit
+    return 0.0, noise.axis if name in OWN_AXIS else PRIORS.get(name, np.inf)
+
+
+def _start(slots: Sequence[tuple[str, str]], falls: Sequence[Fall], setting: Setting, near: FallFit | None) -> Floats:
+    """Free fall from the first height with the drag of a light ball; or what a fit to nearly the same has."""
+    first = {fall.name: fall for fall in falls}
+    usual = {"g_mps2": setting.g_mps2, "k_per_m": 0.01, "c_per_s": 0.1}
+    out = []
+    for name, owner in slots:
+        value = usual.get(name, 0.0)
+        if name == "top_m":
+            value = float(first[owner].height_m.max())
+        elif name == "release_s":
+            value = float(first[owner].time_s[0])
+        out.append(near.values.get(name, {}).get(owner, value) if near is not None else value)
+    return np.array(out)

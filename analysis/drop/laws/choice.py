@@ -30,6 +30,8 @@ class Candidate:
     identifiable: bool  # the data can tell the parameters
 
     LIMITS: ClassVar[Mapping[str, tuple[float, float]]] = {}  # of the parameters, where there are any
+    # Units are of different kinds, of which an effect may change some and leave the others: their gains add up.
+    ADDED: ClassVar[bool] = False
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and half of the 95 % interval of each parameter."""
@@ -92,12 +94,15 @@ def gain_of(rival: Candidate, than: Candidate) -> tuple[float, bool]:
     """Held-out gain of ``rival`` in nats, and whether it is beyond doubt.
 
     Beyond doubt: above `LEAST_GAIN_NATS`, and either above twice the standard error of the paired gains or shared by
-    all units (a long flight weighs more than a short one, so their gains may differ widely and still all agree).
+    all units (a long flight weighs more than a short one, so their gains may differ widely and still all agree). Gains
+    that add up are beyond doubt where they stay above `LEAST_GAIN_NATS` without the largest of them.
     """
     each = rival.scores - than.scores
     if len(each) < 2:
         return 0.0, False
     gain = float(each.sum())
+    if rival.ADDED:
+        return gain, gain - float(each.max()) > LEAST_GAIN_NATS
     doubt = 2.0 * float(each.std(ddof=1)) * float(np.sqrt(len(each)))
     agreed = bool(each.min() > -CHANCE_LOSS_NATS)
     return gain, gain > LEAST_GAIN_NATS and (gain > doubt or agreed)
