@@ -28,6 +28,7 @@ _TOGETHER = (
     ("quadratic_drag", "axis_distortion", "steady_wind"),
 )  # fmt: skip
 _RICHEST = ("k_per_m", *AXIS, *OWN_AXIS)
+_OPEN = (*_RICHEST, "wind_mps")  # what an interval of a drag leaves open
 _OWN_AXES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08)  # by how much axes of drops may differ; each as likely beforehand
 _STOKES_MPS = 1.0  # beyond which no ball that can be seen has a linear drag in air: a millimetre has Reynolds number 70
 
@@ -104,7 +105,7 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     for _ in range(3):  # residuals are correlated from sample to sample: how much one is worth sets what a prior weighs
         first = fit_falls(falls, _RICHEST, setting, noise, near=first)
         noise = replace(noise, sigma_m=max(first.sigma_m, 1e-9), worth=worth_of(first.left))
-    fits, odds = _over_axes(falls, _RICHEST, setting, noise, first)
+    fits, odds = _over_axes(falls, _OPEN, setting, noise, first)
     noise = replace(noise, axis=_OWN_AXES[int(odds.argmax())])
     near = fits[int(odds.argmax())]
     candidates = [_candidate(FREE_FALL, falls, setting, noise, None)]
@@ -120,7 +121,7 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
         doubts = (f"the best law leaves {best.fit.rms_m:.2f} m of falls of {tall:.1f} m",)
     gravity = None
     if len({f.ball for f in falls}) > 2:  # one ball's drag, its scale and the distortion take up any gravity
-        free = _over_axes(falls, (*_RICHEST, "g_mps2"), setting, noise, near)
+        free = _over_axes(falls, (*_OPEN, "g_mps2"), setting, noise, near)
         value, sigma = _mixed(*free, "g_mps2", "")
         bend = _mixed(*free, "bend", "")[0]
         # Nothing shows at which place of a distorted axis its scale is right: anywhere along it.
