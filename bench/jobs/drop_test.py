@@ -175,17 +175,22 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
     if times and paths:
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
     falls = [item.fall is not None for item in paths]
+    left_out: list[str] = []
     if any(falls) and not all(falls):
-        bounced = next(item.name for item in paths if item.fall is None)
-        raise InputError(f"{bounced}: bounces, and other drops do not; run falls without a bounce by themselves")
+        bounced = [item.name for item in paths if item.fall is None]
+        if len(request.files) > 1 or 2 * len(bounced) > len(paths):
+            raise InputError(f"{bounced[0]}: bounces, and other drops do not; run falls without a bounce by themselves")
+        left_out = [f"not read: {name}: no fall without a bounce, as the others are" for name in bounced]
+        loaded = [(number, item) for number, item in loaded if item.name not in bounced]
+        paths = [item for item in paths if item.fall is not None]
     if times:
         done = DropTest(request, loaded, *_from_times(times, stated, request))
-    elif all(falls):
+    elif any(falls):
         done = DropTest(request, loaded, *_from_falls(paths, [number for number, _ in loaded], request))
     else:
         done = DropTest(request, loaded, *_from_paths(paths, stated, request))
     outcome = done.outcome
-    not_read = [words for _, item in loaded for words in item.not_read]
+    not_read = [words for _, item in loaded for words in item.not_read] + left_out
     outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read
     outcome.payload |= {"not_read": not_read, "options": request.as_json(), "in_words": outcome.sentences}
     return done

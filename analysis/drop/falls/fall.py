@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import signal
 
 from kernels.arrays import Floats
 
@@ -30,8 +31,10 @@ class Fall:
 def is_fall(time: Floats, height: Floats) -> int:
     """+1 for a fall whose heights are counted upward, -1 where they are counted downward, 0 for any other motion.
 
-    A fall goes one way, but for its noise, and is faster at its end than at its beginning.
+    A fall goes one way, but for its noise and single strays, and is faster at its end than at its beginning.
     """
+    height = signal.medfilt(height, 3) if len(height) >= _LEAST_SAMPLES else height
+    height[[0, -1]] = height[[1, -2]]  # the filter takes zeros beyond the ends
     span = float(np.ptp(height))
     if len(height) < _LEAST_SAMPLES or span <= 0.0 or np.any(np.diff(time) <= 0.0):
         return 0

@@ -20,8 +20,8 @@ OWNER = {
 }  # fmt: skip
 AXIS, OWN_AXIS = ("scale", "bend", "skew"), ("own_scale", "own_bend", "own_skew")
 # Standard deviations of priors about zero: a ruler is laid in a plane that the balls need not be in, a hand gives a
-# speed of a metre or two a second, air under a bridge rises or sinks by half a metre a second. Each drop is a film that was calibrated by itself:
-# what is its own axis's has `Noise.axis`.
+# speed of a metre or two a second, air under a bridge rises or sinks by half a metre a second. Each drop is a film that
+# was calibrated by itself: what is its own axis's has `Noise.axis`.
 PRIORS = {"scale": 0.05, "bend": 0.1, "skew": 0.05, "below_m": 0.2, "wind_mps": 0.5}
 SPHERE = (0.5, 0.3)  # drag coefficient, smooth or rough, before the drag crisis or beyond it, with holes or without
 AIR_KG_PER_M3 = 1.2

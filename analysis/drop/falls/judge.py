@@ -14,6 +14,7 @@ from analysis.drop.falls.fit import AXIS, OWN_AXIS, FallFit, Noise, Setting, Siz
 from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.laws.choice import Candidate, Verdict, choose, worth_of
 from analysis.drop.thresholds import LARGEST_MISFIT, LEVEL_SIGMAS
+from analysis.statistics import mad_sigma
 from kernels.arrays import Floats
 
 # What each cause adds to free fall, by its name in words and in the JSON.
@@ -30,6 +31,7 @@ _TOGETHER = (
 _RICHEST = ("k_per_m", *AXIS, *OWN_AXIS)
 _OPEN = (*_RICHEST, "wind_mps")  # what an interval of a drag leaves open
 _OWN_AXES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08)  # by how much axes of drops may differ; each as likely beforehand
+_STRAY = 6.0  # standard deviations from which a height is none of the ball's
 _STOKES_MPS = 1.0  # beyond which no ball that can be seen has a linear drag in air: a millimetre has Reynolds number 70
 
 
@@ -69,6 +71,7 @@ class Judged:
     fits: list[FallFit]
     odds: Floats
     gravity: tuple[float, float] | None  # g with its standard deviation; None: cannot be measured
+    strays: int  # heights that were left out
 
     @property
     def best(self) -> FallCandidate:
@@ -100,11 +103,17 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     sizes
         Mass and diameter of balls, where known: they say how much air a ball displaces, and how much drag it may have.
     """
+    count = sum(len(fall.time_s) for fall in falls)
     setting = Setting(axis_of(falls), g_mps2, sizes)
     noise, first = Noise(axis=_OWN_AXES[-1]), None
     for _ in range(3):  # residuals are correlated from sample to sample: how much one is worth sets what a prior weighs
         first = fit_falls(falls, _RICHEST, setting, noise, near=first)
-        noise = replace(noise, sigma_m=max(first.sigma_m, 1e-9), worth=worth_of(first.left))
+        limit = _STRAY * max(mad_sigma(np.concatenate(first.left)), 0.02 * first.sigma_m)
+        inside = [np.abs(left) < limit for left in first.left]
+        falls = [replace(f, time_s=f.time_s[i], height_m=f.height_m[i]) for f, i in zip(falls, inside, strict=True)]
+        left = [own[i] for own, i in zip(first.left, inside, strict=True)]
+        spread = float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+        noise = replace(noise, sigma_m=max(first.sigma_m * spread / first.rms_m, 1e-9), worth=worth_of(left))
     fits, odds = _over_axes(falls, _OPEN, setting, noise, first)
     noise = replace(noise, axis=_OWN_AXES[int(odds.argmax())])
     near = fits[int(odds.argmax())]
@@ -126,7 +135,8 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
         bend = _mixed(*free, "bend", "")[0]
         # Nothing shows at which place of a distorted axis its scale is right: anywhere along it.
         gravity = value, float(np.hypot(sigma, value * 2.0 * abs(bend) / np.sqrt(3.0)))
-    return Judged(list(falls), setting, noise, replace(verdict, doubts=doubts), fits, odds, gravity)
+    strays = count - sum(len(fall.time_s) for fall in falls)
+    return Judged(list(falls), setting, noise, replace(verdict, doubts=doubts), fits, odds, gravity, strays)
 
 
 def _over_axes(

@@ -140,6 +140,8 @@ def _in_words(judged: Judged, payload: dict[str, Any]) -> list[str]:
     """The verdict for a person; a line for each ball."""
     best, verdict, balls = judged.best, judged.verdict, payload["balls"]
     words = [f"{len(judged.falls)} fall(s) of {len(balls)} ball(s), no bounce."]
+    if judged.strays:
+        words.append(f"{judged.strays} height(s) far from any fall were left out.")
     words += [f"Unexplained: {reason}." for reason in payload["unexplained_because"]]
     causes = "; ".join(_IN_WORDS[c] for c in best.model.name.split("+") if c in _IN_WORDS)
     words.append(f"{best.model.name}: {causes or 'nothing beyond free fall is beyond doubt'}")

@@ -40,7 +40,8 @@ def read_balls(path: Path, balls: Sequence[str]) -> dict[str, tuple[float, float
     named = {_plain(str(row[0])): row for row in rows[1:]}
     found = {}
     for ball in balls:
-        like = difflib.get_close_matches(_plain(ball), list(named), 1, _LEAST_ALIKE)
+        numbered = [name for name in named if re.findall(r"\d+", name) == re.findall(r"\d+", _plain(ball))]
+        like = difflib.get_close_matches(_plain(ball), numbered, 1, _LEAST_ALIKE)
         cells = [(named[name][j], factor) for name in like for j, factor in known if j < len(named[name])]
         numbers = [cell * factor for cell, factor in cells if isinstance(cell, float) and cell > 0.0]
         if len(numbers) == 2:

@@ -227,3 +227,19 @@ def test_what_is_unexplained_goes_into_no_profile(tmp_path: Path) -> None:
     run = RUNNER.invoke(app, ["drop", str(file), "--into", str(profile), "--no-pictures"])
     assert run.exit_code == 2 and "Unexplained" in run.stdout
     assert profile.read_text(encoding="utf-8") == before
+
+
+def test_a_drop_that_is_no_fall_is_left_out_of_a_table_of_falls(tmp_path: Path) -> None:
+    """Of three drops in one table the one that bounces is named and left out, and the falls are measured."""
+    rng, t = np.random.default_rng(458), np.arange(0.0, 1.4, 1.0 / 30.0)
+    fall = 10.0 - 0.5 * 9.80665 * t**2
+    bounce = np.where(fall > 4.0, fall, 4.0 + np.abs(np.sin(6.0 * t)))
+    rows = [f"{n},{a:.5f},{b:.4f}" for n, y in ((1, fall), (2, fall), (3, bounce))
+            for a, b in zip(t, y + 0.01 * rng.standard_normal(len(t)), strict=True)]  # fmt: skip
+    table = tmp_path / "ball.csv"
+    table.write_text("drop,time (s),height (m)\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    result = RUNNER.invoke(app, ["drop", str(table), "--no-pictures", "--json", "-"])
+    assert result.exit_code == 0, result.output
+    payload = json.loads(result.output)
+    assert payload["kind"] == "falls" and len(payload["files"]) == 2
+    assert any("drop 3" in words for words in payload["not_read"])

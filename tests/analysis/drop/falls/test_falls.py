@@ -123,6 +123,24 @@ def test_a_ball_dropped_once_names_no_cause() -> None:
     assert any("dropped twice" in words for words in of_falls(judged).sentences)
 
 
+def test_single_wrong_heights_are_left_out() -> None:
+    """Of a drop with one height 5 m off and another 2 m off it is still a fall; both are left out, and it is said."""
+    falls = falls_of({"light": 0.05, "heavy": 0.005}, 0.0, np.random.default_rng(458))
+    falls[0].height_m[20] += 5.0
+    falls[2].height_m[30] -= 2.0
+    assert all(is_fall(fall.time_s, fall.height_m) == 1 for fall in falls)
+    result = of_falls(judge_falls(falls, G, {}))
+    assert any(words.startswith("2 height(s)") for words in result.sentences)
+    assert all(one["rms_m"]["after"] < 0.06 for one in result.payload["balls"])
+
+
+def test_balls_of_another_number_are_another_ball(tmp_path: Path) -> None:
+    """The second whiffle ball has no mass where the table names the first only."""
+    table = tmp_path / "balls.csv"
+    table.write_text("ball,mass (g),diameter (mm)\nwiffleball1,28,73\n")
+    assert read_balls(table, ["Whiffle Ball 2"]) == {}
+
+
 def test_masses_and_sizes_are_found_by_name(tmp_path: Path) -> None:
     """Ounces and circumferences are converted, and a name spelt slightly otherwise is found."""
     table = tmp_path / "balls.csv"
