@@ -121,7 +121,7 @@ class LoopResult:
         columns: dict[str, Any] = {"which": np.array(["before", "after"])}
         columns |= {name: np.array([one[name] for one in errors], dtype=np.float64) for name in names}  # None: NaN
         units = {name: "us" if "_us" in name else "1" for name in names} | {"which": ""}
-        return Table(columns, units, {"noise_floor_us": self.loop.noise_floor_us}, "which")
+        return Table(columns, units, {"noise_floor_us": self.loop.errors.landing_floor_us}, "which")
 
     def write_report(self, folder: str | Path) -> Path:
         """Write the page with its pictures into ``folder``; returns the page's path."""

@@ -20,6 +20,7 @@ from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
 from analysis.discovery.symbolic import FittedForm, search_forms
 from analysis.discovery.terms import label
 from analysis.parallel import THREADS
+from analysis.residuals.covariates import Covariate
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import plate_effects
@@ -39,6 +40,20 @@ REFINED_FINALISTS = 2  # finalists that may be fitted again with finer knots
 
 
 @dataclass(frozen=True)
+class Band:
+    """A curve with its pointwise 95 % band, (k,), SI; straight between these points, constant beyond.
+
+    ``unit`` is that of the values.
+    """
+
+    knots: Floats
+    values: Floats
+    low: Floats
+    high: Floats
+    unit: str
+
+
+@dataclass(frozen=True)
 class Discovery:
     """A missing term.
 
@@ -46,15 +61,12 @@ class Discovery:
     ----------
     term
         ``force``, ``friction``, ``threshold`` or ``restitution``.
-    covariate, unit, scale
+    covariate
         Name of its covariate, the unit in which it is printed, and the factor to it from SI.
     description
         The curve in one sentence.
-    knots, values, low, high
-        The curve with its pointwise 95 % band, (k,), SI; straight between these points, constant beyond. A force is
-        positive where it pushes up.
-    term_unit
-        Unit of the values.
+    curve
+        The term over the covariate. A force is positive where it pushes up.
     seen
         Values of the covariate at the flights, or the range of each flight in a quantity that varies within it.
     gain, over_constant
@@ -72,15 +84,9 @@ class Discovery:
     """
 
     term: str
-    covariate: str
-    unit: str
-    scale: float
+    covariate: Covariate
     description: str
-    knots: Floats
-    values: Floats
-    low: Floats
-    high: Floats
-    term_unit: str
+    curve: Band
     seen: Floats
     gain: LogScoreDifference
     over_constant: LogScoreDifference
@@ -173,7 +179,7 @@ def _discovery(
 ) -> Discovery:
     """The chosen term as numbers and names."""
     curve, model, fitted = best.curve, best.model, best.explanation.fitted
-    words, unit, scale = label(curve.term)
+    covariate = Covariate(*label(curve.term))
     seen = tables[curve.term.of if curve.term.columns else REACHES.get(curve.term.of, curve.term.of)]
     seen = seen[model.observations.scored]
     values, half = curve.at(curve.points), best.band
@@ -181,19 +187,13 @@ def _discovery(
     if curve.term.name == "force" and curve.term.columns:  # fitted as a pull; a force points up
         values, low, high = -values, -high, -low
     names = dict.fromkeys(label(p.curve.term)[0] for p in others)
-    names.pop(words, None)
+    names.pop(covariate.words, None)
     rows, left_out = scored_rows(model, fitted.values, ~best.explanation.fitter.train)
     return Discovery(
         curve.term.name,
-        words,
-        unit,
-        scale,
+        covariate,
         describe(curve),
-        curve.points,
-        values,
-        low,
-        high,
-        curve.term.unit,
+        Band(curve.points, values, low, high, curve.term.unit),
         seen[np.isfinite(seen)],
         gain,
         constant,

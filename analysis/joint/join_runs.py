@@ -227,7 +227,9 @@ class _Search:
         free = {k: v for k, v in best.fitted.values.items() if k in best.free and not k[1].endswith(TREND)}
         if not free:
             return state
-        self.rounds.append(f"{path.name}, not explained as declared, by itself names {' + '.join(loop.names)}")
+        self.rounds.append(
+            f"{path.name}, not explained as declared, by itself names {' + '.join(loop.selection.names)}"
+        )
         names = tuple(n for n in dict.fromkeys(k[0] for k in free))
         return self._without_idle(self._converged(self._at(_moved(state.point, free), (names,))))
 

@@ -23,7 +23,7 @@ from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
 from analysis.loop.identifiability import detection_limits
 from analysis.loop.parameters import added_effects, fitted_calibrations, fitted_parameters
-from analysis.loop.result import ClosedLoop, TestedCandidate
+from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, Selection, TestedCandidate
 from analysis.loop.tables import first_bifurcations, flight_table, plate_table, source_of, step_table
 from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import ForwardModel
@@ -184,20 +184,21 @@ def _loop_of(
     selection = dataclasses.replace(selection, best=best, ties=(best, *ties[1:]) if ties else ())
     say("what remains", 0.87)
     judged = _judge(model, fitter, selection, limits)
+    points = selection.before.fitted.values, selection.best.fitted.values
     say("detection limits", 0.97)
     detection, unidentifiable = detection_limits(selection.best, limits)
     result = ClosedLoop(
         **judged,
-        **_selected(model, selection),
-        detection=detection,
-        not_identifiable=unidentifiable,
+        selection=_selected(selection),
+        detection=DetectionLimits(detection, unidentifiable),
+        flights=flight_table(model, *points),
+        plate=plate_table(model, *points),
         discovered=None,
         first_bifurcations=None,
         steps=step_table(model, train),
         setup=observations.setup,
         limits=limits,
         sources=tuple(source_of(path) for path in recordings),
-        paths=observations.sources,
         notes=_notes(observations, selection),
     )
     return result, FittedLoop(model, selection)
@@ -205,7 +206,7 @@ def _loop_of(
 
 def high_pass_hz(loop: ClosedLoop) -> float:
     """Corner of the accelerometer's high-pass that a verdict names; 0 for none."""
-    named = [e.parameters["corner_hz"][0] for e in loop.effects if e.name == "accelerometer_high_pass"]
+    named = [e.parameters["corner_hz"][0] for e in loop.selection.effects if e.name == "accelerometer_high_pass"]
     return max(named, default=0.0)
 
 
@@ -266,32 +267,28 @@ def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limi
     return {
         "verdict": verdict_of(*tests),
         "failed": failed_tests(*tests),
-        "before": held_out_errors(model, selection.before.fitted.values, rows, left_out),
-        "after": after,
-        "noise_floor_us": floors[0],
-        "takeoff_floor_us": floors[1],
-        "given_openings": given,
+        "errors": HeldOutErrors(
+            held_out_errors(model, selection.before.fitted.values, rows, left_out), after, given, *floors
+        ),
         "remainder": left,
     }
 
 
-def _selected(model: ForwardModel, selection: SelectionResult) -> dict[str, Any]:
-    """Outcome of the selection as names, numbers and tables."""
-    best, before = selection.best, selection.before
-    parameters, points = fitted_parameters(best), (before.fitted.values, best.fitted.values)
-    return {
-        "effects": added_effects(best.names, parameters),
-        "names": best.names,
-        "ties": tuple(x.names for x in selection.ties),
-        "parameters": parameters,
-        "calibrations": fitted_calibrations(best),
-        "candidates": tuple(TestedCandidate(names, c.gain, c.error) for names, c in selection.tried),
-        "rounds": selection.rounds,
-        "rejected": selection.rejected,
-        "chance": selection.chance,
-        "flights": flight_table(model, *points),
-        "plate": plate_table(model, *points),
-    }
+def _selected(found: SelectionResult) -> Selection:
+    """Outcome of the selection as names and numbers."""
+    best = found.best
+    parameters = fitted_parameters(best)
+    return Selection(
+        effects=added_effects(best.names, parameters),
+        names=best.names,
+        ties=tuple(x.names for x in found.ties),
+        parameters=parameters,
+        calibrations=fitted_calibrations(best),
+        candidates=tuple(TestedCandidate(names, c.gain, c.error) for names, c in found.tried),
+        rounds=found.rounds,
+        rejected=found.rejected,
+        chance=found.chance,
+    )
 
 
 def withdraw_unconfirmed(

@@ -162,7 +162,7 @@ class _Writer:
         fitted = ["size"]
         if form is not None:
             fitted = [self._named(*pair) for pair in zip(form.parameters, form.kinds, strict=True)]
-        table = "" if form is not None else _array("KNOTS", f.knots) + _array("VALUES", f.values) + "\n"
+        table = "" if form is not None else _array("KNOTS", f.curve.knots) + _array("VALUES", f.curve.values) + "\n"
         y = "size * straight_between(x, KNOTS, VALUES)" if form is None else form.expression
         installed = [(n, c) for n, c in f.similar_effects if n not in {path.stem for path in kept_files()}]
         alike = "".join(f'        "{n}": "similar where this was found (correlation {c:.2f})",\n' for n, c in installed)
@@ -197,13 +197,13 @@ class _Writer:
 
     def _summary(self) -> str:
         word = {"force": "a force", "friction": "dry friction", "threshold": "a take-off threshold"}
-        return f"{word.get(self.found.term, 'a restitution')} that depends on the {self.found.covariate}"
+        return f"{word.get(self.found.term, 'a restitution')} that depends on the {self.found.covariate.words}"
 
     def _docstring(self, form: FittedForm | None) -> str:
-        f, before = self.found, self.loop.before
+        f, before = self.found, self.loop.errors.before
         unit = quantity_unit(f.of)
         lines = [
-            f"{WORDS[f.term]} that depends on the {f.covariate}: {'a formula' if form else 'a measured curve'}.",
+            f"{WORDS[f.term]} that depends on the {f.covariate.words}: {'a formula' if form else 'a measured curve'}.",
             "",
         ]
         lines += textwrap.wrap(
@@ -214,7 +214,7 @@ class _Writer:
             "No effect of the library did as well.",
             WIDTH,
         )
-        x = f"x is the {f.covariate}{f' in {unit}' if unit != '1' else ''}, the value in {f.term_unit}"
+        x = f"x is the {f.covariate.words}{f' in {unit}' if unit != '1' else ''}, the value in {f.curve.unit}"
         if form is not None:
             rows = zip(form.parameters, form.values, form.sigmas, strict=True)
             fitted = ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, v, s in rows)
@@ -230,9 +230,9 @@ class _Writer:
     # -- parameters --------------------------------------------------------------------------------------------------
     def _formula_parameters(self, form: FittedForm) -> list[str]:
         f = self.found
-        low, high = float(f.knots[0]), float(f.knots[-1])
+        low, high = float(f.curve.knots[0]), float(f.curve.knots[-1])
         reach, wide = max(abs(low), abs(high)), high - low
-        x = f.covariate
+        x = f.covariate.words
         meaning = {
             "value": "size", "slope": f"change with {x}", "curvature": f"change with the square of {x}",
             "width": f"{x} over which it changes", "place": f"{x} at which it lies", "power": f"power of {x}",
@@ -245,7 +245,7 @@ class _Writer:
             name = self._named(own, kind)
             if kind in SIZES:
                 most = max(MOST[f.term] / over[kind], 3.0 * abs(value))
-                scale, ends = SCALES[f.term_unit] / over[kind], (0.0 if positive else -most, most)
+                scale, ends = SCALES[f.curve.unit] / over[kind], (0.0 if positive else -most, most)
             else:
                 ends, scale = {
                     "width": ((0.01 * wide, 10.0 * wide), 0.1 * wide),
@@ -262,7 +262,7 @@ class _Writer:
 
     def _named(self, own: str, kind: str) -> str:
         """Name of a parameter with its unit's suffix."""
-        y, x = {"m/s^2": "mps2"}.get(self.found.term_unit, ""), SUFFIX[quantity_unit(self.found.of)]
+        y, x = {"m/s^2": "mps2"}.get(self.found.curve.unit, ""), SUFFIX[quantity_unit(self.found.of)]
         parts = {"value": [y], "width": [x], "place": [x], "power": []}.get(kind)
         if parts is None:
             power = "2" if kind == "curvature" else ""
@@ -278,7 +278,7 @@ class _Writer:
     def _covariate(self, name: str) -> str:
         unit, seen = quantity_unit(name), self.found.seen
         usual = 0.0 if self.against_motion or not len(seen) else float(f"{np.median(seen):.3g}")
-        words = "time in contact before" if self.against_motion else self.found.covariate
+        words = "time in contact before" if self.against_motion else self.found.covariate.words
         return (
             f'        Parameter(\n            "{name}", "{unit}", -1e9, 1e9, 1.0, null_value={usual!r},\n'
             f'            is_shape=True, covariate="{name}", meaning="{words} of each flight; else this",\n        ),\n'
@@ -292,7 +292,7 @@ class _Writer:
         x = HOOKS[self.found.term][1].get(self.found.of, place)
         if self.against_motion:
             x = f"s + {place}"
-        comment = f"{self.found.covariate}{f', {unit}' if unit != '1' else ''}"
+        comment = f"{self.found.covariate.words}{f', {unit}' if unit != '1' else ''}"
         lines = [
             '@njit(error_model="numpy")',
             f"def {self.hook}({ARGUMENTS[self.hook]}) -> float:",

@@ -201,7 +201,8 @@ class PlateTable:
 class Source:
     """Provenance of one recording, as its file states it.
 
-    ``identity`` is `daq.recording.identity.stored_id`, by which the verdict is found again next to the recording.
+    ``identity`` is `daq.recording.identity.stored_id`, by which the verdict is found again next to the recording;
+    ``path`` is where the recording lay.
     """
 
     file: str
@@ -213,6 +214,7 @@ class Source:
     software_version: str
     software_commit: str
     identity: str = ""
+    path: str = ""
 
 
 @dataclass(frozen=True)
@@ -239,17 +241,13 @@ class FirstBifurcations:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
-    """Result of closing the loop.
+class Selection:
+    """Outcome of the selection among sets of effects.
 
     Attributes
     ----------
-    verdict, failed
-        The verdict, and the tests that forbid "explained" or "nothing missing".
     effects
         Effects that were added, never those declared nor nuisances.
-    discovered
-        A smooth term found where no named effect suffices, or None.
     names
         Names of the best set of effects; empty where nothing was added.
     ties
@@ -264,34 +262,9 @@ class ClosedLoop:
         The candidate of greatest gain that was refused, or None.
     chance
         By round, the best candidate against what the best of all gains by chance.
-    before, after
-        Errors on the held-out steps under the declared model and the best hypothesis.
-    given_openings
-        The landings behind ``after``, conditioned on the openings of their steps.
-    noise_floor_us, takeoff_floor_us
-        Rms that measurement noise alone leaves of landings and of take-offs, at the final model, on the same flights.
-    remainder
-        Goodness of fit of the best hypothesis on all steps.
-    detection
-        By ``effect.parameter``, the size below which the run could not have shown it.
-    not_identifiable
-        Effects that this run could not show at any size.
-    first_bifurcations
-        None where the recording has too few flights.
-    steps, flights, plate
-        Measurement, prediction and residual, step by step, flight by flight and datum by datum.
-    setup, limits
-        Measuring setup and thresholds that were used.
-    sources, paths
-        Provenance of the recordings, and where they lay.
-    notes
-        Remarks on the data, in words.
     """
 
-    verdict: Verdict
-    failed: tuple[Failed, ...]
     effects: tuple[AddedEffect, ...]
-    discovered: Discovery | None
     names: tuple[str, ...]
     ties: tuple[tuple[str, ...], ...]
     parameters: tuple[FittedParameter, ...]
@@ -300,14 +273,79 @@ class ClosedLoop:
     rounds: tuple[str, ...]
     rejected: Rejected | None
     chance: tuple[ChanceTest, ...]
+
+    @property
+    def added(self) -> tuple[FittedParameter, ...]:
+        """Parameters of the added effects."""
+        return tuple(p for p in self.parameters if p.added)
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors on the held-out steps, and what measurement noise alone leaves of them.
+
+    Attributes
+    ----------
+    before, after
+        Under the declared model and the best hypothesis.
+    given_openings
+        The landings behind ``after``, conditioned on the openings of their steps.
+    landing_floor_us, takeoff_floor_us
+        Rms that measurement noise alone leaves of landings and of take-offs, at the final model, on the same flights.
+    """
+
     before: Errors
     after: Errors
     given_openings: GivenOpenings
-    noise_floor_us: float
+    landing_floor_us: float
     takeoff_floor_us: float
+
+
+@dataclass(frozen=True)
+class DetectionLimits:
+    """Effects that a run could not have shown: ``sizes`` by ``effect.parameter``, ``at_no_size`` by name."""
+
+    sizes: Mapping[str, float]
+    at_no_size: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Result of closing the loop.
+
+    Attributes
+    ----------
+    verdict, failed
+        The verdict, and the tests that forbid "explained" or "nothing missing".
+    selection
+        Effects that were added, and what else was tried.
+    discovered
+        A smooth term found where no named effect suffices, or None.
+    errors
+        On the held-out steps.
+    remainder
+        Goodness of fit of the best hypothesis on all steps.
+    detection
+        The size below which the run could not have shown an effect.
+    first_bifurcations
+        None where the recording has too few flights.
+    steps, flights, plate
+        Measurement, prediction and residual, step by step, flight by flight and datum by datum.
+    setup, limits
+        Measuring setup and thresholds that were used.
+    sources
+        Provenance of the recordings.
+    notes
+        Remarks on the data, in words.
+    """
+
+    verdict: Verdict
+    failed: tuple[Failed, ...]
+    selection: Selection
+    discovered: Discovery | None
+    errors: HeldOutErrors
     remainder: GoodnessOfFit
-    detection: Mapping[str, float]
-    not_identifiable: tuple[str, ...]
+    detection: DetectionLimits
     first_bifurcations: FirstBifurcations | None
     steps: StepTable
     flights: FlightTable
@@ -315,7 +353,6 @@ class ClosedLoop:
     setup: Setup
     limits: Thresholds
     sources: tuple[Source, ...]
-    paths: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
@@ -323,15 +360,10 @@ class ClosedLoop:
         """Numbers of the held-out steps, in the order of the recordings."""
         return tuple(int(n) for n in self.steps.number[self.steps.held_out])
 
-    @property
-    def added(self) -> tuple[FittedParameter, ...]:
-        """Parameters of the added effects."""
-        return tuple(p for p in self.parameters if p.added)
-
     def improved_effects(self) -> dict[str, dict[str, float]]:
         """Declared and added effects, without trends, by effect and parameter: the improved model."""
         out = {name: dict(table) for name, table in resolve(self.setup.declared_values()).items()}
-        for p in self.added:
+        for p in self.selection.added:
             if not p.trend:
                 out.setdefault(p.effect, {})[p.parameter] = p.value
         return out

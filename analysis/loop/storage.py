@@ -23,7 +23,7 @@ from daq.files.disk import disk_file
 from daq.files.whole_file import whole
 from daq.setup.errors import InputError
 
-FORMAT, VERSION = "shakerbench closed loop", 2
+FORMAT, VERSION = "shakerbench closed loop", 3
 
 
 def save_verdict(loop: ClosedLoop, path: Path) -> None:

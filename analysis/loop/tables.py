@@ -78,7 +78,7 @@ def source_of(path: Path) -> Source:
         note, version, commit = (str(attrs.get(key, "")) for key in ("note", "software_version", "software_commit"))
         started, backend = str(attrs.get("started", "")), str(attrs.get("backend", ""))
         simulated = bool(attrs.get("simulated", False))
-        return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened))
+        return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened), str(path))
 
 
 def first_bifurcations(flights: Flights, setup: Setup, improved: Effects) -> FirstBifurcations | None:

@@ -28,15 +28,15 @@ def loop_json(
     """
     return json_object({
         "verdict": loop.verdict,
-        "effects": [_effect(e) for e in loop.effects],
+        "effects": [_effect(e) for e in loop.selection.effects],
         "discovered": [] if loop.discovered is None else [_discovery(loop.discovered)],
         "kept": None if kept is None else _kept(kept),
-        "tie_set": loop.ties,
-        "before": loop.before,
-        "after": loop.after,
-        "given_openings": loop.given_openings,
-        "noise_floor_us": loop.noise_floor_us,
-        "takeoff_floor_us": loop.takeoff_floor_us,
+        "tie_set": loop.selection.ties,
+        "before": loop.errors.before,
+        "after": loop.errors.after,
+        "given_openings": loop.errors.given_openings,
+        "noise_floor_us": loop.errors.landing_floor_us,
+        "takeoff_floor_us": loop.errors.takeoff_floor_us,
         "held_out_steps": loop.held_out,
         "remainder": {
             "p_lack_of_fit": loop.remainder.p_lack_of_fit,
@@ -45,13 +45,13 @@ def loop_json(
             "plate_rms_z": loop.remainder.plate_rms_z,
         },
         "next_run": next_run,
-        "detection_limits": loop.detection,
-        "not_identifiable": loop.not_identifiable,
+        "detection_limits": loop.detection.sizes,
+        "not_identifiable": loop.detection.at_no_size,
         "candidates": [
             {"names": c.names, "gain_nats": c.gain, "standard_error": c.error}
-            for c in sorted(loop.candidates, key=lambda c: -c.gain)
+            for c in sorted(loop.selection.candidates, key=lambda c: -c.gain)
         ],
-        "rejected": rejected_json(loop.rejected),
+        "rejected": rejected_json(loop.selection.rejected),
         "chance": [
             {
                 "names": x.names,
@@ -60,15 +60,15 @@ def loop_json(
                 "critical_nats": x.critical,
                 "accepted": x.accepted,
             }
-            for x in loop.chance
+            for x in loop.selection.chance
         ],
         "failed_tests": loop.failed,
-        "rounds": loop.rounds,
-        "nuisances": {f"{p.effect}.{p.parameter}": p.value for p in loop.parameters if not p.added},
-        "calibrations": loop.calibrations,
+        "rounds": loop.selection.rounds,
+        "nuisances": {f"{p.effect}.{p.parameter}": p.value for p in loop.selection.parameters if not p.added},
+        "calibrations": loop.selection.calibrations,
         "notes": loop.notes,
         "flights": len(loop.flights),
-        "sources": loop.paths,
+        "sources": [source.path for source in loop.sources],
         "source_ids": [source.identity for source in loop.sources],
     })  # fmt: skip
 
@@ -113,14 +113,14 @@ def _form(form: FittedForm) -> dict[str, Any]:
 def _discovery(found: Discovery) -> dict[str, Any]:
     return {
         "term": found.term,
-        "covariate": found.covariate,
+        "covariate": found.covariate.words,
         "description": found.description,
-        "unit": found.term_unit,
-        "covariate_unit": found.unit,
-        "knots": found.scale * found.knots,
-        "values": found.values,
-        "low": found.low,
-        "high": found.high,
+        "unit": found.curve.unit,
+        "covariate_unit": found.covariate.unit,
+        "knots": found.covariate.scale * found.curve.knots,
+        "values": found.curve.values,
+        "low": found.curve.low,
+        "high": found.curve.high,
         "similar_effects": [name for name, _ in found.similar_effects],
         "tied_covariates": found.tied_covariates,
         "forms": [_form(form) for form in found.forms],

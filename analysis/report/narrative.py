@@ -40,25 +40,25 @@ def headline(loop: ClosedLoop) -> str:
         declared = ", ".join(plain(n) for n in loop.setup.declared) or "no effect beyond the ideal ball"
         return (
             f"Nothing is missing: the declared model ({declared}) predicts landings on held-out steps to "
-            f"{microseconds(loop.after.landing_rms_us)} us rms, where noise gives "
-            f"{microseconds(loop.noise_floor_us)} us. {_lost(loop)}"
+            f"{microseconds(loop.errors.after.landing_rms_us)} us rms, where noise gives "
+            f"{microseconds(loop.errors.landing_floor_us)} us. {_lost(loop)}"
         ).rstrip()
-    best = f" Best so far, not believed: {_found(loop)}." if loop.effects else ""
+    best = f" Best so far, not believed: {_found(loop)}." if loop.selection.effects else ""
     why = capital(why_this_verdict(loop)[0])
     return f"Something is left that no named effect accounts for.{best} {_errors(loop)} {_lost(loop)}{why}"
 
 
 def _found(loop: ClosedLoop) -> str:
-    named = [f"{plain(f.name)} ({size_of(f)})" if f.parameters else plain(f.name) for f in loop.effects]
+    named = [f"{plain(f.name)} ({size_of(f)})" if f.parameters else plain(f.name) for f in loop.selection.effects]
     listed = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
     return f"{listed} {'explain' if len(named) > 1 else 'explains'} the recording"
 
 
 def _errors(loop: ClosedLoop) -> str:
     """Errors before and after, against the noise: of landings, and of the kind of data that gained most."""
-    noise = f"noise gives {microseconds(loop.noise_floor_us)} us"
-    after, before = loop.after.landing_rms_us, loop.before.landing_rms_us
-    if not loop.names:
+    noise = f"noise gives {microseconds(loop.errors.landing_floor_us)} us"
+    after, before = loop.errors.after.landing_rms_us, loop.errors.before.landing_rms_us
+    if not loop.selection.names:
         return f"Landings on held-out steps are missed by {microseconds(after)} us rms; {noise}."
     said = (
         f"Landings on held-out steps are missed by {microseconds(after)} us rms instead of {microseconds(before)} us; "
@@ -66,7 +66,7 @@ def _errors(loop: ClosedLoop) -> str:
     )
     fallen = [
         before / after,
-        loop.before.takeoff_nmad_us / loop.after.takeoff_nmad_us,
+        loop.errors.before.takeoff_nmad_us / loop.errors.after.takeoff_nmad_us,
         _plate_z(loop) / loop.remainder.plate_rms_z,
     ]
     most = int(np.nanargmax([x if math.isfinite(x) else 0.0 for x in fallen]))
@@ -74,8 +74,9 @@ def _errors(loop: ClosedLoop) -> str:
         return said
     if most == 1:
         return (
-            f"Take-offs are missed by {microseconds(loop.after.takeoff_nmad_us)} us instead of "
-            f"{microseconds(loop.before.takeoff_nmad_us)} us (robust; noise {microseconds(loop.takeoff_floor_us)} us). "
+            f"Take-offs are missed by {microseconds(loop.errors.after.takeoff_nmad_us)} us instead of "
+            f"{microseconds(loop.errors.before.takeoff_nmad_us)} us (robust; noise "
+            f"{microseconds(loop.errors.takeoff_floor_us)} us). "
             f"{said}"
         )
     return (
@@ -99,10 +100,10 @@ def _plate_z(loop: ClosedLoop) -> float:
 def _certainty(loop: ClosedLoop) -> str:
     """Gain of the first effect on steps not fitted, and whether what is left looks like noise."""
     left = what_is_left(loop)
-    gain = gains(loop).get(plain(loop.effects[0].name))
+    gain = gains(loop).get(plain(loop.selection.effects[0].name))
     if gain is None:
         return f"{capital(left)}."
-    first = capital(plain(loop.effects[0].name))
+    first = capital(plain(loop.selection.effects[0].name))
     return f"{first} predicts steps not fitted better by {gain[0]:.0f} +- {gain[1]:.0f} nats; {left}."
 
 
@@ -122,7 +123,7 @@ def reasoning(loop: ClosedLoop) -> list[str]:
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
     """Held-out gain and standard error of every candidate added singly, nats: of each set its best, largest first."""
     best: dict[str, tuple[float, float]] = {}
-    for c in loop.candidates:
+    for c in loop.selection.candidates:
         name = " + ".join(plain(n) for n in c.names)
         if name not in best or c.gain > best[name][0]:
             best[name] = (c.gain, c.error)
@@ -135,8 +136,8 @@ def _residual_sentences(loop: ClosedLoop) -> list[str]:
     landing = flights.before.landing_residual_s[flights.scored]
     opening = flights.before.takeoff_residual_s[flights.from_rest]
     for event, found, floor in (
-        ("landings", landing, loop.noise_floor_us),
-        ("take-offs", opening, loop.takeoff_floor_us),
+        ("landings", landing, loop.errors.landing_floor_us),
+        ("take-offs", opening, loop.errors.takeoff_floor_us),
     ):
         known = 1e6 * found[np.isfinite(found)]
         if not len(known):
@@ -172,10 +173,10 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
         out.append(
             f"of {len(ranked)} candidates added one at a time, these gain most on steps not fitted (nats): {listed}."
         )
-    out += [f"{words}." for words in loop.rounds]
-    if loop.rejected is not None:
+    out += [f"{words}." for words in loop.selection.rounds]
+    if loop.selection.rejected is not None:
         out.append(f"{rejected_in_words(loop)}.")
-    for name in map(plain, loop.names):
+    for name in map(plain, loop.selection.names):
         rivals = [plain(o) for o in effect(name.replace(" ", "_")).effect.confused_with]
         behind = [
             f"{o} by {ranked[name][0] - ranked[o][0]:.0f} nats"
@@ -189,10 +190,10 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
 
 def why_this_verdict(loop: ClosedLoop) -> list[str]:
     """The tests that the verdict rests on."""
-    floor, lost = loop.noise_floor_us, [f"{words}." for words in (lost_in_words(loop),) if words]
+    floor, lost = loop.errors.landing_floor_us, [f"{words}." for words in (lost_in_words(loop),) if words]
     if loop.failed:
         return [f"called unexplained because {'; '.join(_failure(loop, f) for f in loop.failed)}.", *lost]
-    held = f"on held-out steps landings are missed by {microseconds(loop.after.landing_rms_us)} us rms, noise "
+    held = f"on held-out steps landings are missed by {microseconds(loop.errors.after.landing_rms_us)} us rms, noise "
     return [f"{held}{microseconds(floor)} us; {what_is_left(loop)}.", *lost]
 
 
@@ -214,7 +215,7 @@ def what_would_separate(loop: ClosedLoop) -> list[tuple[str, str, str]]:
     others = others_in_words(loop)
     return [
         (plain(f.name), plain(other), how)
-        for f in loop.effects
+        for f in loop.selection.effects
         for other, how in effect(f.name).effect.confused_with.items()
         if any(plain(other) in x for x in others)
     ]

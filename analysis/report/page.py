@@ -201,7 +201,7 @@ def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: K
         for figure in FIGURES if (path := folder / f"{figure.name}.png").exists()
     ]  # fmt: skip
     definition = scale.definition
-    if loop.discovered is not None and loop.discovered.covariate == "gamma" and scale.factor != 1.0:
+    if loop.discovered is not None and loop.discovered.covariate.words == "gamma" and scale.factor != 1.0:
         definition += " Only the discovered curve is over gamma = A w^2/g."
     return whole_page(
         "loop.html", title=f"Closed loop: {files}", kind="loop", heading="Closed loop", closed=loop, scale=scale,

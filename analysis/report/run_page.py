@@ -190,14 +190,17 @@ def _summary(run: Run, shown: Measured, scale: GammaScale) -> tuple[str, ...]:
     gammas = [scale.factor * p.gamma for p in run.flights.plate.steps if p is not None]
     found = measured = model = "-"
     if loop is not None:
-        found = short_verdict(loop.verdict) + (f": {', '.join(plain(n) for n in loop.names)}" if loop.names else "")
+        found = short_verdict(loop.verdict) + (
+            f": {', '.join(plain(n) for n in loop.selection.names)}" if loop.selection.names else ""
+        )
     if compared is not None and compared.first.measured is not None:
         low, high = compared.first.measured.gamma_before, compared.first.measured.gamma_after
         measured = f"{compared.first.measured.type}, {scale.factor * low:.4f} .. {scale.factor * high:.4f}"
     if compared is not None and math.isfinite(compared.first.predicted_gamma):
         model = f"{compared.first.predicted_type}, {scale.factor * compared.first.predicted_gamma:.4f}"
     us = ("-", "-", "-") if loop is None else tuple(
-        microseconds(x) for x in (loop.before.landing_rms_us, loop.after.landing_rms_us, loop.noise_floor_us)
+        microseconds(x)
+        for x in (loop.errors.before.landing_rms_us, loop.errors.after.landing_rms_us, loop.errors.landing_floor_us)
     )  # fmt: skip
     return (
         recording.path.name,

@@ -40,15 +40,15 @@ def size_of(found: AddedEffect) -> str:
 def verdict_line(loop: ClosedLoop) -> str:
     """The verdict in one line, with the size of every added effect and its 95 % interval."""
     words = VERDICTS[loop.verdict]
-    if not loop.effects:
+    if not loop.selection.effects:
         return words
-    added = "; ".join(f"{plain(f.name)}, {size_of(f)}".removesuffix(", ") for f in loop.effects)
+    added = "; ".join(f"{plain(f.name)}, {size_of(f)}".removesuffix(", ") for f in loop.selection.effects)
     return f"{words}; best so far, not believed: {added}" if loop.verdict == "unexplained" else f"{words} by {added}"
 
 
 def lost_in_words(loop: ClosedLoop) -> str:
     """Held-out landings that are other events than predicted, and the error without them; empty where that is alike."""
-    after = loop.after
+    after = loop.errors.after
     if not after.lost or loop.limits.most_rms_us(after.landing_rms_us_without_lost) > after.landing_rms_us:
         return ""
     were = "landing was" if after.lost == 1 else "landings were"
@@ -60,12 +60,12 @@ def lost_in_words(loop: ClosedLoop) -> str:
 
 def others_in_words(loop: ClosedLoop) -> list[str]:
     """Sets of effects that the data cannot tell from the best one."""
-    return [" + ".join(plain(n) for n in names) for names in loop.ties[1:]]
+    return [" + ".join(plain(n) for n in names) for names in loop.selection.ties[1:]]
 
 
 def rejected_in_words(loop: ClosedLoop) -> str:
     """The best candidate that was refused, with its gain and the reason; empty where none gained anything."""
-    x = loop.rejected
+    x = loop.selection.rejected
     if x is None:
         return ""
     names = " + ".join(plain(n) for n in x.names)
@@ -77,7 +77,7 @@ def moved_calibrations(loop: ClosedLoop) -> list[str]:
     return [
         f"calibration {plain(c.effect)}, {c.parameter}: fitted {plus_minus(c.value, c.sigma)}, stated "
         f"{plus_minus(c.stated, c.stated_sigma)} {unit_of(c.effect, c.parameter)}".rstrip()
-        for c in loop.calibrations
+        for c in loop.selection.calibrations
         if c.moved
     ]
 
@@ -104,7 +104,7 @@ def form_in_words(found: Discovery) -> str:
     if form is None:
         return ""
     values = ", ".join(parameters_of(form))
-    return f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate}, SI)"
+    return f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate.words}, SI)"
 
 
 def kept_in_words(kept: KeptTerm) -> list[str]:

@@ -111,17 +111,17 @@ def _verdict(path: Path, setup: Setup | None, *, anyway: bool) -> Row:
     loop = close_loop([path], setup=setup, anyway=anyway)
     row: Row = {
         "verdict": loop.verdict,
-        "effects": " + ".join(loop.names),
-        "tie_set": "; ".join(" + ".join(names) for names in loop.ties),
-        "landing_rms_before_us": loop.before.landing_rms_us,
-        "landing_rms_after_us": loop.after.landing_rms_us,
-        "noise_floor_us": loop.noise_floor_us,
-        "term": None if loop.discovered is None else f"{loop.discovered.term} of {loop.discovered.covariate}",
+        "effects": " + ".join(loop.selection.names),
+        "tie_set": "; ".join(" + ".join(names) for names in loop.selection.ties),
+        "landing_rms_before_us": loop.errors.before.landing_rms_us,
+        "landing_rms_after_us": loop.errors.after.landing_rms_us,
+        "noise_floor_us": loop.errors.landing_floor_us,
+        "term": None if loop.discovered is None else f"{loop.discovered.term} of {loop.discovered.covariate.words}",
     }
-    for added in loop.effects:
+    for added in loop.selection.effects:
         for name, (value, low, high) in added.parameters.items():
             column = f"{added.name}.{name}"
             row |= {column: value, f"{column}.low": low, f"{column}.high": high}
-    for scale in loop.calibrations:
+    for scale in loop.selection.calibrations:
         row[f"calibration.{scale.effect}.{scale.parameter}"] = scale.value
     return row | {"verdict_not_kept": keep_verdict(loop, [path]) or None}

@@ -67,7 +67,7 @@ def command(
         error.add_note(kept)
         raise
     effects = load_scenario(sealed).effects
-    found = ", ".join(f.name for f in loop.effects) or "no effect added"
+    found = ", ".join(f.name for f in loop.selection.effects) or "no effect added"
     names = ", ".join(effects) or "nothing"
     typer.echo(f"\nthe seal opened: the rig hid {names}; the verdict was: {loop.verdict} ({found})")
     for row in compared(effects, loop):

@@ -56,6 +56,16 @@ def command(
     """
     given = dict(locals())
     from bench.predict.answer import run
-    from bench.predict.request import Request
+    from bench.predict.request import DiagramOptions, Files, Request
 
-    run(Request(ratio=given.pop("c"), effects=tuple(given.pop("effect")), grid=tuple(given.pop("grid")), **given))
+    axes = tuple(given.pop("grid"))
+    diagram, files = (
+        {name: given.pop(name) for name in names.split()}
+        for names in ("steps adaptive keep workers cluster", "json out figure overwrite")
+    )
+    run(
+        Request(
+            ratio=given.pop("c"), effects=tuple(given.pop("effect")), **given,
+            diagram=DiagramOptions(grid=axes, **diagram), files=Files(**files),
+        )
+    )  # fmt: skip

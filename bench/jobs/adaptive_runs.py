@@ -68,9 +68,9 @@ def until_clear(
     while True:
         with progress_bar(quiet) as bar:
             loop, fitted = fit_loop(made, progress=bar, anyway=anyway)
-        if len(loop.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
+        if len(loop.selection.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
             return loop, fitted, made, ""
-        tied = "; ".join(" + ".join(names) for names in loop.ties)
+        tied = "; ".join(" + ".join(names) for names in loop.selection.ties)
         ranked = [r for r in possible_runs(loop, fitted, made[0]) if not r.design.priors]
         if not ranked or ranked[0].nats < loop.limits.gain_nats:
             say(f"still tied: {tied}; no run that this rig can make would separate them")

@@ -212,8 +212,8 @@ def _next(
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
     known = weighed(model, fitter, best, judged.ties)
     hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
-    if loop.verdict == "explained" and len(loop.ties) < 2 and not _loose(best, aims):
-        return None, f"{' + '.join(loop.names)} explains everything"
+    if loop.verdict == "explained" and len(loop.selection.ties) < 2 and not _loose(best, aims):
+        return None, f"{' + '.join(loop.selection.names)} explains everything"
     if loop.verdict == "nothing_missing" and not hidden:
         return None, "nothing is missing, down to the sizes asked for"
     if loop.verdict == "explained":  # only what explains as much is left to be distinguished
@@ -233,9 +233,9 @@ def _next(
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
     elif worth:
         chosen = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
-    elif loop.verdict == "explained" and len(loop.ties) > 1:
-        others = ", ".join(" + ".join(names) for names in loop.ties[1:])
-        return None, f"{' + '.join(loop.names)} explains everything; no block would tell it from {others}"
+    elif loop.verdict == "explained" and len(loop.selection.ties) > 1:
+        others = ", ".join(" + ".join(names) for names in loop.selection.ties[1:])
+        return None, f"{' + '.join(loop.selection.names)} explains everything; no block would tell it from {others}"
     else:
         chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
     if chosen.seconds > left_s:
@@ -280,10 +280,10 @@ def _not_shown(loop: ClosedLoop, aims: Aims, known: Weighed) -> dict[ParameterId
     """
     from analysis.attribution.priors import null_value_of, parameter_of
 
-    limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.items()}
+    limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.sizes.items()}
     over = {key: size / (aims.limit * parameter_of(key).scale) for key, size in limits.items()}
     first = known.explanations[0]
-    if first.names != loop.names and first.probability > 0.5:
+    if first.names != loop.selection.names and first.probability > 0.5:
         for key in set(first.free) & set(limits):
             own = abs(first.values[key] - null_value_of(key))
             over[key] = max(limits[key] / own if own else 0.0, 2.0 ** (0.5 * parameter_of(key).power))
@@ -318,7 +318,7 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
     """Why no step would make the parameters as sharp as asked for, or an empty text."""
     from analysis.explore.choice import limits_of
 
-    if loop.verdict != "explained" or len(loop.ties) > 1:
+    if loop.verdict != "explained" or len(loop.selection.ties) > 1:
         return ""
     for key in _loose(best, aims):
         share, limiting = limits_of(pools, known, key)
@@ -326,8 +326,9 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
         if share * sigma > aims.until[key] and limiting:
             first = " or ".join(f"{name}.{q}" for name, q in limiting)
             return (
-                f"{' + '.join(loop.names)} explains everything; {'.'.join(key)} is known to {sigma:.2g}, and no "
-                f"number of steps would bring it below {share * sigma:.2g}: calibrate {first} better, or ask for less"
+                f"{' + '.join(loop.selection.names)} explains everything; {'.'.join(key)} is known to {sigma:.2g}, and "
+                f"no number of steps would bring it below {share * sigma:.2g}: calibrate {first} better, or ask "
+                "for less"
             )
     return ""
 

@@ -104,4 +104,11 @@ def _close_again(
     with progress_bar(quiet) as bar:
         loop = close_loop(recordings, setup=setup, progress=bar, anyway=True)
     lines = [] if improved is None else write_improved(loop, recordings[0], improved, text)
-    return (loop.verdict, verdict_line(loop), loop.effects, loop.before, loop.after, loop.noise_floor_us), lines
+    return (
+        loop.verdict,
+        verdict_line(loop),
+        loop.selection.effects,
+        loop.errors.before,
+        loop.errors.after,
+        loop.errors.landing_floor_us,
+    ), lines

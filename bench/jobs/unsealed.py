@@ -53,7 +53,7 @@ def compared(hidden: Mapping[str, Mapping[str, float]], loop: ClosedLoop) -> lis
             sizes[effect, name] = factor * float(size) / g_per_volt ** DRIVE_POWERS.get(name, 0)
     if ("stribeck_friction", "mu_extra") in sizes:
         sizes["stribeck_friction", "mu_extra"] -= sizes["stribeck_friction", "mu_kinetic"]
-    found = {(added.name, name): x for added in loop.effects for name, x in added.parameters.items()}
+    found = {(added.name, name): x for added in loop.selection.effects for name, x in added.parameters.items()}
     nothing = (math.nan, math.nan, math.nan)
     return [
         Compared(*key, sizes.get(key, math.nan), *found.get(key, nothing)) for key in dict.fromkeys((*sizes, *found))

@@ -24,7 +24,7 @@ from model.orbits.attractor import Ball
 
 def run(request: Request) -> None:
     """Answer ``request``; raises `InputError`, and `ValueError` for what the model refuses."""
-    if request.out is not None or threading.current_thread() is not threading.main_thread():
+    if request.files.out is not None or threading.current_thread() is not threading.main_thread():
         _answer(request)
         return
     # Ctrl-C ends the process at once: a compiled search heeds no exception, and no file is half written
@@ -39,9 +39,9 @@ def _answer(request: Request) -> None:
     """The branch for each kind of request."""
     _refuse_unwritten(request)
     check_outputs(
-        File("--out", request.out, HDF5, continues=None if request.overwrite else _is_diagram),
-        File("--figure", request.figure, PICTURE), File("--json", request.json, JSON),
-        inputs=[request.profile], overwrite=request.overwrite,
+        File("--out", request.files.out, HDF5, continues=None if request.files.overwrite else _is_diagram),
+        File("--figure", request.files.figure, PICTURE), File("--json", request.files.json, JSON),
+        inputs=[request.profile], overwrite=request.files.overwrite,
     )  # fmt: skip
     if request.profile is not None:
         from bench.predict.profile_ramp import print_ramp, ramp_json, with_profile  # pydantic is slow to import
@@ -49,8 +49,8 @@ def _answer(request: Request) -> None:
         request = with_profile(request, request.profile)
         if request.gamma is None and request.gamma_peak is None and request.gamma_range is None:
             rows = ramp_json(request, str(request.profile))
-            write_json(rows, request.json)
-            if request.json is None:
+            write_json(rows, request.files.json)
+            if request.files.json is None:
                 print_ramp(rows)
             return
     ball = ball_for(request)
@@ -58,7 +58,7 @@ def _answer(request: Request) -> None:
         orbit(ball, request)
     elif request.bifurcations:
         _bifurcations(ball, request, *request.gamma_range)
-    elif request.branches and request.figure is None and request.out is None:
+    elif request.branches and request.files.figure is None and request.files.out is None:
         _branches(ball, request, *request.gamma_range)
     else:
         diagram(ball, request, forcing_of(request), parse_effects(request.effects))
@@ -68,7 +68,7 @@ def _refuse_unwritten(request: Request) -> None:
     """Refuse a picture or an HDF5 file of what is no diagram: none would be written (raises `InputError`)."""
     if request.gamma_range is not None and not request.bifurcations:
         return
-    for option, path in (("--out", request.out), ("--figure", request.figure)):
+    for option, path in (("--out", request.files.out), ("--figure", request.files.figure)):
         if path is not None:
             asked = "--bifurcations" if request.bifurcations else "this call"
             diagram_call = f"--gamma-range FROM TO {option} {path}"
@@ -94,8 +94,8 @@ def _branches(ball: Ball, request: Request, low: float, high: float) -> None:
         }
         for b in found
     ]  # fmt: skip
-    write_json(rows, request.json)
-    if request.json is None:
+    write_json(rows, request.files.json)
+    if request.files.json is None:
         print(f"{'flights':>7} {'period':>6} {'gamma from':>12} {'to':>12} {'multiplier from':>16} {'to':>10}  stable")
         for b in found:
             stable = b.gamma[abs(b.multiplier) < 1.0]
@@ -118,8 +118,8 @@ def _bifurcations(ball: Ball, request: Request, low: float, high: float) -> None
         }
         for b in found
     ]  # fmt: skip
-    write_json(rows, request.json)
-    if request.json is None:
+    write_json(rows, request.files.json)
+    if request.files.json is None:
         print(f"{'gamma':>16} {'gamma_peak':>16}  {'type':<22} period")
         for b in found:
             print(f"{b.gamma:16.10f} {b.gamma * peak:16.10f}  {b.type:<22} {b.before.period} -> {b.after.period}")

@@ -39,42 +39,42 @@ def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str
     """
     job = _job(request, effects)
     ensemble.check(job)
-    if request.json is not None and not request.adaptive:
+    if request.files.json is not None and not request.diagram.adaptive:
         _check_json(job.size, job)
-    if request.figure is not None and len(job.axes) > 1:
+    if request.files.figure is not None and len(job.axes) > 1:
         raise InputError("--figure shows a diagram over gamma, or a map over gamma and one --grid; give only --out")
-    if request.out is None and request.figure is None and request.json is None:
+    if request.files.out is None and request.files.figure is None and request.files.json is None:
         raise InputError("a diagram wants --out diagram.h5, --figure diagram.png or --json; or ask for --bifurcations")
-    if request.overwrite and request.out is not None:
-        request.out.unlink(missing_ok=True)
-    if request.adaptive:
-        if request.sweep or request.grid or request.workers > 1 or request.cluster:
+    if request.files.overwrite and request.files.out is not None:
+        request.files.out.unlink(missing_ok=True)
+    if request.diagram.adaptive:
+        if request.sweep or request.diagram.grid or request.diagram.workers > 1 or request.diagram.cluster:
             raise InputError("--adaptive goes with neither --sweep, --grid, --workers nor --cluster")
-        check_adaptive(request.steps)
-        rows = adaptive(partial(rows_at, ball), *(request.gamma_range or (0.0, 0.0)), request.steps)
-        if request.out is not None:
-            ensemble.save(job, rows, request.out)
+        check_adaptive(request.diagram.steps)
+        rows = adaptive(partial(rows_at, ball), *(request.gamma_range or (0.0, 0.0)), request.diagram.steps)
+        if request.files.out is not None:
+            ensemble.save(job, rows, request.files.out)
     else:
         rows = _flown(job, request)
-    if request.json is not None:
+    if request.files.json is not None:
         _check_json(rows.gamma.size, job)
-        write_json([_row_json(rows, i, job) for i in range(rows.gamma.size)], request.json)
-    if request.figure is not None and not job.axes:
+        write_json([_row_json(rows, i, job) for i in range(rows.gamma.size)], request.files.json)
+    if request.files.figure is not None and not job.axes:
         from bench.predict.figures import diagram_picture  # matplotlib is slow to import
 
-        diagram_picture(rows.sorted(), forcing, request, request.figure)
+        diagram_picture(rows.sorted(), forcing, request, request.files.figure)
 
 
 def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemble.Job:
     """The diagram as a job of points, which may be flown in part and gone on with; raises `InputError`."""
-    if request.steps > MOST_GAMMAS:
-        raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.steps:,}")
+    if request.diagram.steps > MOST_GAMMAS:
+        raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.diagram.steps:,}")
     low, high = request.gamma_range or (0.0, 0.0)
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
         raise InputError(f"--gamma-range wants a smaller and a larger number, neither negative, not {low:g} {high:g}")
-    gammas = np.linspace(low, high, request.steps)[:: -1 if request.sweep == "down" else 1]
+    gammas = np.linspace(low, high, request.diagram.steps)[:: -1 if request.sweep == "down" else 1]
     axes = []
-    for text in request.grid:
+    for text in request.diagram.grid:
         name, equals, values = text.partition("=")
         wanted = f"--grid wants name.parameter=from:to:count, such as restitution.e0=0:0.9:10, not {text!r}"
         try:
@@ -91,20 +91,23 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
         axes.append(ensemble.Axis(name.strip(), tuple(numbers.tolist())))
     return ensemble.Job(
         request.ratio, tuple(gammas.tolist()), math.radians(request.phase_deg), effects, tuple(axes),
-        frequency_hz=request.frequency_hz, sweep=request.sweep is not None, keep=request.keep, g_mps2=request.g_mps2,
+        frequency_hz=request.frequency_hz, sweep=request.sweep is not None, keep=request.diagram.keep,
+        g_mps2=request.g_mps2,
     )  # fmt: skip
 
 
 def _flown(job: ensemble.Job, request: Request) -> Rows:
     """The rows of a job, flown into its file; none where they are not asked for."""
     with tempfile.TemporaryDirectory() as folder:
-        path = request.out or Path(folder) / "diagram.h5"
-        ensemble.run(job, path, workers=request.workers, cluster=request.cluster, progress=Progress("points"))
-        if request.figure is not None and job.axes:
+        path = request.files.out or Path(folder) / "diagram.h5"
+        ensemble.run(
+            job, path, workers=request.diagram.workers, cluster=request.diagram.cluster, progress=Progress("points")
+        )
+        if request.files.figure is not None and job.axes:
             from bench.predict.figures import map_picture  # matplotlib is slow to import
 
-            map_picture(path, job, request.figure)
-        if (request.figure is None or job.axes) and request.json is None:
+            map_picture(path, job, request.files.figure)
+        if (request.files.figure is None or job.axes) and request.files.json is None:
             return empty_rows(np.empty(0), 0)
         return ensemble.load(path)[0]
 

@@ -31,8 +31,8 @@ def orbit(ball: Ball, request: Request) -> None:
     else:
         start = 0.0 if request.sweep == "up" else 2.0 * gamma
         found = sweep(ball, np.linspace(start, gamma, SWEEP_STEPS))[-1]
-    write_json(orbit_json(found, request.ratio, gamma, request.frequency_hz), request.json)
-    if request.json is None:
+    write_json(orbit_json(found, request.ratio, gamma, request.frequency_hz), request.files.json)
+    if request.files.json is None:
         print(f"c = {request.ratio}, gamma = {gamma:.9g}: {found.label}")
         for tau in found.tau:
             seconds = "" if request.frequency_hz is None else f"   {tau / (2 * math.pi * request.frequency_hz):.9f} s"

@@ -17,6 +17,28 @@ MOST_ADAPTIVE = 20_000  # gammas from which an adaptive diagram may begin
 
 
 @dataclass(frozen=True)
+class DiagramOptions:
+    """How a diagram is computed."""
+
+    steps: int = 1000
+    adaptive: bool = False
+    grid: tuple[str, ...] = ()
+    keep: int = 64
+    workers: int = 1
+    cluster: str | None = None
+
+
+@dataclass(frozen=True)
+class Files:
+    """Where the answer goes."""
+
+    json: str | None = None
+    out: Path | None = None
+    figure: Path | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
 class Request:
     """The options of `bench predict`, as given."""
 
@@ -30,19 +52,11 @@ class Request:
     frequency_hz: float | None = None
     sweep: str | None = None
     phase_deg: float = 0.0
-    steps: int = 1000
-    adaptive: bool = False
-    grid: tuple[str, ...] = ()
     narrowest: float | None = None
-    keep: int = 64
-    workers: int = 1
-    cluster: str | None = None
-    json: str | None = None
     profile: str | None = None
     g_mps2: float = STANDARD_GRAVITY_MPS2
-    out: Path | None = None
-    figure: Path | None = None
-    overwrite: bool = False
+    diagram: DiagramOptions = DiagramOptions()
+    files: Files = Files()
 
 
 def parse_effects(given: tuple[str, ...]) -> dict[str, dict[str, float]]:

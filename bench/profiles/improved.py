@@ -48,7 +48,9 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
     on, source = datetime.date.today(), f"closed loop on {recording.name}"
     found = [
-        Measured(f"declared.{p.effect}.{p.parameter}", p.value, p.sigma, source) for p in loop.added if not p.trend
+        Measured(f"declared.{p.effect}.{p.parameter}", p.value, p.sigma, source)
+        for p in loop.selection.added
+        if not p.trend
     ]
     believed = loop.verdict != "unexplained"
     edited = declare(text, found if believed else [], on, str(path))
@@ -75,7 +77,7 @@ def not_declared(loop: ClosedLoop) -> list[str]:
     middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
     left = [
         f"{p.effect}.{p.parameter} changed by {p.value:.3g} from start to end of this run{middle}"
-        for p in loop.added
+        for p in loop.selection.added
         if p.trend
     ]
     if loop.discovered is not None:

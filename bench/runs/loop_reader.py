@@ -32,22 +32,22 @@ def look(names: list[str], tell: Tell) -> dict[str, Any]:
 
 def _verdict(loop: ClosedLoop) -> dict[str, Any]:
     """The recordings, the verdict in words, its errors in us, parameters of added effects and fitted calibrations."""
-    names = [effect.name for effect in loop.effects]
-    others = len(loop.ties) - 1
+    names = [effect.name for effect in loop.selection.effects]
+    others = len(loop.selection.ties) - 1
     words = short_verdict(loop.verdict) + (f": {', '.join(names)}" if names else "")
     quantities = []
-    for effect in loop.effects:
+    for effect in loop.selection.effects:
         for parameter, (value, low, high) in effect.parameters.items():
             sigma = (high - low) / (2.0 * NORMAL_95)
             quantities.append((effect.name, parameter, value, sigma if math.isfinite(sigma) else None))
-    quantities += [(x.effect, x.parameter, x.value, x.sigma) for x in loop.calibrations]
+    quantities += [(x.effect, x.parameter, x.value, x.sigma) for x in loop.selection.calibrations]
     return {
         "identities": [source.identity for source in loop.sources if source.identity],
         "verdict": loop.verdict,
         "summary": words + (f" (or {others} other sets)" if others > 0 else ""),
-        "before_us": loop.before.landing_rms_us,
-        "after_us": loop.after.landing_rms_us,
-        "floor_us": loop.noise_floor_us,
+        "before_us": loop.errors.before.landing_rms_us,
+        "after_us": loop.errors.after.landing_rms_us,
+        "floor_us": loop.errors.landing_floor_us,
         "quantities": [
             quantity(f"{effect}.{parameter}", value, sigma, unit_of(effect, parameter), "verdict")
             for effect, parameter, value, sigma in quantities

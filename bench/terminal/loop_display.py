@@ -25,22 +25,22 @@ def show(loop: ClosedLoop) -> None:
         out.print(f"  discovered: {loop.discovered.description}", soft_wrap=True)
         if form := form_in_words(loop.discovered):
             out.print(f"  {form}", soft_wrap=True, markup=False)
-    if loop.rejected is not None:
+    if loop.selection.rejected is not None:
         out.print(f"  {rejected_in_words(loop)}", soft_wrap=True)
     others = others_in_words(loop)
     if others:
         out.print(f"  the data cannot tell this from: {'; '.join(others)}", soft_wrap=True)
-    b, a = loop.before, loop.after
+    b, a = loop.errors.before, loop.errors.after
     table = Table("held-out steps", "before", "after", "noise floor")
     for name, before, after, floor in (
-        ("landing, rms (us)", b.landing_rms_us, a.landing_rms_us, microseconds(loop.noise_floor_us)),
+        ("landing, rms (us)", b.landing_rms_us, a.landing_rms_us, microseconds(loop.errors.landing_floor_us)),
         ("landing, robust (us)", b.landing_nmad_us, a.landing_nmad_us, ""),
-        ("take-off, robust (us)", b.takeoff_nmad_us, a.takeoff_nmad_us, microseconds(loop.takeoff_floor_us)),
+        ("take-off, robust (us)", b.takeoff_nmad_us, a.takeoff_nmad_us, microseconds(loop.errors.takeoff_floor_us)),
     ):
         table.add_row(name, microseconds(before), microseconds(after), floor)
     table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
     out.print(table)
-    for line in (*loop.rounds, *moved_calibrations(loop), *loop.notes):
+    for line in (*loop.selection.rounds, *moved_calibrations(loop), *loop.notes):
         out.print(f"  {line}", soft_wrap=True)
 
 

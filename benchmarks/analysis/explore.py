@@ -112,7 +112,8 @@ def trial(plant: str, strategy: str, seed: int) -> dict[str, Any]:
     loop = found.loop
     return {
         "plant": plant, "strategy": strategy, "seed": seed, "hidden": right, "rig_s": found.rig_s,
-        "standard_s": standard, "verdict": loop.verdict if loop else "none", "named": loop.names if loop else (),
+        "standard_s": standard, "verdict": loop.verdict if loop else "none",
+        "named": loop.selection.names if loop else (),
         "why": found.why, "blocks": [block.reason for block in found.blocks],
         "processor_s": time.process_time() - began,
     }  # fmt: skip

@@ -101,11 +101,13 @@ def _verdict(path: Path, truth: Values) -> Row:
     seconds = time.process_time() - start
     held = [
         bool(low <= truth[e.name][name] <= high)
-        for e in loop.effects for name, (_, low, high) in e.parameters.items() if name in truth.get(e.name, {})
+        for e in loop.selection.effects
+        for name, (_, low, high) in e.parameters.items()
+        if name in truth.get(e.name, {})
     ]  # fmt: skip
     return {
-        "verdict": loop.verdict, "names": [e.name for e in loop.effects], "held": held,
-        "rms_us": loop.after.landing_rms_us, "floor_us": loop.noise_floor_us, "seconds_loop": seconds,
+        "verdict": loop.verdict, "names": [e.name for e in loop.selection.effects], "held": held,
+        "rms_us": loop.errors.after.landing_rms_us, "floor_us": loop.errors.landing_floor_us, "seconds_loop": seconds,
     }  # fmt: skip
 
 

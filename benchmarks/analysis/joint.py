@@ -84,7 +84,7 @@ def main() -> None:
                 )
         for path in paths if args.alone else ():
             loop = close_loop([path])
-            print(f"  {path.parent.name} alone: {loop.verdict} {loop.names}, ties {loop.ties}")
+            print(f"  {path.parent.name} alone: {loop.verdict} {loop.selection.names}, ties {loop.selection.ties}")
 
 
 if __name__ == "__main__":

@@ -50,9 +50,9 @@ def measured(recording: Path) -> dict[str, Any]:
         seconds["all"] = time.process_time() - start
     return {
         "verdict": loop.verdict,
-        "names": list(loop.names),
-        "values": {f"{p.effect}.{p.parameter}": p.value for p in loop.parameters},
-        "rms_us": loop.after.landing_rms_us,
+        "names": list(loop.selection.names),
+        "values": {f"{p.effect}.{p.parameter}": p.value for p in loop.selection.parameters},
+        "rms_us": loop.errors.after.landing_rms_us,
         "seconds": seconds,
         "peak_mb": _peak_mb(),
     }

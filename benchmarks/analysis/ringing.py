@@ -108,8 +108,8 @@ def _verdict(path: Path) -> str:
     start = time.process_time()
     loop, _ = judge_loop([path])
     spent_s = time.process_time() - start
-    names, rms_us = " + ".join(e.name for e in loop.effects), loop.after.landing_rms_us
-    return f"{loop.verdict}: {names}, {rms_us} / {loop.noise_floor_us:.0f} us, {spent_s:.0f} s"
+    names, rms_us = " + ".join(e.name for e in loop.selection.effects), loop.errors.after.landing_rms_us
+    return f"{loop.verdict}: {names}, {rms_us} / {loop.errors.landing_floor_us:.0f} us, {spent_s:.0f} s"
 
 
 if __name__ == "__main__":

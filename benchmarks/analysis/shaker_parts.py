@@ -66,14 +66,14 @@ def trial(name: str, ratio: int, seed: int) -> str:
         begin = time.process_time()
         loop = close_loop([path])
         took_s = time.process_time() - begin
-    found: dict[str, list[str]] = {effect.name: [] for effect in loop.effects}
-    for p in loop.parameters:
+    found: dict[str, list[str]] = {effect.name: [] for effect in loop.selection.effects}
+    for p in loop.selection.parameters:
         if p.effect in found and p.value:
             found[p.effect].append(f"{p.value:.3g}")
     named = "; ".join(f"{effect} {', '.join(values)}" for effect, values in found.items())
     wanted = "; ".join(f"{effect} {values}".rstrip() for effect, values in truth.items())
     right = "yes" if set(found) == set(truth) else "no"
-    left = f"{loop.after.landing_rms_us:.0f}, {loop.noise_floor_us:.0f}"
+    left = f"{loop.errors.after.landing_rms_us:.0f}, {loop.errors.landing_floor_us:.0f}"
     return f"| {name} | {ratio} | {seed} | {wanted} | {named} | {right} | {loop.verdict} | {left} | {took_s:.0f} |"
 
 

@@ -74,7 +74,8 @@ def run(job: Job) -> dict[str, Any]:
     if loop.discovered is not None:
         d = loop.discovered
         discovered = {
-            "term": d.term, "covariate": d.covariate, "description": d.description, "tied": list(d.tied_covariates),
+            "term": d.term, "covariate": d.covariate.words, "description": d.description,
+            "tied": list(d.tied_covariates),
             "rms_us": d.after.landing_rms_us, "robust_us": d.after.landing_nmad_us, "floor_us": d.noise_floor_us,
         }  # fmt: skip
     declared = fitted.selection.before.fitted.values

@@ -41,7 +41,7 @@ def test_flights_found_are_those_flown(plant, chain, monkeypatch):
 def test_a_verdict_is_held_against_the_truth(closed_loop, monkeypatch, tmp_path):
     """Of the effect that was found, each interval is asked whether the true value lies in it."""
     monkeypatch.setattr("analysis.loop.close_loop.fit_loop", lambda paths: (closed_loop, None))
-    (effect,) = closed_loop.effects
+    (effect,) = closed_loop.selection.effects
     truth = {effect.name: {name: high + 1.0 for name, (_, _, high) in effect.parameters.items()}}
     name, (value, _, _) = next(iter(effect.parameters.items()))
     truth[effect.name][name] = value

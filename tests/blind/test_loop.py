@@ -94,7 +94,7 @@ def test_a_light_table_and_a_late_accelerometer_are_found_together(tmp_path: Pat
     rig = Shaker(table_kg=20.0, gammas=tuple(gammas.tolist()), seed=80041)
     loop = close_loop([recorded(rig, tmp_path)])
     assert loop.verdict == "explained"
-    assert {effect.name for effect in loop.effects} == {"table_resonance", "accelerometer_lag"}
-    found = {(p.effect, p.parameter): p for p in loop.parameters}
+    assert {effect.name for effect in loop.selection.effects} == {"table_resonance", "accelerometer_lag"}
+    found = {(p.effect, p.parameter): p for p in loop.selection.parameters}
     for name, true in {"mass_ratio": BALL_KG / 20.0, "frequency_hz": 8.0, "damping": 0.7}.items():
         assert found["table_resonance", name].value == pytest.approx(true, rel=0.05)

@@ -111,7 +111,9 @@ def _improved(declared: Effects, loop: ClosedLoop | None) -> Effects:
     """The declared effects with those that an explained loop added; none where no effect on the ball was added."""
     if loop is None or loop.verdict != "explained":
         return {}
-    added = {one.name: {name: value for name, (value, _, _) in one.parameters.items()} for one in loop.effects}
+    added = {
+        one.name: {name: value for name, (value, _, _) in one.parameters.items()} for one in loop.selection.effects
+    }
     if not ball_effects(added):
         return {}
     return {**declared, **{name: {**declared.get(name, {}), **values} for name, values in added.items()}}

@@ -65,8 +65,8 @@ def draw_candidates(loop: ClosedLoop, figure: Canvas) -> None:
         return
     figure.set_size_inches(7.2, 1.1 + 0.26 * len(rows))
     ax = figure.subplots()
-    chosen = {plain(n) for n in loop.names}
-    rejected = {plain(n) for n in loop.rejected.names} if loop.rejected else set()
+    chosen = {plain(n) for n in loop.selection.names}
+    rejected = {plain(n) for n in loop.selection.rejected.names} if loop.selection.rejected else set()
     at, parts = np.arange(len(rows)), [set(name.split(" + ")) for name, _ in rows]
     accepted, refused = np.array([bool(p & chosen) for p in parts]), np.array([p == rejected for p in parts])
     gain = np.array([max(g, 0.0) for _, (g, _) in rows])
@@ -109,10 +109,10 @@ def draw_discovery(loop: ClosedLoop, figure: Canvas) -> None:
         return
     figure.set_size_inches(6.4, 3.8)
     ax = figure.subplots()
-    x = found.scale * found.knots
-    ax.fill_between(x, found.low, found.high, color=BAND, lw=0, label="95 % band")
-    ax.plot(x, found.values, "-", lw=1.8, color=AFTER, label="estimate")
-    inside = found.scale * found.seen
+    x = found.covariate.scale * found.curve.knots
+    ax.fill_between(x, found.curve.low, found.curve.high, color=BAND, lw=0, label="95 % band")
+    ax.plot(x, found.curve.values, "-", lw=1.8, color=AFTER, label="estimate")
+    inside = found.covariate.scale * found.seen
     inside = inside[(inside >= x[0]) & (inside <= x[-1])]
     ax.plot(
         inside,
@@ -124,9 +124,13 @@ def draw_discovery(loop: ClosedLoop, figure: Canvas) -> None:
         transform=ax.get_xaxis_transform(),
         label="flights (how far they go)",
     )
-    ax.set_xlabel(f"{found.covariate}, {found.unit}" if found.unit not in ("", "1") else found.covariate)
+    ax.set_xlabel(
+        f"{found.covariate.words}, {found.covariate.unit}"
+        if found.covariate.unit not in ("", "1")
+        else found.covariate.words
+    )
     name = "force on the ball (positive: up)" if found.term == "force" else found.term
-    unit = found.term_unit.replace("^2", "\u00b2")
+    unit = found.curve.unit.replace("^2", "\u00b2")
     ax.set_ylabel(f"{name}, {unit}" if unit not in ("", "1") else name)
     ax.set_title("\n".join(textwrap.wrap(found.description.replace("^2", "\u00b2"), 72)), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)

@@ -38,20 +38,20 @@ TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
 
 def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
     """Label, predictions and colour of each model to show: before and after, or only the declared one."""
-    if not loop.names:
+    if not loop.selection.names:
         return [("declared model", loop.flights.after, AFTER)]
     return [("before", loop.flights.before, BEFORE), ("after", loop.flights.after, AFTER)]
 
 
 def draw_landings(loop: ClosedLoop, figure: Figure) -> None:
     """Landing residuals, before and after, against nine covariates."""
-    rows, floor = loop.flights.scored, loop.noise_floor_us
+    rows, floor = loop.flights.scored, loop.errors.landing_floor_us
     _draw(loop, figure, "landing", LANDINGS, rows, lambda p: p.landing_residual_s, floor)
 
 
 def draw_takeoffs(loop: ClosedLoop, figure: Figure) -> None:
     """Take-off residuals, before and after, against six covariates; nothing where no take-off was seen."""
-    rows, floor = loop.flights.from_rest, loop.takeoff_floor_us
+    rows, floor = loop.flights.from_rest, loop.errors.takeoff_floor_us
     _draw(loop, figure, "take-off", TAKEOFFS, rows, lambda p: p.takeoff_residual_s, floor)
 
 
@@ -135,7 +135,7 @@ def draw_plate_residuals(loop: ClosedLoop, figure: Figure) -> None:
     scale = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     gamma = scale.factor * loop.steps.gamma[data.step]
     models = [(data.before, BEFORE, "o", "before"), (data.after, AFTER, ".", "after")]
-    if not loop.names:
+    if not loop.selection.names:
         models = [(data.after, AFTER, ".", "declared model")]
     shown = ((GAIN, 100.0, "plate over drive, gain, %"), (PHASE, 180.0 / np.pi, "phase, degrees"))
     for ax, (kind, per, quantity) in zip(axes, shown, strict=False):

@@ -56,7 +56,7 @@ def test_few_data_of_unknown_scatter_tell_less(fly_ramp: Callable[..., ForwardMo
 def test_runs_of_another_plant_confirm_the_limit_of_adhesion(tmp_path: Path, part: float, seen: bool) -> None:
     """Of three runs well beyond the limit most name the adhesion, of three well below none does."""
     clean = close_loop(short_runs(tmp_path / "clean", 1, 560, {})[:1])
-    limit = clean.detection["adhesion.a_mps2"]
+    limit = clean.detection.sizes["adhesion.a_mps2"]
     paths = short_runs(tmp_path / "hidden", 3, 561, {"adhesion.pull_g": part * limit / G_MPS2})
     named = [any("adhesion" in names for names in close_loop([path]).ties) for path in paths]
     assert sum(named) >= 2 if seen else not any(named)

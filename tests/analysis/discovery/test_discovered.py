@@ -64,7 +64,7 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     fitter = fitter_of(model)
     found = discover(model, fitter, unexplained(model, fitter))
     assert found is not None
-    assert (found.term, found.covariate) == ("force", "height")
+    assert (found.term, found.covariate.words) == ("force", "height")
     assert found.description.startswith("a downward pull rises from")
     assert "height" in found.description
     middle = float(np.interp(4e-3, found.knots, found.values))

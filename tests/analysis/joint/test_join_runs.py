@@ -79,7 +79,7 @@ def test_summaries_are_kept_and_gone_on_with(tmp_path: Path, monkeypatch: pytest
 def test_runs_together_show_smaller_sizes(tmp_path: Path) -> None:
     """The verdict states what all runs could have shown: less than what one of them could."""
     paths = short_runs(tmp_path, 3, 505, {})
-    one, all_three = close_loop(paths[:1]).detection, join_runs(paths).detection
+    one, all_three = close_loop(paths[:1]).detection.sizes, join_runs(paths).detection
     for name in ("viscous_damping.rate_per_s", "adhesion.a_mps2"):
         assert 0.2 * one[name] < all_three[name] < one[name]
 

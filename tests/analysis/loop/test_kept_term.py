@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.discovery.discover import Discovery
+from analysis.discovery.discover import Band, Discovery
 from analysis.discovery.forms import FORMS, Form, forms_for
 from analysis.discovery.symbolic import FittedForm
 from analysis.discovery.terms import IN_FLIGHT, event_terms
 from analysis.loop.kept_term import check_new, effect_source
 from analysis.loop.result import ClosedLoop
+from analysis.residuals.covariates import Covariate
 from daq.setup.errors import InputError
 from model.effects import kept
 from model.effects.registry import _checked
@@ -39,8 +40,8 @@ def found_by(loop: ClosedLoop, term: str, of: str, within: bool, form: Form | No
             FittedForm(form.name, form.expression, form.names, kinds, ("1",) * n, values, values, -3.0, 2.0, True),
         )
     discovered = Discovery(
-        term, "some quantity", "", 1.0, "it rises", X, X + 0.1, X, X, unit, X, gain, gain, (("adhesion", 0.9),), (),
-        loop.after, 5.0, of, within, forms, form.name if form else "",
+        term, Covariate("some quantity"), "it rises", Band(X, X + 0.1, X, X, unit), X, gain, gain,
+        (("adhesion", 0.9),), (), loop.errors.after, 5.0, of, within, forms, form.name if form else "",
     )  # fmt: skip
     return replace(loop, verdict="unexplained", discovered=discovered)
 

@@ -15,15 +15,17 @@ from pydantic import BaseModel
 from analysis.attribution import selection
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.discovery.discover import Discovery
+from analysis.discovery.discover import Band, Discovery
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict, save_verdict
 from analysis.loop.verdict_json import loop_json
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS
+from analysis.residuals.covariates import Covariate
 from analysis.thresholds import Thresholds
 from daq.setup.errors import InputError
+from tests.loops import changed
 
 KEYS = (
     "verdict",
@@ -56,8 +58,9 @@ def discovery(seen: np.ndarray, loop: ClosedLoop) -> Discovery:
     """A discovered pull of the height, as numbers."""
     x, gain = np.linspace(0.0, 8e-3, 9), LogScoreDifference(90.0, 9.0, 80.0, 8.0)
     return Discovery(
-        "force", "height", "mm", 1e3, "a downward pull rises", x, -x, -x - 1.0, 1.0 - x, "m/s^2", seen, gain, gain,
-        (("position_force", 0.9),), ("flight time",), loop.after, 5.0,
+        "force", Covariate("height", "mm", 1e3), "a downward pull rises", Band(x, -x, -x - 1.0, 1.0 - x, "m/s^2"),
+        seen, gain, gain,
+        (("position_force", 0.9),), ("flight time",), loop.errors.after, 5.0,
     )  # fmt: skip
 
 
@@ -108,7 +111,9 @@ def test_the_tables_hold_what_the_errors_are_made_of(computed: ClosedLoop) -> No
         np.testing.assert_array_equal(side.landing_residual_s[rows], (flights.landing_s - side.landing_s)[rows])
     rows = flights.scored & computed.steps.held_out[flights.step]
     error = 1.4826e6 * np.median(np.abs(flights.before.landing_residual_s[rows]))
-    assert computed.before.excluded_fraction == 0.0 and computed.before.landing_nmad_us == pytest.approx(error)
+    assert computed.errors.before.excluded_fraction == 0.0 and computed.errors.before.landing_nmad_us == pytest.approx(
+        error
+    )
 
 
 @pytest.mark.parametrize("found", [False, True])
@@ -116,7 +121,7 @@ def test_a_saved_loop_is_read_again_as_it_was(computed: ClosedLoop, found: bool,
     """Every leaf is the same after saving and reading, with and without a discovered term."""
     loop = computed
     if found:
-        loop = dataclasses.replace(loop, discovered=discovery(np.array([1e-3, 2e-3]), loop), noise_floor_us=math.nan)
+        loop = changed(loop, discovered=discovery(np.array([1e-3, 2e-3]), loop), landing_floor_us=math.nan)
     path = tmp_path / "loop.h5"
     save_verdict(loop, path)
     again = load_verdict(path)

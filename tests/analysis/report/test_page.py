@@ -21,6 +21,7 @@ from analysis.report.numbers import interval
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS, verdict_line
 from bench.cli import app
+from tests.loops import changed
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +64,10 @@ def test_the_report_says_the_verdict(closed_loop: ClosedLoop, verdict: Any, tmp_
 @pytest.mark.usefixtures("no_figures")
 def test_nothing_missing_names_nothing(closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Where the declared model suffices, the page adds no effect and says so."""
-    clean = dataclasses.replace(
-        closed_loop, verdict="nothing_missing", effects=(), names=(), ties=(), parameters=(), after=closed_loop.before
-    )
+    clean = changed(
+        closed_loop, verdict="nothing_missing", effects=(), names=(), ties=(), parameters=(),
+        after=closed_loop.errors.before,
+    )  # fmt: skip
     page = write_report(clean, tmp_path / "report")
     text = page.read_text(encoding="utf-8")
     assert VERDICTS["nothing_missing"] in text
@@ -75,7 +77,7 @@ def test_nothing_missing_names_nothing(closed_loop: ClosedLoop, tmp_path: Path) 
 def test_the_verdict_line_has_size_and_interval(closed_loop: ClosedLoop) -> None:
     """Each parameter with its 95 % interval and unit, on the page and the terminal alike."""
     loop = closed_loop
-    value, low, high = loop.effects[0].parameters["mu_up"]
+    value, low, high = loop.selection.effects[0].parameters["mu_up"]
     line = verdict_line(dataclasses.replace(loop, verdict="explained"))
     assert line.startswith("Explained by coulomb friction, ") and f"mu_up = {interval(value, low, high)}" in line
     doubtful = verdict_line(dataclasses.replace(loop, verdict="unexplained"))
@@ -126,7 +128,7 @@ def test_the_best_rejected_candidate_is_shown(
     from bench.terminal.loop_display import show
 
     refused = Rejected(("restitution",), 1729.0, 480.0, "the steps do not agree on its gain")
-    loop = dataclasses.replace(closed_loop, rejected=refused)
+    loop = changed(closed_loop, rejected=refused)
     show(loop)
     page = write_report(loop, tmp_path / "report").read_text(encoding="utf-8")
     for text in (capsys.readouterr().out, page.replace("±", "+-")):

@@ -34,6 +34,7 @@ from bench.jobs.report import not_of
 from daq.recording import Recording, open_recording
 from daq.recording.verify import VerifyReport
 from daq.setup.errors import InputError
+from tests.loops import changed
 
 HOSTILE = '</script><script>document.title="owned"</script><img src=x onerror=alert(1)> $\\frac{ & "\' λ'
 
@@ -116,7 +117,7 @@ def test_texts_of_a_recording_are_texts(
         copy.attrs.update(note=HOSTILE, why=HOSTILE, backend=HOSTILE, extra={HOSTILE: HOSTILE})
         copy.setup = copy.setup.model_copy(update={"name": HOSTILE, "description": HOSTILE})
         source = Source(HOSTILE, HOSTILE, "", HOSTILE, True, HOSTILE, HOSTILE, HOSTILE)
-        loop = dataclasses.replace(closed_loop, sources=(source,), notes=(HOSTILE,), rounds=(HOSTILE,))
+        loop = changed(closed_loop, sources=(source,), notes=(HOSTILE,), rounds=(HOSTILE,))
         text = page_of(Run(copy, VerifyReport("stopped", [HOSTILE]), flights, loop), tmp_path / "r.html")
     tags = Page(text).tags
     assert [t for t, _ in tags].count("title") == 1 and not any(k.startswith("on") for _, a in tags for k in a)
@@ -165,7 +166,7 @@ def test_the_headline_has_all_that_is_asked(closed_loop: ClosedLoop) -> None:
     """What was found with its interval, error before and after, noise, certainty, and what it may be instead."""
     words = headline(closed_loop)
     assert words.startswith("Coulomb friction (") and " .. " in words and "instead of" in words and "noise" in words
-    clean = headline(dataclasses.replace(closed_loop, verdict="nothing_missing", effects=(), names=(), ties=()))
+    clean = headline(changed(closed_loop, verdict="nothing_missing", effects=(), names=(), ties=()))
     assert clean.startswith("Nothing is missing")
     failed = dataclasses.replace(closed_loop, verdict="unexplained")
     assert headline(failed).startswith("Something is left") and "not believed" in headline(failed)

@@ -8,6 +8,7 @@ import pytest
 from analysis.report.narrative import headline, why_this_verdict
 from analysis.report.wording import lost_in_words, what_is_left
 from analysis.thresholds import FROZEN
+from tests.loops import changed
 
 
 def left(p, ratio):
@@ -25,8 +26,10 @@ def test_a_certain_remainder_is_not_called_noise():
 @pytest.mark.parametrize("verdict", ["explained", "unexplained", "nothing_missing"])
 def test_a_number_that_a_few_landings_make_never_contradicts_the_verdict(closed_loop, verdict):
     """3637 us beside a floor of 46: every sentence with the number says that 24 landings of 1900 make it."""
-    after = replace(closed_loop.after, landing_rms_us=3637.0, flights=1900, lost=24, landing_rms_us_without_lost=41.0)
-    loop = replace(closed_loop, verdict=verdict, after=after, failed=())
+    after = replace(
+        closed_loop.errors.after, landing_rms_us=3637.0, flights=1900, lost=24, landing_rms_us_without_lost=41.0
+    )
+    loop = changed(closed_loop, verdict=verdict, after=after, failed=())
     words = "24 of 1900 held-out landings were not as predicted; without them 41.0 us rms"
     assert lost_in_words(loop) == words
     assert words in headline(loop)
@@ -37,6 +40,6 @@ def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):
     """None lost, or an error that is the same without them: no words."""
     for lost, rms, without in ((0, 10.0, 10.0), (1, 10.0, 9.5)):
         after = replace(
-            closed_loop.after, landing_rms_us=rms, flights=1900, lost=lost, landing_rms_us_without_lost=without
+            closed_loop.errors.after, landing_rms_us=rms, flights=1900, lost=lost, landing_rms_us_without_lost=without
         )
-        assert lost_in_words(replace(closed_loop, after=after)) == ""
+        assert lost_in_words(changed(closed_loop, after=after)) == ""

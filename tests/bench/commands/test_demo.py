@@ -1,6 +1,5 @@
 """The demo: what it refuses, and what a failed one leaves behind."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from bench.cli import app
 from bench.commands import demo
 from bench.profiles.find import load
 from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
+from tests.loops import changed
 
 
 def test_no_device_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,7 +53,7 @@ def test_a_failed_demo_does_not_block_the_next(
         seen.append(recording.exists())
         return recording
 
-    loop = replace(closed_loop, verdict="nothing_missing", effects=())
+    loop = changed(closed_loop, verdict="nothing_missing", effects=())
     monkeypatch.setattr(demo, "_drive", works)
     monkeypatch.setattr(demo, "_reprocess", lambda *a: None)
     monkeypatch.setattr(demo, "_close", lambda *a: (loop, True))

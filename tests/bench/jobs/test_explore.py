@@ -12,6 +12,7 @@ import shakerbench as sb
 from analysis.attribution.priors import parameter_of
 from analysis.explore.choice import Pool
 from analysis.explore.explanations import Explanation, Weighed
+from analysis.loop.result import DetectionLimits
 from bench.commands.explore import Driver
 from bench.jobs.blocks import Aims, Driven, by_person, offers, run_seconds, tells
 from bench.jobs.blocks import Chosen as Block
@@ -98,7 +99,10 @@ def test_what_is_not_shown_yet():
     adhesion, drag = ("adhesion", "a_mps2"), ("quadratic_drag", "k_per_m")
     limits = {key: parameter_of(key).scale for key in (adhesion, drag)}
     loop = SimpleNamespace(
-        names=(), detection={"adhesion.a_mps2": 0.5 * limits[adhesion], "quadratic_drag.k_per_m": 1.5 * limits[drag]}
+        selection=SimpleNamespace(names=()),
+        detection=DetectionLimits(
+            {"adhesion.a_mps2": 0.5 * limits[adhesion], "quadratic_drag.k_per_m": 1.5 * limits[drag]}, ()
+        ),
     )
     declared = Explanation((), (), {}, 0.6)
     assert _not_shown(loop, Aims(60.0), weighed_with(declared)) == {drag: pytest.approx(1.5)}
@@ -241,7 +245,11 @@ def test_it_finds_what_is_hidden_in_a_part_of_the_time(tmp_path):
     drive = Driver(Path("friction"), 23, quiet=True)
     told = []
     found = explore(profile.text, tmp_path, Aims(whole), drive, say=told.append)
-    assert found.loop is not None and found.loop.names == ("coulomb_friction",) and found.loop.verdict == "explained"
+    assert (
+        found.loop is not None
+        and found.loop.selection.names == ("coulomb_friction",)
+        and found.loop.verdict == "explained"
+    )
     assert found.rig_s < 0.5 * whole
     for path, block in zip(found.recordings, found.blocks, strict=True):
         with open_recording(path) as recording:

@@ -45,4 +45,4 @@ def test_batch_and_report_keep_it(closed_loop: ClosedLoop, tmp_path: Path, monke
     page = CliRunner().invoke(app, ["report", str(tmp_path / "report.h5"), "--out", str(tmp_path / "page.html")])
     assert page.exit_code == 0, page.output
     for name in ("batch", "report"):
-        assert load_verdict(tmp_path / f"{name}.loop").names == closed_loop.names
+        assert load_verdict(tmp_path / f"{name}.loop").selection.names == closed_loop.selection.names

@@ -10,12 +10,13 @@ from analysis.loop.result import AddedEffect, ClosedLoop
 from bench.jobs.unsealed import LIBRARY_UNITS, compared, in_words
 from model.effects.registry import effect
 from rig.sim.catalogue import EFFECTS
+from tests.loops import changed
 
 
 def test_both_sizes_stand_side_by_side(closed_loop: ClosedLoop) -> None:
     """Hidden adhesion is converted to the library's unit; what was not found, and what was not hidden, says so."""
     adhesion = AddedEffect("adhesion", {"a_mps2": (1.0, 0.9, 1.1)})
-    loop = dataclasses.replace(closed_loop, effects=(adhesion, AddedEffect("restitution", {"e0": (0.2, 0.1, 0.3)})))
+    loop = changed(closed_loop, effects=(adhesion, AddedEffect("restitution", {"e0": (0.2, 0.1, 0.3)})))
     rows = compared({"adhesion": {"pull_g": 0.1}, "quadratic_drag": {"k_per_m": 20.0}}, loop)
     by_name = {f"{row.effect}.{row.parameter}": row for row in rows}
     assert by_name["adhesion.a_mps2"].hidden == pytest.approx(0.980665) and by_name["adhesion.a_mps2"].found == 1.0

@@ -2,18 +2,19 @@
 
 import datetime
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analysis.attribution.comparison import LogScoreDifference
-from analysis.discovery.discover import Discovery
+from analysis.discovery.discover import Band, Discovery
 from analysis.loop.result import ClosedLoop, FittedParameter
 from analysis.loop.verdicts import Verdict
+from analysis.residuals.covariates import Covariate
 from bench.profiles.find import load
 from bench.profiles.improved import write_improved
+from tests.loops import changed
 
 SIMULATED = (Path(__file__).parents[3] / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
 TREND = "@trend"
@@ -33,10 +34,10 @@ def found(closed_loop: ClosedLoop) -> Found:
             for (name, q), v in values.items()
         )
         discovered = Discovery(
-            "force", "height", "mm", 1e3, term, *(np.zeros(2),) * 4, "m/s^2", np.zeros(2),
-            *(LogScoreDifference(90.0, 9.0, 80.0, 8.0),) * 2, (), (), closed_loop.after, 5.0,
+            "force", Covariate("height", "mm", 1e3), term, Band(*(np.zeros(2),) * 4, "m/s^2"), np.zeros(2),
+            *(LogScoreDifference(90.0, 9.0, 80.0, 8.0),) * 2, (), (), closed_loop.errors.after, 5.0,
         )  # fmt: skip
-        return replace(closed_loop, verdict=verdict, parameters=added, discovered=discovered if term else None)
+        return changed(closed_loop, verdict=verdict, parameters=added, discovered=discovered if term else None)
 
     return made
 

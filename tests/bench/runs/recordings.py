@@ -12,6 +12,7 @@ from daq.files.tables import Block
 from daq.recording import CHANNELS, RecordingWriter, open_recording
 from daq.recording.identity import stored_id
 from daq.setup.setup import Setup
+from tests.loops import changed
 
 RATE_HZ = 1000
 
@@ -67,6 +68,4 @@ def verdict_on(loop: ClosedLoop, recording: Path, value: float = 0.12) -> Closed
         sources = (dataclasses.replace(loop.sources[0], identity=stored_id(opened)),)
     friction = AddedEffect("coulomb_friction", {"mu_up": (value, value - 0.01, value + 0.01)})
     gain = Calibration("accelerometer_gain", "relative", 0.01, 0.001, 0.0, 0.005)
-    return dataclasses.replace(
-        loop, effects=(friction,), ties=(("coulomb_friction",),), calibrations=(gain,), sources=sources
-    )
+    return changed(loop, effects=(friction,), ties=(("coulomb_friction",),), calibrations=(gain,), sources=sources)
