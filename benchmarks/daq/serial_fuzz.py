@@ -114,7 +114,7 @@ def agree(n_frames: int, seed: int) -> dict[str, float]:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         binary = Path(folder) / "host_encode"
-        sources = [str(FIRMWARE / name) for name in ("shaker_frame.c", "host_encode.c")]
+        sources = [str(FIRMWARE / name) for name in ("shaker_frame.c", "shaker_packet.c", "host_encode.c")]
         subprocess.run(["cc", "-std=c99", "-O2", *sources, "-o", str(binary)], check=True)
         for start in range(0, n_frames, 20_000):
             frames = [random_frame(rng) for _ in range(min(20_000, n_frames - start))]

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from daq.setup.errors import InputError
 from rig.backends.base import Backend
+from rig.backends.gate import gated
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.find import built_in, kind_of
+from rig.backends.kinds.soundcard import CardOptions
 from rig.profile import Profile
 
 
@@ -48,4 +50,5 @@ def open_backend(
                 f'--{option.replace("_", "-")}: is for backend.kind = {wanted}; this profile\'s is "{kind.name}"'
             )
     backend: Backend = pkgutil.resolve_name(kind.opener)(profile, options)
-    return backend
+    table = profile.backend
+    return gated(backend, profile, table) if isinstance(table, CardOptions) else backend

@@ -35,6 +35,11 @@ class CardOptions(BackendOptions):
     output_range_v: float = Field(default=10.0, gt=0, description="volts at full scale of the output")
     inputs: InputTable = InputTable()
     buffer_s: float = Field(default=0.02, gt=0, le=1, description="drive handed over ahead of time")
+    gate_port: str = Field(default="", description="serial port of a gate in the drive's way; empty: there is none")
+    gate_limit: float = Field(
+        default=1.0, gt=0, le=1, description="largest drive that the gate lets through, of its full scale"
+    )
+    gate_rate_hz: float = Field(default=20_000.0, ge=1000, le=200_000, description="samples a second of the gate")
 
 
 class SoundcardOptions(CardOptions):

@@ -123,7 +123,7 @@ def host_encode(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("no C compiler (cc) on this machine")
     binary = tmp_path_factory.mktemp("firmware") / "host_encode"
     strict = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
-    sources = [str(FIRMWARE / name) for name in ("shaker_frame.c", "host_encode.c")]
+    sources = [str(FIRMWARE / name) for name in ("shaker_frame.c", "shaker_packet.c", "host_encode.c")]
     subprocess.run([compiler, *strict, *sources, "-o", str(binary)], check=True)
     return binary
 
