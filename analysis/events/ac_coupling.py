@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from analysis.events.levels import Levels
 from analysis.signals.stream import PAD, Piece
-from analysis.statistics import mad_sigma
+from daq.instrument.noise_spectrum import measure_noise
 from kernels import njit
-from kernels.arrays import Floats, Integers
+from kernels.arrays import Bools, Floats, Integers
 
 Volts = npt.NDArray[np.float32]
 
@@ -69,7 +69,8 @@ def measure_coupling(pieces: Sequence[Floats], swing_v: float, rate_hz: float) -
     corner_hz = _corner_hz(pieces, found, rate_hz)
     decay = 2.0 * np.pi * (corner_hz or USUAL_CORNER_HZ) / rate_hz
     heights = np.concatenate([_heights(y, at, decay, rate_hz) for y, at in zip(pieces, found, strict=True)])
-    noise_v = max(float(np.median([white_noise(y) for y in pieces])), 1e-6 * abs(swing_v))
+    noise = measure_noise(pieces, [_calm(y.size, at, rate_hz) for y, at in zip(pieces, found, strict=True)], rate_hz)
+    noise_v = max(0.0 if noise is None else noise.rms_v, 1e-6 * abs(swing_v))
     if heights.size < MIN_EDGES or corner_hz is None:
         return Coupling(Levels(0.0, swing_v, noise_v), USUAL_CORNER_HZ, heights.size)
     height_v = float(np.copysign(np.median(np.abs(heights)), swing_v))
@@ -92,12 +93,12 @@ def _edges(y: Floats, swing_v: float, rate_hz: float) -> Integers:
     return np.array([int(g[np.argmax(rise[g])]) + step // 2 for g in groups], np.int64)
 
 
-def white_noise(x: Floats) -> float:
-    """Standard deviation of the white part, from the median of second differences, which levels and edges spare."""
-    if x.size < 8:
-        return 0.0
-    second = np.diff(x, 2)
-    return float(mad_sigma(second - np.median(second)) / np.sqrt(6.0))
+def _calm(size: int, at: Integers, rate_hz: float) -> Bools:
+    """Samples of a piece that are far from its edges."""
+    calm, around = np.ones(size, dtype=np.bool_), _samples(ISOLATED_S, rate_hz)
+    for edge in at:
+        calm[max(edge - around, 0) : edge + around] = False
+    return calm
 
 
 def _heights(y: Floats, at: Integers, decay: float, rate_hz: float) -> Floats:

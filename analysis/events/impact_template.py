@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.accelerometer_noise import NoiseSpectrum
+from daq.instrument.noise_spectrum import NoiseSpectrum
 from kernels.arrays import Bools, Floats
 
 LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample

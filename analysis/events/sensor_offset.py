@@ -44,11 +44,14 @@ class SensorOffset:
         and infinity where the landings do not agree on one (a ball that chatters before the circuit stays closed).
     pairs : int
         Landings used.
+    spread_s : float
+        Standard deviation of the two sensors' times about it: what the contact jitters, too.
     """
 
     offset_s: float
     uncertainty_s: float
     pairs: int
+    spread_s: float = 0.0
 
 
 def calibrate(
@@ -105,7 +108,7 @@ def calibrate(
     left = (d[core] - centre) / own[core]
     factor = max(1.0, mad_sigma(left))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(centre, own_sigma, int(core.sum()))
+    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 
 
@@ -171,7 +174,9 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     partner = nearest(impacts.time_s, time_s[closing])
     own = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)
     difference = impacts.time_s[partner] - time_s[closing]
-    same = np.abs(difference) < MATCH_SIGMAS * np.hypot(own, sigma[closing])
+    # a contact that jitters by more than its edges' uncertainties is no reason to believe it where it errs most
+    apart = np.maximum(np.hypot(own, sigma[closing]), offset.spread_s)
+    same = np.abs(difference) < MATCH_SIGMAS * apart
     chosen, own = closing[same], own[same]
     share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
     time_s[chosen] += share * difference[same]

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.accelerometer_noise import PREDICTED_FROM, NoiseSpectrum, measure_noise, scale_and_threshold
+from analysis.events.detection_threshold import scale_and_threshold
 from analysis.events.impact_detection import ImpactScan
 from analysis.events.impact_template import (
     ECHOES_S,
@@ -30,6 +30,7 @@ from analysis.events.impact_template import (
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
 from analysis.plate.step_state import multiples_of
 from analysis.signals.stream import Piece
+from daq.instrument.noise_spectrum import PREDICTED_FROM, NoiseSpectrum, measure_noise
 from daq.instrument.saturation import STANDS, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
 from kernels import njit

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
-from analysis.events.accelerometer_noise import NoiseSpectrum
 from analysis.events.crossings import OPENS, Crossings, CrossingScan
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
 from analysis.events.impact_template import ImpactTemplate
@@ -25,6 +24,7 @@ from analysis.plate.motion import PlateMotion
 from analysis.signals.high_pass import LEAST_HZ, HighPass
 from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
+from daq.instrument.noise_spectrum import NoiseSpectrum
 from daq.instrument.saturation import NO_ENDS, Ends, common_ends
 from daq.recording import Recording
 from daq.setup.errors import InputError

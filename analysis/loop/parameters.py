@@ -5,6 +5,7 @@ Calibrations are free in every fit, within their stated uncertainty, so that no 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from analysis.attribution.hypothesis import Hypothesis
@@ -21,9 +22,10 @@ def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:
 
     def one(key: ParameterId, added: bool) -> FittedParameter:
         name, q = key
-        return FittedParameter(
-            name, q.removesuffix(TREND), float(values[key]), float(fitted.sigma(key)), added, q.endswith(TREND)
-        )
+        plain, sigma = q.removesuffix(TREND), float(fitted.sigma(key))
+        if added and plain == q:
+            sigma = math.hypot(sigma, effect(name).effect.parameter(plain).ordinary)
+        return FittedParameter(name, plain, float(values[key]), sigma, added, q.endswith(TREND))
 
     return (*(one(k, True) for k in best.free), *(one(k, False) for k in values if k not in best.free))
 

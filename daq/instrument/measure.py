@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.continuity import ContinuityChannel
-from daq.instrument.noise import described, interpolation_hz, spectrum, window_samples
+from daq.instrument.interpolation import interpolation_hz
+from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
 from daq.instrument.saturation import NO_ENDS, STANDS, Ends, common_ends, share_at_an_end
 from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import Setup
@@ -31,6 +33,7 @@ BOUNCE_S = 1e-3  # shorter contacts and openings are bounce
 REST_CYCLES, REST_S = 0.08, 3e-3  # contact before a take-off and flight after it, at least
 DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # after an edge, at which the plate is looked at: either may be late
 RESTS = 0.9  # peak below which it certainly rests
+FRAME_S = 12.8e-3  # of a periodogram of the noise: impacts are farther apart
 SHOCK_S = (1e-3, 8e-3)  # before and after an edge of the contact, left out of the noise
 
 
@@ -87,7 +90,7 @@ class Measured:
     holds: tuple[Hold, ...]
     levels_v: tuple[float, float] | None
     bias_v: float | None
-    noise: tuple[float, float, float | None] | None
+    noise: NoiseSpectrum | None
     interpolation_hz: float | None
     ends_v: Ends = NO_ENDS
     cut_off: int = 0
@@ -127,21 +130,22 @@ def measure(
     if contact is not None and levels is not None and levels[1] - levels[0] < LOCKED_SWING * abs(contact.swing_v):
         # a ball that is launched as it lands shows no contact: what it did on its way there counts
         levels = _levels([read["continuity"](0, min(min(a for a, _, _ in spans) + 1, n_samples))], contact)
-    holds, windows, bias = [], list[Floats](), list[float]()
+    holds, rests, quiet, bias = [], list[Floats](), list[Bools](), list[float]()
     for first, volts, hz in pieces:
         high = None if levels is None else volts["continuity"] > 0.5 * (levels[0] + levels[1])
         hold, rest = _hold(first, volts, hz, rate_hz, high, setup)
         holds.append(hold)
         bias.append(hold.plate.offset)
-        windows += _quiet(rest, high, rate_hz)
-    found, shown = spectrum(windows, rate_hz), [volts["accelerometer"] for _, volts, _ in pieces]
+        rests.append(rest)
+        quiet.append(_quiet(rest, high, rate_hz))
+    shown = [volts["accelerometer"] for _, volts, _ in pieces]
     ends_v = common_ends(shown)
     channels = [[volts[role] for _, volts, _ in pieces] for role in read]
     return Measured(
         tuple(holds),
         levels,
         float(np.median(bias)) if bias else None,
-        None if found is None else described(*found),
+        measure_noise(rests, quiet, rate_hz, max(1 << round(math.log2(FRAME_S * rate_hz)), 16)),
         interpolation_hz(channels, rate_hz),
         ends_v,
         sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),
@@ -241,21 +245,12 @@ def _at_edges(high: Bools, acceleration: Floats, rate_hz: float, hz: float) -> t
     return rises, falls
 
 
-def _quiet(rest: Floats, high: Bools | None, rate_hz: float) -> list[Floats]:
-    """Windows of the accelerometer less the motion that lie away from every edge of the contact."""
-    n = window_samples(rate_hz)
+def _quiet(rest: Floats, high: Bools | None, rate_hz: float) -> Bools:
+    """Samples of the accelerometer less the motion that lie away from every edge of the contact."""
     loud = np.zeros(len(rest) + 1)
     if high is not None:
         before, after = (round(s * rate_hz) for s in SHOCK_S)
         for edge in np.flatnonzero(np.diff(high)) + 1:
             loud[max(int(edge) - before, 0)] += 1.0
             loud[min(int(edge) + after, len(rest))] -= 1.0
-    shaken = np.concatenate([[0.0], np.cumsum(np.cumsum(loud[:-1]) > 0.0)])
-    out, at = list[Floats](), 0
-    while at + n <= len(rest):
-        if shaken[at + n] == shaken[at]:
-            out.append(rest[at : at + n])
-            at += n
-        else:
-            at += n // 4
-    return out
+    return np.asarray(np.cumsum(loud[:-1]) <= 0.0)

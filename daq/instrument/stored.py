@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -30,7 +31,7 @@ def examine(
 ) -> Instrument:
     """The instrument and the doubts about its profile; parameters are those of `daq.instrument.measure.measure`."""
     seen = measure(read, n_samples, rate_hz, steps, gaps, setup)
-    noise = (None, None, None) if seen.noise is None else seen.noise
+    noise = seen.noise
     scale = abs(setup.channels.accelerometer.volts_per_mps2)
     opens, _ = edges_g(seen, setup.channels.continuity)
     loudest = max(seen.holds, key=lambda hold: hold.peak_g, default=None)
@@ -42,9 +43,9 @@ def examine(
     return Instrument(
         rate_hz=rate_hz,
         steps=len(steps),
-        noise_mps2=None if noise[0] is None else noise[0] / scale,
-        noise_mps2_rthz=None if noise[1] is None else noise[1] / scale,
-        bandwidth_hz=noise[2],
+        noise_mps2=None if noise is None else noise.rms_v / scale,
+        noise_mps2_rthz=None if noise is None else math.sqrt(noise.slow_v2phz) / scale,
+        bandwidth_hz=None if noise is None else noise.bandwidth_hz,
         bias_v=seen.bias_v,
         tones_hz=() if loudest is None else loudest.tones_hz,
         tones_g=tuple(tones_g),

@@ -115,6 +115,8 @@ class Parameter:
         Quantity of the profile whose stated uncertainty replaces ``calibration``.
     calibrated_by
         Standard deviation that a measurement other than the run would give, by its name ("flip test", "drop test").
+    ordinary
+        Standard deviation by which an ordinary instrument adds to it where no recording can tell: part of its interval.
     power
         The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height, 0.5 where
         data are squares.
@@ -147,6 +149,7 @@ class Parameter:
     calibration: float = 0.0
     stated_by: Stated = ""
     calibrated_by: Mapping[str, float] = field(default_factory=dict)
+    ordinary: float = 0.0
     is_shape: bool = False
     plate_only: bool = False
     power: float = 1.0

@@ -13,7 +13,17 @@ EFFECT = Effect(
     name="mains_hum",
     summary="the plate also moves at the mains frequency",
     parameters=(
-        Parameter("amplitude_mps2", "m/s^2", 0.0, 50.0, 0.05, calibration=0.002, power=0.5, meaning="at 50 or 60 Hz"),
+        Parameter(
+            "amplitude_mps2",
+            "m/s^2",
+            0.0,
+            50.0,
+            0.05,
+            calibration=0.002,
+            ordinary=0.02,  # picked up by the accelerometer's cable: one tone with the plate's own
+            power=0.5,
+            meaning="at 50 or 60 Hz",
+        ),
     ),
     confused_with={"harmonic_distortion": "a forcing that does not divide the mains frequency"},
     reference="ground loops in the amplifier",

@@ -130,6 +130,8 @@ def ordinary_instrument(rng: np.random.Generator) -> dict[str, float]:
         "between_channels_s": float(rng.uniform(0.0, 5e-6)),
         "bounce_s": float(rng.uniform(0.0, 5e-4)),
         "film_v": float(rng.uniform(0.0, 0.1)),
+        "cross_axis": float(rng.uniform(0.0, 5e-3)),
+        "sensor_clip_g": float(np.exp(rng.uniform(np.log(5.0), np.log(20.0)))),
     }
 
 
@@ -138,7 +140,8 @@ def instrument_in_words(rig: Mapping[str, float]) -> str:
     return (
         f"accelerometer behind a low-pass of {rig['low_pass_hz'] / 1e3:.1f} kHz (order {rig['low_pass_poles']:.0f}), "
         f"1/f noise of {1e3 * rig['flicker_v']:.2f} mV an octave, bias {1e3 * rig['bias_v']:.2f} mV, mains "
-        f"{1e3 * rig['mains_v']:.2f} mV; channels {1e6 * rig['between_channels_s']:.1f} us apart; a contact that "
+        f"{1e3 * rig['mains_v']:.2f} mV, cross-axis {100.0 * rig['cross_axis']:.2f} %, range "
+        f"{rig['sensor_clip_g']:.1f} g; channels {1e6 * rig['between_channels_s']:.1f} us apart; a contact that "
         f"chatters for up to {1e3 * rig['bounce_s']:.2f} ms, with a film of {rig['film_v']:.2f} V"
     )
 

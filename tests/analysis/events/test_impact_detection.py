@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.accelerometer_noise import NoiseSpectrum
 from analysis.events.impact_detection import ImpactScan, _match
 from analysis.events.impact_template import LEAD, ImpactTemplate, echo_samples, template_from_snippets
 from analysis.signals.stream import PAD
+from daq.instrument.noise_spectrum import NoiseSpectrum
 
 RATE_HZ = 20000.0
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from analysis.events.accelerometer_noise import NoiseSpectrum
 from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, ringing_part, template_from_snippets
+from daq.instrument.noise_spectrum import NoiseSpectrum
 
 RATE_HZ = 20_000.0
 

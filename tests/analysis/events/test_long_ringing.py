@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.accelerometer_noise import NoiseSpectrum
 from analysis.events.impact_template import FINE, LEAD, template_from_snippets
 from analysis.flights.assemble import flights_of
 from analysis.flights.scan import survey
+from daq.instrument.noise_spectrum import NoiseSpectrum
 from daq.recording import open_recording
 from tests.analysis.conftest import Maker
 

@@ -1,7 +1,7 @@
-"""Noise of the accelerometer as a spectrum, measured where no impact is.
+"""Noise of a channel as a spectrum, measured where nothing happens: the one measure of noise, of import and analysis.
 
 A sensor, its amplifier and its converter colour the noise: a low-pass takes its upper part, semiconductors add 1/f.
-What detects impacts must know the noise at the frequencies of an impact. Decision 295.
+What detects impacts must know the noise at the frequencies of an impact. Decisions 295 and 433.
 """
 
 from __future__ import annotations
@@ -23,23 +23,22 @@ FRAME_SCATTER = 1.3  # standard deviation of a frame's mean power, times the roo
 TURNS = 4
 LEAST_PART = 0.01  # least density used, as a part of the largest: there, no waveform is known well enough
 SLOW_HZ = 500.0  # below, a recording holds the plate's motion as well
+PLATEAU_HZ = (150.0, 600.0)  # where the density at low frequencies is taken
+OCTAVE = 1.1  # ratio of the ends of the band over which a spectrum is smoothed where its bandwidth is sought
+STEEPER = 1.3  # power of the frequency that a filter's noise falls faster than; 1/f noise falls slower
 PREDICTED_FROM = 16  # samples from which the next one is predicted
-CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
-TAIL = 3.0  # standard deviations from which a detector's output counts as its tail
-DECAY_SIGMAS = 3.0  # significance from which a tail is heavier than that of normal noise
-FALSE_PER_HOUR = 0.1  # impacts that noise may make in an hour of recording
 
 
 @dataclass(frozen=True)
 class NoiseSpectrum:
-    """Power spectral density of the accelerometer's noise, one-sided.
+    """Power spectral density of a channel's noise, one-sided.
 
     Attributes
     ----------
     rate_hz : float
         Sampling rate of the values that were measured.
-    density_v2phz : array, shape (FRAME // 2 + 1,)
-        V^2/Hz at the frequencies ``k * rate_hz / FRAME``.
+    density_v2phz : array, shape (frame // 2 + 1,)
+        V^2/Hz at the frequencies ``k * rate_hz / frame``, of frames of `FRAME` samples where nothing else is asked for.
     """
 
     rate_hz: float
@@ -53,20 +52,35 @@ class NoiseSpectrum:
     @property
     def frequencies_hz(self) -> Floats:
         """Frequencies of the densities."""
-        return np.asarray(np.arange(self.density_v2phz.size) * (self.rate_hz / FRAME), dtype=np.float64)
+        return np.linspace(0.0, 0.5 * self.rate_hz, self.density_v2phz.size)
 
     @property
     def rms_v(self) -> float:
         """Standard deviation over all frequencies from `SLOW_HZ` on, the density at `SLOW_HZ` taken below."""
-        density = self.density_v2phz
-        first = min(int(np.ceil(SLOW_HZ * FRAME / self.rate_hz)), density.size - 2)
+        density, step_hz = self.density_v2phz, float(self.frequencies_hz[1])
+        first = min(int(np.ceil(SLOW_HZ / step_hz)), density.size - 2)
         level = np.where(np.arange(density.size) < first, density[first], density)
-        return float(np.sqrt((level.sum() - 0.5 * (level[0] + level[-1])) * self.rate_hz / FRAME))
+        return float(np.sqrt((level.sum() - 0.5 * (level[0] + level[-1])) * step_hz))
 
     @property
     def slow_v2phz(self) -> float:
-        """Density at the lowest frequencies that a frame resolves."""
-        return float(np.mean(self.density_v2phz[1:4]))
+        """Density at the lowest frequencies that a frame resolves well."""
+        hz = self.frequencies_hz
+        low = (hz >= max(PLATEAU_HZ[0], hz[1])) & (hz <= max(PLATEAU_HZ[1], hz[3]))
+        return float(np.mean(self.density_v2phz[low]))
+
+    @property
+    def bandwidth_hz(self) -> float | None:
+        """Frequency at which the density has fallen by half for good; None where it is flat, or falls as 1/f does."""
+        hz, power = self.frequencies_hz, self.density_v2phz
+        smooth = np.array([power[(hz >= f / OCTAVE) & (hz <= f * OCTAVE)].mean() for f in hz[1:-1]])
+        above = np.flatnonzero(smooth > 0.5 * self.slow_v2phz)
+        edge = int(above[-1]) + 1 if len(above) else 0
+        if edge >= len(smooth):
+            return None
+        far = min(4 * (edge + 1) - 1, len(smooth) - 1)
+        falls = smooth[far] / smooth[edge] < (hz[1:-1][far] / hz[1:-1][edge]) ** -STEEPER
+        return float(hz[1:-1][edge]) if falls else None
 
     def autocovariance(self, count: int) -> Floats:
         """Autocovariance in V^2 at lags of 0 to ``count - 1`` samples, at most ``FRAME // 2`` of them."""
@@ -84,17 +98,21 @@ class NoiseSpectrum:
         return np.asarray(lfilter(np.append(1.0, -weights), [1.0], volts) / np.sqrt(r[0] - weights @ r[1:]))
 
 
-def measure_noise(volts: Sequence[Floats], usable: Sequence[Bools], rate_hz: float) -> NoiseSpectrum | None:
+def measure_noise(
+    volts: Sequence[Floats], usable: Sequence[Bools], rate_hz: float, frame: int = FRAME
+) -> NoiseSpectrum | None:
     """Spectrum of the noise from the frames in which nothing but noise is.
 
     Parameters
     ----------
     volts
-        Pieces of the accelerometer less the plate's motion.
+        Pieces of a channel less what it shows: of the accelerometer less the plate's motion.
     usable
         Samples of each piece that count: where the motion is known, and no impact has been found.
     rate_hz
         Sampling rate.
+    frame
+        Samples of a periodogram: more tell lower frequencies.
 
     Returns
     -------
@@ -103,14 +121,14 @@ def measure_noise(volts: Sequence[Floats], usable: Sequence[Bools], rate_hz: flo
     """
     rows = []
     for own, good in zip(volts, usable, strict=True):
-        begins = np.arange(0, own.size - FRAME + 1, FRAME // 2)
+        begins = np.arange(0, own.size - frame + 1, frame // 2)
         counts = np.concatenate([[0], np.cumsum(good)])
-        whole = begins[counts[begins + FRAME] - counts[begins] == FRAME]
-        rows.append(own[whole[:: len(whole) * len(volts) // MOST_FRAMES + 1, None] + np.arange(FRAME)])
-    frames = np.concatenate(rows)
+        whole = begins[counts[begins + frame] - counts[begins] == frame]
+        rows.append(own[whole[:: len(whole) * len(volts) // MOST_FRAMES + 1, None] + np.arange(frame)])
+    frames = np.concatenate([np.zeros((0, frame)), *rows])
     if len(frames) < FEWEST_FRAMES:
         return None
-    ramp, taper = np.linspace(-1.0, 1.0, FRAME), np.hanning(FRAME + 1)[:-1]
+    ramp, taper = np.linspace(-1.0, 1.0, frame), np.hanning(frame + 1)[:-1]
     frames -= frames.mean(axis=1, keepdims=True)
     frames -= np.outer(frames @ ramp / (ramp @ ramp), ramp)
     power = np.abs(np.fft.rfft(frames * taper)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
@@ -125,29 +143,3 @@ def measure_noise(volts: Sequence[Floats], usable: Sequence[Bools], rate_hz: flo
         density = power[quiet].mean(axis=0)
     density[0] = density[1]  # taken out with the mean
     return NoiseSpectrum(rate_hz, density)
-
-
-def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
-    """Standard deviation of a detector's output where nothing happens, and its threshold in that unit.
-
-    The tail beyond `TAIL` standard deviations is taken as exponential in the square, as a normal distribution's is,
-    with the decay that the output shows. The threshold lets `FALSE_PER_HOUR` of its maxima pass in an hour.
-
-    Parameters
-    ----------
-    quiet : array, shape (n,)
-        Output of a filter, in the order of time.
-    rate_hz : float
-        Outputs a second.
-    """
-    deviation = np.abs(quiet)
-    if deviation.size < FEWEST_FRAMES * FRAME:
-        return 1.0, 0.0
-    scale = float(np.sqrt(np.mean(deviation[deviation <= np.quantile(deviation[::8], CORE)] ** 2))) / CORE_SIGMA
-    up = quiet[1:-1]
-    tops = up[(up > TAIL * scale) & (up >= quiet[:-2]) & (up > quiet[2:])] / scale
-    decay, per_hour = 1.0, max(tops.size, 1) / quiet.size * rate_hz * 3600.0
-    if tops.size:
-        measured = float(np.median(tops**2 - TAIL**2)) / (2.0 * np.log(2.0))
-        decay = measured if measured > 1.0 + DECAY_SIGMAS * measured / np.sqrt(tops.size) else 1.0
-    return scale, float(np.sqrt(TAIL**2 + 2.0 * decay * np.log(max(per_hour / FALSE_PER_HOUR, 1.0))))

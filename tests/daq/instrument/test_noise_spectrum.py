@@ -1,4 +1,4 @@
-"""The accelerometer's noise as a spectrum, and a detector's threshold from its own output."""
+"""Noise as a spectrum: density, bandwidth, size, and what makes it white."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz, lfilter
 
-from analysis.events.accelerometer_noise import FALSE_PER_HOUR, NoiseSpectrum, measure_noise, scale_and_threshold
+from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
 
 RATE_HZ = 20000.0
 FILTER = butter(2, 3000.0, fs=RATE_HZ)
@@ -47,24 +47,43 @@ def test_too_few_samples_or_a_channel_that_stands_still_have_no_spectrum() -> No
         assert measure_noise([volts], [np.ones(volts.size, dtype=bool)], RATE_HZ) is None
 
 
-def test_a_threshold_comes_from_the_output_of_the_detector() -> None:
-    """Normal output: six sigmas, whatever its size. A heavier tail: higher, and passed no more often than stated."""
-    rng = np.random.default_rng(2)
-    scale, threshold = scale_and_threshold(1.7 * rng.standard_normal(400_000), RATE_HZ)
-    assert scale == pytest.approx(1.7, rel=0.01)
-    assert threshold == pytest.approx(6.2, abs=0.3)
-
-    def bursts(n: int) -> np.ndarray:
-        return rng.standard_normal(n) * np.where(rng.random(n) < 0.1, 2.0, 1.0)
-
-    scale, threshold = scale_and_threshold(bursts(400_000), RATE_HZ)
-    assert threshold > 7.0
-    hours = 20_000_000 / RATE_HZ / 3600.0
-    assert np.count_nonzero(bursts(20_000_000) > threshold * scale) <= 3 + hours * FALSE_PER_HOUR
-
-
 def test_white_noise_is_known_by_its_standard_deviation() -> None:
     """The spectrum of white noise gives it back, and its autocovariance is that of single samples."""
     noise = NoiseSpectrum.white(0.003, RATE_HZ)
     assert noise.rms_v == pytest.approx(0.003)
     assert noise.autocovariance(3) == pytest.approx([9e-6, 0.0, 0.0], abs=1e-9)
+
+
+def spectrum(x: np.ndarray, frame: int = 256) -> NoiseSpectrum:
+    """Of all of it."""
+    found = measure_noise([x], [np.ones(x.size, dtype=bool)], RATE_HZ, frame)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("corner_hz", "poles"), [(None, 0), (5000.0, 2), (2000.0, 1), (3000.0, 4)])
+def test_density_and_bandwidth(corner_hz: float | None, poles: int) -> None:
+    """Density to 5 % and the corner of a low-pass to 8 % come back; noise that is flat has no bandwidth."""
+    x = np.random.default_rng(1).normal(0.0, 0.01, 200_000)
+    if corner_hz is not None:
+        x = lfilter(*butter(poles, corner_hz / (RATE_HZ / 2)), x)
+    found = spectrum(x)
+    assert found.rms_v == pytest.approx(float(x.std()), rel=0.05)
+    assert np.sqrt(found.slow_v2phz) == pytest.approx(0.01 / np.sqrt(RATE_HZ / 2), rel=0.05)
+    assert (found.bandwidth_hz is None) == (corner_hz is None)
+    assert found.bandwidth_hz is None or found.bandwidth_hz == pytest.approx(corner_hz, rel=0.08)
+
+
+def test_noise_that_falls_like_one_over_f_is_behind_no_filter() -> None:
+    """1/f noise has no bandwidth."""
+    hz = np.fft.rfftfreq(200_000, 1.0 / RATE_HZ)
+    hz[0] = hz[1]
+    x = np.fft.irfft(np.fft.rfft(np.random.default_rng(2).standard_normal(200_000)) / np.sqrt(hz))
+    assert spectrum(x).bandwidth_hz is None
+
+
+def test_impacts_in_a_few_frames_do_not_count() -> None:
+    """A shock in each tenth frame leaves the density to 10 %."""
+    x = np.random.default_rng(3).normal(0.0, 0.01, 100_000)
+    x[::2560] += 5.0
+    assert np.sqrt(spectrum(x).slow_v2phz) == pytest.approx(0.01 / np.sqrt(RATE_HZ / 2), rel=0.1)

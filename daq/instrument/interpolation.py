@@ -1,62 +1,19 @@
-"""Noise of the accelerometer away from impacts, and the traces that linear interpolation leaves in noise."""
+"""Traces that linear interpolation leaves in the noise of channels."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from kernels.arrays import Floats
 
-WINDOW_S = 12.8e-3  # of a spectrum: impacts are farther apart
-FEWEST_WINDOWS = 8
-PLATEAU_HZ = (150.0, 600.0)  # where the density is taken
-OCTAVE = 1.1  # ratio of the ends of the band over which a spectrum is smoothed
-STEEPER = 1.3  # power of the frequency that a filter's noise falls faster than; 1/f noise falls slower
 LINE_PART = 0.22  # modulation of the noise by linear interpolation, relative, at least; good filters leave less
 LINE_ODDS = 1e-9  # probability that chance gives so strong a line in one channel
 DECLINES = 3.0  # most times the usual size that a second difference counts for: impacts and edges are no noise
 WITNESSES = 2  # channels that must show the same line
 SAMPLES = 1 << 13  # looked at together for lines
 PICKED_UP = 20.0  # power of a line in a channel itself over what is near it
-
-
-def window_samples(rate_hz: float) -> int:
-    """Samples of a window of the noise's spectrum."""
-    return max(1 << round(math.log2(WINDOW_S * rate_hz)), 16)
-
-
-def spectrum(windows: Sequence[Floats], rate_hz: float) -> tuple[Floats, Floats] | None:
-    """Frequencies and power density of noise, (n // 2 + 1,) each, from windows (n,) of it; None where they are few.
-
-    The median over the windows, so that an impact in some of them does not count.
-    """
-    if len(windows) < FEWEST_WINDOWS:
-        return None
-    x = np.asarray(windows)
-    hann = np.hanning(x.shape[1] + 2)[1:-1]
-    x = (x - x.mean(axis=1, keepdims=True)) * hann
-    power = np.abs(np.fft.rfft(x, axis=1)) ** 2 * (2.0 / (rate_hz * float(hann @ hann)))
-    hz = np.arange(power.shape[1]) * rate_hz / x.shape[1]
-    return hz, np.asarray(np.median(power, axis=0) / np.log(2.0))
-
-
-def described(hz: Floats, power: Floats) -> tuple[float, float, float | None]:
-    """Rms, density at low frequencies, and bandwidth (None: all of it) of noise with a power density (n,)."""
-    rms = float(np.sqrt(power[1:].sum() * hz[1]))
-    low = (hz >= max(PLATEAU_HZ[0], hz[2])) & (hz <= max(PLATEAU_HZ[1], hz[4]))
-    plateau = float(np.median(power[low]))
-    if plateau <= 0.0:
-        return rms, 0.0, None
-    smooth = np.array([power[(hz >= f / OCTAVE) & (hz <= f * OCTAVE)].mean() for f in hz[1:-1]])
-    above = np.flatnonzero(smooth > 0.5 * plateau)
-    edge = int(above[-1]) + 1 if len(above) else 0
-    if edge >= len(smooth):
-        return rms, plateau**0.5, None
-    far = min(4 * (edge + 1) - 1, len(smooth) - 1)
-    falls = smooth[far] / smooth[edge] < (hz[1:-1][far] / hz[1:-1][edge]) ** -STEEPER
-    return rms, plateau**0.5, float(hz[1:-1][edge]) if falls else None
 
 
 def interpolation_hz(channels: Sequence[Sequence[Floats]], rate_hz: float) -> float | None:
