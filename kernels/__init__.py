@@ -1,6 +1,6 @@
 """Compiled kernels: the decorator that compiles them, and the folder that keeps their machine code.
 
-numba compiles. Code that was kept runs without it: of numba only the memory of arrays is loaded, see
+numba compiles. Code that was stored runs without it: of numba only the memory of arrays is loaded, see
 `kernels.machine_code`. Whoever takes `njit` has the C library keep the memory of arrays that are gone.
 """
 

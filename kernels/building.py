@@ -1,6 +1,6 @@
-"""What is done when a kernel is not kept: numba is imported, and compiles it as `kernels.compiler` says.
+"""Compilation of a kernel that is not stored: numba is imported, and compiles it as `kernels.compiler` says.
 
-`kernels.compiler` and the kept machine code stand on numba's private interfaces, which may change with any release.
+`kernels.compiler` and the stored machine code stand on numba's private interfaces, which may change with any release.
 They are used with the releases in `TESTED` only. With every other one numba compiles as it does for everybody: the
 same numbers, but slower, and each process compiles anew.
 """
@@ -24,7 +24,7 @@ from kernels.emit import lanes
 from kernels.fingerprint import fingerprint_of_closure
 from kernels.kernel import Kernel, watchers
 from kernels.lanes import Intrinsic
-from kernels.machine_code import Kept
+from kernels.machine_code import StoredKernel
 
 TESTED = (0, 63), (0, 69)
 """numba's releases whose private interfaces were tried: from the first, up to and without the second."""
@@ -43,15 +43,15 @@ def build(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any
     Returns
     -------
     tuple
-        What runs it, and its pickled `kernels.machine_code.Kept`; None where it holds addresses of this process, or
-        numba's release is not one of `TESTED`.
+        What runs it, and its pickled `kernels.machine_code.StoredKernel`; None where it holds addresses of this
+        process, or numba's release is not one of `TESTED`.
     """
     dispatcher = dispatcher_of(kernel)
     if private_interfaces() is None:
         return dispatcher, None
     given = tuple(dispatcher.typeof_pyval(argument) for argument in arguments)
     code = dispatcher.compile(given)
-    return code, _kept(kernel.py_func.__name__, dispatcher.overloads[given])
+    return code, _pickled(kernel.py_func.__name__, dispatcher.overloads[given])
 
 
 @functools.cache
@@ -82,22 +82,22 @@ def _type_of_intrinsic(intrinsic: Intrinsic, context: object) -> Any:
     return cast(Any, registry.cpu_target).typing_context.resolve_value_type(getattr(lanes, intrinsic.name))
 
 
-def _kept(name: str, result: Any) -> bytes | None:
+def _pickled(name: str, result: Any) -> bytes | None:
     library, description = result.library, result.fndesc
+    # addresses of this process, which mean nothing in another
     if library.has_dynamic_globals or result.lifted or result.reload_init:
         return None
     wanted, code = _declared(library._final_module), [library._get_compiled_object()]
-    memory: Any = cast(
-        Any, runtime
-    ).rtsys.library._final_module  # parts of numba's memory that are LLVM's code themselves
+    # parts of numba's memory management are LLVM's code themselves: they are stored with the kernel that needs them
+    memory: Any = cast(Any, runtime).rtsys.library._final_module
     defined = {each.name for each in memory.functions if not each.is_declaration}
     if wanted & defined:
         code.append(library.codegen._tm.emit_object(memory))
         wanted = (wanted | _declared(memory)) - defined
     environments = {description.env_name: result.environment.consts}
     environments |= {each.env_name: each.consts for each in result._find_referenced_environments()}
-    kept = Kept(name, description.llvm_cpython_wrapper_name, code, sorted(wanted), environments)
-    pickled: bytes = cast(Any, serialize).dumps(tuple(kept))
+    stored = StoredKernel(name, description.llvm_cpython_wrapper_name, code, sorted(wanted), environments)
+    pickled: bytes = cast(Any, serialize).dumps(tuple(stored))
     return pickled
 
 
@@ -107,8 +107,8 @@ def _declared(module: Any) -> set[str]:
     return {name for name in named if not name.startswith("llvm.")}
 
 
-class _Told(event.Listener):
-    """Tells the watchers, and spares the garbage collector what was there before the outermost kernel began.
+class _Compiling(event.Listener):
+    """Calls the watchers, and spares the garbage collector what was there before the outermost kernel began.
 
     Compiling makes millions of objects: the collector need not look again and again at all others.
     """
@@ -135,4 +135,4 @@ class _Told(event.Listener):
             gc.unfreeze()
 
 
-event.register("numba:compile", _Told())
+event.register("numba:compile", _Compiling())

@@ -1,7 +1,7 @@
-"""How kernels are compiled, and those that they call: as numba does it, without what nobody needs.
+"""Compilation of kernels and of those that they call: as numba does it, without what is not needed.
 
-numba makes every function that it meets ready to be called from Python: it optimises it alone, emits its machine code
-and a wrapper that unpacks Python objects, and then does all of it again for the function that calls it. Here a kernel
+numba makes every function that it meets ready to be called from Python: it optimises it, emits its machine code and a
+wrapper that unpacks Python objects, and then does all of it again for the function that calls it. Here a kernel
 that is called from a kernel is compiled a second way, without any of that; the kernel that Python calls links all that
 is below it once, and optimises the whole at once. Where a called kernel makes no array and returns none, no references
 are counted in it.
@@ -26,7 +26,7 @@ _Pass: Any = compiler_machinery.FunctionPass
 
 
 def for_callers(dispatcher: Any, function: Callable[..., Any], options: dict[str, Any]) -> None:
-    """Let kernels that call ``dispatcher`` link the code of ``function``, compiled for them alone."""
+    """Let kernels that call ``dispatcher`` link the code of ``function``, compiled for them."""
 
     @functools.cache
     def linked() -> Any:

@@ -36,6 +36,7 @@ def fingerprint_of_closure(function: FunctionType) -> str:
 
 def _kernel(dispatcher: Any, parts: Parts, seen: dict[int, int]) -> None:
     """Add a compiled function; one met before is named by its number."""
+    # kernels that call each other would never end
     if id(dispatcher) in seen:
         parts.append(("met", seen[id(dispatcher)]))
         return
@@ -61,20 +62,15 @@ def _code(code: CodeType, names: dict[str, Any], parts: Parts, seen: dict[int, i
             _code(constant, names, parts, seen)
         else:
             _value(constant, parts, seen)
-    for name in code.co_names:
-        if name in names:
-            _global(names[name], code.co_names, parts, seen)
-
-
-def _global(value: Any, used: tuple[str, ...], parts: Parts, seen: dict[int, int]) -> None:
-    """Add the value of a global name; of a module what is used of it."""
-    if not isinstance(value, ModuleType):
-        _value(value, parts, seen)
-        return
-    parts.append(("module", value.__name__))
-    for name in used:
-        if hasattr(value, name):
-            _value(getattr(value, name), parts, seen)
+    for value in (names[name] for name in code.co_names if name in names):
+        if not isinstance(value, ModuleType):
+            _value(value, parts, seen)
+            continue
+        # of a module only what the code may use of it: attributes stand among the names as well
+        parts.append(("module", value.__name__))
+        for name in code.co_names:
+            if hasattr(value, name):
+                _value(getattr(value, name), parts, seen)
 
 
 def _value(value: Any, parts: Parts, seen: dict[int, int]) -> None:
@@ -98,7 +94,7 @@ def _value(value: Any, parts: Parts, seen: dict[int, int]) -> None:
 
 
 def _plain(value: Any) -> object:
-    """What tells a value apart in every process: no address, no order of a set."""
+    """A value as it is in every process: no address, no order of a set."""
     if value is None or isinstance(value, int | float | complex | str | bytes | np.generic):
         return type(value).__name__, repr(value)
     if isinstance(value, set | frozenset):

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: one folder for each set of versions, in the user's own cache.
+"""The folder of compiled kernels: one for each set of versions, in the user's own cache.
 
 Where that cannot be written (no home, a read-only system) a temporary folder serves, and one line says so.
 """
@@ -36,7 +36,7 @@ def places() -> tuple[Path, ...]:
 
 
 def read(name: str) -> bytes | None:
-    """What was kept under ``name``; None when nothing was."""
+    """What was stored under ``name``; None when nothing was."""
     for place in places():
         path = place / f"{name}.bin"
         try:
@@ -51,10 +51,11 @@ def read(name: str) -> bytes | None:
 
 
 def write(name: str, data: bytes) -> None:
-    """Keep ``data`` under ``name`` where the first place allows it; says once where the second had to do."""
+    """Store ``data`` under ``name`` where the first place allows it; says once where the second had to do."""
     for place in places()[_unfit() :]:
         try:
             _make(place)
+            # whole under its final name or not at all: other processes read while this one writes
             handle, part = tempfile.mkstemp(dir=place, suffix=".part")
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
@@ -79,28 +80,25 @@ def _give_up(place: Path, error: OSError) -> None:
     if multiprocessing.parent_process() is not None:
         return
     left = places()[_unfit() :]
-    where = f"they are kept in {left[0]} instead" if left else "every run compiles them anew"
-    _log.warning("compiled kernels cannot be kept in %s (%s): %s; %s names another folder", place,
+    where = f"they are stored in {left[0]} instead" if left else "every run compiles them anew"
+    _log.warning("compiled kernels cannot be stored in %s (%s): %s; %s names another folder", place,
                  error.strerror or error, where, GIVEN)  # fmt: skip
 
 
 @functools.cache
 def _make(place: Path) -> None:
-    """Make the folder, readable by its owner alone, and remove what has not been used for long."""
+    """Make the folder, readable by no other user, and remove what has not been used for long."""
     place.mkdir(parents=True, exist_ok=True, mode=0o700)
     for path in (*place.parent.iterdir(), *place.iterdir()):
         with contextlib.suppress(OSError):  # another process removes it, too
-            if path == place or time.time() - _last_used(path) < UNUSED_DAYS * DAY_S:
+            # a kernel's last use, or that of any in a folder of other versions
+            used_s = max((p.stat().st_mtime for p in (path, *path.glob("*.bin"))), default=0.0)
+            if path == place or time.time() - used_s < UNUSED_DAYS * DAY_S:
                 continue
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 path.unlink()
-
-
-def _last_used(path: Path) -> float:
-    """When a kept kernel, or any in a folder of them, was last read or written."""
-    return max((p.stat().st_mtime for p in (path, *path.glob("*.bin"))), default=0.0)
 
 
 def _user_cache() -> Path | None:
@@ -121,7 +119,7 @@ def _user_cache() -> Path | None:
 def _temporary() -> Path | None:
     """A temporary folder of this user's own, the same for every process; None where another user made it.
 
-    Machine code is read from it: nobody else may be able to write there.
+    Machine code is read from it: no other user may be able to write there.
     """
     try:
         base = Path(tempfile.gettempdir())

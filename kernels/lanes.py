@@ -19,7 +19,7 @@ class Intrinsic:
 
 
 WIDTH = 16
-"""Two registers of 512 bits, four of 256: one alone would wait for the latency of each operation."""
+"""Two registers of 512 bits, four of 256: with one, each operation would wait for the latency of the one before."""
 ROW = 4
 """Numbers side by side in a table that `gather_rows` reads at once."""
 

@@ -1,4 +1,4 @@
-"""Kept machine code, loaded and called without numba.
+"""Stored machine code, loaded and called without numba.
 
 numba's machine code of a kernel holds the function that Python calls: it reads the arguments, runs the kernel, makes
 Python's values of the results and raises its errors. It wants three things around it: symbols of numba's C libraries
@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 from llvmlite import binding
 
 
-class Kept(NamedTuple):
-    """A kernel as it is kept."""
+class StoredKernel(NamedTuple):
+    """A kernel as it is stored."""
 
     name: str
     entry: str
@@ -41,25 +41,26 @@ class Kept(NamedTuple):
 
 
 def load(data: bytes) -> Callable[..., Any] | None:
-    """What runs a pickled `Kept`; None where this process lacks a symbol, which would end it."""
-    kept = Kept(*pickle.loads(data))
+    """What runs a pickled `StoredKernel`; None where this process lacks a symbol, which would end it."""
+    stored = StoredKernel(*pickle.loads(data))
     engine = _engine()
-    if not all(binding.address_of_symbol(symbol) for symbol in kept.wanted):
+    if not all(binding.address_of_symbol(symbol) for symbol in stored.wanted):
         return None
-    for code in kept.code:
+    for code in stored.code:
         engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
     functions, own = _extension("_dynfunc"), None
-    for symbol, constants in kept.environments.items():
-        environment = functions.Environment({"__name__": kept.name})
+    for symbol, constants in stored.environments.items():
+        environment = functions.Environment({"__name__": stored.name})
         environment.consts[:] = constants
         _alive.append(environment)
         own = own or environment
+        # the machine code finds each function's constants by a pointer that the linker leaves empty
         place = engine.get_global_value_address(symbol)
         if place:
             ctypes.c_void_p.from_address(place).value = id(environment)
     made: Callable[..., Any] = functions.make_function(
-        sys.modules[__name__], kept.name, "A kept kernel.", engine.get_function_address(kept.entry), own, (engine,)
+        sys.modules[__name__], stored.name, "A kernel.", engine.get_function_address(stored.entry), own, (engine,)
     )
     return made
 
@@ -121,7 +122,7 @@ def _unpickle(address: int, size: int, digest: int) -> Any:
 
 
 def _extension(name: str, *folders: str) -> Any:
-    """One of numba's extension modules, alone, under the name under which numba imports it."""
+    """One of numba's extension modules without the rest of numba, under the name under which numba imports it."""
     full = ".".join(("numba", *folders, name))
     if full not in sys.modules:
         package = importlib.util.find_spec("numba")

@@ -1,7 +1,7 @@
 """The decorator of kernels, and their machine code: taken from the folder by the hash of all it is made of, or built.
 
 numba's own cache looks at the file in which a function stands, not at the functions it calls, and so runs stale code
-after an edit of one of those. Here the name of a kept kernel is a hash of its bytecode and constants and those of every
+after an edit of one of those. Here a stored kernel's name is a hash of its bytecode and constants and those of every
 function it reaches (`kernels.fingerprint`), of the kinds of its arguments, of the processor, of numba's settings in the
 environment and of the sources of this package `kernels`. The folder carries the versions of numba, llvmlite, Python
 and shakerbench. Any number of processes may use it at once: a file is written whole under its final name or not at
@@ -57,22 +57,18 @@ def machine_code_of(kernel: Kernel, kinds: tuple[Kind, ...], arguments: tuple[An
         if code is None:  # not there, or damaged: it is written over
             from kernels import building  # imports numba
 
-            code, kept = building.build(kernel, arguments)
-            if kept is not None:
-                folder.write(name, hashlib.sha256(kept).digest() + kept)
+            code, stored = building.build(kernel, arguments)
+            if stored is not None:
+                folder.write(name, hashlib.sha256(stored).digest() + stored)
         return code
 
 
 def _name(kernel: Kernel, kinds: tuple[Kind, ...]) -> str:
     """The file's name: the function's for a person, and the hash."""
-    made_of = repr((fingerprint(kernel), text(kinds), _settings()))
+    # numba's settings change what a kernel compiles to, but for the one that names the folder
+    numba = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_") and item[0] != folder.GIVEN)
+    made_of = repr((fingerprint(kernel), text(kinds), (*_machine(), numba)))
     return f"{kernel.py_func.__module__}.{kernel.py_func.__name__}-{hashlib.sha256(made_of.encode()).hexdigest()[:32]}"
-
-
-def _settings() -> tuple[object, ...]:
-    """What else decides what a kernel compiles to."""
-    numba = (item for item in os.environ.items() if item[0].startswith("NUMBA_") and item[0] != folder.GIVEN)
-    return *_machine(), sorted(numba)
 
 
 @functools.cache

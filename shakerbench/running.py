@@ -123,7 +123,7 @@ def run(
     seed : int
         Of the simulated rig's noise.
     note : str, optional
-        The operator's note, kept in the recording.
+        The operator's note, stored in the recording.
 
     Returns
     -------

@@ -108,8 +108,7 @@ def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: 
     h = gamma * (s0 + slope0 * tau - s) - 0.5 * tau * tau
     h1 = gamma * (slope0 - slope) - tau
     plain = h > 0.0
-    searching = plain
-    turns = spread(0.0)
+    searching, turns = plain, spread(0.0)
     left, right, tangent, total = (edge, h, h1), (edge + 1.0, spread(-1.0), h1), edge, turns
     while any_of(searching):
         far, s, slope, _ = gather_rows(table, base + TABLE * (i + 1.0))

@@ -288,6 +288,13 @@ def note_end(nodes: Floats, z: float, ended: int) -> None:
 
 
 @inlined
+def _is_constant(fr: float, direction: float, p: Floats) -> bool:
+    """Whether dry friction ``fr`` is Coulomb's: the same at two other places and speeds."""
+    one, other = dry_friction(1.0, 1.0, direction, p), dry_friction(0.0, 0.1, direction, p)
+    return bool(fr == -direction * one and fr == -direction * other)
+
+
+@inlined
 def segment(
     t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
 ) -> tuple[int, float, float, float, float]:
@@ -307,10 +314,7 @@ def segment(
     start = Start(h0, v0, x0, xd0)
     dev, devd, h, v = 0.0, 0.0, h0, v0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
-    constant = False
-    if law.rubbed and not law.forced:  # Coulomb's friction is the same at other places and speeds
-        one, other = dry_friction(1.0, 1.0, direction, p), dry_friction(0.0, 0.1, direction, p)
-        constant = fr == -direction * one and fr == -direction * other
+    constant = law.rubbed and not law.forced and _is_constant(fr, direction, p)
     f0 = _effects(s0, h, v, xd0, direction, p, acting)
     a = -g - xdd0 + f0
     halved = (law.forced or law.rubbed) and not constant

@@ -108,7 +108,6 @@ def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
     one = np.asarray(value)
     values = np.empty(n, dtype=one.dtype if one.dtype == np.bool_ else np.float64)
     values[:] = one
-    # numba compiles a read-only array as a type of its own: always the one, never both
     values.flags.writeable = False
     return values
 
@@ -205,8 +204,7 @@ def one_ahead(
     ringing = bool(np.any(rows[:, columns_of("plate_mode")] > 0.0))
     if ringing and mode is not None:
         amplitudes, projection, observed_s = mode.mode_amplitudes, mode.projection, mode.observed_s
-    # two passes: the measured tones contain what the mode adds, and only the rest is driven
-    elif ringing:
+    elif ringing:  # two passes: the measured tones contain what the mode adds, and only the rest is driven
         amplitudes, projection, observed_s = _mode_projected(problem, probe)
     if ringing:
         tones = driven(plate, amplitudes)

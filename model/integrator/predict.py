@@ -171,8 +171,7 @@ def one_ahead(
         if not event.linked:
             chained = 0
             last = begin_chain(event, steps.period[m], last, bare, p)
-            # a contact whose push was measured tells how the mode moves, but for a fifth of the kick
-            loose = 1.0 if np.isnan(events.pressed_mps[i]) else 0.2
+            loose = 1.0 if np.isnan(events.pressed_mps[i]) else 0.2  # a measured push tells most of the mode's motion
             last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(event, last, bare, law, seen, out[i])
@@ -185,9 +184,8 @@ def one_ahead(
             # the flight as measured is several: only the prediction knows its end
             hit, out[i, WAY] = out[i, IMPACT], AS_PREDICTED
         if ratio != 0.0 and not np.isnan(events.gained_mps[i]):
-            # what the accelerometer integrated over the flight, less the launch, is the impact speed in a fade
             hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
-            out[i, WAY] = MEASURED
+            out[i, WAY] = MEASURED  # by the accelerometer's integral over the flight
         hit = max(hit, 0.0)
         out[i, OWN_LAUNCH], out[i, OWN_IMPACT], out[i, OWN_START] = v0, hit, start
         flying = with_state(bare, q, qd)

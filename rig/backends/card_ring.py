@@ -15,9 +15,7 @@ from daq.files.tables import BlockFlag
 
 Samples = NDArray[np.float32]
 
-HELD_S = 8.0  # length of the rings
 DECAY_S = 0.005  # length of the decay to zero where the drive came too late
-SURE_CALLS = 6  # consecutive callbacks with frames missing after which they count as lost
 
 
 class CardRing:
@@ -42,7 +40,8 @@ class CardRing:
 
     def __init__(self, rate_hz: float, n_inputs: int) -> None:
         self.n_inputs = n_inputs
-        self.size = 1 << round(HELD_S * rate_hz).bit_length()
+        # eight seconds of frames: a caller later than half of it has lost the run
+        self.size = 1 << round(8.0 * rate_hz).bit_length()
         self._out: Samples = np.zeros(self.size, np.float32)
         self._in: Samples = np.zeros((self.size, n_inputs), np.float32)
         n = max(1, round(DECAY_S * rate_hz))
@@ -102,21 +101,19 @@ class CardRing:
         if ready:
             self._last = out[ready - 1]
         if ready < n:
-            self._run_dry(out[ready:])
+            # nothing was handed over for these frames: softly to zero, since a jump would shake the plate
+            rest = out[ready:]
+            n_decay = min(len(rest), len(self._decay))
+            rest[:n_decay] = self._last * self._decay[:n_decay]
+            rest[n_decay:] = 0.0
+            self._late |= bool(self._last != 0.0)
+            self._last = np.float32(0.0)
         if recorded is not None:
             place = self.received % self.size
             first = min(n, self.size - place)
             self._in[place : place + first] = recorded[:first]
             self._in[: n - first] = recorded[first:]
         self.received += n
-
-    def _run_dry(self, rest: Samples) -> None:
-        """Nothing was handed over for these frames: soft to zero."""
-        n = min(len(rest), len(self._decay))
-        rest[:n] = self._last * self._decay[:n]
-        rest[n:] = 0.0
-        self._late |= bool(self._last != 0.0)
-        self._last = np.float32(0.0)
 
     def _reckon(self, counter: int) -> None:
         """Compare the driver's count with what came.
@@ -135,7 +132,8 @@ class CardRing:
             self._suspected.clear()
             return
         self._suspected.append((self.received, missing))
-        if len(self._suspected) == SURE_CALLS:
+        # what is missing for six callbacks on end is missing: one late callback alone reads a count too high
+        if len(self._suspected) == 6:
             sure = min(missing for _, missing in self._suspected)
             at, _ = self._suspected.popleft()
             if sure > self.lost:

@@ -22,7 +22,6 @@ from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.nidaqmx import NiDaqmxOptions
 from rig.profile import Profile
 
-BUFFER_S = 4.0
 PATIENCE_S = 1.0  # a read or write that takes longer means a device that stands still
 FULL = 32767
 
@@ -84,7 +83,7 @@ class NiDaqmxBackend:
         """Arm the output with silence, then start the inputs, whose clock moves both."""
         self.stop()
         kit = self._nidaqmx
-        mode, held = kit.constants.AcquisitionType.CONTINUOUS, round(BUFFER_S * self.rate_hz)
+        mode, held = kit.constants.AcquisitionType.CONTINUOUS, round(4.0 * self.rate_hz)
         try:
             self._inputs, self._outputs = self._input_task(), kit.Task()
             self._inputs.timing.cfg_samp_clk_timing(self.rate_hz, sample_mode=mode, samps_per_chan=held)

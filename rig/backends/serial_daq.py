@@ -30,17 +30,9 @@ from rig.profile import Profile
 
 Codes = NDArray[np.int16]
 
-POLL_S = 0.05  # longest time a read of the port waits
-FIRST_S = 5.0  # until the first frame: a port that is opened makes some devices start anew
-SILENCE_S = 0.5  # without a frame: the device is stuck
 HELD_S = 60.0  # of frames that are not taken, before the reader gives up
 QUIET_S = 0.1  # of silence before the marker, and at least after it
-MARKER_WAIT_S = 4.0  # within which the marker must come back
-MARGIN_FRAMES = 2  # of the device's frames left between what came and what is asked for
 FADE_S = 0.2
-WRONG_RATE = 0.02  # relative: no two quartzes differ by so much
-WINDOW_S = 0.05
-SLIPPED = 0.75  # drift in samples at which a block holds a frame more or less
 
 
 class Port(Protocol):
@@ -56,7 +48,7 @@ class Port(Protocol):
 def open_port(name: str, baud: int) -> Port:
     """The port ``name``; raises `BackendError`."""
     try:
-        port: Port = serial.Serial(name, baud, timeout=POLL_S)
+        port: Port = serial.Serial(name, baud, timeout=0.05)
     except (serial.SerialException, OSError, ValueError) as error:
         raise BackendError(
             f"serial DAQ {name}: cannot be opened ({error}); is it plugged in, and is backend.port its name? "
@@ -123,7 +115,8 @@ class SerialReader:
         port = self._opener()
         port.reset_input_buffer()
         self._thread = self.clock.background(self._drain(port), f"serial {self.name}")
-        self._wait(lambda: self._newest >= 0, FIRST_S)
+        # a port that is opened makes some devices start anew
+        self._wait(lambda: self._newest >= 0, 5.0)
 
     def stop(self) -> None:
         """Close the port; what was not taken is forgotten."""
@@ -146,6 +139,7 @@ class SerialReader:
         with self._changed:
             first, lost = self._position, 0
             if self._frames and first < self._frames[0].first_sample < until:
+                # a gap in the device's counter: the piece begins after it and says how much is missing
                 lost = self._frames[0].first_sample - first
                 first = self._frames[0].first_sample
             pieces = [np.zeros((0, self._channels), np.int16)]
@@ -169,7 +163,7 @@ class SerialReader:
                 if left_s <= 0.0 or not self.clock.wait(self._changed, left_s):
                     return
 
-    def _wait(self, ready: Callable[[], bool], patience_s: float = SILENCE_S) -> None:
+    def _wait(self, ready: Callable[[], bool], patience_s: float = 0.5) -> None:
         """Until ``ready``, or what keeps it from coming; silence is counted from the last frame."""
         with self._changed:
             until, seen = self.clock.monotonic_s() + patience_s, self._newest
@@ -182,18 +176,13 @@ class SerialReader:
                     until, seen = self.clock.monotonic_s() + patience_s, self._newest
                 left_s = max(0.0, until - self.clock.monotonic_s())
                 if not self.clock.wait(self._changed, left_s) and self.clock.monotonic_s() >= until:
-                    raise BackendError(self._silent(patience_s))
-
-    def _silent(self, waited_s: float) -> str:
-        """Error message where nothing comes."""
-        counts = self.counts
-        if counts.stale:
-            why = f"its counters do not go on ({counts.stale} stale frames): did the device start anew?"
-        elif counts.damaged:
-            why = f"{counts.damaged} damaged packets: is the baud rate right, does it send {self._channels} channels?"
-        else:
-            why = "is the device running, and is it this port?"
-        return f"serial DAQ {self.name}: no good frame for {waited_s:g} s; {why}"
+                    counts, why = self.counts, "is the device running, and is it this port?"
+                    if counts.stale:
+                        why = f"its counters do not go on ({counts.stale} stale frames): did the device start anew?"
+                    elif counts.damaged:
+                        damaged = f"{counts.damaged} damaged packets: is the baud rate right"
+                        why = f"{damaged}, does it send {self._channels} channels?"
+                    raise BackendError(f"serial DAQ {self.name}: no good frame for {patience_s:g} s; {why}")
 
     def _drain(self, port: Port) -> Iterator[None]:
         """The thread: read what is there, decode, hold; it yields after each read."""
@@ -292,7 +281,8 @@ class SoundcardSerialBackend:
         heard = self._card.exchange(drive)
         self._played += len(drive)
         lag = tracker.lag(self._reader.position)
-        if abs(lag - self._whole) > SLIPPED:
+        # not at half a sample: a lag that wavers there would add and drop a frame in turn
+        if abs(lag - self._whole) > 0.75:
             self._whole = round(lag)
         try:
             first, codes, lost = self._reader.take(self._played - self._lag - self._whole)
@@ -321,7 +311,7 @@ class SoundcardSerialBackend:
         block = max(16, round(0.01 * self.rate_hz))
         quiet = np.zeros(round(QUIET_S * self.rate_hz))
         marker = start_marker(self.rate_hz)
-        playing = np.concatenate([quiet, self._marker_v * marker, np.zeros(round(MARKER_WAIT_S * self.rate_hz))])
+        playing = np.concatenate([quiet, self._marker_v * marker, np.zeros(round(4.0 * self.rate_hz))])
         scale, _ = self.scales["drive"]
         pieces: list[Floats] = []
         begin = self._reader.position
@@ -331,7 +321,8 @@ class SoundcardSerialBackend:
         while played + block <= len(playing) and (found is None or played < least):
             self._card.exchange(playing[played : played + block])
             played += block
-            margin = MARGIN_FRAMES * self._reader.rows_in_frame
+            # two of the device's frames may be on their way between what came and what is asked for
+            margin = 2 * self._reader.rows_in_frame
             # a card that takes the drive faster than it plays must not leave the device behind
             self._reader.await_rows(newest + played - margin, began_s + played / self.rate_hz)
             first, codes, lost = self._reader.take(max(self._reader.position, self._reader.newest - margin))
@@ -346,12 +337,13 @@ class SoundcardSerialBackend:
         self._whole, self._played, self._given = round(lag), 0, 0
         self._lag = -(self._reader.position + self._whole)  # the next row comes behind the drive by so much, and stays
         self._tail = np.zeros(0)
-        window = max(64, round(WINDOW_S * self.rate_hz))
+        window = max(64, round(0.05 * self.rate_hz))
         self._tracker = ClockTracker(lag, self._reader.position, window, self.rate_hz)
 
     def _no_marker(self, rows_a_sample: float) -> str:
         """Error message where the marker was not found: absent, or stretched."""
-        if abs(rows_a_sample - 1.0) > WRONG_RATE:
+        # no two quartzes differ by 2 %: the device's timer is set to another rate
+        if abs(rows_a_sample - 1.0) > 0.02:
             rate_hz = rows_a_sample * self.rate_hz
             return (
                 f"serial DAQ {self._reader.name}: sends about {rate_hz:.0f} rows a second, sampling.rate_hz is "

@@ -27,12 +27,8 @@ from rig.profile import Profile
 
 FIRST_S = 5.0  # until the first callback
 SILENCE_S = 0.5  # without a callback: the card is stuck, or gone
-STILL_S = 0.02  # every input frozen to the last bit while the drive moved: the card is gone
-MOVED_PART = 0.002  # of full scale: by so much the drive must have moved for that
 QUIET_S = 0.05  # before the marker
-ECHO_S = 1.0  # within which the marker must come back
 FADE_S = 0.1
-SWITCH_S = 0.0005  # longest time another thread keeps the callback from running
 
 
 class SoundcardBackend:
@@ -88,7 +84,8 @@ class SoundcardBackend:
     def start(self) -> None:
         """Open the card, and find how long the drive takes to come back; raises `BackendError`."""
         self.stop()
-        sys.setswitchinterval(SWITCH_S)
+        # another thread keeps the callback from running for half a millisecond at most
+        sys.setswitchinterval(0.0005)
         gc.collect()
         gc.freeze()  # what is there now is not looked through again while the callback waits
         self._ring.reset()
@@ -126,7 +123,8 @@ class SoundcardBackend:
         self._ring.write((drive / self._table.output_range_v).astype(np.float32))
         self._await(self._due, SILENCE_S + len(drive) / self.rate_hz)
         lost, frames, own_flags = self._ring.take(self._due)
-        if self.channels and self._ring.still(round(STILL_S * self.rate_hz), MOVED_PART):
+        # inputs frozen to the last bit while the drive moved: some drivers go on calling when the card is gone
+        if self.channels and self._ring.still(round(0.02 * self.rate_hz), 0.002):
             raise BackendError(self._failed("every input is frozen while the drive moves"))
         flags, self._flags = self._flags | own_flags, 0
         codes = np.rint(frames[:, self._inputs] * 32768.0).clip(-32768, 32767).astype(np.int16)
@@ -199,7 +197,7 @@ class SoundcardBackend:
         block = self.exchange(np.concatenate([quiet, self._table.marker_v * marker, quiet]))
         heard: Floats = np.asarray(block.codes[:, column] * scale, np.float64)
         found = find_marker(heard, marker)
-        while found is None and len(heard) < ECHO_S * self.rate_hz:
+        while found is None and len(heard) < 1.0 * self.rate_hz:
             heard = np.concatenate([heard, self.exchange(quiet).codes[:, column] * scale])
             found = find_marker(heard, marker)
         if found is None:

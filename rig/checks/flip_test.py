@@ -19,9 +19,7 @@ from rig.profile import Profile
 SETTLE_S = 0.5  # after the sensor was touched
 REST_S = 2.0  # of one reading
 PARTS = 20  # of a reading, whose scatter is its uncertainty
-TILT_DEG = 1.0  # by which a person may lay the sensor askew
 ORIENTATIONS = (False, True, False)  # upside down? The last one tells whether the first still holds
-LEAST_CHANGE_G = 0.5  # below, the sensor does not feel gravity
 
 
 @dataclass(frozen=True)
@@ -84,14 +82,16 @@ def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
     unit_v = channel.sign * ACCELEROMETER_UNITS_V_PER_MPS2[channel.unit] * g.value
     sensitivity = half_v / unit_v
     believed_v = abs(unit_v) * channel.sensitivity.value
-    if abs(half_v) < LEAST_CHANGE_G * believed_v:
+    # a sensor that feels gravity would change by 1
+    if abs(half_v) < 0.5 * believed_v:
         raise ValueError(
             f"turning it over changed its reading from {up:.4g} V to {down.volts:.4g} V, a sensor of "
             f"{channel.sensitivity.value:g} {channel.unit} would change by {2.0 * believed_v:.3g} V: "
             "one that is AC-coupled or does not feel gravity needs another calibration; see its data sheet"
         )
     noise_v = 0.5 * math.hypot(up_sigma, down.uncertainty_v)
-    tilt = (1.0 - math.cos(math.radians(TILT_DEG))) / math.sqrt(3.0)
+    # a person lays the sensor askew by a degree; as a rectangular distribution its half width over root 3
+    tilt = (1.0 - math.cos(math.radians(1.0))) / math.sqrt(3.0)
     relative = math.hypot(noise_v / half_v, g.uncertainty / g.value, tilt)
     if channel.reads_gravity:
         offset_v, offset_sigma = 0.5 * (up + down.volts), math.hypot(noise_v, tilt * abs(half_v))

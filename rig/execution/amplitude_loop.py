@@ -19,21 +19,7 @@ from rig.programme.forcing import PhaseClock, drive_amplitudes
 from rig.programme.ramp import fade_cycles
 from rig.programme.sequencer import Sequencer, State
 
-COVERAGE = 2.5  # standard uncertainties between an estimate and its tolerance
-SMALL_ERROR = 0.25  # of the tolerance: below, an error is not corrected; above, it is corrected once it is certain
-OTHERWISE = 5.0  # spreads by which a window differs from those before only if the plate answers otherwise
-SMALL_CORRECTION = 0.05  # a change of the drive over which the plate's response is one number
 LARGEST_CORRECTION = 2.0  # factor by which one correction may change a tone
-UNSEEN = 0.1  # part of the target below which the accelerometer does not measure the plate
-
-
-def _agrees(new: Amplitudes, before: list[Amplitudes]) -> bool:
-    """Whether a measurement is like those before: a ball that takes up another motion loads the plate otherwise."""
-    if len(before) < ENOUGH_WINDOWS:
-        return True
-    values = np.array([one.values for one in before])
-    spread = np.maximum(np.std(values, axis=0, ddof=1), new.uncertainty)
-    return bool(np.all(np.abs(new.values - values.mean(axis=0)) < OTHERWISE * spread))
 
 
 def target_acceleration(setup: Setup, gamma: float) -> Complexes:
@@ -126,31 +112,42 @@ class AmplitudeLoop:
             return None
         drive = np.array(sequencer.amplitudes)[driven]
         ratio = Amplitudes(window.values[driven] / drive, window.uncertainty[driven] / np.abs(drive))
-        self._ratios = [*self._ratios, ratio] if _agrees(ratio, self._ratios) else [ratio]
+        before = np.array([one.values for one in self._ratios])
+        alike = True
+        if len(before) >= ENOUGH_WINDOWS:
+            spread = np.maximum(np.std(before, axis=0, ddof=1), ratio.uncertainty)
+            # beyond five spreads the plate answers otherwise: the ball has taken up another motion and loads it anew
+            alike = bool(np.all(np.abs(ratio.values - before.mean(axis=0)) < 5.0 * spread))
+        self._ratios = [*self._ratios, ratio] if alike else [ratio]
         response = mean_of(self._ratios)
         error = response.values * drive / target[driven]
-        if np.any(np.abs(error) < UNSEEN):
+        # the accelerometer does not measure this plate: a correction would only turn the drive up
+        if np.any(np.abs(error) < 0.1):
             seen = float(np.abs(error).min())
             return f"step {sequencer.step.index}: the accelerometer sees {seen:.2g} of the motion asked for"
         tolerances = self._control.tolerance, math.radians(self._control.tolerance_deg)
-        margin = COVERAGE * float(np.max(response.uncertainty / np.abs(response.values))) / min(tolerances)
+        # the estimate must lie within the tolerance by 2.5 of its standard uncertainties
+        margin = 2.5 * float(np.max(response.uncertainty / np.abs(response.values))) / min(tolerances)
         errors = np.abs(np.abs(error) - 1.0) / tolerances[0], np.abs(np.angle(error)) / tolerances[1]
         self.worst = float(np.max(errors))
         if min(self._since_change, len(self._ratios)) >= 2 and self.worst + margin <= 1.0:
             sequencer.settled()
-        elif self.worst > max(margin, SMALL_ERROR):
+        # an error is corrected once it is certain, and small ones never: each correction costs a settling time
+        elif self.worst > max(margin, 0.25):
             self._correct(sequencer, driven, error)
         return None
 
     def _correct(self, sequencer: Sequencer, driven: Bools, error: Complexes) -> None:
         """Divide each driven tone by its error, within the slew limit, and measure again."""
         before = np.array(sequencer.amplitudes)
+        # a wild measurement must not throw the plate: at most a factor of two at once
         size = np.clip(np.abs(error), 1.0 / LARGEST_CORRECTION, LARGEST_CORRECTION)
         after = before.copy()
         after[driven] = before[driven] / (size * np.exp(1j * np.angle(error)))
         gamma = sequencer.step.gamma
         self._response[driven] = (target_acceleration(self._profile, gamma) / after)[driven]
         change = float(np.max(np.abs(after - before)[driven] / np.abs(before[driven])))
-        if change > SMALL_CORRECTION:  # far away the plate may answer otherwise; near, what was measured still counts
+        # far away the plate may answer otherwise; near, what was measured still counts
+        if change > 0.05:
             self._ratios.clear()
         self._wait(sequencer.retarget(tuple(after.tolist()), fade_cycles(self._profile.ramp, gamma * change)))

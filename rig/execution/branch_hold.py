@@ -25,13 +25,8 @@ from rig.programme.sequencer import MOVING, Sequencer, State
 TURN = 2.0 * math.pi
 REACH = 1.0 / 12.0  # of a cycle, to both sides of where a landing is expected: there it is looked for
 FADE = 1.0 / 32.0  # of a cycle, in which a correction is made; it ends at the launch: the flight before hardly feels it
-LOCKED = 12  # landings in a row that the filter foresaw, before it holds
 LOST = 2  # landings in a row that are missing, or that no correction brings back, before it lets go
-FORESEEN = 0.03  # radians by which a landing may miss the filter's phase before the ball is held
 FIRST = 0.3  # standard uncertainty of phase and offset before the first landing, radians
-UNKNOWN_PUSH, DRIFT = 3e-4, 3e-5  # of the filter, radians in a cycle: of the ball, and of the offset
-MODEL_ERROR = 0.03  # part by which the cycle's phase may change otherwise than predicted
-RELEASE_CYCLES = 4
 SURE = 3.0  # standard uncertainties of a predicted landing that must be within the authority
 
 
@@ -108,6 +103,7 @@ class BranchHold:
         if point is None or abs(point.multiplier) <= 1.0:
             return
         size, most = abs(point.multiplier), float(np.linalg.norm(point.response(self._weight))) * self._table.authority
+        # an error of the last known landing grows by |mu| in each launch that it is predicted through
         spread = SURE * (size - abs(point.pole)) * math.sqrt(size**2 - 1.0) * self._timing
         launches = 1 + math.floor(math.log(most / spread) / math.log(size)) if most > spread else 0
         own = self._timer.tail + (REACH + FADE) * self._cycle
@@ -121,6 +117,7 @@ class BranchHold:
 
     def observe(self, block: MeterBlock, sequencer: Sequencer, ahead: int) -> list[str]:
         """Take in a block, steer where a launch lies within the next ``ahead`` samples; what is to be noted of it."""
+        # a plate that is brought to rest has no locked cycle
         if self.why or sequencer.state not in (*MOVING, State.PAUSED):
             self.holding = False
             return []
@@ -133,7 +130,7 @@ class BranchHold:
             self._take_in(cycle, place)
         self._launch(sequencer, ahead)
         if self.why and sequencer.steering:
-            sequencer.release(RELEASE_CYCLES)
+            sequencer.release(4)
         if self.why:
             return [f"branch: let go, {self.why}"]
         return [f"branch: held from gamma {sequencer.step.gamma:g} on"] if self.holding and not held else []
@@ -171,9 +168,11 @@ class BranchHold:
         shown = point.phase + (begin + found.place - place) * TURN / self._cycle
         sigma = math.hypot(found.uncertainty * TURN / self._cycle, self._timing)
         miss = shown - float(self._state.sum())
-        if not self.holding and abs(miss) > FORESEEN:
+        # not yet locked: the filter begins anew from what is seen
+        if not self.holding and abs(miss) > 0.03:
             self._restart(point.phase, shown - point.phase)
             return
+        # Kalman: what is seen is the sum of phase and offset
         gain = self._covariance.sum(axis=1) / (self._covariance.sum() + sigma**2)
         self._state = self._state + gain * miss
         self._covariance = self._covariance - np.outer(gain, self._covariance.sum(axis=0))
@@ -207,8 +206,9 @@ class BranchHold:
             point = launch.point
             state = np.array([point.next_landing(float(state[0]), launch.part, launch.ahead), state[1]])
             turn = np.diag([point.multiplier, 1.0])
-            drift = math.hypot(DRIFT, MODEL_ERROR * (after.point.phase - point.phase))
-            covariance = turn @ covariance @ turn + np.diag([UNKNOWN_PUSH**2, drift**2])
+            # the offset wanders, and a change of the predicted phase is uncertain by 3 %
+            drift = math.hypot(3e-5, 0.03 * (after.point.phase - point.phase))
+            covariance = turn @ covariance @ turn + np.diag([3e-4**2, drift**2])
         return state, covariance
 
     def _launch(self, sequencer: Sequencer, ahead: int) -> None:
@@ -230,7 +230,7 @@ class BranchHold:
             return
         launch = Launch(gamma, point)
         steady = sequencer.state in (State.SETTLING, State.HOLDING)
-        self.holding = self.holding or (steady and self._foreseen >= LOCKED)
+        self.holding = self.holding or (steady and self._foreseen >= 12)  # landings in a row as the filter foresaw
         self._taken |= self.holding
         if self.holding:
             self._launches[cycle] = launch
@@ -244,6 +244,7 @@ class BranchHold:
         """``launch`` with the correction that leaves the least of a deviation from ``after`` a cycle later."""
         phase, point = float(self._predicted(cycle)[0][0]), launch.point
         wanted = after.phase + point.pole * (phase - point.phase)
+        # the least correction that moves the next landing as wanted: along the response (pseudo-inverse)
         response = point.response(self._weight)
         correction = response * (wanted - point.next_landing(phase, 0.0, 0.0)) / float(response @ response)
         if kicked:

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from daq.clocks.clock_sync import fit_clock
 from rig.backends.base import TwoClocked
 
-REACH = 600  # readings that a step's map is fitted to, at most: what lies further back says nothing of it
-
 
 class ClockLog:
     """The clock tables of one run.
@@ -40,6 +38,7 @@ class ClockLog:
             yield "clock_readings", new
         if len(readings) < 2 or at <= self._mapped or readings["recorded_sample"][-1] < at:
             return
-        node = fit_clock(readings[-REACH:], np.array([at]))
+        # what lies further back says nothing of the clocks' rate now
+        node = fit_clock(readings[-600:], np.array([at]))
         self._mapped, self.rate = at, float(node["rate"][0])
         yield "clock_map", node

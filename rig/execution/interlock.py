@@ -23,14 +23,7 @@ WINDOW_CYCLES = 4  # over which a dead accelerometer is judged
 DEAD_FRACTION = 0.1  # of the motion that the drive asks for
 DEAD_FLOOR_MPS2 = 0.5  # rms below which the drive asks for too little to judge by
 CLIPPED_FRACTION = 0.04  # of a cycle; a single impact may touch the converter's limit
-FLAT_PART = 0.02  # of the converter's range: below, equal codes are the converter's steps
-AC_SILENT_PART = 0.1  # of the swing to either side of 0 V in which an AC-coupled contact circuit keeps its state
-AC_EDGE_PART = 0.5  # of the swing: a step that size is an edge
-AC_EDGE_S = 2e-4  # in which it is made
 EXCESS = 5.0  # times the motion that the drive asks for: no plate follows its drive so badly, a wrong input does
-SAME_VOLTS = 0.1  # by which an input may be off the played drive that it is
-COHERENT = 0.9  # part of an input's variance that follows the drive, where it is the drive
-OTHER_VOLTS = 0.2  # by which the looped-back drive is off where it is not the drive
 AIRBORNE_GAMMA_PEAK = 3.0  # a ball that never leaves the plate above this, friction and all, is a wire
 
 
@@ -108,8 +101,9 @@ class Interlock:
         self._opens_upwards = continuity is None or continuity.swing_v > 0.0
         self._edge_code = math.inf
         if continuity is not None and continuity.coupling == "ac" and "continuity" in scales:
-            self._edge_code = AC_EDGE_PART * abs(continuity.swing_v) / scales["continuity"][0]
-        self._before_edge = np.zeros(max(2, round(AC_EDGE_S * profile.sampling.rate_hz)))
+            self._edge_code = 0.5 * abs(continuity.swing_v) / scales["continuity"][0]
+        # an edge is a step of half the swing within 0.2 ms
+        self._before_edge = np.zeros(max(2, round(2e-4 * profile.sampling.rate_hz)))
         self._n_seen = 0
         self._clamped_v = 0.0
         self._since_open = self._since_closed = self._flying = 0
@@ -205,6 +199,7 @@ class Interlock:
     def _frozen(self, drive_v: Floats, frames: NDArray[np.int16]) -> str | None:
         """An accelerometer that reads one and the same while the drive moves, looped back where it is."""
         codes = frames[:, self._column["accelerometer"]]
+        # a muted output moves nothing: the looped-back drive shows it
         drives = [drive_v, self._volts("drive", frames)] if self._loops_back else [drive_v]
         largest_v = min(float(np.max(np.abs(volts), initial=0.0)) for volts in drives)
         moving = largest_v * self._mps2_per_volt > DEAD_FLOOR_MPS2
@@ -256,10 +251,11 @@ class Interlock:
     def _exchanged(self, window: _Window) -> str | None:
         """An input other than the looped-back drive's that reads the drive as it was played."""
         own = window.gain("drive") if self._loops_back else 1.0
-        if window.ran_dry or not abs(own - 1.0) > OTHER_VOLTS:
+        if window.ran_dry or not abs(own - 1.0) > 0.2:
             return None
         for name in set(self._scales) - {"drive"}:
-            if abs(window.gain(name) - 1.0) < SAME_VOLTS and window.coherence(name) > COHERENT:
+            # volt for volt as it was played, and nothing else in it: that is the drive
+            if abs(window.gain(name) - 1.0) < 0.1 and window.coherence(name) > 0.9:
                 return (
                     f"exchanged inputs: the {name} input reads the drive as it was played, "
                     f"the drive input {own:.2g} of it; change their plugs, or their terminals in the profile"
@@ -294,8 +290,9 @@ class Interlock:
         at_limit = (codes >= full) | (codes <= -full)
         for extreme in (int(codes.max(initial=-32768)), int(codes.min(initial=32767))):
             top = codes == extreme
-            if abs(extreme) > FLAT_PART * full and np.count_nonzero(top) > max(3.0, CLIPPED_FRACTION * self._cycle / 2):
-                at_limit |= top  # a motion's top is one code for a few samples, a clipped one stays
+            # a motion's top is one code for a few samples, a clipped one stays; small codes are the converter's steps
+            if abs(extreme) > 0.02 * full and np.count_nonzero(top) > max(3.0, CLIPPED_FRACTION * self._cycle / 2):
+                at_limit |= top
         where = self._n_seen - len(codes) + np.flatnonzero(at_limit)
         recent = np.concatenate([self._clipped[name], where])
         self._clipped[name] = recent[recent > self._n_seen - self._cycle]
@@ -314,6 +311,7 @@ class Interlock:
         if math.isfinite(self._edge_code):
             step = sign * (x - np.concatenate([self._before_edge, x])[: len(x)])
             is_open, is_closed = is_open | (step > self._edge_code), is_closed | (step < -self._edge_code)
+        # each frame's last decided frame before it; 0 stands for the block before
         last = np.maximum.accumulate(np.where(is_open | is_closed, np.arange(1, len(x) + 1), 0))
         known: Bools = np.concatenate([[before], is_open])[last]
         return known
@@ -361,5 +359,6 @@ def _contact_levels(profile: Profile, scales: Mapping[str, tuple[float, float]])
     swing_v = continuity.swing_v
     is_ac = continuity.coupling == "ac"
     middle_v = 0.0 if is_ac else continuity.middle_v
-    band_v = AC_SILENT_PART * swing_v if is_ac else 0.0
+    # a state that droops behind a capacitor keeps its name within a tenth of the swing about 0 V
+    band_v = 0.1 * swing_v if is_ac else 0.0
     return (middle_v - band_v - offset_v) / volts_per_code, (middle_v + band_v - offset_v) / volts_per_code

@@ -14,13 +14,6 @@ import numpy as np
 
 from kernels.arrays import Bools, Floats
 
-LEAD_S, TAIL_S = 0.8e-3, 2.6e-3  # of the waveform, before and after the impact's first sample
-LEARNT = 64  # landings in the mean; later ones are as like it as they will be
-LIKENESS = 0.7  # least correlation of a landing with the mean
-LEAST_SIZE = 0.25  # of the usual impact, below which it is another
-POWERS = 4  # constant to cubic: the plate's own motion over so short a time
-ROUNDS = 3  # of Newton's search for the place
-
 
 @dataclass(frozen=True)
 class Landing:
@@ -40,9 +33,11 @@ class LandingTimer:
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self._lead, self.tail = round(LEAD_S * rate_hz), round(TAIL_S * rate_hz)
+        # the waveform from before the impact until most of the ringing is over
+        self._lead, self.tail = round(0.8e-3 * rate_hz), round(2.6e-3 * rate_hz)
         n = self._lead + self.tail
-        self._slow = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n), POWERS))[0]
+        # constant to cubic: the plate's own motion over so short a time
+        self._slow = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n), 4))[0]
         self._window = np.minimum(1.0, np.minimum(np.arange(n) + 0.5, np.arange(n)[::-1] + 0.5) / (0.2 * n))
         self._turns = np.fft.rfftfreq(n)
         self._mean = np.zeros(n)
@@ -68,12 +63,14 @@ class LandingTimer:
         shown = self._quick(stretches[at])
         alike = float(shown @ mean) / max(float(np.linalg.norm(shown) * np.linalg.norm(mean)), 1e-300)
         size = float(shown @ mean) / float(mean @ mean)
-        if alike < LIKENESS or size < LEAST_SIZE:
+        # another waveform, or a far weaker impact, is another landing than the one expected
+        if alike < 0.7 or size < 0.25:
             return None
         shift, sigma = self._placed(stretches[at])
         if abs(shift) > 2.0:
             return None
-        if self._count < LEARNT:
+        # later landings would not better the mean
+        if self._count < 64:
             self._learn(self._shifted(shown / size, -shift))
         return Landing(at + self._lead + shift, sigma)
 
@@ -83,6 +80,7 @@ class LandingTimer:
 
     def _shifted(self, x: Floats, samples: float) -> Floats:
         """A waveform (n,) later by ``samples``."""
+        # a shift by a part of a sample is a phase that grows with frequency
         spectrum = np.fft.rfft(x) * np.exp(-2j * math.pi * self._turns * samples)
         return np.asarray(np.fft.irfft(spectrum, len(x)))
 
@@ -90,11 +88,12 @@ class LandingTimer:
         """By how many samples the mean lies earlier than the landing in ``x`` (n,), and the standard uncertainty."""
         shift, sigma = 0.0, math.inf
         slope = np.fft.irfft(np.fft.rfft(self._mean) * 2j * math.pi * self._turns, len(x))
-        for _ in range(ROUNDS):
+        for _ in range(3):
             wave, steep = self._shifted(self._mean, shift), self._shifted(slope, shift)
             terms = np.column_stack([wave, steep, self._slow])
             found, *_ = np.linalg.lstsq(terms, x, rcond=None)
             left = x - terms @ found
+            # Gauss-Newton: the amplitude of the slope over that of the wave is the shift that is left
             shift -= float(found[1] / found[0])
             sigma = float(np.std(left) / (abs(found[0]) * np.linalg.norm(self._quick(steep))))
         return shift, sigma

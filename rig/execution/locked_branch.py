@@ -62,7 +62,8 @@ class Point:
     def pole(self) -> float:
         """What is to be left of a deviation a cycle later: with the least corrections, 1 over the multiplier."""
         size = abs(self.multiplier)
-        return math.copysign(min(size, 1.0 / size, SLOWEST), self.multiplier) if size > 0.0 else 0.0
+        # near mu = -1 the least correction would leave all of a deviation: at most 0.7 of it are left
+        return math.copysign(min(size, 1.0 / size, 0.7), self.multiplier) if size > 0.0 else 0.0
 
 
 SLOWEST = 0.7  # largest part of a deviation left a cycle later: near mu = -1 the least correction would leave all

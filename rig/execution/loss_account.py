@@ -20,9 +20,6 @@ from kernels.arrays import Floats
 from rig.execution.high_pass import HighPass
 from rig.profile import Profile
 
-CHUNK_CYCLES = 1.3  # of the forcing, looked at together
-LEAST_CHUNK = 64  # samples
-
 
 class LossAccount:
     """The losses of one run.
@@ -48,7 +45,8 @@ class LossAccount:
         self, profile: Profile, drive_column: int, scale: tuple[float, float], searcher: AtOnce | None = None
     ) -> None:
         rate_hz = profile.sampling.rate_hz
-        chunk = max(LEAST_CHUNK, round(CHUNK_CYCLES * rate_hz / profile.forcing.frequency_hz))
+        # no whole number of cycles: one period shifted by a cycle looks like itself
+        chunk = max(64, round(1.3 * rate_hz / profile.forcing.frequency_hz))
         self._finder = LossDetector(rate_hz, chunk, searcher)
         self._column = drive_column
         self._scale = scale if profile.backend.kind != "replay" else (0.0, 0.0)

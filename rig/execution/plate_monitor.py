@@ -16,12 +16,7 @@ from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Bools, Floats
 
-LOWPASS_OVER_TONE = 4.0  # corner of the low-pass over the fastest tone
-LEAK_OVER_TONE = 1.0 / 20.0  # corner below which offset and integrals forget, over the first tone
 IMPACT_SIGMAS = 6.5  # a jump from sample to sample, over the usual one, that only an impact makes
-RINGING_S = 1e-3  # spoilt after an impact at least
-SMOOTHING_S = 5e-4  # time over which the jumps are averaged to tell whether it still rings
-RINGING_SQUARES = 4.0  # mean square jump, over the usual one, while it does
 
 _FIELDS = 11
 
@@ -64,10 +59,12 @@ class MotionWatch:
     def __init__(self, setup: Setup, mps2_per_code: float) -> None:
         rate_hz, first_hz = setup.sampling.rate_hz, setup.forcing.frequency_hz
         highest_hz = first_hz * setup.forcing.ratio
-        low = 1.0 - math.exp(-2.0 * math.pi * LOWPASS_OVER_TONE * highest_hz / rate_hz)
-        leak = 1.0 - math.exp(-2.0 * math.pi * LEAK_OVER_TONE * first_hz / rate_hz)
-        fast = 1.0 - math.exp(-1.0 / (SMOOTHING_S * rate_hz))
-        self._constants = np.array([1.0 / rate_hz, low, leak, max(1.0, RINGING_S * rate_hz), fast])
+        # impacts ring above four times the fastest tone; offset and integrals forget below a twentieth of the first
+        low = 1.0 - math.exp(-2.0 * math.pi * 4.0 * highest_hz / rate_hz)
+        leak = 1.0 - math.exp(-2.0 * math.pi * 0.05 * first_hz / rate_hz)
+        # the jumps are averaged over half a millisecond to see whether it still rings
+        fast = 1.0 - math.exp(-1.0 / (5e-4 * rate_hz))
+        self._constants = np.array([1.0 / rate_hz, low, leak, max(1.0, 1e-3 * rate_hz), fast])
         self._scale = mps2_per_code
         self._eighth = max(2, round(rate_hz / first_hz / 8))
         self._cycle = np.zeros(max(2, round(rate_hz / first_hz)), np.int16)  # the last one
@@ -88,20 +85,16 @@ class MotionWatch:
         if not self._started and codes.size >= 2:
             self._started = True
             self._start(np.asarray(codes[: self._eighth], np.float64) * self._scale)
-        if lost and self._started:
-            self._bridge(lost)
+        if lost and self._started:  # by the last cycle; whole cycles of it change nothing
+            n = lost % len(self._cycle)
+            nowhere = np.zeros(n, np.bool_)
+            _follow(self._cycle[:n].copy(), self._scale, nowhere, self._constants, self._state, nowhere.copy())
+            self._state[7] += lost - n
+            self._cycle = np.roll(self._cycle, -n)
         quiet = np.ones(codes.size, np.bool_)
         a, v, x, squares = _follow(codes, self._scale, landed, self._constants, self._state, quiet)
         self._cycle = np.concatenate([self._cycle, codes])[-len(self._cycle) :]
         return Motion(a, v, x, squares, max(0, int(self._state[7])), quiet)
-
-    def _bridge(self, lost: int) -> None:
-        """Follow through ``lost`` samples by the last cycle; whole cycles of them change nothing."""
-        n = lost % len(self._cycle)
-        nowhere = np.zeros(n, np.bool_)
-        _follow(self._cycle[:n].copy(), self._scale, nowhere, self._constants, self._state, nowhere.copy())
-        self._state[7] += lost - n
-        self._cycle = np.roll(self._cycle, -n)
 
     def _start(self, a_mps2: Floats) -> None:
         """Rest is where the run starts: an offset, or gravity, is not motion."""
@@ -140,7 +133,8 @@ def _follow(
         present += fast * (jump - present)
         if landed[i]:
             since = -ringing  # undetected, it is waited for twice as long
-        loud = since <= 0.0 or present > RINGING_SQUARES * usual
+        # ringing squares the jumps: four times the usual mean square is not noise
+        loud = since <= 0.0 or present > 4.0 * usual
         calm = 0.0 if loud else calm + 1.0
         quiet[i] = since >= ringing and calm >= rise
         if calm == 0.0:  # ringing before it was detected

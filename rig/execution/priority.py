@@ -11,11 +11,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-RUN_PRIORITY = 10  # below the audio server's and its clients' callbacks
-
 
 @contextmanager
-def before_other_work(priority: int = RUN_PRIORITY) -> Iterator[bool]:
+def before_other_work(priority: int = 10) -> Iterator[bool]:
     """While it lasts, this thread and what it starts run before all ordinary work; gives whether that was granted.
 
     A process that is already scheduled in real time (``chrt``) keeps what it was given.

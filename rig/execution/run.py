@@ -32,9 +32,7 @@ from rig.profile import Profile
 from rig.programme.ramp import Programme, Step, plan
 from rig.programme.sequencer import LONGEST_PAUSE_S, MOVING, STILL, Sequencer, State, Stop, change_rows, largest_block
 
-BATCH_SAMPLES = 8192  # of a simulated rig that are written together
 INTEGRATED = ("velocity_mps", "displacement_m")  # limits whose use is integrated from the accelerometer
-METER_CYCLES = 4  # of a window in which a hold is measured; the scatter of windows is in the uncertainty
 
 Recorder: TypeAlias = RecordingWriter | RecorderProcess
 """Where a run is recorded: here, or in a process of its own."""
@@ -131,11 +129,12 @@ class _Instruments:
         loop = AmplitudeLoop(profile, profile.control) if profile.control else None
         scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
         amplitudes = loop.amplitudes if loop else None
+        # short windows in a hold: their scatter is in the uncertainty
         return cls(
             programme=programme,
             sequencer=Sequencer(programme, profile, amplitudes=amplitudes, controlled=loop is not None),
             loop=loop,
-            meter=ToneMeter(profile, min(METER_CYCLES, profile.ramp.hold_cycles)),
+            meter=ToneMeter(profile, min(4, profile.ramp.hold_cycles)),
             interlock=Interlock(profile, backend.channels, backend.scales),
             watch=MotionWatch(profile, scale),
             clocks=ClockLog(backend) if isinstance(backend, TwoClocked) else None,
@@ -266,7 +265,13 @@ class _Run:
             block.codes[:, self._instruments.accelerometer], landed, self.account.lost_before
         )
         self._measure(block)
-        self._note_marks()
+        marks, self._sequencer.marks = self._sequencer.marks, []
+        for step in marks:
+            gamma, uncertainty = self._achieved(step)
+            self._last_achieved = (gamma, uncertainty) if math.isfinite(gamma) else self._last_achieved
+            over = step.end_sample <= self._sequencer.position
+            self._marks.append((step.end_sample if over else step.first_sample + 1, step, (gamma, uncertainty)))
+        self._release()
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
         if trip is None and not self._backend.simulated:
             trip = self._interlock.late(waited_s, len(block.codes))
@@ -303,7 +308,7 @@ class _Run:
         """Keep blocks: at once where measured or handed to another process, else in batches."""
         self._pending += blocks
         at_once = not self._backend.simulated or isinstance(self._writer, RecorderProcess)
-        if at_once or sum(len(b.codes) for b in self._pending) >= BATCH_SAMPLES:
+        if at_once or sum(len(b.codes) for b in self._pending) >= 8192:
             self.flush()
 
     def flush(self) -> None:
@@ -314,16 +319,6 @@ class _Run:
                 self._writer.append(*pending)
             except OSError as error:
                 self._disk_failed(error)
-
-    def _note_marks(self) -> None:
-        """Take down the steps that began or ended in this block; write those whose place is settled."""
-        marks, self._sequencer.marks = self._sequencer.marks, []
-        for step in marks:
-            gamma, uncertainty = self._achieved(step)
-            self._last_achieved = (gamma, uncertainty) if math.isfinite(gamma) else self._last_achieved
-            over = step.end_sample <= self._sequencer.position
-            self._marks.append((step.end_sample if over else step.first_sample + 1, step, (gamma, uncertainty)))
-        self._release()
 
     def _release(self, *, everything: bool = False) -> None:
         """Write the rows of steps whose losses are settled, and of the changes of the drive."""

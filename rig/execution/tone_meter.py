@@ -12,9 +12,7 @@ from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats
 from rig.programme.forcing import PhaseClock
 
-HARMONICS = 3  # harmonics fitted with the tones: a mask that follows the cycle would mix them in
 ENOUGH_WINDOWS = 3  # number of windows from which their scatter is a better uncertainty than the fits' own
-LEAST_QUIET = 0.3  # least unmasked part of a window; a window with less is dropped
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,8 @@ class ToneMeter:
         self._clock = PhaseClock.of(setup.forcing.frequency_hz, setup.sampling.rate_hz)
         self._rate_hz, self._g_mps2 = setup.sampling.rate_hz, setup.g_mps2.value
         wanted = [multiple for multiple, _ in setup.forcing.displacement_tones()]
-        fitted = sorted({*range(1, HARMONICS + 1), *wanted})
+        # harmonics are fitted with the tones: a mask that follows the cycle would mix them in
+        fitted = sorted({*range(1, 4), *wanted})
         self._frequencies_hz = [m * setup.forcing.frequency_hz for m in fitted]
         self._wanted = [fitted.index(m) for m in wanted]
         self._window_cycles = window_cycles
@@ -103,7 +102,8 @@ class ToneMeter:
             self._start = max(block.first_sample, min(self._stop, end))
             if self._start < self._stop:
                 return
-            if sum(np.count_nonzero(one.quiet) for one in self._pieces) >= LEAST_QUIET * (self._stop - self._opened):
+            # a window mostly under ringing would measure the ringing
+            if sum(np.count_nonzero(one.quiet) for one in self._pieces) >= 0.3 * (self._stop - self._opened):
                 window = self._sums()
                 self._load = self._load + window.load()
                 self.windows.append(self._of(window))

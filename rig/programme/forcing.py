@@ -19,7 +19,6 @@ from kernels import njit
 from kernels.arrays import Floats
 
 # taken within 2^-80 of a turn a sample, far below what a float frequency can say.
-_MAX_DENOMINATOR = 2**40
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,8 @@ class PhaseClock:
     @classmethod
     def of(cls, frequency_hz: float, rate_hz: float) -> PhaseClock:
         """The clock of ``frequency_hz`` sampled at ``rate_hz``, both taken as the decimals they are written as."""
-        turns = (Fraction(repr(frequency_hz)) / Fraction(repr(rate_hz))).limit_denominator(_MAX_DENOMINATOR)
+        # within 2^-80 of a turn a sample, far below what a float frequency can say
+        turns = (Fraction(repr(frequency_hz)) / Fraction(repr(rate_hz))).limit_denominator(2**40)
         if turns <= 0:
             raise InputError(f"no usable phase clock for {frequency_hz} Hz at {rate_hz} samples a second")
         return cls(turns.numerator, turns.denominator)

@@ -18,9 +18,6 @@ from kernels.arrays import Complexes, Integers
 from rig.profile import Limits, Profile, RampTable
 from rig.programme.forcing import PhaseClock, drive_amplitudes
 
-_STEEPEST = 1.5  # slope of a fade's middle, over that of a straight line
-_MIN_FADE_CYCLES = 2
-_MOST_FADE_CYCLES = 10**15  # more than any run has
 LONGEST_RUN_DAYS = 30.0
 """Longer ramps are refused: a slip in the profile rather than a plan."""
 
@@ -130,8 +127,9 @@ def plan(profile: Profile) -> Programme:
 
 def fade_cycles(ramp: RampTable, change: float) -> int:
     """Whole cycles in which gamma can change by ``change`` within the slew limit."""
-    cycles = _STEEPEST * abs(change) / ramp.slew_per_cycle - 1e-9
-    return max(_MIN_FADE_CYCLES, math.ceil(min(cycles, _MOST_FADE_CYCLES)))
+    # the middle of a fade is 1.5 times as steep as a straight line
+    cycles = 1.5 * abs(change) / ramp.slew_per_cycle - 1e-9
+    return max(2, math.ceil(min(cycles, 1e15)))
 
 
 def peaks(setup: Setup, gamma: float) -> Peaks:
@@ -186,5 +184,6 @@ def _highest(multiples: Integers, amplitudes: Complexes) -> float:
     y = np.real(np.exp(1j * np.outer(phi, multiples)) @ amplitudes)
     top = int(np.argmax(y))
     before, here, after = y[top - 1], y[top], y[(top + 1) % n]
+    # vertex of the parabola through the three highest points
     curve = before - 2.0 * here + after
     return float(here - (after - before) ** 2 / (8.0 * curve) if curve < 0.0 else here)

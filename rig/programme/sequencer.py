@@ -151,6 +151,7 @@ class Sequencer:
         while filled < n_samples and not self.done:
             if self.state is State.FADING and self.position == self.step.first_sample:
                 self.marks.append(self.step)
+            # up to the next change of state or of the drive, so that blocks of any size give the same samples
             piece = min(n_samples - filled, self._until - self.position)
             if self._steered is not None:
                 if self._steered.first_sample == self.position:
@@ -279,7 +280,10 @@ class Sequencer:
         if event in (Event.STOP, Event.CUT, Event.LAST):
             self.steering, self._steered = False, None
         if before in MOVING and (before is State.HOLDING or self.state not in MOVING):
-            self._mark_end(held=before is State.HOLDING)
+            n = self.position - self.step.first_sample
+            if n > 0:
+                settle = self.step.settle_samples if before is State.HOLDING else n
+                self.marks.append(replace(self.step, n_samples=n, settle_samples=settle))
         clock = self.programme.clock
         if self.state is State.FADING:
             planned = self.programme.steps[self.step.index + 1]
@@ -300,12 +304,6 @@ class Sequencer:
             if event is Event.CUT:
                 self._set_fade(Fade(self.position, 0, self._zero, self._zero))
             self._until = self.position + clock.cycle_start(1)
-
-    def _mark_end(self, *, held: bool) -> None:
-        n = self.position - self.step.first_sample
-        if n > 0:
-            settle = self.step.settle_samples if held else n
-            self.marks.append(replace(self.step, n_samples=n, settle_samples=settle))
 
 
 def stop_fade_samples(clock: PhaseClock) -> int:

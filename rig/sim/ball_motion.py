@@ -15,19 +15,7 @@ from rig.sim.forces import gravity, hang_margin, net, plate_acceleration, reboun
 from rig.sim.sensors import landing_edges, push_edge, ring_now
 from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN, uniform
 
-ROCKING_MPS = 0.5
-"""Impact speed that sets the block rocking by one unit."""
-
-LOWEST_TURN_M = 1e-9
-"""A ball that turns below this height never came off."""
-
 _THIRD, _SIXTH = 1.0 / 3.0, 1.0 / 6.0
-
-MOST_EVENTS = 400
-"""Events allowed in one interval; beyond it a chattering ball is put to rest."""
-
-SHORTEST_BOUNCE_S = 1e-6
-"""A rebound that would be over sooner has converged: the ball rests."""
 
 
 @njit()
@@ -151,7 +139,8 @@ def _settle(s: Any, p: Any, v: float) -> None:
     """Right after an impact at the plate, rebounding with ``v``: fly again, be launched again, or rest."""
     s.state, s.direction, s.height_m, s.speed_mps = FLIGHT, 1, 0.0, v
     a = net(s, p, 0.0, v, s.u, s.mode_m, s.mode_mps)
-    if v > 0.0 and (a >= 0.0 or 2.0 * v > -a * SHORTEST_BOUNCE_S):
+    # a rebound that would be over within a microsecond has converged: the ball rests
+    if v > 0.0 and (a >= 0.0 or 2.0 * v > -a * 1e-6):
         _leave(s, p, v)
         return
     s.state, s.speed_mps, s.contact_since_s = CONTACT, 0.0, s.t_s + s.u * s.dt_s
@@ -166,26 +155,19 @@ def _land(s: Any, p: Any, v: float) -> None:
     chance = uniform(s) if p.scattered_restitution_e > 0.0 else 0.0
     e = rebound(s, p, impact, chance)
     if p.rod_rocking_mu > 0.0:
-        s.rocking = s.rocking * math.exp(-(t - s.landed_s) / p.rod_rocking_decay_s) + impact / ROCKING_MPS
+        # an impact at 0.5 m/s sets the block rocking by one unit
+        s.rocking = s.rocking * math.exp(-(t - s.landed_s) / p.rod_rocking_decay_s) + impact / 0.5
     s.flight_s, s.landed_s = t - s.left_s, t
     s.impacts += 1
     s.parity = 1 - s.parity
     if p.has_mode != 0.0:
         share = p.table_resonance_mass_ratio
+        # momentum of the ball and the mode's mass
         s.mode_mps -= share / (1.0 + share) * (1.0 + e) * impact
     landing_edges(s, p, t)
     s.hold_until_s = t + p.impact_hold_hold_s_per_mps * impact
     ring_now(s, p, impact * (1.0 + e))
     _settle(s, p, e * impact)
-
-
-@njit()
-def _cross_gap(s: Any, p: Any, c: Any, step_s: float, h1: float) -> None:
-    """Open the circuit where the ball rises through the contact gap in this step."""
-    if s.commanded_open == 0 and s.height_m <= p.contact_gap_gap_m < h1:
-        s.commanded_open = 1
-        x = _root(c, 0.0, 1.0, False, p.contact_gap_gap_m)
-        push_edge(s, p, s.t_s + s.u * s.dt_s + x * step_s, OPEN)
 
 
 @njit()
@@ -195,11 +177,15 @@ def _fly(s: Any, p: Any) -> None:
     h0, v0 = s.height_m, s.speed_mps
     h1, v1, y1, yv1 = _step(s, p, step)
     turned = p.has_friction != 0.0 and s.direction * v1 < 0.0
+    # a fall that turned within the step may have touched the plate in between
     dipped = v0 < 0.0 and v1 > 0.0 and h1 >= 0.0 and h0 + 0.5 * step * v0 < 0.0
     if h1 >= 0.0 and not turned and not dipped:
         if s.commanded_open == 0 and h1 > p.contact_gap_gap_m:
             a0, a1 = net(s, p, h0, v0, s.u, s.mode_m, s.mode_mps), net(s, p, h1, v1, 1.0, y1, yv1)
-            _cross_gap(s, p, _hermite(h0, v0, a0, h1, v1, a1, step), step, h1)
+            if h0 <= p.contact_gap_gap_m:  # the circuit opens where the ball rises through the gap
+                s.commanded_open = 1
+                x = _root(_hermite(h0, v0, a0, h1, v1, a1, step), 0.0, 1.0, False, p.contact_gap_gap_m)
+                push_edge(s, p, s.t_s + s.u * s.dt_s + x * step, OPEN)
         _move_to(s, 1.0, h1, v1, y1, yv1)
         return
     a0, a1 = net(s, p, h0, v0, s.u, s.mode_m, s.mode_mps), net(s, p, h1, v1, 1.0, y1, yv1)
@@ -237,7 +223,8 @@ def _advance(s: Any, p: Any, step_s: float) -> None:
 def _turn(s: Any, p: Any) -> None:
     """At a standstill in mid-air under friction: hang on the rod, or slide on in the direction of the pull."""
     s.speed_mps = 0.0
-    if s.height_m < LOWEST_TURN_M:
+    # a ball that turns below a nanometre never came off
+    if s.height_m < 1e-9:
         _land(s, p, 0.0)
         return
     s.state = HANGING
@@ -304,11 +291,12 @@ def move_ball(s: Any, p: Any) -> None:
         s.u = 1.0
         return
     s.u = 0.0
-    for _ in range(MOST_EVENTS):
+    for _ in range(400):
         if s.state == FLIGHT:
             _fly(s, p)
         else:
             _stay(s, p)
         if s.u >= 1.0:
             return
+    # a chattering ball with more events than any motion has in one interval is put to rest
     s.state, s.height_m, s.speed_mps, s.u = CONTACT, 0.0, 0.0, 1.0

@@ -27,9 +27,6 @@ NUISANCES = ("contact_gap", "contact_closure")
 INVISIBLE = ("clock_error",)
 """Where drive and recording share one clock, the motion keeps its phases and only the table's ringing changes pitch."""
 
-EQUAL_FRICTION = 0.7
-"""Share of draws in which friction is the same up and down."""
-
 
 def pool(kind: Literal["named", "beyond", "covariate"]) -> tuple[str, ...]:
     """Names to draw from: the agreed ones, those beyond them, or of these the smooth terms of one covariate."""
@@ -141,7 +138,7 @@ def instrument_in_words(rig: Mapping[str, float]) -> str:
         f"accelerometer behind a low-pass of {rig['low_pass_hz'] / 1e3:.1f} kHz (order {rig['low_pass_poles']:.0f}), "
         f"1/f noise of {1e3 * rig['flicker_v']:.2f} mV an octave, bias {1e3 * rig['bias_v']:.2f} mV, mains "
         f"{1e3 * rig['mains_v']:.2f} mV, cross-axis {100.0 * rig['cross_axis']:.2f} %, range "
-        f"{rig['sensor_clip_g']:.1f} g; channels {1e6 * rig['between_channels_s']:.1f} us apart; a contact that "
+        f"{rig['sensor_clip_g']:.1f} g; channels {1e6 * rig['between_channels_s']:.1f} us late each; a contact that "
         f"chatters for up to {1e3 * rig['bounce_s']:.2f} ms, with a film of {rig['film_v']:.2f} V"
     )
 
@@ -167,6 +164,7 @@ def _draw(
         if parameter.low < 0.0 and rng.random() < 0.5:
             size = -size
         values[parameter.name] = float(np.clip(size, parameter.low, parameter.high))
-    if entry.name == "coulomb_friction" and rng.random() < EQUAL_FRICTION:
+    # most rods rub alike up and down
+    if entry.name == "coulomb_friction" and rng.random() < 0.7:
         values["mu_down"] = values["mu_up"]
     return values

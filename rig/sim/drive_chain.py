@@ -14,18 +14,13 @@ from rig.sim.forces import G_MPS2
 
 _SIXTH = 1.0 / 6.0
 
-MEAN_SQUARE_S = 0.05
-"""Time constant of each of the two stages that follow the drive's mean square."""
-
-LEAK_S = 2.0
-"""The suspension's memory of the plate's mean velocity."""
-
 
 @njit()
 def _amplifier(s: Any, p: Any, volts: float) -> float:
     """Gain errors, bending and clipping; volts that would drive an ideal shaker."""
     t = s.t_s + s.dt_s
-    rate = s.dt_s * (1.0 / MEAN_SQUARE_S)
+    # two stages of 50 ms follow the drive's mean square, as a coil's heat or a limiter would
+    rate = s.dt_s * (1.0 / 0.05)
     s.mean_square_1 += (volts * volts - s.mean_square_1) * rate
     s.mean_square_v2 += (s.mean_square_1 - s.mean_square_v2) * rate
     out = volts * (1.0 + p.drive_gain_relative)
@@ -77,4 +72,5 @@ def drive_plate(s: Any, p: Any, volts: float) -> None:
     s.node3, s.node2, s.node1 = older, old, node
     mean = s.a0 + 0.5 * s.a1 + 2.0 * _SIXTH * s.a2 + 0.25 * s.a3
     s.plate_mps = s.plate_end_mps
-    s.plate_end_mps += s.dt_s * (mean - s.plate_mps * (1.0 / LEAK_S))
+    # the suspension forgets the plate's mean velocity within two seconds
+    s.plate_end_mps += s.dt_s * (mean - s.plate_mps * 0.5)

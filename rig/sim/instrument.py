@@ -29,13 +29,9 @@ SIDEWAYS_HZ, SIDEWAYS_DAMPING, SIDEWAYS_GAIN = 90.0, 0.05, 3.0
 OCTAVES = 18
 """Of 1/f noise, down from a quarter of the rate."""
 
-FIR_CORNER = 0.94
-"""Of the converter's linear-phase filter, in units of half the rate."""
 
 ANALOGUE = ("low_pass_hz", "high_pass_hz", "mount_hz", "cross_axis", "sensor_clip_g", "between_channels_s")
 """Keys of which one that is not zero makes the accelerometer's signal pass the sections."""
-
-LINE_HZ = 50.0
 
 
 def sections(rig: Mapping[str, float], rate_hz: float) -> Floats:
@@ -111,7 +107,7 @@ def shown_acceleration(
     step_s, w = s.dt_s / SUBSTEPS, 2.0 * math.pi * p.ring_frequency_hz
     decay = math.exp(-step_s / p.ring_decay_s)
     turn_re, turn_im = decay * math.cos(w * step_s), decay * math.sin(w * step_s)
-    noise_mps2 = p.accelerometer_noise_g * G_MPS2 * math.sqrt(1.0 * SUBSTEPS)
+    noise_mps2 = p.accelerometer_noise_g * G_MPS2 * math.sqrt(1.0 * SUBSTEPS)  # white: a density, not a variance
     place = SUBSTEPS * (1.0 - min(p.between_channels_s / s.dt_s, 1.0))
     taken = s.filtered
     for j in range(1, SUBSTEPS + 1):
@@ -174,7 +170,7 @@ class Converter:
     def __init__(self, rig: Mapping[str, float], rate_hz: float, rng: np.random.Generator) -> None:
         self._rig, self._rate_hz = rig, rate_hz
         size = int(rig["fir_samples"])
-        self._fir = firwin(2 * size + 1, FIR_CORNER, window=("kaiser", 8.0)) if size else np.ones(1)
+        self._fir = firwin(2 * size + 1, 0.94, window=("kaiser", 8.0)) if size else np.ones(1)
         self._filtered = () if not size else (1,) if rig["fir_accelerometer_only"] else (0, 1, 2)
         self._last = np.zeros((3, self._fir.size))
         corners_hz = rate_hz / 4.0 / 2.0 ** np.arange(OCTAVES)
@@ -206,5 +202,5 @@ class Converter:
         if rig["bias_v"] or rig["warm_up_v"]:
             volts[:, 1] += rig["bias_v"] + rig["warm_up_v"] * np.exp(-time_s / rig["warm_up_s"])
         for channel, (amplitude_v, odd) in self._lines.items():
-            angle = 2.0 * math.pi * LINE_HZ * time_s + 1.0
+            angle = 2.0 * math.pi * 50.0 * time_s + 1.0
             volts[:, channel] += amplitude_v * (np.sin(angle) + sum(odd / k * np.sin(k * angle) for k in (3, 5, 7)))

@@ -56,7 +56,7 @@ class Scenario:
     nonce: str = ""
 
     def __post_init__(self) -> None:
-        problems = [*_effect_problems(self.effects), *_rig_problems(self.rig), *_drift_problems(self)]
+        problems = _problems(self)
         if problems:
             raise ValueError("; ".join(problems))
 
@@ -123,9 +123,10 @@ class Scenario:
         return "\n".join(lines) + "\n"
 
 
-def _effect_problems(effects: Mapping[str, Mapping[str, float]]) -> list[str]:
-    problems = []
-    for name, table in effects.items():
+def _problems(scenario: Scenario) -> list[str]:
+    """What is wrong with a scenario's effects, rig keys and drifts."""
+    problems, rig = [], scenario.rig
+    for name, table in scenario.effects.items():
         if name not in EFFECTS:
             problems.append(f"effects.{name}: wanted one of {', '.join(EFFECTS)}")
             continue
@@ -136,19 +137,10 @@ def _effect_problems(effects: Mapping[str, Mapping[str, float]]) -> list[str]:
             elif not _is_number(value) or not known[key].low <= value <= known[key].high:
                 wanted = f"a number from {known[key].low:g} to {known[key].high:g}"
                 problems.append(f"effects.{name}.{key}: wanted {wanted}, got {value!r}")
-    return problems
-
-
-def _rig_problems(rig: Mapping[str, float]) -> list[str]:
-    problems = [f"rig.{key}: wanted one of {', '.join(RIG_DEFAULTS)}" for key in rig if key not in RIG_DEFAULTS]
+    problems += [f"rig.{key}: wanted one of {', '.join(RIG_DEFAULTS)}" for key in rig if key not in RIG_DEFAULTS]
     problems += [f"rig.{key}: wanted a number, got {value!r}" for key, value in rig.items() if not _is_number(value)]
     if rig.get("low_pass_poles", 1) not in (1, 2, 4):
         problems.append(f"rig.low_pass_poles: wanted 1, 2 or 4, got {rig['low_pass_poles']!r}")
-    return problems
-
-
-def _drift_problems(scenario: Scenario) -> list[str]:
-    problems = []
     for dotted, rate in scenario.drift_per_minute.items():
         effect, _, name = dotted.partition(".")
         present = effect in scenario.effects and any(p.name == name for p in EFFECTS[effect].parameters)

@@ -28,25 +28,19 @@ def _insert(s: Any, t: float, kind: int) -> None:
 
 
 @njit()
-def _cancel(s: Any, kind: int, after_s: float) -> None:
-    """Forget pending edges of one kind later than ``after_s``."""
-    left = 0
-    for i in range(s.n_edges):
-        if s.edge_kind[i] == kind and s.edge_s[i] > after_s:
-            continue
-        s.edge_s[left], s.edge_kind[left] = s.edge_s[i], s.edge_kind[i]
-        left += 1
-    s.n_edges = left
-
-
-@njit()
 def push_edge(s: Any, p: Any, t: float, kind: int) -> None:
     """Queue the opening or closing that happens mechanically at ``t``."""
     late = t + p.contact_latency_delay_s
     if kind == OPEN:
         late = max(late, s.closed_s + p.contact_closure_duration_s + p.contact_latency_delay_s)
     else:
-        _cancel(s, OPEN, late)
+        left = 0
+        for i in range(s.n_edges):  # openings that have not come yet are overtaken by the closing
+            if s.edge_kind[i] == OPEN and s.edge_s[i] > late:
+                continue
+            s.edge_s[left], s.edge_kind[left] = s.edge_s[i], s.edge_kind[i]
+            left += 1
+        s.n_edges = left
         s.closed_s = t
     _insert(s, late, kind)
 

@@ -28,9 +28,7 @@ from rig.profile import Profile
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 
-START_S = 10.0
 PRIORITY = 40  # of the server, where it may have one
-AC_CORNER_HZ = 5.0  # high-pass corner of the virtual card's inputs with ``coupling = "ac"``
 
 
 class PlantLog:
@@ -154,7 +152,8 @@ class JackPlant(PlantClient):
         channel = getattr(self._profile.channels, name)
         if channel is None:
             return HighPass(None, 1.0), 0.0
-        corner_hz = AC_CORNER_HZ if channel.coupling == "ac" else None
+        # the virtual card's AC-coupled inputs pass nothing below 5 Hz
+        corner_hz = 5.0 if channel.coupling == "ac" else None
         return HighPass(corner_hz, self._plant.rate_hz), self._plant.channel_scales[name] / channel.range_v
 
     def _skip(self, drive_v: Floats) -> None:
@@ -218,7 +217,7 @@ def _started(jackd: str, name: str, rate_hz: float, period: int) -> subprocess.P
     for mode in [["-R", "-P", str(PRIORITY)], ["-r"]] if may_run_first(PRIORITY) else [["-r"]]:
         command = [jackd, *mode, "-n", name, "-d", "dummy", "-r", f"{rate_hz:.0f}", "-p", str(period)]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        until = time.monotonic() + START_S
+        until = time.monotonic() + 10.0
         while process.poll() is None and time.monotonic() < until:
             if _answers(name):
                 return process

@@ -238,7 +238,7 @@ def test_a_kernel_that_wants_what_is_not_there_is_compiled_anew(places) -> None:
     """Code with a symbol that this process lacks is not linked, which would end the process."""
     assert compiled_with(3.0, {})(2.0) == 7.0
     (file,) = places[0].glob("*outer*.bin")
-    kept = machine_code.Kept(*pickle.loads(file.read_bytes()[store.DIGEST_BYTES :]))
+    kept = machine_code.StoredKernel(*pickle.loads(file.read_bytes()[store.DIGEST_BYTES :]))
     assert machine_code.load(pickle.dumps(tuple(kept)))(2.0) == 7.0
     lacking = kept._replace(wanted=[*kept.wanted, "a symbol of nobody"])
     assert machine_code.load(pickle.dumps(tuple(lacking))) is None

@@ -86,7 +86,11 @@ def _checked(value: Any) -> BackendOptions:
         options = kind_of(name).options
     except InputError as error:
         raise ValueError(str(error)) from error
-    others = [(key, _owners(key)) for key in value if key not in options.model_fields]
+    others = [
+        (key, [owner for owner, kind in built_in().items() if key in kind.options.model_fields])
+        for key in value
+        if key not in options.model_fields
+    ]
     misplaced = [
         InitErrorDetails(
             type=PydanticCustomError(
@@ -103,11 +107,6 @@ def _checked(value: Any) -> BackendOptions:
     if misplaced:
         raise _faults(*misplaced)
     return options.model_validate(value, strict=True)
-
-
-def _owners(key: str) -> list[str]:
-    """Built-in kinds that have the option ``key``."""
-    return [name for name, kind in built_in().items() if key in kind.options.model_fields]
 
 
 def _faults(*faults: InitErrorDetails) -> ValidationError:
