@@ -82,6 +82,7 @@ class LoadedTones:
         x = self.unmasked.solve(0)
         columns = self._load_columns(x)
         common = self.unmasked_contact.gram @ columns
+        # Frisch and Waugh: what the tones explain of the load is taken out before its share is fitted
         tones_of_load = self.unmasked.inverse() @ common
         square = float(columns @ common - tones_of_load @ common)
         cross = float(columns @ self.unmasked_contact.rhs[:, 0] - tones_of_load @ self.unmasked.rhs[:, 0])

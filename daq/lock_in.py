@@ -258,6 +258,7 @@ class LockIn:
 def boxcar_response(frequencies_hz: Floats, rate_hz: float, boxcar: int) -> Complexes:
     """Response of the mean over ``boxcar`` samples, ``rate_hz`` means a second, at each tone, shape (k,)."""
     theta = np.pi * frequencies_hz / (rate_hz * boxcar)  # half a recorded sample's phase
+    # Dirichlet's kernel: the sum of a geometric series of phasors
     gain = np.sin(boxcar * theta) / (boxcar * np.sin(theta))
     return np.asarray(gain * np.exp(1j * theta * (boxcar - 1)))
 
@@ -293,7 +294,7 @@ def _inverses(grams: Floats, counts: Integers, frequencies_hz: Floats) -> Floats
     inverses = np.empty(grams.shape)
     unfit = int(invert(np.ascontiguousarray(grams), inverses))
     if unfit >= 0:
-        raise ValueError(f"the tones {frequencies_hz} Hz cannot be told apart in {counts[unfit]} values")
+        raise ValueError(f"the tones {frequencies_hz} Hz cannot be separated by {counts[unfit]} values")
     return inverses
 
 

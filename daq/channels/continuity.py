@@ -45,7 +45,9 @@ class ContinuityChannel(Channel):
         """Refuse levels that cannot be distinguished or read."""
         open_v, closed_v = self.open_v.value, self.closed_v.value
         if open_v == closed_v:
-            raise ValueError(f"open_v and closed_v are both {open_v:g} V: contact could not be told from flight")
+            raise ValueError(
+                f"open_v and closed_v are both {open_v:g} V: contact and flight could not be distinguished"
+            )
         if max(abs(open_v), abs(closed_v)) > self.range_v:
             raise ValueError(f"open_v or closed_v lies outside range_v = {self.range_v:g} V")
         return self

@@ -177,6 +177,7 @@ def _honest(where: Floats, lags: Floats, sigma: Floats, jump: Bools) -> Floats:
     calm = ~(jump[1:-1] | jump[2:])  # a jump is no scatter
     if len(where) < 8 or not calm.any():
         return sigma
+    # what the middle of three readings differs by from the line through the others
     share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
     bend = lags[1:-1] - lags[:-2] - share * (lags[2:] - lags[:-2])
     claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)

@@ -16,7 +16,6 @@ from kernels.arrays import Floats
 LARGEST = 20_000  # most samples lost at once that are searched for
 LATENCY = 20_000  # longest latency of the loop-back, samples
 UNSOLVABLE = 1e-12  # part of a column's square sum below which its remainder is rounding
-ITERATIONS = 4  # most refinements of a fit whose guess was off by more than a sample
 
 
 @dataclass(frozen=True)
@@ -130,6 +129,7 @@ class LagFit:
         unknown = Lag(float(self.guess), np.inf, float(np.sqrt(hh / max(n, 1.0))), 0.0)
         if n < 4 or dd <= UNSOLVABLE * sums[0, 0]:
             return unknown
+        # normal equations of gain and gain * shift, the mean taken out: two unknowns, solved by elimination
         slope = ss - ds * ds / dd  # of which the drive itself is no part
         if slope <= UNSOLVABLE * sums[1, 1]:
             return unknown
@@ -142,7 +142,7 @@ class LagFit:
         return Lag(self.guess + float(turned / gain), sigma, rms_v, float(gain))
 
 
-def lag_at(played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int, iterations: int = ITERATIONS) -> Lag:
+def lag_at(played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int, iterations: int = 4) -> Lag:
     """Lag of ``heard`` (its first frame is number ``first``) near ``guess``."""
     best = Lag(float(guess), np.inf, float(np.std(heard)), 0.0)
     for _ in range(iterations):

@@ -41,7 +41,7 @@ class BlockClock:
     """Seconds missing according to the clock at each block's end.
 
     A block may be reported late, never early, so the least delay over a while is the clock's true one; it is learned
-    anew while the loop-back agrees that nothing is missing, so that two clocks that drift apart are no loss.
+    anew while the loop-back agrees that nothing is missing, so that a drift between two clocks is no loss.
     """
 
     def __init__(self, rate_hz: float, keep: int = 64) -> None:
@@ -223,7 +223,7 @@ class LossDetector:
             return self._settled(*self._by_adc())
         if fits and abs(now.samples - self._lag) < 0.5:
             self._rms.append(now.rms_v)
-            self._lag += 0.05 * (now.samples - self._lag)  # two clocks may drift apart slowly
+            self._lag += 0.05 * (now.samples - self._lag)  # follows a slow drift between two clocks
             return self._settled()
         if self._goes_on(volts, usual_v):
             return self._settled(flag=int(BlockFlag.FILLED))

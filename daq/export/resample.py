@@ -17,8 +17,6 @@ from daq.recording.reader import Recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats, Integers
 
-LARGEST = 100_000  # of numerator and denominator of the two rates' ratio
-
 
 class Resampled:
     """``recording`` at ``rate_hz``; floats in volts.
@@ -35,7 +33,7 @@ class Resampled:
         except ImportError as error:
             raise InputError("another rate needs the package soxr: pip install soxr") from error
         ratio = Fraction(repr(rate_hz)) / Fraction(repr(recording.rate_hz)) if rate_hz > 0 else Fraction(0)
-        if ratio == 0 or max(ratio.numerator, ratio.denominator) > LARGEST:
+        if ratio == 0 or max(ratio.numerator, ratio.denominator) > 100_000:
             raise InputError(
                 f"{recording.path}: {recording.rate_hz:g} samples a second cannot be brought to {rate_hz:g}; "
                 "wanted a rate above 0, and a ratio of whole numbers up to 100000"

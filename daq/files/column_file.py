@@ -150,6 +150,7 @@ class ColumnWriter:
             dataset.write(here, where, values, kind)
             self._disk.check()
             dataset.read(here, where, back, kind)
+            # bit for bit: NaN equals NaN, and 0 differs from -0
             same = np.array_equal(values.view(f"u{values.itemsize}"), back.view(f"u{values.itemsize}"))
             for at in range(start, start + len(values), CHUNK_SAMPLES):
                 self._stored[name, at] = zlib.crc32(dataset.read_direct_chunk((at,))[1])

@@ -92,6 +92,7 @@ class FrameWriter:
         self._marks = self._file.create_dataset(FRAME_MARKS, (0,), "u1", maxshape=(None,), chunks=(page,))
         self._n_pages = 0
         self._file.flush()
+        # single writer, multiple readers: every flush leaves a file that another process can open
         self._file.swmr_mode = True
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         self._hdf5_descriptor = self._file.id.get_vfd_handle()
@@ -133,7 +134,7 @@ class FrameWriter:
             yield
         except (OSError, RuntimeError) as error:
             self._let_go()
-            raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is kept") from error
+            raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is safe") from error
 
     def _write(self, blocks: Sequence[Block]) -> None:
         """Frames first, then the rows that acknowledge them."""
@@ -214,6 +215,7 @@ class FrameWriter:
             return json.dumps({**ending, ROW_CRC: text_crc(ending)}).encode()
 
         text = text_of(ending)
+        # a reason too long for its place is cut: twelve bytes at most for a character of JSON
         if len(text) > _END_BYTES:
             text = text_of({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]})
         self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)

@@ -209,6 +209,7 @@ def mended(data: bytes, n_bytes: int, crc: int) -> bytes:
     for at in range(n_bytes - 1, -1, -1):
         if state in single:
             return data[:at] + bytes([data[at] ^ single[state]]) + data[at + 1 :]
+        # one step of the CRC backwards: its highest byte says which table entry was added
         k = back[state >> 24]
         state = ((state ^ table[k]) << 8 | k) & 0xFFFFFFFF
     return b""

@@ -22,11 +22,7 @@ from daq.steps.tone_tracking import fit, tones_hz
 from kernels.arrays import Bools, Floats, Integers
 
 RINGING_S = (3e-3, 2e-3, 1e-3)  # masked after a closing: the longest that leaves enough
-OUTLIER_SIGMAS = 6.0  # from the motion, beyond which a sample belongs to an impact
-OUTLIER_FLOOR = 1e-3  # the same over the motion's largest amplitude: a file without noise has harmonics
 LEAST_QUIET = 0.5  # part of a hold that remains
-FEWEST_CLOSINGS = 4  # impacts that show how long a table rings
-RINGING_OVER, RINGING_PART = 5.0, 0.2  # left after a mask: over what was there before, and as a part of the ringing
 
 
 def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
@@ -94,7 +90,8 @@ def _quiet(x: Floats, first: int, rate_hz: float, motion_hz: Floats, touching: B
             motion = fit_tones(x, first, rate_hz, motion_hz, quiet)
             away = np.abs(x - motion.offset - (motion.amplitudes @ tones).real)
             noise = 1.4826 * float(np.median(away))
-            limit = max(OUTLIER_SIGMAS * noise, OUTLIER_FLOOR * np.abs(motion.amplitudes).max())
+            # far from the motion: an impact; a file without noise has at least its harmonics
+            limit = max(6.0 * noise, 1e-3 * np.abs(motion.amplitudes).max())
             outliers = np.flatnonzero(away > limit)
             quiet = _clear(len(x), np.concatenate([closings, outliers]), rate_hz, ringing_s)
         if np.mean(quiet) >= LEAST_QUIET:
@@ -107,12 +104,13 @@ def _rings_on(left: Floats, closings: Integers, rate_hz: float) -> bool:
     lead, width = round(2e-4 * rate_hz), max(round(RINGING_S[-1] * rate_hz), 1)
     behind = round(RINGING_S[0] * rate_hz)
     inside = closings[(closings > lead + width) & (closings + behind + width < len(left))]
-    if len(inside) < FEWEST_CLOSINGS:
+    if len(inside) < 4:
         return False
     before, at, after = (
         np.median([np.std(left[a : a + width]) for a in inside + shift]) for shift in (-lead - width, 0, behind)
     )
-    return bool(after > RINGING_OVER * before and after > RINGING_PART * at)
+    # what is left after the mask stands out of what was there before, and is a good part of the ringing
+    return bool(after > 5.0 * before and after > 0.2 * at)
 
 
 def _clear(n: int, impacts: Integers, rate_hz: float, ringing_s: float) -> Bools:

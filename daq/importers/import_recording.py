@@ -54,8 +54,6 @@ from daq.steps.forcing_detection import Read
 from kernels.arrays import Floats
 
 LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are stored in nanoseconds, in 64 bits
-YEAR_9999_S = 2.5e11
-EPOCH_S = 1e9  # first time from which it counts as seconds since 1970
 RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
 SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; shorter, it may be the middle of a fade
 
@@ -299,7 +297,8 @@ def _blocks(base: Timebase, n_samples: int) -> NDArray[np.void]:
 def _late_attributes(intake: Intake, setup: Setup, base: Timebase) -> dict[str, Any]:
     """Root attributes that are known once all rows were read."""
     started, path = "", intake.source.path
-    if EPOCH_S < intake.origin_s < YEAR_9999_S:
+    # a first time from 2001 to the year 9999 counts as seconds since 1970
+    if 1e9 < intake.origin_s < 2.5e11:
         when = datetime.datetime.fromtimestamp(intake.origin_s, datetime.UTC)
         started = when.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
     with path.open("rb") as file:

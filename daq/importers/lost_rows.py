@@ -13,9 +13,6 @@ from daq.steps.find_steps import SAME_FREQUENCY, FoundStep
 from daq.steps.forcing_detection import Read
 from kernels.arrays import Complexes, Floats, Integers
 
-SIGMAS = 5.0
-LEAST_SAMPLES = 1.5  # jump of the phase that is a loss, at least
-
 
 def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
     """Places where rows are missing: ``(k, 3)``, row before which, how many, and their uncertainty.
@@ -84,7 +81,8 @@ class _Jump:
     def lost(self, sure_rad: float) -> tuple[int, int] | None:
         """Number of samples missing and its uncertainty; None where none are, or no number explains all tones."""
         sigma_rad = np.hypot(self.sigma_rad, sure_rad)
-        least = np.maximum(SIGMAS * sigma_rad, 2.0 * np.pi * LEAST_SAMPLES * self.turns)
+        # a loss is a jump by more than its uncertainty, and by more than a sample and a half in every tone
+        least = np.maximum(5.0 * sigma_rad, 2.0 * np.pi * 1.5 * self.turns)
         if np.all(np.abs(self.angles(np.zeros(1))) < least):
             return None
         counts = np.arange(1.0, 1.0 / self.turns.min())

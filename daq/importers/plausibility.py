@@ -35,7 +35,7 @@ def remarks(
         said.append(f"{which}: steps were looked for in the accelerometer, and gamma is the plate's")
     if not base.uniform and base.jitter_s * base.rate_hz > JITTER_SHARE:
         said.append(
-            f"times are not even and are kept as they came; the analysis counts samples at {base.rate_hz:.6g} "
+            f"times are not even and are stored as they came; the analysis counts samples at {base.rate_hz:.6g} "
             f"samples/s, from which they differ by {base.jitter_s * 1e6:.3g} us rms"
         )
     if len(base.gaps) <= 5:  # few enough to be listed one by one
@@ -142,5 +142,6 @@ def _steps(times: Times, start: int, stop: int, quantum_s: float) -> Floats:
     """Seconds between samples, by strides long enough that rounding does not bias them."""
     own = times(start, min(stop, start + (1 << 16)))
     mean_s = float(own[-1] - own[0]) / (len(own) - 1)
+    # fifty rounding steps long: a median of shorter ones would be a multiple of the rounding
     stride = max(int(min(np.ceil(50.0 * quantum_s / max(mean_s, 1e-12)), len(own) // 4)), 1)
     return np.asarray((own[stride:] - own[:-stride]) / stride)

@@ -17,21 +17,9 @@ from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
 
-OFTEN = 0.7  # part of the steps that must show the same tones
-HIGHEST = 4  # ratio up to which the first tone is strong enough to be found next to the second
 OTHER_SCALE = 1.5  # ratio of gamma at the plate to gamma commanded, up or down, that is a doubt
-DEAD = 0.05  # ratio of the two gammas below which the accelerometer counts as dead
-NOISE_SIGMAS = 4.0  # uncertainties within which gamma counts as zero
-CONTACT_MOVES = 0.1  # part of the contact circuit's declared swing below which it does not change at all
-THROWN = 1.5  # peak of the plate's acceleration in g beyond which the ball certainly leaves it
-TWO_LEVELS, NOT_TWO_LEVELS = 0.06, 0.15  # part of the samples between the extremes: of a contact, of a motion
-FEWEST_EDGES = 8
-TIGHTER = 0.4  # spread over that of landings, below which edges are take-offs
-LOCKED = 0.2  # spread of edges, relative, up to which they may be those of one repeated motion
 TAKEOFF_G = (0.2, 3.0)  # accelerations of the plate at take-offs between which the scale is believed
 BIAS_G = 0.5  # of the accelerometer's zero
-BIAS_SIGMAS = 5.0
-OPPOSED_DEG = 120.0  # phase from which drive and plate move against each other
 
 
 def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
@@ -66,8 +54,9 @@ def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     if not seen.holds or "continuity" not in seen.holds[0].middle:
         return
     middle = {role: float(np.median([hold.middle[role] for hold in seen.holds])) for role in seen.holds[0].middle}
-    others = [role for role, part in middle.items() if role != "continuity" and part < TWO_LEVELS]
-    if middle["continuity"] > NOT_TWO_LEVELS and len(others) == 1:
+    # few samples lie between the extremes of a contact, many of a motion
+    others = [role for role, part in middle.items() if role != "continuity" and part < 0.06]
+    if middle["continuity"] > 0.15 and len(others) == 1:
         yield Doubt(
             "exchanged",
             f"the {others[0]} stands at two levels as a contact does, and the continuity at none",
@@ -79,7 +68,7 @@ def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
 def _dead(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     """An accelerometer that shows nothing of the drive."""
     plates = [hold.plate for hold in seen.holds if hold.drive is not None]
-    above = [np.abs(fit.amplitudes).max() - NOISE_SIGMAS * fit.amplitude_sigma().max() for fit in plates]
+    above = [np.abs(fit.amplitudes).max() - 4.0 * fit.amplitude_sigma().max() for fit in plates]
     if plates and np.median(above) <= 0.0:
         yield Doubt(
             "dead",
@@ -104,7 +93,8 @@ def _tones(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         0
     ]
     wanted = [m for m, z in forcing.displacement_tones() if abs(z) > 1e-12]
-    if often < OFTEN * len(seen.holds) or ratios == tuple(m / wanted[0] for m in wanted) or wanted[-1] > HIGHEST:
+    # beyond a ratio of 4 the first tone is too weak next to the second to be found
+    if often < 0.7 * len(seen.holds) or ratios == tuple(m / wanted[0] for m in wanted) or wanted[-1] > 4:
         return
     first_hz = float(np.median([h.tones_hz[0] for h in seen.holds if len(h.tones_hz) == len(ratios)]))
     names = " and ".join(f"{first_hz * x:.5g} Hz" for x in ratios)
@@ -130,7 +120,7 @@ def edges_g(seen: Measured, contact: ContinuityChannel | None) -> tuple[Floats, 
 
 def at_edges_g(edges: Floats) -> float | None:
     """Median acceleration at edges (n, delays); None where there are few."""
-    return float(np.median(edges[:, len(DELAYS_S) // 2])) if len(edges) >= FEWEST_EDGES else None
+    return float(np.median(edges[:, len(DELAYS_S) // 2])) if len(edges) >= 8 else None
 
 
 def _spread(edges: Floats) -> float:
@@ -153,9 +143,10 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         # take-offs are the edges whose accelerations lie closer together; in a single locked motion landings lie as
         # close together, and take-offs are those nearer to g
         spread, other_spread = _spread(opens), _spread(closes)
-        if max(spread, other_spread) > LOCKED:
-            closings_are_takeoffs = other_spread < TIGHTER * spread
+        if max(spread, other_spread) > 0.2:
+            closings_are_takeoffs = other_spread < 0.4 * spread
         else:
+            # in a locked motion both lie close: the take-offs are those nearer to g
             from_g, other_from_g = (abs(math.log(max(abs(x), 1e-9))) for x in (at, other))
             closings_are_takeoffs = other_from_g < from_g and at > 0.0
         if at * other < 0.0 and closings_are_takeoffs:
@@ -180,7 +171,7 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             True,
         )
     phase_deg = drive_phase_deg(seen, setup)
-    if phase_deg is not None and abs(phase_deg) > OPPOSED_DEG and at is not None and not turned:
+    if phase_deg is not None and abs(phase_deg) > 120.0 and at is not None and not turned:
         yield Doubt(
             "drive_sense",
             f"the plate moves {phase_deg:+.0f} degrees after the drive",
@@ -210,9 +201,10 @@ def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         return
     low, high = seen.levels_v
     declared = f"the profile says open_v = {contact.open_v.value:g}, closed_v = {contact.closed_v.value:g}"
-    if high - low < CONTACT_MOVES * abs(contact.swing_v):
+    if high - low < 0.1 * abs(contact.swing_v):
         most_g = max((hold.peak_g for hold in seen.holds), default=0.0)
-        if most_g > THROWN:
+        # beyond 1.5 g downwards the ball certainly leaves the plate
+        if most_g > 1.5:
             yield Doubt(
                 "contact",
                 f"the contact circuit stays between {low:.3g} and {high:.3g} V while the plate reaches {most_g:.2g} g",
@@ -256,7 +248,7 @@ def _scale(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     if abs(np.log(max(exchanged, 1e-300))) < np.log(OTHER_SCALE):
         cure = "exchanged they would agree: exchange the columns of accelerometer and drive (--map) and import again"
         yield Doubt("exchanged", both, cure, True)
-    elif ratio < DEAD:
+    elif ratio < 0.05:
         yield Doubt("scale", both, "it is dead or unplugged, or its sensitivity is wrong by far", True)
     elif at_g != 1.0 and abs(np.log(at_g)) < np.log(OTHER_SCALE):
         cure = (
@@ -304,7 +296,7 @@ def _bias(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         return
     off_g = rest_g - float(sensor.reads_gravity)
     sigma_g = sensor.offset_v.uncertainty / abs(volts_per_g(setup))
-    if abs(off_g) < max(BIAS_G, BIAS_SIGMAS * sigma_g):
+    if abs(off_g) < max(BIAS_G, 5.0 * sigma_g):
         return
     zero_v = seen.bias_v - float(sensor.reads_gravity) * volts_per_g(setup)
     cure = f"write offset_v = {zero_v:.4g} in [channels.accelerometer], or leave it out (unknown)"

@@ -10,10 +10,7 @@ from kernels.arrays import Floats
 
 LINE_PART = 0.22  # modulation of the noise by linear interpolation, relative, at least; good filters leave less
 LINE_ODDS = 1e-9  # probability that chance gives so strong a line in one channel
-DECLINES = 3.0  # most times the usual size that a second difference counts for: impacts and edges are no noise
-WITNESSES = 2  # channels that must show the same line
 SAMPLES = 1 << 13  # looked at together for lines
-PICKED_UP = 20.0  # power of a line in a channel itself over what is near it
 
 
 def interpolation_hz(channels: Sequence[Sequence[Floats]], rate_hz: float) -> float | None:
@@ -31,7 +28,8 @@ def interpolation_hz(channels: Sequence[Sequence[Floats]], rate_hz: float) -> fl
     lines = [line for stretches in channels if (line := _line(stretches)) is not None]
     for line in lines:
         near = [other for other in lines if abs(other - line) < 3.0 / SAMPLES]
-        if len(near) >= WITNESSES:
+        # one channel may hum: two must show the same line
+        if len(near) >= 2:
             return float(np.mean(near)) * rate_hz
     return None
 
@@ -48,7 +46,8 @@ def _line(stretches: Sequence[Floats]) -> float | None:
         size = np.abs(bend)
         usual = (float(np.median(size)) or float(size.mean())) if size.size else 0.0
         if usual > 0.0:
-            limit = DECLINES * usual
+            # impacts and edges are no noise: a second difference counts for three times the usual size at most
+            limit = 3.0 * usual
             size, bend = np.minimum(size, limit) / usual, np.clip(bend, -limit, limit) / usual
             level, count = level + float(size.mean(axis=1).sum()), count + len(size)
             sizes += (np.abs(np.fft.rfft((size - size.mean(axis=1, keepdims=True)) * hann)) ** 2).sum(axis=0)
@@ -64,4 +63,5 @@ def _line(stretches: Sequence[Floats]) -> float | None:
         float(bends[q - 1 : q + 2].max() / max(float(np.median(bends[q - 32 : q + 33])), 1e-300))
         for q in (k // 2, (SAMPLES - k) // 2)
     ]
-    return None if modulation < LINE_PART or chance > LINE_ODDS or max(tones) > PICKED_UP else k / SAMPLES
+    # good filters modulate by less than 0.22; a line of the motion itself stands in the differences as well
+    return None if modulation < 0.22 or chance > 1e-9 or max(tones) > 20.0 else k / SAMPLES

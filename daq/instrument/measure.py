@@ -20,17 +20,10 @@ from daq.steps.forcing_detection import Read
 from kernels.arrays import Bools, Floats, Integers
 
 STEPS, SAMPLES = 24, 1 << 16  # steps that are looked at, spread over the recording, and samples of each
-POINTS_A_CYCLE = 64  # of a step's frequency, at which tones are looked for
 PADDING = 8  # of the spectrum in which they are
-SAME_TONE = 0.5  # difference in cycles over a hold within which a tone found is one of the profile's
-FEWEST_CYCLES = 6.0  # of a hold that is looked at
 TONE_BELOW, TONE_ABOVE = 0.03, 0.1  # part of the strongest tone from which one below or above it is a tone of the drive
 FELT_BELOW, FELT_ABOVE = 0.08, 0.3  # the same in the accelerometer, where impacts and a bent table make lines as well
-LEVELS = (0.01, 0.99)  # quantiles of the contact's volts that count as its levels
-LOCKED_SWING = 0.2  # of the declared swing: a contact that moves by less in the holds did not show the ball
 BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
-BOUNCE_S = 1e-3  # shorter contacts and openings are bounce
-REST_CYCLES, REST_S = 0.08, 3e-3  # contact before a take-off and flight after it, at least
 DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # after an edge, at which the plate is looked at: either may be late
 RESTS = 0.9  # peak below which it certainly rests
 FRAME_S = 12.8e-3  # of a periodogram of the noise: impacts are farther apart
@@ -127,7 +120,7 @@ def measure(
     pieces = [(a, {role: own(a, b) for role, own in read.items()}, hz) for a, b, hz in spans]
     contact = setup.channels.continuity if "continuity" in read else None
     levels = None if contact is None else _levels([volts["continuity"] for _, volts, _ in pieces], contact)
-    if contact is not None and levels is not None and levels[1] - levels[0] < LOCKED_SWING * abs(contact.swing_v):
+    if contact is not None and levels is not None and levels[1] - levels[0] < 0.2 * abs(contact.swing_v):
         # a ball that is launched as it lands shows no contact: what it did on its way there counts
         levels = _levels([read["continuity"](0, min(min(a for a, _, _ in spans) + 1, n_samples))], contact)
     holds, rests, quiet, bias = [], list[Floats](), list[Bools](), list[float]()
@@ -162,7 +155,7 @@ def _spans(steps: NDArray[np.void], gaps: Integers, n_samples: int, rate_hz: flo
         cuts = [first, *(int(g) for g in gaps[:, 0] if first < g < stop), min(stop, n_samples)]
         a = max(range(len(cuts) - 1), key=lambda i: cuts[i + 1] - cuts[i])
         first, stop = cuts[a], min(cuts[a + 1], cuts[a] + SAMPLES)
-        if hz > 0.0 and (stop - first) * hz / rate_hz >= FEWEST_CYCLES:
+        if hz > 0.0 and (stop - first) * hz / rate_hz >= 6.0:
             whole = int((stop - first) * hz / rate_hz)
             out.append((first, first + round(whole * rate_hz / hz), hz))
     return out
@@ -172,7 +165,7 @@ def _levels(volts: list[Floats], contact: ContinuityChannel | None) -> tuple[flo
     """Lower and upper level of a contact circuit with direct coupling; None where its voltage never changes."""
     if contact is None or contact.coupling == "ac" or not volts:
         return None
-    low, high = (float(x) for x in np.quantile(np.concatenate(volts), LEVELS))
+    low, high = (float(x) for x in np.quantile(np.concatenate(volts), (0.01, 0.99)))
     return low, high
 
 
@@ -186,7 +179,7 @@ def _hold(
     own = [m * hz for m, _ in setup.forcing.displacement_tones()]
     nearest = [own[int(np.argmin(np.abs(np.array(own) - f)))] for f in found]
     # a tone of the profile is taken where the one found cannot be distinguished from it
-    found = [x if abs(x - f) < SAME_TONE * rate_hz / n else f for x, f in zip(nearest, found, strict=True)]
+    found = [x if abs(x - f) < 0.5 * rate_hz / n else f for x, f in zip(nearest, found, strict=True)]
     others = [f for f in found if f not in own]
     plate = fit_tones(volts["accelerometer"], first, rate_hz, own + others)
     turns = 2j * np.pi * np.outer(plate.frequencies_hz / rate_hz, np.arange(first, first + n))
@@ -203,7 +196,7 @@ def _hold(
 
 def _tones_hz(volts: Floats, rate_hz: float, hz: float, limits: tuple[float, float]) -> list[float]:
     """Frequencies of the lines that reach a part of the strongest one: ``limits`` below it and above it."""
-    width = max(int(rate_hz / (POINTS_A_CYCLE * hz)), 1)  # samples averaged to a point: tones are slow
+    width = max(int(rate_hz / (64 * hz)), 1)  # samples averaged to a point: tones are slow
     x = volts[: len(volts) // width * width].reshape(-1, width).mean(axis=1)
     n = PADDING * len(x)
     size = np.abs(np.fft.rfft((x - x.mean()) * np.blackman(len(x)), n))
@@ -214,6 +207,7 @@ def _tones_hz(volts: Floats, rate_hz: float, hz: float, limits: tuple[float, flo
     strongest = k[np.argmax(size[k])]
     k = k[size[k] > np.where(k < strongest, *limits) * size[strongest]]
     left, middle, right = (np.log(size[k + i] + 1e-300) for i in (-1, 0, 1))
+    # vertex of the parabola through three logarithms: exact for the Gaussian that a Blackman line nearly is
     shift = 0.5 * (left - right) / np.minimum(left - 2.0 * middle + right, -1e-12)
     return [float(f) for f in (k + shift) * rate_hz / (width * n)]
 
@@ -230,11 +224,13 @@ def _at_edges(high: Bools, acceleration: Floats, rate_hz: float, hz: float) -> t
     starts = np.flatnonzero(np.diff(high)) + 1
     bounds = np.concatenate([[0], starts, [len(high)]])
     state, length = high[bounds[:-1]], np.diff(bounds)
-    lasting = length > BOUNCE_S * rate_hz
+    # shorter contacts and openings are bounce
+    lasting = length > 1e-3 * rate_hz
     at, state = bounds[:-1][lasting], state[lasting]
     changes = np.concatenate([[True], state[1:] != state[:-1]])[: len(at)]
     at, state = at[changes], state[changes]
-    least = max(REST_S, REST_CYCLES / hz) * rate_hz
+    # only a take-off after a rest is at the threshold: contact before it and flight after it must last
+    least = max(3e-3, 0.08 / hz) * rate_hz
     length = np.diff(np.append(at, len(high)))
     sound = np.zeros(len(at), np.bool_)
     sound[1:-1] = (length[:-2] > least) & (length[1:-1] > least)
@@ -249,7 +245,8 @@ def _quiet(rest: Floats, high: Bools | None, rate_hz: float) -> Bools:
     """Samples of the accelerometer less the motion that lie away from every edge of the contact."""
     loud = np.zeros(len(rest) + 1)
     if high is not None:
-        before, after = (round(s * rate_hz) for s in SHOCK_S)
+        # an impact rings, and its edge comes a little after it
+        before, after = (round(s * rate_hz) for s in (1e-3, 8e-3))
         for edge in np.flatnonzero(np.diff(high)) + 1:
             loud[max(int(edge) - before, 0)] += 1.0
             loud[min(int(edge) + after, len(rest))] -= 1.0

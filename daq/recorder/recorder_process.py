@@ -151,7 +151,7 @@ class RecorderProcess(ClosedRun):
             if not self.ring.put(block):
                 raise OSError(
                     f"{self.path}: the recorder has not written for {self._ring_s:.0f} s (stopped, or a stalled disk); "
-                    "nothing after that is kept"
+                    "nothing after that is stored"
                 )
             self.n_samples += len(block.codes)
 

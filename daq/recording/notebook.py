@@ -174,7 +174,7 @@ def _held(lock: Path, path: Path) -> Iterator[None]:
 
 def _unwritable(path: Path, error: OSError) -> str:
     return (
-        f"{path}: cannot be written ({error.strerror or error}); tags and notes lie beside the recording: make its "
+        f"{path}: cannot be written ({error.strerror or error}); tags and notes lie next to the recording: make its "
         "folder writable, or copy the recording to another"
     )
 

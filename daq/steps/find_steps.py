@@ -27,7 +27,6 @@ from daq.steps.tone_tracking import (
 )
 from kernels.arrays import Floats
 
-QUIET = 2e-3  # of the largest amplitude
 SAME_FREQUENCY = 3e-5  # relative
 
 
@@ -61,7 +60,7 @@ def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forci
     # a disturbance in a hold looks like a border: the pieces on both sides are one motion
     found = _joined(read, found, rate_hz, forcing)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
-    return [s for s in found if np.abs(s.tones.amplitudes).max() > QUIET * loudest]
+    return [s for s in found if np.abs(s.tones.amplitudes).max() > 2e-3 * loudest]
 
 
 def given_step(

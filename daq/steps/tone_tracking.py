@@ -237,6 +237,7 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * rms * np.sqrt(2.0 / n))
     main = int(np.argmax(np.median(amplitude, axis=0)))
     advance = np.zeros(len(z))
+    # phase gained in a window against the reference frequency
     advance[1:] = np.angle(z[1:, main] * np.conj(z[:-1, main]))
     advance[1:][~(loud[1:] & loud[:-1])] = 0.0
     return _Track(edges, amplitude, floor, advance, main, loud)

@@ -44,7 +44,7 @@ class Hdf5Source(ArraySource):
         if not isinstance(item, h5py.Dataset):
             return
         if item.is_virtual or item.external:  # what lies in another file is not this file's to give
-            self.left_out[name] = "kept in another file"
+            self.left_out[name] = "stored in another file"
         elif item.dtype.itemsize > _MOST_ROW_BYTES:
             self.left_out[name] = f"rows of {item.dtype.itemsize} bytes, at most {_MOST_ROW_BYTES} are read"
         elif item.dtype.names:

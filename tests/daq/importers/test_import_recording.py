@@ -224,7 +224,7 @@ def test_jitter_is_kept_and_stated(tmp_path: Path, setup: Setup, columns: Column
     columns["time_s"] = columns["time_s"] + jitter
     summary = bring_in(write_csv(tmp_path / "a.csv", columns), tmp_path / "a.h5", setup)
     assert summary.timebase.jitter_s == pytest.approx(3e-5, rel=0.1)
-    assert "kept as they came" in summary.remarks[0]
+    assert "stored as they came" in summary.remarks[0]
     with open_recording(tmp_path / "a.h5") as recording:
         stamps = columns["time_s"] - columns["time_s"][0]
         np.testing.assert_allclose(recording.timestamps_ns() * 1e-9, stamps, atol=2e-9)
