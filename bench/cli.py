@@ -128,7 +128,7 @@ def _print_version(wanted: bool) -> None:
 
 
 def _use_effects(folder: str | None) -> None:
-    """Name the folder of kept effects for this process and those that it starts; it must be there."""
+    """Name the folder of the user's effects for this process and those that it starts; it must be there."""
     if folder is not None:
         for part in filter(None, folder.split(os.pathsep)):
             if not Path(part).is_dir():
@@ -140,7 +140,7 @@ def _use_effects(folder: str | None) -> None:
 def _options(
     version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
     effects: str | None = typer.Option(
-        None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of kept effects, not the user's own."
+        None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of effects in place of the user's own."
     ),
 ) -> None:
     """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""

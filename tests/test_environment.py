@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from kernels import folder
-from model.effects import kept
+from model.effects import user_effects
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -19,7 +19,7 @@ def test_home_caches_and_temporary_files_are_the_tests_own() -> None:
     home, temporary = Path.home(), Path(tempfile.gettempdir())
     assert home.name.startswith("bench-tests-") and temporary == home
     assert all(ROOT in place.parents or temporary in place.parents for place in folder.places())
-    assert kept.folders() == ()
+    assert user_effects.folders() == ()
     assert "COLUMNS" not in os.environ
 
 

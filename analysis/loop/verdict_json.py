@@ -7,13 +7,13 @@ from typing import Any
 from analysis.attribution.hypothesis import Rejected
 from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
-from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import AddedEffect, ClosedLoop
+from analysis.loop.term_effect import TermEffect
 from daq.files.json_values import json_object
 
 
 def loop_json(
-    loop: ClosedLoop, next_run: dict[str, object] | None = None, kept: KeptTerm | None = None
+    loop: ClosedLoop, next_run: dict[str, object] | None = None, term_effect: TermEffect | None = None
 ) -> dict[str, Any]:
     """The verdict as JSON values.
 
@@ -23,14 +23,14 @@ def loop_json(
         The closed loop.
     next_run
         Ranked next runs, see `analysis.loop.design.ranking_json`.
-    kept
-        The discovered term as a kept effect.
+    term_effect
+        The discovered term as an effect.
     """
     return json_object({
         "verdict": loop.verdict,
         "effects": [_effect(e) for e in loop.selection.effects],
         "discovered": [] if loop.discovered is None else [_discovery(loop.discovered)],
-        "kept": None if kept is None else _kept(kept),
+        "kept": None if term_effect is None else _term_effect(term_effect),
         "tie_set": loop.selection.ties,
         "before": loop.errors.before,
         "after": loop.errors.after,
@@ -85,16 +85,16 @@ def _effect(e: AddedEffect) -> dict[str, Any]:
     return {"name": e.name, "parameters": intervals}
 
 
-def _kept(kept: KeptTerm) -> dict[str, Any]:
+def _term_effect(term_effect: TermEffect) -> dict[str, Any]:
     return {
-        "name": kept.name,
-        "file": kept.file,
-        "form": kept.form or None,
-        "verdict": kept.verdict,
-        "effects": [_effect(e) for e in kept.effects],
-        "before": kept.before,
-        "after": kept.after,
-        "noise_floor_us": kept.noise_floor_us,
+        "name": term_effect.name,
+        "file": term_effect.file,
+        "form": term_effect.form or None,
+        "verdict": term_effect.verdict,
+        "effects": [_effect(e) for e in term_effect.effects],
+        "before": term_effect.before,
+        "after": term_effect.after,
+        "noise_floor_us": term_effect.noise_floor_us,
     }
 
 

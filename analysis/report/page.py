@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import Bifurcation, ClosedLoop, FirstBifurcations
+from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdict_json import loop_json
 from analysis.report import narrative, numbers, wording
 from analysis.report.figures.loop import FIGURES
@@ -126,7 +126,7 @@ def whole_page(template: str, **values: Any) -> str:
 
 
 def write_report(
-    loop: ClosedLoop, folder: Path, *, progress: Progress | None = None, kept: KeptTerm | None = None
+    loop: ClosedLoop, folder: Path, *, progress: Progress | None = None, term_effect: TermEffect | None = None
 ) -> Path:
     """Write ``report.html``, ``report.json`` and the figures into ``folder``; returns the page's path.
 
@@ -138,8 +138,8 @@ def write_report(
         Made where it does not exist.
     progress
         Called with what is being done and the fraction done.
-    kept
-        The discovered term as a kept effect, and the loop with it.
+    term_effect
+        The discovered term as an effect, and the loop with it.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def write_report(
     badge = badge_text(loop.sources[0].file, simulated=loop.sources[0].simulated)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        payload = loop_json(loop, kept=kept) | {
+        payload = loop_json(loop, term_effect=term_effect) | {
             "first_bifurcation": _bifurcations_json(loop.first_bifurcations),
             "recordings": [asdict(source) for source in loop.sources],
             "report": software,
@@ -165,7 +165,7 @@ def write_report(
             say(f"report: figure of {figure.name}", i / len(FIGURES))
             save_picture(folder, figure.name, badge, functools.partial(figure.draw, loop))
         page = folder / "report.html"
-        page.write_text(_loop_page(loop, software, folder, kept), encoding="utf-8")
+        page.write_text(_loop_page(loop, software, folder, term_effect), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page
@@ -188,7 +188,7 @@ def _bifurcations_json(first: FirstBifurcations | None) -> dict[str, object] | N
     }
 
 
-def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: KeptTerm | None) -> str:
+def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, term_effect: TermEffect | None) -> str:
     """The page, with the figures that are in ``folder`` put in."""
     from markupsafe import Markup
 
@@ -205,7 +205,7 @@ def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, kept: K
         definition += " Only the discovered curve is over gamma = A w^2/g."
     return whole_page(
         "loop.html", title=f"Closed loop: {files}", kind="loop", heading="Closed loop", closed=loop, scale=scale,
-        drawn=drawn, kept=kept, level=2, simulated=simulated, files=files,
+        drawn=drawn, term_effect=term_effect, level=2, simulated=simulated, files=files,
         source=source_words(files, simulated=simulated), provenance=_provenance(loop, software),
         definition=definition,
     )  # fmt: skip

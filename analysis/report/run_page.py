@@ -117,7 +117,7 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
         drawn=_drawn(shown, number, progress or (lambda what, part: None)),
         source=source_words(recording.path.name, simulated=simulated),
         steps=step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
-        notebook=_notebook(recording), file=file_rows(recording, run.state), kept=None, level=4,
+        notebook=_notebook(recording), file=file_rows(recording, run.state), term_effect=None, level=4,
         pointed=_flights_behind(shown, number, scale),
     )  # fmt: skip
     return Section(recording.path.name, simulated, html, _summary(run, shown, scale), verdict, sentence)

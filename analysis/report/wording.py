@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
-from analysis.loop.kept_term import KeptTerm
 from analysis.loop.result import AddedEffect, ClosedLoop
+from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdicts import VERDICTS
 from analysis.report.numbers import interval, microseconds, plus_minus, probability
 from analysis.residuals.values import TREND
@@ -107,15 +107,15 @@ def form_in_words(found: Discovery) -> str:
     return f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate.words}, SI)"
 
 
-def kept_in_words(kept: KeptTerm) -> list[str]:
-    """The kept term for a person, a line each."""
-    what = f"formula: {kept.form}" if kept.form else "as the curve"
+def term_effect_in_words(term_effect: TermEffect) -> list[str]:
+    """The discovered term as an effect, for a person, a line each."""
+    what = f"formula: {term_effect.form}" if term_effect.form else "as the curve"
     out = [
-        f"kept: {kept.file} ({what})",
-        f"with it: {kept.words}",
-        f"  on held-out steps landings are missed by {microseconds(kept.after.landing_rms_us)} us rms, before "
-        f"{microseconds(kept.before.landing_rms_us)} us, noise {microseconds(kept.noise_floor_us)} us",
+        f"kept: {term_effect.file} ({what})",
+        f"with it: {term_effect.words}",
+        f"  on held-out steps landings are missed by {microseconds(term_effect.after.landing_rms_us)} us rms, before "
+        f"{microseconds(term_effect.before.landing_rms_us)} us, noise {microseconds(term_effect.noise_floor_us)} us",
     ]
-    if not kept.found_again:
-        out.append(f"  {plain(kept.name)} was not named: look at the file before you use it")
+    if not term_effect.found_again:
+        out.append(f"  {plain(term_effect.name)} was not named: look at the file before you use it")
     return out

@@ -1,4 +1,4 @@
-"""A batch: every recording examined in a process of its own or on a cluster, its row kept before the next is awaited.
+"""A batch: every recording examined in a process of its own or on a cluster, its row stored before the next is awaited.
 
 A batch that was interrupted goes on where it stopped: what has a row, from the same file with the same profile and
 software, is not done again. What failed is tried again. At the end the rows become one table.

@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Examine every recording of a laboratory; a table with one row each.
 
-    Rows are kept in FILE.rows as they come in. The same command, given again, goes on where it was stopped, and does
+    Rows are stored in FILE.rows as they come in. The same command, given again, goes on where it was stopped, and does
     again only what failed or has changed since. A recording that fails has its reason in the table. Each
     verdict is saved next to its recording (run.loop), where bench report and bench runs find it.
 
@@ -59,7 +59,7 @@ def command(
         rows = run_batch(batch, Journal(rows_file), workers=workers, cluster=cluster, say=say)
         write_table(rows, out)
     except (OSError, KeyboardInterrupt) as error:
-        fail(f"{str(error) or 'interrupted'}; what was done is kept in {rows_file}: give the same command again")
+        fail(f"{str(error) or 'interrupted'}; what was done is in {rows_file}: give the same command again")
     failed = sum(bool(row["failed"]) for row in rows)
     if write_json({"recordings": len(rows), "failed": failed, "passed_over": others, "rows": rows}, json):
         counts = Counter(row.get("verdict") or "no verdict" for row in rows if not row["failed"])

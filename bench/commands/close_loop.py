@@ -18,8 +18,8 @@ from daq.setup.errors import InputError
 if TYPE_CHECKING:
     from analysis.loop.close_loop import FittedLoop
     from analysis.loop.design import Ranked
-    from analysis.loop.kept_term import KeptTerm
     from analysis.loop.result import ClosedLoop
+    from analysis.loop.term_effect import TermEffect
 
 
 def command(
@@ -50,7 +50,7 @@ def command(
 
     The verdict is saved next to the recording (run.loop), where bench report and bench runs find it.
 
-    A term discovered outside the library becomes an effect by --keep-term sticky_rod: a file in the folder of kept
+    A term discovered outside the library becomes an effect by --keep-term sticky_rod: a file in the user's folder of
     effects, which every later call finds by its name. The loop is closed again with it; --improved is then of that.
 
     Tens of runs of one rig over months: bench close-loop runs/*.h5 --runs-differ. One recording is in memory at a time.
@@ -67,27 +67,21 @@ def command(
         File("--summaries", summaries, outputs.ROWS, continues=holds_summaries),
         inputs=[*recordings, profile, scenario], overwrite=overwrite,
     )  # fmt: skip
-    kept_as = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
+    effect_file = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
     if summaries is not None and not runs_differ:
-        raise InputError("--summaries: is kept of runs that differ only; give --runs-differ as well, or leave it out")
+        raise InputError("--summaries: are of runs that differ only; give --runs-differ as well, or leave it out")
     _check_recordings(recordings)
     if runs_differ:
-        _refuse_single(improved=improved, next_run=next_run, until_clear=until_clear, keep_term=keep_term)
+        single = {"improved": improved, "next-run": next_run, "until-clear": until_clear, "keep-term": keep_term}
+        if given := [f"--{name}" for name, value in single.items() if value]:
+            why = "belongs to a single run or to runs alike, and --runs-differ was given; leave out one of them"
+            raise InputError(f"{', '.join(given)}: {why}")
         complete = judge_runs(recordings, profile, summaries, json, report, anyway=anyway)
     else:
-        wanted = _Wanted(json, report, improved, next_run, kept_as, profile)
+        wanted = _Wanted(json, report, improved, next_run, effect_file, profile)
         complete = _close(recordings, wanted, (scenario, seed) if until_clear else None, anyway=anyway)
     if not complete:
         raise SystemExit(EXIT_FAILED)
-
-
-def _refuse_single(**options: object) -> None:
-    """Refuse options that belong to a single run, where the runs differ."""
-    if given := [f"--{name.replace('_', '-')}" for name, value in options.items() if value]:
-        raise InputError(
-            f"{', '.join(given)}: belongs to a single run or to runs alike, and --runs-differ was given; leave out one "
-            "of them"
-        )
 
 
 def _check_recordings(recordings: list[Path]) -> None:
@@ -112,7 +106,7 @@ class _Wanted:
     report: Path | None
     improved: Path | None
     next_run: Path | None
-    kept_as: Path | None
+    effect_file: Path | None
     profile: Path | None
 
 
@@ -146,7 +140,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.loop.design import ranking_json
     from analysis.loop.verdict_json import loop_json
     from analysis.report.page import write_report
-    from analysis.report.wording import kept_in_words
+    from analysis.report.wording import term_effect_in_words
     from bench.jobs.keep_term import keep_term
     from bench.jobs.keep_verdict import conclude
     from bench.profiles.improved import write_improved
@@ -156,12 +150,12 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     quiet = wanted.json == "-"
     say = speaker(quiet)
     ranked: list[Ranked] = []
-    kept: KeptTerm | None = None
+    term_effect: TermEffect | None = None
 
     def keep(path: Path) -> None:
-        nonlocal kept
-        kept, lines = keep_term(loop, path, recordings, wanted.profile, wanted.improved, quiet=quiet)
-        for line in (*kept_in_words(kept), *lines):
+        nonlocal term_effect
+        term_effect, lines = keep_term(loop, path, recordings, wanted.profile, wanted.improved, quiet=quiet)
+        for line in (*term_effect_in_words(term_effect), *lines):
             say(line)
 
     def rank() -> None:
@@ -171,7 +165,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
 
     def report(folder: Path) -> None:
         with progress_bar(quiet) as bar:
-            say(f"report: {write_report(loop, folder, progress=bar, kept=kept)}")
+            say(f"report: {write_report(loop, folder, progress=bar, term_effect=term_effect)}")
 
     def improve(path: Path) -> None:
         for line in write_improved(loop, recordings[0], path, text):
@@ -185,14 +179,14 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")
 
     def verdict() -> None:
-        write_json(loop_json(loop, ranking_json(ranked), kept), wanted.json)
+        write_json(loop_json(loop, ranking_json(ranked), term_effect), wanted.json)
 
-    # the order matters: ranking and kept term are part of the JSON; the profile is then that of the second loop
+    # the order matters: ranking and the term's effect are part of the JSON; the profile is then that of the second loop
     writers: list[tuple[str, Callable[[], object]]] = []
-    if wanted.kept_as is not None:
-        writers.append(("kept term", partial(keep, wanted.kept_as)))
+    if wanted.effect_file is not None:
+        writers.append(("the term's effect", partial(keep, wanted.effect_file)))
     writers += [("list of next runs", rank), ("verdict as JSON", verdict)]
-    improved = None if wanted.kept_as is not None else wanted.improved
+    improved = None if wanted.effect_file is not None else wanted.improved
     for name, write, path in (
         ("report", report, wanted.report), ("improved profile", improve, improved),
         ("next run's profile", following, wanted.next_run),

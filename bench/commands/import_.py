@@ -39,7 +39,7 @@ def command(
         help="Long table: use the rows of this sensor; with a role, make the rows of each value a column.",
     ),
     channel_column: str = typer.Option(None, "--channel-column", help="Its selecting column (default: channel)."),
-    note: str = typer.Option(None, "--note", help="Kept in the recording."),
+    note: str = typer.Option(None, "--note", help="Stored in the recording."),
     json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -59,8 +59,9 @@ def command(
     from daq.importers.import_recording import ImportOptions, import_recording
 
     check_outputs(
-        File("--out", out, HDF5, kept=True), File("--json", json, JSON), inputs=[raw, profile], overwrite=overwrite
-    )
+        File("--out", out, HDF5, never_replaced=True), File("--json", json, JSON),
+        inputs=[raw, profile], overwrite=overwrite,
+    )  # fmt: skip
     setup, text = load_measuring(profile)
     source = open_source(raw, _selected(channel), channel_column)
     options = ImportOptions(parse_map(mapping), rate, readable(note))

@@ -59,7 +59,7 @@ def _described(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     from daq.instrument.stored import instrument_of
     from daq.recording.header import header_of
     from daq.recording.notebook import notebook, read_remarks, side_file
-    from model.effects.kept import kept_files
+    from model.effects.user_effects import effect_files
 
     setup, instrument, later = opened.setup, instrument_of(opened), read_remarks(side_file(opened.path))
     return json_object({
@@ -82,7 +82,7 @@ def _described(opened: Recording, report: VerifyReport) -> dict[str, Any]:
         },
         "tags": list(later.tags),
         "notes": notebook(header_of(opened, all_bytes=True), later),
-        "kept_effects": [{"name": path.stem, "file": path} for path in kept_files()],
+        "kept_effects": [{"name": path.stem, "file": path} for path in effect_files()],
         "instrument": None if instrument is None else instrument.as_json(),
         "steps": [{name: row[name] for name in STEP_DTYPE.names or ()} for row in opened.steps],
     })  # fmt: skip
@@ -108,7 +108,7 @@ def _print(answer: dict[str, Any]) -> None:
         "profile": f"{profile['name']}: {profile['frequency_hz']:g} Hz, c = {profile['tone_ratio']}"
                    + (f"; {profile['description']}" if profile["description"] else ""),
         "declared": declared or "no effects",
-        "own effects": ", ".join(k["name"] for k in answer["kept_effects"]) or "none kept on this computer",
+        "own effects": ", ".join(k["name"] for k in answer["kept_effects"]) or "none on this computer",
         "steps": str(len(answer["steps"])),
     }  # fmt: skip
     print_lines(*(f"  {key:<11} {value}" for key, value in lines.items()))

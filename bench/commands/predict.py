@@ -30,7 +30,7 @@ def command(
     adaptive: bool = typer.Option(False, "--adaptive", help="More gammas where something happens."),
     narrowest: float | None = typer.Option(None, help="Narrowest window of gamma listed; 1e-6, bouncing 1e-3."),
     grid: list[str] = typer.Option([], help="name.parameter=from:to:count: one more axis of a diagram."),
-    keep: int = typer.Option(64, min=1, help="Flight times kept of each point of a diagram."),
+    keep: int = typer.Option(64, min=1, help="Flight times stored of each point of a diagram."),
     workers: int = typer.Option(1, min=1, help="Processes for a diagram."),
     cluster: str | None = typer.Option(None, help="Dask scheduler for a diagram: tcp://host:port, or 'local'."),
     json: Json = None,

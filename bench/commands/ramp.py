@@ -49,7 +49,7 @@ def command(
 
     With --live or --watch a simulated rig is paced to the clock, as with --real-time.
 
-    Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is kept), 2 when the call
+    Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is there), 2 when the call
     was wrong.
     """
     from bench.jobs.hold_branch import branch_hold
@@ -62,7 +62,7 @@ def command(
     from daq.setup.calibration_age import calibration_warnings
 
     check_outputs(
-        File("--out", out, outputs.HDF5, kept=True), File("--json", json, outputs.JSON),
+        File("--out", out, outputs.HDF5, never_replaced=True), File("--json", json, outputs.JSON),
         inputs=[profile, scenario, replay, resume], overwrite=overwrite,
     )  # fmt: skip
     checked, text = load(profile)

@@ -27,8 +27,9 @@ def command(
 
     out = out or default_out(recording)
     check_outputs(
-        File("--out", out, HDF5, kept=True), File("--json", json, JSON), inputs=[recording], overwrite=overwrite
-    )
+        File("--out", out, HDF5, never_replaced=True), File("--json", json, JSON),
+        inputs=[recording], overwrite=overwrite,
+    )  # fmt: skip
     found = recover(recording, out)
     if write_json(found, json):
         summary = f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered"

@@ -43,7 +43,7 @@ def command(
 ) -> None:
     """List the recordings of a folder: date, profile, gamma, what was lost, how it ended, verdict, note and tags.
 
-    Only new and changed files are read. The catalogue is kept in DIR/.shakerbench and can be removed at any time.
+    Only new and changed files are read. The catalogue lies in DIR/.shakerbench and can be removed at any time.
 
     Example: bench runs runs --tag new-spring --sort -gamma
     """

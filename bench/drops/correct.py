@@ -47,7 +47,7 @@ def side_file(file: Path) -> Path:
     return file.with_name(file.name + ENDING)
 
 
-def kept_request(target: Path, files: Sequence[Path]) -> Request | None:
+def saved_request(target: Path, files: Sequence[Path]) -> Request | None:
     """The request of the result in ``target``, on ``files``; None where there is none, or one of other files.
 
     Raises

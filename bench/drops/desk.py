@@ -7,7 +7,7 @@ import json
 import math
 import multiprocessing
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 from starlette.exceptions import HTTPException
 
 from analysis.drop.film.video import FILMS
-from bench.drops.correct import kept_request, moved, side_file
+from bench.drops.correct import moved, saved_request, side_file
 from bench.drops.worker import work
 from bench.jobs.drop_test import Request, check_request
 from bench.web.browsers import Browser, Hub
@@ -137,7 +137,13 @@ class DropDesk:
         elif wanted == "correct":
             self._correct(self.request, said)
         elif wanted == "options":
-            self._change(_with_options(self.request, said))
+            # an empty field is the default
+            found: dict[str, Any] = {name: _number(said.get(name)) for name in NUMBERS}
+            if found["gravity_mps2"] is None:
+                found["gravity_mps2"] = Request.gravity_mps2
+            given = said.get("heights_m")
+            heights = tuple(h for h in map(_number, given if isinstance(given, list) else []) if h is not None)
+            self._change(replace(self.request, heights_m=heights, **found))
         elif wanted == "undo" and self._undo:
             self.request = self._undo.pop()
             self._measure()
@@ -152,7 +158,7 @@ class DropDesk:
         if not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
             raise InputError(f"open 1 to {MOST_FILES} files at a time")
         files = [file_inside(self._folder, str(name)) for name in names]
-        request = kept_request(side_file(files[0]), files) or Request(tuple(files))
+        request = saved_request(side_file(files[0]), files) or Request(tuple(files))
         check_request(request)
         self.request, self._undo, self._shown, self._payload, self.pictures = request, [], None, None, {}
         self._measure()
@@ -182,7 +188,7 @@ class DropDesk:
             raise InputError("there is no result to keep yet")
         target = self._target or side_file(request.files[0])
         if self._target is None:
-            kept_request(target, request.files)  # refuses to write over a file of another kind
+            saved_request(target, request.files)  # refuses to write over a file of another kind
         try:
             write_whole(target, json_text(self._payload))
         except OSError as error:
@@ -230,16 +236,6 @@ class DropDesk:
             self._process.join(2.0)
             self._pipe.close()
         self._process = self._pipe = None
-
-
-def _with_options(request: Request, said: Message) -> Request:
-    """The request with the form's numbers; an empty field is the default."""
-    found: dict[str, Any] = {name: _number(said.get(name)) for name in NUMBERS}
-    if found["gravity_mps2"] is None:
-        found["gravity_mps2"] = Request.gravity_mps2
-    heights: Sequence[object] = said.get("heights_m") if isinstance(said.get("heights_m"), list) else []  # type: ignore[assignment]
-    known = tuple(h for h in map(_number, heights) if h is not None)
-    return replace(request, heights_m=known, **found)
 
 
 def _number(value: object) -> float | None:

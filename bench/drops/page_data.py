@@ -19,8 +19,6 @@ from daq.setup.errors import InputError
 Message = dict[str, Any]
 
 _AROUND_S = 0.3  # shown before the first and after the last impact
-_SAME_IMPACT_FRAMES = 2.5
-_SAME_IMPACT_S = 1e-7
 
 
 def result_of(done: DropTest) -> Message:
@@ -63,7 +61,7 @@ def _marks(path: Path, part: Corrections, ends: Sequence[float] | None) -> Messa
         "kind": "times" if wav is None else "sound",
         "impacts": [], "missed": [], "false": [], "events": [],
         "ignored": list(part.ignore_s), "added": list(part.add_s),
-        "span": span, "same_s": _SAME_IMPACT_S, "seconds": True, "picture": False,
+        "span": span, "same_s": 1e-7, "seconds": True, "picture": False,
         "duration_s": (wav.n_samples / wav.rate_hz if wav is not None else 0.0) or span[1],
     }  # fmt: skip
 
@@ -104,7 +102,7 @@ def _path(done: DropTest, which: int, item: Path2D) -> Message:
             if clip == which
         ],
         "seconds": item.frame_s is not None,
-        "same_s": _SAME_IMPACT_FRAMES * step,
+        "same_s": 2.5 * step,
         "span": [float(times[0]), float(times[-1])],
         "duration_s": float(times[-1]),
         "track": {"x": times.tolist(), "y": (item.clip.height - offset).tolist()},

@@ -18,8 +18,6 @@ from analysis.loop.close_loop import FittedLoop, fit_loop
 from analysis.loop.result import ClosedLoop
 from daq.setup.errors import InputError
 
-MOST_RUNS = 4  # made at most
-
 
 def until_clear(
     recordings: list[Path],
@@ -68,7 +66,8 @@ def until_clear(
     while True:
         with progress_bar(quiet) as bar:
             loop, fitted = fit_loop(made, progress=bar, anyway=anyway)
-        if len(loop.selection.ties) < 2 or len(made) - len(recordings) >= MOST_RUNS:
+        # four runs that did not separate them: a fifth of the kind will not either
+        if len(loop.selection.ties) < 2 or len(made) - len(recordings) >= 4:
             return loop, fitted, made, ""
         tied = "; ".join(" + ".join(names) for names in loop.selection.ties)
         ranked = [r for r in possible_runs(loop, fitted, made[0]) if not r.design.priors]

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from analysis.explore.choice import Option
     from analysis.residuals.values import ParameterId
 
-GAMMAS = 10  # offered for each forcing
-FARTHER = 1.5  # times the range of the profile's ramp: how far the offers go, where the limits allow
 LEAST_STEPS = 2  # held, of a block that is gone on with
 
 
@@ -152,8 +150,9 @@ def _gammas(profile: Profile, ratio: int) -> list[float]:
     own = profile.ramp.gammas()
     takeoff, own_takeoff = (0.5 if c == 1 else 1.0 / (1.0 + c**2) for c in (ratio, profile.forcing.ratio))
     scale = takeoff / own_takeoff
-    low, high = max(min(own) * scale, 1.1 * takeoff), FARTHER * max(own) * scale
-    return [float(f"{g:.4g}") for g in np.linspace(low, high, GAMMAS)]
+    # from just above take-off to half as far again as the profile's own ramp
+    low, high = max(min(own) * scale, 1.1 * takeoff), 1.5 * max(own) * scale
+    return [float(f"{g:.4g}") for g in np.linspace(low, high, 10)]
 
 
 def block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:

@@ -29,10 +29,8 @@ from rig.profile import Profile, RampTable
 from rig.programme.ramp import peaks
 
 DRIVE_PEAKS = (0.2, 0.35, 0.5)  # of g: the block stays on, even if the drive is twice as strong as believed
-CONTACT_PEAKS = (1.4, 1.7, 2.0, 2.4)  # of g: impacts of several speeds, or a late edge might be the end of a chatter
 SETTLE_CYCLES, HOLD_CYCLES = 15, 60
 LEAST_PAIRS = 20  # of impacts and edges
-ESTIMATOR = 5e-5  # relative: what the tone fit itself leaves
 
 
 def accelerometer(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[Measured]:
@@ -80,7 +78,8 @@ def contact(profile: Profile, backend: Backend) -> list[Measured]:
     channel = profile.channels.continuity
     if channel is None:
         raise InputError("channels.continuity: the profile has no contact circuit to calibrate")
-    _, flights = _run(profile, backend, CONTACT_PEAKS)
+    # impacts of several speeds, or a late edge might be the end of a chatter
+    _, flights = _run(profile, backend, (1.4, 1.7, 2.0, 2.4))
     levels, witness = flights.edges.levels, flights.edges.sensor_offset
     seen = int(np.count_nonzero(flights.good()))
     if levels is None or seen < LEAST_PAIRS:
@@ -138,8 +137,10 @@ def _response(step: StepPlate, multiple: int, g_mps2: float) -> tuple[complex, f
 def _gain_and_phase(profile: Profile, key: str, responses: list[tuple[complex, float]]) -> list[Measured]:
     """One gain and phase from those of the levels."""
     value = np.array([z for z, _ in responses])
-    sigma = np.array([math.hypot(relative, ESTIMATOR) for _, relative in responses])
+    # what the tone fit itself leaves
+    sigma = np.array([math.hypot(relative, 5e-5) for _, relative in responses])
     mean = complex(np.average(value, weights=sigma**-2.0))
+    # the scatter between levels shows what no single fit knows: a gain that depends on the level
     off = value / mean - 1.0  # real part: gain, imaginary: phase in rad
     own = float(np.sum(sigma**-2.0) ** -0.5)
     gain_off, phase_off = (max(own, float(np.std(x, ddof=1)) / math.sqrt(len(x))) for x in (off.real, off.imag))

@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     from analysis.residuals.observations import Observations
     from analysis.residuals.values import ParameterId
 
-LONGER_HOLD = 2  # times as long where it is unexplained: tones as near as mains and a harmonic part
-LEAST_NATS = 0.2  # a block that would tell less is not worth its time
-
 
 @dataclass(frozen=True)
 class Explored:
@@ -228,8 +225,17 @@ def _next(
     if why := _as_sharp_as_can_be(loop, best, aims, pools, known):
         return None, why
     block = best_block(pools, known, wanted, aims.steps)
-    worth = block is not None and (block.nats >= LEAST_NATS or block.sharpening > 0.5)
-    if block is not None and worth and (block.sharpening > 0.5 or not _in_vain(block, blocks)):
+    # a block that says less is not worth its time
+    worth = block is not None and (block.nats >= 0.2 or block.sharpening > 0.5)
+    # the same steps driven before did not distinguish what they were to distinguish
+    profiles = [parse_profile(driven.text, "block") for driven in blocks]
+    before = [(p.forcing.ratio, p.forcing.frequency_hz, set(p.ramp.gammas())) for p in profiles]
+    if block is None or not worth:
+        again = False
+    else:
+        forcing = block.option.setup.forcing
+        again = (forcing.ratio, forcing.frequency_hz, set(block.gammas)) in before
+    if block is not None and worth and (block.sharpening > 0.5 or not again):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
     elif worth:
         chosen = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
@@ -247,16 +253,8 @@ def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
     """With longer steps where what was recorded so far is unexplained."""
     if loop is None or loop.verdict != "unexplained":
         return aims
-    return replace(aims, hold_cycles=LONGER_HOLD * aims.hold_cycles)
-
-
-def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
-    """Whether the same steps were driven before: what they were to distinguish, they did not."""
-
-    profiles = [parse_profile(driven.text, "block") for driven in blocks]
-    before = [(p.forcing.ratio, p.forcing.frequency_hz, set(p.ramp.gammas())) for p in profiles]
-    forcing = block.option.setup.forcing
-    return (forcing.ratio, forcing.frequency_hz, set(block.gammas)) in before
+    # longer holds separate tones as near as the mains and a harmonic
+    return replace(aims, hold_cycles=2 * aims.hold_cycles)
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:

@@ -14,8 +14,6 @@ from rig.execution.branch_hold import BranchHold
 from rig.execution.locked_branch import LockedBranch
 from rig.profile import BranchTable, Profile
 
-ROOM = 1.02  # over the largest gamma of the ramp, to which the branch is predicted
-
 
 def branch_hold(profile: Profile) -> BranchHold:
     """What holds the ball through the ramp of ``profile``, by its ``[control.branch]`` or the defaults.
@@ -44,7 +42,7 @@ def locked_branch(profile: Profile) -> CycleBranch:
     highest = max(profile.ramp.gammas())
     found = [
         branch
-        for branch in cycle_branches(ball, 0.1 * highest, ROOM * highest, 1)
+        for branch in cycle_branches(ball, 0.1 * highest, 1.02 * highest, 1)
         if branch.periods == 1 and len(branch.gamma) > 2 and abs(branch.multiplier).min() < 1.0
     ]
     if not found:

@@ -1,4 +1,4 @@
-"""A discovered term kept as an effect: its file, and the loop closed again with it in the library."""
+"""A discovered term as an effect: its file, and the loop closed again with it in the library."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from analysis.loop.kept_term import KeptTerm, check_new, effect_source
 from analysis.loop.result import ClosedLoop
+from analysis.loop.term_effect import TermEffect, check_new, effect_source
 from bench.outputs import PYTHON, File, check_outputs
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
-from model.effects import kept
+from model.effects import user_effects
 
 
 def place_for(name: str, *, overwrite: bool) -> Path:
-    """The file of a new kept effect, checked before any work; its folder is made.
+    """The file of a new effect, checked before any work; its folder is made.
 
     A file that is to be replaced is left out of the library of this process.
 
@@ -28,10 +28,10 @@ def place_for(name: str, *, overwrite: bool) -> Path:
     """
     if not name.isidentifier():
         check_new(name)
-    folders = kept.folders()
+    folders = user_effects.folders()
     if not folders:
         raise InputError(
-            f"--keep-term {name}: {kept.VARIABLE} names no folder for kept effects; name one there, or by "
+            f"--keep-term {name}: {user_effects.VARIABLE} names no folder of effects; name one there, or by "
             "bench --effects FOLDER close-loop ..."
         )
     path = folders[0] / f"{name}.py"
@@ -41,7 +41,7 @@ def place_for(name: str, *, overwrite: bool) -> Path:
         raise InputError(f"--keep-term {name}: {folders[0]} cannot be made ({error}); name another folder") from error
     check_outputs(File("--keep-term", path, PYTHON), overwrite=overwrite)
     if overwrite:
-        kept.leave_out(path)
+        user_effects.leave_out(path)
     check_new(name)
     return path
 
@@ -54,7 +54,7 @@ def keep_term(
     improved: Path | None,
     *,
     quiet: bool,
-) -> tuple[KeptTerm, list[str]]:
+) -> tuple[TermEffect, list[str]]:
     """Write the discovered term of ``loop`` as the effect ``path``, and close the loop again with it.
 
     Parameters
@@ -72,7 +72,7 @@ def keep_term(
 
     Returns
     -------
-    KeptTerm
+    TermEffect
         What became of it.
     list of str
         Lines about the improved profile.
@@ -80,20 +80,20 @@ def keep_term(
     Raises
     ------
     InputError
-        Where there is no term that can be kept.
+        Where there is no term that can become an effect.
     """
     write_whole(path, effect_source(loop, path.stem))
     # the library is read, and its kernels are compiled, once in a process: the new effect needs another
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         again, lines = pool.submit(_close_again, list(recordings), profile, improved, quiet).result()
     form = "" if loop.discovered is None else loop.discovered.suggested
-    return KeptTerm(path.stem, str(path), form, *again), lines
+    return TermEffect(path.stem, str(path), form, *again), lines
 
 
 def _close_again(
     recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
 ) -> tuple[tuple[Any, ...], list[str]]:
-    """The second loop as `KeptTerm` holds it, by the library as it is now; lines about the improved profile."""
+    """The second loop as `TermEffect` holds it, by the library as it is now; lines about the improved profile."""
     from analysis.loop.close_loop import close_loop
     from analysis.report.wording import verdict_line
     from bench.profiles.find import load_measuring

@@ -26,10 +26,7 @@ from daq.recording.opening import open_checked
 from daq.setup.errors import InputError
 from rig.profile import Profile
 
-LOOK_S = 0.05
-NICE = 5  # behind the run, the recorder and the page
-AGAIN_S, REST = 0.4, 4.0  # between two reductions of a growing step: at least that, and so many times what one takes
-MOVED_S = 2e-5  # change of a flight, as more is known of the instruments, that is worth a message while the run lasts
+AGAIN_S = 0.4  # between two reductions of a growing step: at least that, and so many times what one takes
 
 
 def start_analyst(profile: Profile, board_name: str, *, pictures: bool) -> tuple[Connection, BaseProcess]:
@@ -49,7 +46,8 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
     """The process: until the run has ended and all is said, or no one listens any more."""
     leave_keys_to_the_parent()
     if hasattr(os, "nice"):
-        os.nice(NICE)
+        # behind the run, the recorder and the page
+        os.nice(5)
     try:
         board = Board(board_name)
     except OSError:
@@ -60,7 +58,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
             parent = multiprocessing.parent_process()
             while not analyst.done and (parent is None or parent.is_alive()):
                 if not analyst.look():
-                    time.sleep(LOOK_S)
+                    time.sleep(0.05)
     except (BrokenPipeError, ConnectionResetError):
         return  # no one listens
     finally:
@@ -159,7 +157,8 @@ class Analyst:
             upcoming = self._profile.ramp.gammas()[n_final:]
             self._pipe.send(verdict_of(seen, n_final - 1, self._looks, upcoming) | {"last": is_last})
         now = time.monotonic()
-        self._due_s = now + max(AGAIN_S, REST * (now - began))
+        # a reduction takes a fifth of the time at most, so that the run has a core
+        self._due_s = now + max(AGAIN_S, 4.0 * (now - began))
         return True
 
     def _send(self, k: int, step: ReducedStep, is_final: bool, *, exact: bool) -> None:
@@ -167,7 +166,8 @@ class Analyst:
         if not self._pictures and not is_final:
             return
         known = self._sent.get(k)
-        if known is not None and known[1] == is_final and known[0].shows(step, 0.0 if exact else MOVED_S):
+        # a flight that moves by less, as more is known of the instruments, is no news while the run lasts
+        if known is not None and known[1] == is_final and known[0].shows(step, 0.0 if exact else 2e-5):
             return
         self._sent[k] = step, is_final
         self._pipe.send({

@@ -56,6 +56,7 @@ class Lane:
         if len(text) > self._room:
             return False
         slot = int(self._put[0]) % self._slots
+        # invalid while it is written: a reader in between finds no message, never half of one
         self._head[slot] = 0, 0
         self._text[slot, : len(text)] = text
         self._head[slot] = len(text), crc32(text)

@@ -21,7 +21,6 @@ from rig.backends.base import BackendError
 from rig.profile import Profile
 
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section")
-START_S = 60.0
 LINGER_S = 3.0  # in which browsers get the last word of a run
 
 
@@ -60,7 +59,7 @@ class PageProcess:
         theirs.close()
         self.url, fault = "", "it does not start"
         try:
-            if ours.poll(START_S):
+            if ours.poll(60.0):
                 self.url, fault = ours.recv()
         except EOFError:
             pass  # it ended before it could say why

@@ -125,6 +125,7 @@ def _tones(flights: Flights, step: int, setup: Setup, row: np.void, first_played
     recorded_s = float(flights.plate.true_time_s(row["first_sample"] / setup.sampling.rate_hz))
     turn = 2.0 * math.pi * setup.forcing.frequency_hz * (recorded_s - first_played / setup.sampling.rate_hz)
     for multiple, displacement in setup.forcing.displacement_tones():
+        # a_p = -g gamma sum m^2 Re[d exp(i m w t)]
         target = -setup.g_mps2.value * gamma * multiple * multiple * displacement
         target_deg = math.degrees(cmath.phase(target)) if target else 0.0
         found: dict[str, Any] = {"multiple": multiple, "target_mps2": abs(target), "target_deg": target_deg}

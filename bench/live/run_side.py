@@ -23,7 +23,6 @@ from rig.backends.base import Backend
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.programme.sequencer import Stop
 
-EVERY_S = 0.05  # between two states of the run
 PAGE = "page"
 STOPS = {
     "finish": (Stop.FINISH_STEP, "page: step finished"), "ramp_down": (Stop.RAMP_DOWN, "page: ramped down"),
@@ -94,7 +93,7 @@ class RunSide:
                 self._obey(command)
         now = self._clock.monotonic_s()
         state = (status.state, status.step.index, self._request.pause, self._request.wanted)
-        if now - self._sent_at >= EVERY_S or state != self._sent:
+        if now - self._sent_at >= 0.05 or state != self._sent:
             self._sent_at, self._sent = now, state
             self._board.events.put(state_of(status, self._request))
         if self._also is not None:

@@ -90,6 +90,7 @@ def _integrate(codes: Codes, constants: Floats, state: Floats, out: Codes) -> No
     rest, v, x, slow = state
     for i in range(codes.size):
         a = codes[i] * scale
+        # twice a leaky integral: offset and drift of the accelerometer would grow without bound
         rest += leak * (a - rest)
         v += (a - rest) * dt - leak * v
         x += v * dt - leak * x

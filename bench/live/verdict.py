@@ -26,8 +26,6 @@ from model.tones import Forcing
 
 GAMMAS, SLOW_GAMMAS = 480, 160  # points of the diagram, exact and integrated
 ZONE_GAMMAS = 120
-PORTION = 20  # points between two looks at the run
-LEAST_DIFFERENCE_MS = 0.01
 
 
 def nominal_forcing(setup: Setup) -> Forcing:
@@ -50,8 +48,9 @@ def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any
     ball = make_ball(forcing, own, frequency_hz=setup.forcing.frequency_hz, g_mps2=setup.g_mps2.value)
     grid = np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else SLOW_GAMMAS)
     zone_grid = np.linspace(low, high, ZONE_GAMMAS)
+    # a little wider than the grid, so that neighbouring bars of a zone overlap
     half = 0.52 * (zone_grid[1] - zone_grid[0]) * shown
-    portions = -(-len(grid) // PORTION)
+    portions = -(-len(grid) // 20)
     for k in range(portions):
         rows = diagram(ball, grid[k::portions])  # every so many-th: the whole range is there at once, coarsely
         finite = np.isfinite(rows.tau)
@@ -99,7 +98,7 @@ def verdict_of(seen: Observations, step: int, look: int, upcoming: tuple[float, 
     out |= {"lines": lines, "floor_us": found.floor_us}
     if found.within:
         return out | {"headline": "within noise of the declared model"}
-    lines.append(f"probability of so much by noise alone: {found.p:.1g}; at this step {found.level:.1g} is asked")
+    lines.append(f"probability of so much by noise: {found.p:.1g}; at this step {found.level:.1g} is asked")
     if not found.promising:
         lines.append("no single candidate explains it yet")
     lines += _next_steps(seen.setup, found.promising, upcoming, step)
@@ -124,7 +123,7 @@ def _next_steps(setup: Setup, promising: tuple[Promising, ...], upcoming: tuple[
     lines = []
     for k in sorted({round(k) for k in np.linspace(0, len(upcoming) - 1, 3)}):
         difference_ms = abs(_mean_ms(setup, own, upcoming[k]) - _mean_ms(setup, other, upcoming[k]))
-        if difference_ms > LEAST_DIFFERENCE_MS:
+        if difference_ms > 0.01:
             where = f"step {step + 1 + k} (\u0393 {shown * upcoming[k]:.3g})"
             lines.append(f"{where}: {first} and {second} differ by {difference_ms:.2g} ms of flight")
     return lines or [f"the steps to come will hardly tell {first} from {second}"]

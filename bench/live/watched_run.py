@@ -22,12 +22,8 @@ from rig.profile import Profile
 from rig.programme.ramp import peaks, plan
 from rig.programme.sequencer import STILL
 
-SPECTRUM_S, SPECTRUM_SAMPLES = 1.0, 1 << 15
-HEIGHT_CODES = 30000.0  # for the largest displacement that the limits allow
-LONGEST_LOG = 200  # commands that a browser gets to see which opens the page late
 LIMIT_UNITS = {"drive_v": "V", "plate_mps2": "m/s\u00b2", "velocity_mps": "m/s", "displacement_m": "m"}
 STANDING = tuple(state.value for state in STILL)
-UNKNOWN = -32768  # code of a displacement that is not known
 Tell = Callable[..., None]
 
 
@@ -50,7 +46,7 @@ class WatchedRun:
     def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:
         self.profile, self.board, self._tell = profile, board, tell
         self.successor: Message | None = None
-        self._kept: dict[str, str] = {}  # the last message of each kind
+        self._latest: dict[str, str] = {}  # the last message of each kind
         self._models: list[str] = []
         self._steps: dict[int, tuple[bytes, str]] = {}
         self._taken: list[str] = []
@@ -71,7 +67,7 @@ class WatchedRun:
 
     def history(self) -> list[str | bytes]:
         """All that a browser needs which opens the page now."""
-        out: list[str | bytes] = [*self._kept.values(), *self._models, *self._taken]
+        out: list[str | bytes] = [*self._latest.values(), *self._models, *self._taken]
         for piece, words in self._steps.values():
             out += [piece, words]
         return out
@@ -95,7 +91,7 @@ class WatchedRun:
 
     def _say(self, message: Message) -> None:
         """Tell a message and keep it for browsers that come later."""
-        self._kept[message["kind"]] = json.dumps(message)
+        self._latest[message["kind"]] = json.dumps(message)
         self._tell(message)
 
     def _plan(self) -> Message:
@@ -125,7 +121,7 @@ class WatchedRun:
             self._begin(event)
         elif kind == "taken":
             event["at"] = time.time()
-            self._taken = [*self._taken[1 - LONGEST_LOG :], json.dumps(event)]
+            self._taken = [*self._taken[-199:], json.dumps(event)]
             self._tell(event)
         elif kind == "ended":
             self._say(event | {"at": time.time(), "out": self._out if event["n_samples"] else None})
@@ -144,7 +140,8 @@ class WatchedRun:
         self._accelerometer = channels.index("accelerometer")
         self._mps2 = event["scales"]["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
         largest_m = peaks(profile, max(profile.ramp.gammas())).displacement_m or 1e-3
-        self._least_m = 2.0 * largest_m / HEIGHT_CODES
+        # the largest displacement that the limits allow fills the codes of 16 bits, but for a tenth
+        self._least_m = 2.0 * largest_m / 30000.0
         self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
         self._bin = max(1, int(np.ceil(self._rate_hz / MOST_BINS_PER_S)))
         self._extremes = MinMax(self._bin, len(channels) + 1)
@@ -178,7 +175,7 @@ class WatchedRun:
                 self._extremes.clear()
             height = self._height.add(np.ascontiguousarray(block.codes[:, self._accelerometer]))
             if self._stands:
-                height[:] = UNKNOWN
+                height[:] = -32768  # the code of a height that is not known
             found = self._extremes.add(np.column_stack([block.codes, height]))
             self._next_sample = block.first_sample + len(block.codes)
             if len(found) and first < 0:
@@ -190,8 +187,8 @@ class WatchedRun:
             bin_s = self._bin / self._rate_hz
             self._tell(scope_piece((first + self._shifted) / self._rate_hz, bin_s, extremes), passing=True)
         now = time.monotonic()
-        if now - self._spectrum_at > SPECTRUM_S:
-            recent = np.concatenate(self._recent)[-SPECTRUM_SAMPLES:]
+        if now - self._spectrum_at > 1.0:
+            recent = np.concatenate(self._recent)[-(1 << 15) :]
             self._recent, self._spectrum_at = [recent], now
             if len(recent) >= 1024:
                 self._tell(spectrum_piece(self._rate_hz, recent * self._mps2), passing=True)

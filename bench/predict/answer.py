@@ -37,7 +37,12 @@ def run(request: Request) -> None:
 
 def _answer(request: Request) -> None:
     """The branch for each kind of request."""
-    _refuse_unwritten(request)
+    if request.gamma_range is None or request.bifurcations:  # no diagram: no picture or HDF5 file would be written
+        for option, path in (("--out", request.files.out), ("--figure", request.files.figure)):
+            if path is not None:
+                asked = "--bifurcations" if request.bifurcations else "this call"
+                diagram_call = f"--gamma-range FROM TO {option} {path}"
+                raise InputError(f"{option} {path}: {asked} writes no such file; it is for a diagram: {diagram_call}")
     check_outputs(
         File("--out", request.files.out, HDF5, continues=None if request.files.overwrite else _is_diagram),
         File("--figure", request.files.figure, PICTURE), File("--json", request.files.json, JSON),
@@ -62,17 +67,6 @@ def _answer(request: Request) -> None:
         _branches(ball, request, *request.gamma_range)
     else:
         diagram(ball, request, forcing_of(request), parse_effects(request.effects))
-
-
-def _refuse_unwritten(request: Request) -> None:
-    """Refuse a picture or an HDF5 file of what is no diagram: none would be written (raises `InputError`)."""
-    if request.gamma_range is not None and not request.bifurcations:
-        return
-    for option, path in (("--out", request.files.out), ("--figure", request.files.figure)):
-        if path is not None:
-            asked = "--bifurcations" if request.bifurcations else "this call"
-            diagram_call = f"--gamma-range FROM TO {option} {path}"
-            raise InputError(f"{option} {path}: {asked} writes no such file; it is for a diagram: {diagram_call}")
 
 
 def _is_diagram(path: Path) -> bool:

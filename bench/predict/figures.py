@@ -31,7 +31,6 @@ from model.surveys.ensemble import Job
 from model.tones import Forcing
 
 ZONE_GAMMAS = 400
-DOTS = 1600  # of the picture along each axis, at most
 PERIODS = (1, 2, 3, 4, 6, 8, 12, 16, 32, 64)  # lower bounds of the colours
 CHAOTIC, AT_REST = -1, 0
 NAMES = {"restitution.e0": "restitution e", "coulomb_friction.mu": "friction μ"}
@@ -117,7 +116,7 @@ def map_picture(path: Path, job: Job, picture: Path) -> None:
     Grey is chaos, white is rest. A picture of fewer dots than points shows every n-th: a mean of periods says nothing.
     """
     rows, columns = job.shape
-    step = -(-max(rows, columns) // DOTS)
+    step = -(-max(rows, columns) // 1600)
     with h5py.File(path, "r") as file:
         period = np.array([_periods(file, i * columns, (i + 1) * columns, step) for i in range(0, rows, step)])
     axis, gammas = job.axes[0], job.gammas

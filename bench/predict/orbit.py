@@ -12,8 +12,6 @@ from bench.terminal.console import CYCLES, print_lines, write_json
 from daq.setup.errors import InputError
 from model.orbits.attractor import Attractor, Ball, attractor, sweep
 
-SWEEP_STEPS = 400  # gammas of the sweep that leads to a single gamma
-
 
 def orbit(ball: Ball, request: Request) -> None:
     """Print or write the attractor at the gamma of ``request``; raises `InputError` where it names none."""
@@ -30,7 +28,8 @@ def orbit(ball: Ball, request: Request) -> None:
         found = attractor(ball, gamma)
     else:
         start = 0.0 if request.sweep == "up" else 2.0 * gamma
-        found = sweep(ball, np.linspace(start, gamma, SWEEP_STEPS))[-1]
+        # a sweep in steps so small that the ball stays on its branch
+        found = sweep(ball, np.linspace(start, gamma, 400))[-1]
     write_json(orbit_json(found, request.ratio, gamma, request.frequency_hz), request.files.json)
     if request.files.json is None:
         print(f"c = {request.ratio}, gamma = {gamma:.9g}: {found.label}")

@@ -23,8 +23,6 @@ from daq.setup.setup import Setup
 from model.effects.routing import Effects, accelerometer_response, ball_effects, plate_gain, shapes_the_plate
 from model.orbits.attractor import AT_REST, Attractor, attractor
 
-SAME_SIZE = 1e-9
-
 
 def with_profile(request: Request, name: str) -> Request:
     """``request`` with what the profile ``name`` says; options given with it come on top.
@@ -81,7 +79,7 @@ def _size(setup: Setup) -> float:
     tones = [abs(z) for _, z in setup.forcing.displacement_tones()]
     if len(tones) == 1:
         return tones[0] / 2.0
-    if not math.isclose(tones[0], tones[1], rel_tol=SAME_SIZE):
+    if not math.isclose(tones[0], tones[1], rel_tol=1e-9):
         b = setup.forcing.amplitude
         raise InputError(
             f"profile {setup.name!r}: forcing.amplitude = {list(b)}; predict knows two tones of equal size only"

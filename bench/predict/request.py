@@ -105,7 +105,7 @@ def ball_for(request: Request) -> Ball:
 
 
 def check_adaptive(steps: int) -> None:
-    """Refuse more gammas than an adaptive diagram, kept in memory, can be refined from."""
+    """Refuse more gammas than an adaptive diagram, which is in memory, can be refined from."""
     if steps > MOST_ADAPTIVE:
         raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
 

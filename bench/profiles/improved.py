@@ -1,6 +1,6 @@
 """The improved model as a profile: what was found is declared, with value, uncertainty and the recording it is from.
 
-Every line of the recording's profile is kept. What is not believed, belongs to one run or has no name is not declared:
+Every line of the recording's profile stays. What is not believed, belongs to one run or has no name is not declared:
 it stands in comments at the end.
 """
 

@@ -27,7 +27,6 @@ from daq.recording.subprocess_reader import in_subprocess
 from daq.setup.errors import InputError
 
 VERSION = 3
-SAVE_S = 10.0  # what was read is saved at least so often
 
 
 class Catalogue(Closing):
@@ -74,7 +73,7 @@ class Catalogue(Closing):
         except OSError as error:
             why = error.strerror or error
             self.path = None
-            self.said = f"{path}: cannot be written ({why}); the catalogue is kept in memory for this call"
+            self.said = f"{path}: cannot be written ({why}); the catalogue is in memory for this call"
         if anew:
             self._files, self._anew = {}, True
 
@@ -103,14 +102,20 @@ class Catalogue(Closing):
                 gone = self._files.keys() - found.keys()
                 for path in gone:
                     del self._files[path]
-                changed = [file for file in found.values() if self._is_new(file, all_bytes=all_bytes)]
+                changed = []
+                for file in found.values():
+                    entry = self._files.get(file.path)
+                    is_new = entry is None or (entry["size"], entry["mtime_ns"]) != (file.size, file.mtime_ns)
+                    # known, but of a recording whose bytes were not all compared yet
+                    if is_new or (all_bytes and entry and "run" in entry and not entry["run"]["all_bytes"]):
+                        changed.append(file)
             saved = time.monotonic()
             for done, (file, entry) in enumerate(self._read(changed, all_bytes=all_bytes), start=1):
                 with self._lock:
                     self._files[file.path] = _plain(entry | {"size": file.size, "mtime_ns": file.mtime_ns})
                 if progress is not None:
                     progress("reading recordings", done / len(changed))
-                if time.monotonic() - saved > SAVE_S:
+                if time.monotonic() - saved > 10.0:
                     self._save()
                     saved = time.monotonic()
             if changed or gone or self._anew:
@@ -216,13 +221,6 @@ class Catalogue(Closing):
                 self._files[name] = _plain(self._remarks(name) | about)
             self._save()
         return changed
-
-    def _is_new(self, file: Found, *, all_bytes: bool) -> bool:
-        """Whether a file is to be read."""
-        entry = self._files.get(file.path)
-        if entry is None or (entry["size"], entry["mtime_ns"]) != (file.size, file.mtime_ns):
-            return True
-        return all_bytes and "run" in entry and not entry["run"]["all_bytes"]
 
     def _read(self, changed: Iterable[Found], *, all_bytes: bool) -> Iterator[tuple[Found, dict[str, Any]]]:
         """What files hold, as they are read."""

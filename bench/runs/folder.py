@@ -16,7 +16,6 @@ from daq.setup.errors import InputError
 PLACE = ".shakerbench"
 """Folder, in the runs' folder, of what can be made again: the catalogue, the pyramids, the flights."""
 RECORDINGS = (".h5", ".hdf5")
-DEEPEST = 32  # folders in folders
 
 Kind = Literal["hdf5", "remarks", "loop"]
 
@@ -67,7 +66,7 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
                 continue
             try:
                 if entry.is_dir(follow_symlinks=False):
-                    if depth < DEEPEST:
+                    if depth < 32:
                         yield from _below(Path(entry.path), f"{prefix}{name}/", root, depth + 1)
                     continue
                 if not name.lower().endswith((*RECORDINGS, SAVED, ENDING)):

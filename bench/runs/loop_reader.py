@@ -14,8 +14,6 @@ from daq.files.json_values import json_object
 from daq.recording.subprocess_reader import Tell
 from daq.setup.errors import InputError
 
-NORMAL_95 = 1.959964  # half width of a 95 % interval, in standard deviations
-
 
 def look(names: list[str], tell: Tell) -> dict[str, Any]:
     """Verdicts by file name, as the catalogue holds them; None for a file that holds none."""
@@ -38,7 +36,8 @@ def _verdict(loop: ClosedLoop) -> dict[str, Any]:
     quantities = []
     for effect in loop.selection.effects:
         for parameter, (value, low, high) in effect.parameters.items():
-            sigma = (high - low) / (2.0 * NORMAL_95)
+            # a 95 % interval is 1.96 standard deviations to either side
+            sigma = (high - low) / (2.0 * 1.959964)
             quantities.append((effect.name, parameter, value, sigma if math.isfinite(sigma) else None))
     quantities += [(x.effect, x.parameter, x.value, x.sigma) for x in loop.selection.calibrations]
     return {

@@ -28,8 +28,6 @@ from daq.recording import open_recording
 from daq.setup.errors import InputError
 
 FLIGHTS_VERSION = 1
-MOST_SHOWN = 400  # flights of one step in a diagram
-NICENESS = 10
 
 
 def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Path:
@@ -66,7 +64,7 @@ def make_flights(recording: Path, target: Path) -> Path:
         plate = flights.plate.steps[k] if k < len(flights.plate.steps) else None
         own = classes.get(k)
         chosen = np.flatnonzero((flights.step == k) & flights.good() & ~flights.has(FlightFlag.DOUBLE_HIT))
-        shown = chosen[:: -(-len(chosen) // MOST_SHOWN)] if len(chosen) else chosen
+        shown = chosen[:: -(-len(chosen) // 400)] if len(chosen) else chosen
         found.append({
             "step": k, "start_s": stamps[k], "length_s": float(step["n_samples"]) / rate_hz,
             "commanded": step["gamma"], "gamma": None if plate is None else plate.gamma,
@@ -146,7 +144,7 @@ class Workshop:
             job = self._jobs.get(name)
             if job is None:
                 if self._pool is None:  # one worker, which gives way to a run where the system knows of that
-                    lower = (os.nice, (NICENESS,)) if hasattr(os, "nice") else (None, ())
+                    lower = (os.nice, (10,)) if hasattr(os, "nice") else (None, ())
                     self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), *lower)
                 job = self._jobs[name] = self._pool.submit(make, *arguments)
         if not job.done():

@@ -17,9 +17,6 @@ from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
-STEPS_SHOWN = 2000
-HELD_S = 60.0
-"""Time for which a recording is held open after its samples were last read."""
 
 
 class Scope:
@@ -41,14 +38,14 @@ class Scope:
         self._lock = threading.Lock()
         self._held: Recording | None = None
         self._later: threading.Timer | None = None
-        with self._lock, self._kept() as opened:
+        with self._lock, self._opened() as opened:
             self._setup: Setup = opened.setup
             place = opened.timestamps_ns
             self._steps = [
                 {"start_s": float(place(int(s["first_sample"]), int(s["first_sample"]) + 1)[0]) * 1e-9,
                  "settle_s": float(s["settle_samples"]) / opened.rate_hz,
                  "length_s": float(s["n_samples"]) / opened.rate_hz, "gamma": s["gamma"]}
-                for s in opened.steps[:STEPS_SHOWN] if 0 <= s["first_sample"] < opened.n_samples
+                for s in opened.steps[:2000] if 0 <= s["first_sample"] < opened.n_samples
             ]  # fmt: skip
 
     def is_current(self) -> bool:
@@ -74,7 +71,7 @@ class Scope:
     def view(self, start_s: float, stop_s: float, width: int) -> dict[str, Any]:
         """A stretch of the signals; NaN where a column has no sample (raises ValueError, InputError)."""
         with self._lock:
-            seen = self._pyramid.view(start_s, stop_s, width, self._kept)
+            seen = self._pyramid.view(start_s, stop_s, width, self._opened)
         samples = seen.samples_per_point == 1.0
         channels = {
             name: {"low": _short(low)} if samples else {"low": _short(low), "high": _short(seen.high_v[name])}
@@ -98,7 +95,7 @@ class Scope:
                 self._held.close()
             self._held = self._later = None
 
-    def _kept(self) -> AbstractContextManager[Recording]:
+    def _opened(self) -> AbstractContextManager[Recording]:
         """The recording, held open while one zooms: opening it takes longer than reading a stretch."""
         if self._later is not None:
             self._later.cancel()
@@ -108,7 +105,7 @@ class Scope:
                 self._held.close()
                 self._held = None
             self._held = self._held or open_recording(self._file)
-        self._later = threading.Timer(HELD_S, self.close)
+        self._later = threading.Timer(60.0, self.close)
         self._later.daemon = True
         self._later.start()
         return nullcontext(self._held)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
-NARROWEST = 20  # characters; nothing is wrapped to less
 
 
 def fail(message: str, code: int = EXIT_FAILED) -> NoReturn:
@@ -140,7 +139,7 @@ def _rows_in_lines(table: Table, console: Console) -> list[str]:
         shown = [f"{heading} {cell}".strip() for heading, cell in zip(headings, row, strict=True) if cell.strip()]
         line = ""
         for pair in shown:
-            if line and len(line) + 2 + len(pair) >= max(console.width, NARROWEST):
+            if line and len(line) + 2 + len(pair) >= max(console.width, 20):
                 lines.append(f"{line},")
                 line = f"  {pair}"
             else:

@@ -29,7 +29,6 @@ WORDS = (
     "h hold, g go on, n end this block, 0.8, 1.2 these gammas next (c=2 0.8 1.2 too), s stop; a reason after a colon"
 )
 PERSON = "a person"
-POLL_S = 0.2  # in which an interrupt reaches one who waits for an answer, on Windows too
 
 
 def steps_from(text: str) -> NextSteps:
@@ -138,7 +137,8 @@ class TypedLines:
         typer.echo(f"{prompt}: ", nl=False)
         while True:
             with suppress(queue.Empty):
-                line = self._lines.get(timeout=POLL_S)
+                # in short waits, so that an interrupt comes through on Windows too
+                line = self._lines.get(timeout=0.2)
                 if line is None:
                     self._lines.put(None)
                 return line

@@ -16,7 +16,7 @@ Progress = Callable[[str, float], None]
 
 
 class _Compiling:
-    """Watcher of compilations (`kernels.kernel.watchers`); kept kernels cause none.
+    """Watcher of compilations (`kernels.kernel.watchers`); stored kernels cause none.
 
     Parameters
     ----------

@@ -18,8 +18,6 @@ from rig.programme.sequencer import State
 if TYPE_CHECKING:
     from rig.execution.operator import Status
 
-WIDTH = 80  # characters that the lines need
-ALIVE_CYCLES = 3.0  # since the ball last touched the plate or was heard to
 LIMITS = {
     "drive_v": "drive", "plate_mps2": "acceleration", "velocity_mps": "velocity", "displacement_m": "displacement",
 }  # fmt: skip
@@ -79,7 +77,7 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
     task = bar.add_task("", total=None)
     lines = Text(overflow="fold")
     screen = Console(file=cast("IO[str]", Screen(sys.stderr)))
-    narrow = screen.width < WIDTH
+    narrow = screen.width < 80
     with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4) as live:
 
         def show(status: Status) -> None:
@@ -112,7 +110,7 @@ def health_line(status: Status) -> str:
     if math.isfinite(status.achieved_gamma):  # one digit of the uncertainty: the line has 80 characters
         achieved = f"{status.achieved_gamma:.4g} +- {status.achieved_gamma_uncertainty:.1g} (last hold)"
     age = status.contact_age_cycles
-    contact = "alive" if age <= ALIVE_CYCLES else f"silent for {age:.0f} cycles"
+    contact = "alive" if age <= 3.0 else f"silent for {age:.0f} cycles"
     return f"gamma {status.step.gamma:.4g}, achieved {achieved}; contact {contact}; {status.lost_samples} samples lost"
 
 

@@ -24,7 +24,6 @@ from daq.setup.errors import InputError
 LOOPBACK = "127.0.0.1"
 COOKIE = "shakerbench_token"
 MOST_BODY_BYTES = 1_000_000
-REFUSED = 4403  # close code of a websocket
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ class Guard:
             await self._app(scope, _bounded(receive), confined)
         elif scope["type"] == "websocket":
             await receive()  # the connection's opening
-            await send({"type": "websocket.close", "code": REFUSED, "reason": "refused"})
+            await send({"type": "websocket.close", "code": 4403, "reason": "refused"})
         else:
             await answer(scope, receive, confined)
 

@@ -13,8 +13,6 @@ from typing import Any, TypeAlias
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-QUEUE = 400  # messages that a slow browser may be behind by
-PASSING = 100  # beyond that it gets no more of the scope, until it has caught up
 GONE_S = 6.0  # the controls wait for a browser that loads the page again
 SILENT_S = 15.0  # after which a holder that does not answer loses the controls to the one that asked
 NAME, NO_NAME = re.compile(r"[0-9a-f]{16,64}"), 4400  # of a browser; why a socket is closed without one
@@ -25,11 +23,12 @@ class Browser:
 
     def __init__(self, socket: WebSocket, name: str) -> None:
         self.socket, self.name = socket, name
-        self._queue: asyncio.Queue[str | bytes] = asyncio.Queue(QUEUE)
+        self._queue: asyncio.Queue[str | bytes] = asyncio.Queue(400)
 
     def send(self, message: str | bytes, *, passing: bool = False) -> None:
         """Queue a message; one that is ``passing`` (a piece of the scope) is left out for a browser that is behind."""
-        if passing and self._queue.qsize() > PASSING:
+        # a browser this far behind gets no more of the scope until it has caught up
+        if passing and self._queue.qsize() > 100:
             return
         with contextlib.suppress(asyncio.QueueFull):
             self._queue.put_nowait(message)

@@ -46,7 +46,7 @@ class Section:
     static
         Folder of scripts, styles and pictures; None without any.
     running
-        Context kept open while the server runs (readers, workers); None without any.
+        Context held open while the server runs (readers, workers); None without any.
     """
 
     name: str

@@ -16,8 +16,6 @@ from bench.web.section import Place
 from daq.setup.errors import InputError
 
 PORT = 8625
-TRIED_PORTS = 20  # from the first on, where none was asked for
-MOST_MESSAGE_BYTES = 65536  # from a browser
 
 
 def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None) -> tuple[socket.socket, Access]:
@@ -37,7 +35,7 @@ def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None
     InputError
         When the address cannot be bound.
     """
-    ports = [port] if port is not None else range(PORT, PORT + TRIED_PORTS)
+    ports = [port] if port is not None else range(PORT, PORT + 20)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     last: OSError | None = None
     for one in ports:
@@ -86,7 +84,7 @@ def serve(
         date_header=False,
         lifespan="on",
         ws="websockets-sansio",
-        ws_max_size=MOST_MESSAGE_BYTES,
+        ws_max_size=65536,
         ws_per_message_deflate=False,  # increments are small and the machine has better to do
         timeout_graceful_shutdown=1,
     )

@@ -20,15 +20,15 @@ import numpy as np
 import model.effects
 from kernels.arrays import Floats
 from kernels.errors import InputError
-from model.effects import kept
+from model.effects import user_effects
 from model.effects.base import COMPILED_HOOKS, PLAIN_HOOKS, SIGNATURES, Effect, Parameter, Registered
-from model.effects.kept import EffectFileError
+from model.effects.user_effects import EffectFileError
 
 __all__ = [
     "Effect", "Parameter", "Registered", "effect", "null_row", "offsets", "registry", "resolve", "row", "trend_name",
 ]  # fmt: skip
 
-NOT_EFFECTS = frozenset({"base", "curves", "kept", "registry", "routing"})
+NOT_EFFECTS = frozenset({"base", "curves", "registry", "routing", "user_effects"})
 ENTRY_POINTS = "shakerbench.effects"
 
 
@@ -49,13 +49,13 @@ def registry() -> tuple[Registered, ...]:
         if e.name in found:
             raise _taken(_file(module), e.name, found[e.name][1])
         found[e.name] = (e, module.__name__, hooks)
-    for path in kept.kept_files():
+    for path in user_effects.effect_files():
         if path.stem in found or path.stem in NOT_EFFECTS:
             raise _taken(str(path), path.stem, found[path.stem][1] if path.stem in found else "model.effects")
-        module = kept.load(path)
+        module = user_effects.load(path)
         e, hooks = _checked(module)
         for hook in hooks.keys() & SIGNATURES.keys():
-            kept.check_signature(str(path), hook, hooks[hook], SIGNATURES[hook])
+            user_effects.check_signature(str(path), hook, hooks[hook], SIGNATURES[hook])
         found[e.name] = (e, module.__name__, hooks)
     for e, name, _ in found.values():
         _refuse_unknown(name, "confused_with or special_cases", {*e.confused_with, *e.special_cases}, found)

@@ -14,11 +14,11 @@ from analysis.discovery.discover import Band, Discovery
 from analysis.discovery.forms import FORMS, Form, forms_for
 from analysis.discovery.symbolic import FittedForm
 from analysis.discovery.terms import IN_FLIGHT, event_terms
-from analysis.loop.kept_term import check_new, effect_source
 from analysis.loop.result import ClosedLoop
+from analysis.loop.term_effect import check_new, effect_source
 from analysis.residuals.covariates import Covariate
 from daq.setup.errors import InputError
-from model.effects import kept
+from model.effects import user_effects
 from model.effects.registry import _checked
 
 TERMS = [*IN_FLIGHT, *(t for name in ("force", "friction", "threshold", "restitution") for t in event_terms(name))]
@@ -49,7 +49,7 @@ def found_by(loop: ClosedLoop, term: str, of: str, within: bool, form: Form | No
 def module_of(text: str, folder: Path) -> ModuleType:
     """The file read as a kept effect."""
     (folder / "odd_rod.py").write_text(text, encoding="utf-8")
-    return kept.load(folder / "odd_rod.py")
+    return user_effects.load(folder / "odd_rod.py")
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{t.of}")

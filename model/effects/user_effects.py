@@ -1,7 +1,7 @@
-"""Effects that a user keeps apart from the installed library: files in folders of the user's own.
+"""Effects of the user, besides the installed library: files in folders of the user's own.
 
 The folders are named by the environment variable ``SHAKERBENCH_EFFECTS`` (several as in ``PATH``; empty: none), else it
-is one folder among the user's own data. They are never looked for beside recordings or in the working directory: such a
+is one folder among the user's own data. They are never looked for near recordings or in the working directory: such a
 file is a program, and whoever sends a recording must not bring one. Decision 139.
 """
 
@@ -26,7 +26,7 @@ class EffectFileError(InputError):
 
 
 def user_folder() -> Path:
-    """The folder of kept effects where the environment names none."""
+    """The user's folder of effects where the environment names none."""
     home = Path.home()
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
@@ -38,7 +38,7 @@ def user_folder() -> Path:
 
 
 def folders() -> tuple[Path, ...]:
-    """Folders of kept effects, the one that is written to first.
+    """Folders of the user's effects, the one that is written to first.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def leave_out(path: Path) -> None:
     _left_out.add(path.resolve())
 
 
-def kept_files() -> tuple[Path, ...]:
-    """Files of kept effects, in the order of their folders and names; none is read."""
+def effect_files() -> tuple[Path, ...]:
+    """Files of the user's effects, in the order of their folders and names; none is read."""
     found = (path for folder in folders() if folder.is_dir() for path in sorted(folder.glob("*.py")))
     return tuple(path for path in found if not path.stem.startswith("_") and path.resolve() not in _left_out)
 
@@ -87,7 +87,7 @@ def check_name(name: str) -> None:
 
 
 def load(path: Path) -> ModuleType:
-    """The module of a kept effect, read from its source: no compiled copy can be older than the file.
+    """The module of a user's effect, read from its source: no compiled copy can be older than the file.
 
     Raises
     ------

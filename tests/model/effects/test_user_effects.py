@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.effects import kept
+from model.effects import user_effects
 from model.effects.curves import straight_between
-from model.effects.kept import EffectFileError
 from model.effects.registry import registry
+from model.effects.user_effects import EffectFileError
 
 ROOT = Path(__file__).parents[3]
 FILE = """from kernels import njit
@@ -33,7 +33,7 @@ Keep = Callable[..., Path]
 @pytest.fixture
 def keep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Keep:
     """Write a kept effect into the folder that the environment names."""
-    monkeypatch.setenv(kept.VARIABLE, str(tmp_path))
+    monkeypatch.setenv(user_effects.VARIABLE, str(tmp_path))
 
     def made(
         name: str = "breeze", hook: str = "force", arguments: str = "s, h, v, u, p, k", factor: float = 1.0
@@ -97,7 +97,7 @@ def test_every_command_tells_of_a_broken_file(keep: Keep) -> None:
     folder = keep().parent
     (folder / "breeze.py").write_text("y = (\n", encoding="utf-8")
     call = [sys.executable, "-m", "bench", "--effects", str(folder), "predict", "--c", "1", "--gamma", "1.2"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), kept.VARIABLE: ""}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), user_effects.VARIABLE: ""}
     done = subprocess.run(call, env=environment, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 2, done.stderr
     assert "breeze.py, line 1" in done.stderr and "Traceback" not in done.stderr
@@ -105,12 +105,12 @@ def test_every_command_tells_of_a_broken_file(keep: Keep) -> None:
 
 def test_the_folder_is_the_user_s_own_unless_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Without the variable a folder of the user's; with it those it names, of which an empty text names none."""
-    monkeypatch.delenv(kept.VARIABLE)
-    assert kept.folders() == (kept.user_folder(),)
-    monkeypatch.setenv(kept.VARIABLE, os.pathsep.join([str(tmp_path), str(tmp_path / "b")]))
-    assert kept.folders() == (tmp_path, tmp_path / "b")
-    monkeypatch.setenv(kept.VARIABLE, "")
-    assert kept.folders() == () and kept.kept_files() == ()
+    monkeypatch.delenv(user_effects.VARIABLE)
+    assert user_effects.folders() == (user_effects.user_folder(),)
+    monkeypatch.setenv(user_effects.VARIABLE, os.pathsep.join([str(tmp_path), str(tmp_path / "b")]))
+    assert user_effects.folders() == (tmp_path, tmp_path / "b")
+    monkeypatch.setenv(user_effects.VARIABLE, "")
+    assert user_effects.folders() == () and user_effects.effect_files() == ()
 
 
 def test_a_table_is_straight_between_its_knots() -> None:

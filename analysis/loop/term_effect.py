@@ -18,8 +18,8 @@ from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.residuals.prediction_errors import Errors
 from daq.setup.errors import InputError
-from model.effects.kept import check_name, kept_files
 from model.effects.registry import NOT_EFFECTS, registry
+from model.effects.user_effects import check_name, effect_files
 
 WIDTH = 116  # of a line of the file
 HOOKS = {  # hook of each term, and of its quantities those that are an argument of the hook
@@ -51,8 +51,8 @@ SUFFIX = {"m": "m", "s": "s", "m/s": "mps", "m/s^2": "mps2", "rad": "rad", "1": 
 
 
 @dataclass(frozen=True)
-class KeptTerm:
-    """A discovered term that was kept, and the loop closed again with it.
+class TermEffect:
+    """A discovered term as an effect of the user's, and the loop closed again with it.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class KeptTerm:
 
     @property
     def found_again(self) -> bool:
-        """Whether the loop names the kept effect."""
+        """Whether the loop names the effect."""
         return any(e.name == self.name for e in self.effects)
 
 
@@ -97,7 +97,7 @@ def check_new(name: str) -> None:
     except ValueError as error:
         raise InputError(f"--keep-term: {error}") from error
     taken = {r.effect.name for r in registry()} | NOT_EFFECTS
-    if name in taken - {path.stem for path in kept_files()}:
+    if name in taken - {path.stem for path in effect_files()}:
         raise InputError(f"--keep-term {name}: the library has an effect of that name; choose another")
 
 
@@ -129,7 +129,7 @@ def effect_source(loop: ClosedLoop, name: str) -> str:
     ]
     if replaced:
         raise InputError(
-            f"--keep-term {name}: the term was found in place of declared.{replaced[0]} and would act beside it; "
+            f"--keep-term {name}: the term was found in place of declared.{replaced[0]} and would act with it; "
             "take that out of the profile, close the loop with --profile, and keep the term then"
         )
     return _Writer(loop, found, name).text()
@@ -164,7 +164,7 @@ class _Writer:
             fitted = [self._named(*pair) for pair in zip(form.parameters, form.kinds, strict=True)]
         table = "" if form is not None else _array("KNOTS", f.curve.knots) + _array("VALUES", f.curve.values) + "\n"
         y = "size * straight_between(x, KNOTS, VALUES)" if form is None else form.expression
-        installed = [(n, c) for n, c in f.similar_effects if n not in {path.stem for path in kept_files()}]
+        installed = [(n, c) for n, c in f.similar_effects if n not in {path.stem for path in effect_files()}]
         alike = "".join(f'        "{n}": "similar where this was found (correlation {c:.2f})",\n' for n, c in installed)
         needs_np = "np." in y + table or self.against_motion
         return "".join(
