@@ -82,8 +82,8 @@ class File:
         None where it is not asked for; ``-`` is standard output where the form is JSON.
     form
         What is written.
-    never_replaced
-        Whatever ``--overwrite`` says.
+    lasting
+        Never replaced, whatever ``--overwrite`` says.
     continues
         Whether a file that is there may be gone on with.
     """
@@ -91,7 +91,7 @@ class File:
     option: str
     path: Path | str | None
     form: Form
-    never_replaced: bool = False
+    lasting: bool = False
     continues: Callable[[Path], bool] | None = None
 
 
@@ -182,7 +182,7 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
         return
     if not path.is_file() or (output.continues is not None and output.continues(path)):
         return  # to a device or a pipe nothing is lost
-    if output.never_replaced:
+    if output.lasting:
         raise InputError(
             f"{named}: exists already; recordings are never overwritten, not even with --overwrite; choose another name"
         )

@@ -59,9 +59,8 @@ def command(
     from daq.importers.import_recording import ImportOptions, import_recording
 
     check_outputs(
-        File("--out", out, HDF5, never_replaced=True), File("--json", json, JSON),
-        inputs=[raw, profile], overwrite=overwrite,
-    )  # fmt: skip
+        File("--out", out, HDF5, lasting=True), File("--json", json, JSON), inputs=[raw, profile], overwrite=overwrite
+    )
     setup, text = load_measuring(profile)
     source = open_source(raw, _selected(channel), channel_column)
     options = ImportOptions(parse_map(mapping), rate, readable(note))

@@ -62,7 +62,7 @@ def command(
     from daq.setup.calibration_age import calibration_warnings
 
     check_outputs(
-        File("--out", out, outputs.HDF5, never_replaced=True), File("--json", json, outputs.JSON),
+        File("--out", out, outputs.HDF5, lasting=True), File("--json", json, outputs.JSON),
         inputs=[profile, scenario, replay, resume], overwrite=overwrite,
     )  # fmt: skip
     checked, text = load(profile)

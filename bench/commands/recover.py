@@ -27,9 +27,8 @@ def command(
 
     out = out or default_out(recording)
     check_outputs(
-        File("--out", out, HDF5, never_replaced=True), File("--json", json, JSON),
-        inputs=[recording], overwrite=overwrite,
-    )  # fmt: skip
+        File("--out", out, HDF5, lasting=True), File("--json", json, JSON), inputs=[recording], overwrite=overwrite
+    )
     found = recover(recording, out)
     if write_json(found, json):
         summary = f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered"

@@ -195,7 +195,7 @@ def test_what_is_kept_and_what_may_be_replaced(tmp_path: Path) -> None:
     """A recording stays even with --overwrite, other files only without it; standard output and devices are taken."""
     there = tmp_path / "there.h5"
     there.write_bytes(b"mine")
-    assert "never overwritten" in refused(File("--out", there, HDF5, never_replaced=True), overwrite=True)
+    assert "never overwritten" in refused(File("--out", there, HDF5, lasting=True), overwrite=True)
     assert "--overwrite to replace it" in refused(File("--out", there, HDF5))
     assert refused(File("--out", there, HDF5), overwrite=True) == ""
     assert refused(File("--out", there, HDF5, continues=lambda path: True)) == ""
