@@ -64,7 +64,7 @@ def text(part: Kind) -> str:
 
 
 class Watcher(Protocol):
-    """Is told of each function that is compiled, of those within others as well."""
+    """Is called for each function that is compiled, also for those within others."""
 
     def on_start(self, name: str) -> None:
         """The function of that name begins."""
