@@ -11,7 +11,7 @@ from scipy.io import wavfile
 
 from analysis.drop.corrections import NOTHING
 from analysis.drop.load import Known
-from bench.drops.correct import kept_request, moved, side_file
+from bench.drops.correct import saved_request, moved, side_file
 from bench.drops.page_data import refusal_of
 from bench.jobs.drop_test import Request
 from daq.setup.errors import InputError
@@ -45,9 +45,9 @@ def test_corrections_come_back_from_the_json(tmp_path: Path) -> None:
     marks = (moved(NOTHING, 1.25, 1.26),)
     request = Request((file,), fps=240.0, heights_m=(0.3,), corrections=marks, balls=tmp_path / "balls.txt")
     side_file(file).write_text(json.dumps({"options": request.as_json()}), encoding="utf-8")
-    assert kept_request(side_file(file), [file]) == request
-    assert kept_request(side_file(file), [tmp_path / "other.wav"]) is None
-    assert kept_request(tmp_path / "none.json", [file]) is None
+    assert saved_request(side_file(file), [file]) == request
+    assert saved_request(side_file(file), [tmp_path / "other.wav"]) is None
+    assert saved_request(tmp_path / "none.json", [file]) is None
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"options": {"files": 3}}', "[" * 100_000])
@@ -56,7 +56,7 @@ def test_a_file_of_something_else_is_not_replaced(tmp_path: Path, text: str) -> 
     target = tmp_path / "tap.wav.drop.json"
     target.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="result of a drop test"):
-        kept_request(target, [tmp_path / "tap.wav"])
+        saved_request(target, [tmp_path / "tap.wav"])
 
 
 def test_a_damaged_sound_is_refused_on_the_page_too(tmp_path: Path) -> None:
