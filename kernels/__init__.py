@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["njit"]
 
-LARGEST_BYTES = 1 << 23  # of a block that is stored: the results and the work arrays of a diagram, a piece of a recording
+LARGEST_BYTES = 1 << 23  # of a stored block: the results and the work arrays of a diagram, a piece of a recording
 
 
 def __getattr__(name: str) -> Any:

@@ -11,7 +11,7 @@ from scipy.io import wavfile
 
 from analysis.drop.corrections import NOTHING
 from analysis.drop.load import Known
-from bench.drops.correct import saved_request, moved, side_file
+from bench.drops.correct import moved, saved_request, side_file
 from bench.drops.page_data import refusal_of
 from bench.jobs.drop_test import Request
 from daq.setup.errors import InputError
