@@ -147,7 +147,7 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
     steps = resolved_steps(recording)
-    ends_v = common_ends([x for piece in looked for x in _by_step(piece, steps)])
+    ends_v = common_ends([x for piece in looked for x in _by_step(piece, steps)], recording.rate_hz)
     for piece in looked:
         if (blocks := high_pass_of(recording, high_pass_hz)) is not None:
             blocks.undo(piece)

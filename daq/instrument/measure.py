@@ -132,7 +132,7 @@ def measure(
         rests.append(rest)
         quiet.append(_quiet(rest, high, rate_hz))
     shown = [volts["accelerometer"] for _, volts, _ in pieces]
-    ends_v = common_ends(shown)
+    ends_v = common_ends(shown, rate_hz)
     channels = [[volts[role] for _, volts, _ in pieces] for role in read]
     return Measured(
         tuple(holds),

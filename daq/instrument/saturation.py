@@ -23,6 +23,7 @@ CROWDED = 3.0  # times as many in the outermost band as in the next one; where a
 CROWDED_SIGMAS = 4.0  # significance of that
 SPREAD_SIGMAS = 4.0  # standard deviations of the noise about an end within which a reading is at the end
 BEYOND = 0.5  # of the spread about an end, by which readings of other stretches may exceed it
+STAYS_S, LEAST_STAY = 1e-4, 2.0  # mean stay at an end, and in samples, beyond which it is one
 LOOKED_AT = 4096  # samples from which the step of the readings is taken
 
 Ends = tuple[float, float]
@@ -57,18 +58,27 @@ def _end(x: Floats, widths: list[float]) -> float:
     return math.inf
 
 
-def common_ends(stretches: Sequence[npt.NDArray[Any]]) -> Ends:
+def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
     """Ends that some stretches of a sensor's readings, (n,) each, show, and beyond which no other one reads.
 
-    Each stretch holds one motion: together, where weaker ones turn, there are as many readings as at an end.
+    Each stretch holds one motion: together, where weaker ones turn, there are as many readings as at an end. Impacts
+    that are all alike have their peaks in as narrow a band, but do not stay there.
     """
     pairs, ends = [ends_of(x) for x in stretches], []
     for side, sign in enumerate((-1.0, 1.0)):
         tops = [float(np.max(sign * x)) for x in stretches]
         found = [sign * pair[side] for pair in pairs]
-        held = [end for end, top in zip(found, tops, strict=True) if max(tops) <= top + BEYOND * (top - end)]
+        held = [
+            end for end, top, x in zip(found, tops, stretches, strict=True)
+            if max(tops) <= top + BEYOND * (top - end) and _stay(sign * x >= end) > max(STAYS_S * rate_hz, LEAST_STAY)
+        ]  # fmt: skip
         ends.append(sign * min(held, default=math.inf))
     return ends[0], ends[1]
+
+
+def _stay(at_end: Bools) -> float:
+    """Mean length of the unbroken runs of readings at an end."""
+    return float(np.count_nonzero(at_end)) / max(np.count_nonzero(at_end[1:] & ~at_end[:-1]), 1)
 
 
 def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None = None) -> float:

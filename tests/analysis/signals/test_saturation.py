@@ -12,7 +12,7 @@ from analysis.flights.plausibility import plausibility_warnings
 from analysis.residuals.observations import observed
 from analysis.statistics import nearest
 from daq.files.tables import Block
-from daq.instrument.saturation import share_at_an_end
+from daq.instrument.saturation import NO_ENDS, common_ends, share_at_an_end
 from daq.recording import RecordingWriter, open_recording
 
 N, RATE_HZ = 4096, 20000.0
@@ -32,6 +32,19 @@ def test_a_sine_that_turns_at_its_ends_does_not_stand_there(amplitude: float, no
         flat = np.minimum(codes, limit) + 0.005 * amplitude * rng.standard_normal(N)
         assert share_at_an_end(flat, RATE_HZ) == pytest.approx(beyond, abs=0.02)
     assert share_at_an_end(np.zeros(N), RATE_HZ) == 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [20000.0, 51200.0])
+def test_impacts_that_are_all_alike_are_at_no_end(rate_hz: float) -> None:
+    """Sixty impacts of 7 g within a twentieth: their peaks crowd, but do not stay; cut off at 5 g they do."""
+    rng, time_s = np.random.default_rng(4), np.arange(round(3.0 * rate_hz)) / rate_hz
+    since = np.mod(time_s, 0.05)
+    size = 8.0 * (1.0 + 0.003 * rng.standard_normal(61))[(time_s / 0.05).astype(int)]
+    g = np.sin(2.0 * np.pi * 20.0 * time_s) + size * np.exp(-since / 1e-3) * np.sin(2.0 * np.pi * 1800.0 * since)
+    noise = 0.03 * rng.standard_normal(time_s.size)
+    assert common_ends([g + noise], rate_hz) == NO_ENDS
+    low, high = common_ends([np.minimum(g, 5.0) + noise], rate_hz)
+    assert low == -np.inf and high == pytest.approx(4.88, abs=0.08)
 
 
 def test_impacts_alone_at_the_end_are_no_motion_that_is_cut_off() -> None:
