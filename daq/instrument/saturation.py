@@ -78,7 +78,8 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
 
 def _stay(at_end: Bools) -> float:
     """Mean length of the unbroken runs of readings at an end."""
-    return float(np.count_nonzero(at_end)) / max(np.count_nonzero(at_end[1:] & ~at_end[:-1]), 1)
+    runs = int(np.count_nonzero(at_end[1:] & ~at_end[:-1]))
+    return np.count_nonzero(at_end) / max(runs, 1)
 
 
 def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None = None) -> float:
