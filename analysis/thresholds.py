@@ -57,7 +57,7 @@ class Thresholds:
     max_rms_over_floor
         Largest held-out error over the noise floor of an explained recording.
     chance_p
-        Probability of a held-out error that noise alone may still have made.
+        Probability of a held-out error that noise may still have made.
     most_effects
         Largest number of named effects.
     knots_rms, base_rms
@@ -99,7 +99,7 @@ class Thresholds:
     similar_correlation: float = 0.8
 
     def most_rms_us(self, floor_us: float) -> float:
-        """Largest error of an explained recording beside its noise floor; all edges of a step share `SHARED_S`."""
+        """Largest error of an explained recording next to its noise floor; all edges of a step share `SHARED_S`."""
         return self.max_rms_over_floor * math.hypot(floor_us, 1e6 * SHARED_S)
 
 

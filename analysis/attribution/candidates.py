@@ -15,8 +15,6 @@ from analysis.residuals.observations import Observations
 from analysis.residuals.values import TREND, ParameterId
 from model.effects.registry import Effect, effect, registry, trend_name
 
-DISTINCT = 0.3  # relative difference of a shape parameter beyond which a start begins a fit of its own
-
 Point = dict[ParameterId, float]
 
 
@@ -96,7 +94,8 @@ def distinct_starts(
     def null(point: Mapping[ParameterId, float]) -> bool:
         return all(point.get(k, 0.0) == null_value_of(k) for k in sizes)
 
-    others = [s for s in starts if any(abs(s[1][k] - first[k]) > DISTINCT * abs(first[k]) for k in shapes)]
+    # a start whose shape lies within 30 % of another's leads to the same fit
+    others = [s for s in starts if any(abs(s[1][k] - first[k]) > 0.3 * abs(first[k]) for k in shapes)]
     if with_size and null(first):
         others += [s for s in starts if not null(s[1])]
     return [starts[0], *others[:1]]

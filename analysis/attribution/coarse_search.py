@@ -28,9 +28,6 @@ from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import effect, registry
 
 MOST_EVENTS = 120  # of a subsample
-LEAST_A_STEP = 4  # events of a step in it
-MOST_EVALUATIONS = 70  # of the simplex
-INITIAL_STEP = 0.3  # of the simplex: relative, where the effect states none
 
 
 @functools.cache
@@ -56,7 +53,7 @@ def subsample(model: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> For
     observations = model.observations
     scored = observations.scored & train[observations.measured.step]
     counts = np.bincount(observations.measured.step[scored], minlength=len(observations.steps))
-    share = max(most // max(int(np.sum(counts > 0)), 1), LEAST_A_STEP)
+    share = max(most // max(int(np.sum(counts > 0)), 1), 4)
     before: Integers = np.cumsum(scored) - scored
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
     scored &= before - first[observations.measured.step] < share
@@ -98,9 +95,7 @@ class CoarseSearch:
             return self.loss(point), point
         parameters = [parameter_of(g[0]) for g in groups]
         start = np.array([point[g[0]] for g in groups])
-        step = np.array(
-            [q.coarse_step or max(INITIAL_STEP * abs(x), q.scale) for q, x in zip(parameters, start, strict=True)]
-        )
+        step = np.array([q.coarse_step or max(0.3 * abs(x), q.scale) for q, x in zip(parameters, start, strict=True)])
         bounds = [(q.low, q.high) for q in parameters]
         low, high = np.array(bounds).T
         simplex = np.vstack([start, np.clip(start + np.diag(np.where(start + step > high, -step, step)), low, high)])
@@ -108,7 +103,8 @@ class CoarseSearch:
         def at(x: Floats) -> Point:
             return {**point, **{k: float(v) for g, v in zip(groups, x, strict=True) for k in g}}
 
-        options: Any = {"initial_simplex": simplex, "maxfev": MOST_EVALUATIONS, "xatol": 1e-5, "fatol": 0.5}
+        # 70 predictions at most: a full fit goes on from where the simplex ends
+        options: Any = {"initial_simplex": simplex, "maxfev": 70, "xatol": 1e-5, "fatol": 0.5}
         found: Any = minimize(lambda x: self.loss(at(x)), start, method="Nelder-Mead", bounds=bounds, options=options)  # type: ignore[call-overload]
         return float(found.fun), at(found.x)
 

@@ -30,7 +30,6 @@ from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
-MOST_ITERATIONS = 12
 ENOUGH_NATS = 0.1  # gain of a step below which the fit ends
 HELD = 0.33  # of its standard deviation, that of what was identified without a flight
 FOLDS = 3  # of the cross-validation
@@ -142,7 +141,7 @@ class Fitter:
             else:
                 state.fill(bare, x, raw, (j,))
         damping = 1e-3
-        for i in range(MOST_ITERATIONS):
+        for i in range(12):
             if i > 0:
                 state.fill(bare, x, raw, range(len(free)))
             normal, gradient = state.normal(bare, raw, x, state.mask)

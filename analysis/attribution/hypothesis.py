@@ -25,8 +25,6 @@ from model.effects.registry import effect
 
 P = ParamSpec("P")
 
-MOST_REWEIGHTINGS = 4  # fits with new weights
-
 
 def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
     """Names of all effects, each once, in order."""
@@ -142,7 +140,8 @@ class Refits:
 
     def reweighted(self, fitted: Fitted) -> Fitted:
         """The fit repeated with the weights of the point found, until they converge."""
-        for _ in range(MOST_REWEIGHTINGS):
+        # weights depend on the fit and the fit on the weights: four turns, or until the loss stands still
+        for _ in range(4):
             before, after = fitted.state.whitener, Whitener.of(self.model, fitted.values)
             if after.near(before):
                 break

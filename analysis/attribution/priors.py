@@ -11,8 +11,6 @@ from analysis.residuals.values import TREND, ParameterId
 from daq.setup.setup import Setup
 from model.effects.registry import Parameter, effect, registry
 
-UNDECLARED_RELATIVE, UNDECLARED_S = 10.0, 1.0  # prior widths of gain and delay of a drive whose scale is not declared
-
 
 @dataclass(frozen=True)
 class Prior:
@@ -44,8 +42,9 @@ def _stated(setup: Setup) -> Iterator[tuple[str, Prior]]:
     """Uncertainties that the profile states, by `Parameter.stated_by`."""
     drive, sensitivity = setup.drive, setup.channels.accelerometer.sensitivity
     if drive.g_per_volt is None:
-        yield "drive.g_per_volt", Prior(0.0, UNDECLARED_RELATIVE)
-        yield "drive.phase_deg", Prior(0.0, UNDECLARED_S)
+        # a drive without a declared scale: its gain may be wrong ten times over, its delay by a second
+        yield "drive.g_per_volt", Prior(0.0, 10.0)
+        yield "drive.phase_deg", Prior(0.0, 1.0)
     else:
         if drive.g_per_volt.uncertainty > 0:
             yield "drive.g_per_volt", Prior(0.0, drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value))

@@ -25,7 +25,6 @@ from kernels.arrays import Floats
 
 STEP = 0.01  # finite difference of a coordinate
 LARGEST_STEP = 1.0  # secant of a coordinate
-LEAST_GROUP, LEAST_CURVATURE = 20, 0.25  # residuals that tell of their own scatter; of their mean curvature
 STUDENT = 0.75  # mean square slope of the robust loss, and mean curvature, where residuals are Student's own
 
 
@@ -114,8 +113,10 @@ def adjusted_gradient_and_information(whitener: Whitener, raw: Floats, slopes: F
     events = np.arange(len(z)) < len(whitener.step)
     for rows in (events, ~events):
         square, bend = STUDENT, STUDENT
-        if rows.sum() >= LEAST_GROUP:
-            square, bend = float(np.mean(score[rows] ** 2)), max(float(np.mean(curvature[rows])), LEAST_CURVATURE)
+        # fewer than twenty residuals say nothing of their own scatter
+        if rows.sum() >= 20:
+            # a mean curvature below a quarter, where outliers rule, would raise the width without bound
+            square, bend = float(np.mean(score[rows] ** 2)), max(float(np.mean(curvature[rows])), 0.25)
         gradient -= bend / square * (jacobian[rows].T @ score[rows])
         information += bend**2 / square * (jacobian[rows].T @ jacobian[rows])
     return gradient, 0.5 * (information + information.T)

@@ -21,9 +21,6 @@ from kernels.arrays import Floats
 X = TypeVar("X")
 Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) that it is taken of
 
-HALVINGS = 4  # of a step that does not lower the loss
-ENOUGH_NATS = 0.2  # gain of a step below which the fit ends
-
 
 @dataclass(frozen=True)
 class Problem(Generic[X]):
@@ -96,14 +93,15 @@ def descend(
         step = newton_step(stack, r, slopes, tail, None if problem.penalty is None else problem.penalty(x))
         width = stack.widths(r, tail)
         now, gained = problem.loss(x, stack, r, width), 0.0
-        for half in range(HALVINGS):
+        # a step that does not lower the loss is halved up to three times
+        for half in range(4):
             trial = problem.moved(x, 0.5**half * step)
             r_trial = problem.residuals(trial)
             gained = now - problem.loss(trial, stack, r_trial, width)
             if gained > 0.0:
                 x, r, here = trial, r_trial, False
                 break
-        if gained < ENOUGH_NATS:
+        if gained < 0.2:
             if own and set(tails[i:]) == {tail}:
                 break
             gained = np.inf

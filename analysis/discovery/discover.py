@@ -36,7 +36,6 @@ REACHES = {  # covariate of a whole flight that gives the range of a quantity wi
     "since_takeoff_s": "flight_s",
     "since_impact_s": "flight_s",
 }
-REFINED_FINALISTS = 2  # finalists that may be fitted again with finer knots
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,8 @@ def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
     with ThreadPoolExecutor(THREADS) as pool:
         found = sorted(pool.map(lambda t: search.refine(t.curve), search.screen()), key=lambda p: p.held_out)
         falls_short = not found[0].curve.term.columns and found[0].scatter >= limits.knots_rms
-        again = [p.curve.finer() for p in found[:REFINED_FINALISTS] if falls_short and not p.curve.term.columns]
+        # where all fall short of the noise the two best may have finer knots
+        again = [p.curve.finer() for p in found[:2] if falls_short and not p.curve.term.columns]
         return found + list(pool.map(search.refine, again))
 
 

@@ -23,7 +23,6 @@ from kernels.arrays import Floats
 
 TAILS = (0.9, 0.8, 0.65)  # quantiles of the residuals that set the robust width in the first passes
 SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # the same in the last passes: the median
-FAR_NATS = 5.0  # gain of a step after which slopes are taken anew
 START_SIZES: dict[str, Floats] = {
     "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
     "friction": np.geomspace(0.005, 2.0, 6),
@@ -135,7 +134,8 @@ def fit_in_flight(
         _moved,
         penalty_of_curve,
     )
-    curve, r = descend(problem, start, stack, tails, FAR_NATS)
+    # after a gain of five nats the slopes of the start no longer hold
+    curve, r = descend(problem, start, stack, tails, 5.0)
     return ScreenedTerm(curve, stack.loss(r))
 
 

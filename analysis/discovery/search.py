@@ -43,17 +43,13 @@ from model.effects.registry import effect
 
 FINALISTS = 5  # screened terms that are fitted jointly, at most
 SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.penalised_fit.TAILS`, for terms within the flight
-SCREENING_SHARE = 0.4  # of the best screened gain: terms that lose no more than this against the best are fitted
 NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
     "since_impact_s": "dwell_s",
     "impact_mps": "previous_impact_mps",
 }
-LEAST_START = 0.01  # start of a term that is bounded below by 0, where no step leads down
-GAP_SIGMAS = 1.0  # median shift of openings by the contact's gap beyond which terms are screened without openings too
 ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # candidates of the smoothing parameter
 CURVE_FOLDS = 8  # of the cross-validation over steps
-START_EVENTS, FIRST_EVENTS = 120, 200  # subsamples that choose the starting shape, and that a screened fit uses
-REACH_SIGMAS, LEAST_SIGMA_S = 6.0, 1e-6  # clip of standardised landings, and the smallest uncertainty they count with
+REACH_SIGMAS = 6.0  # clip of standardised landings, and the smallest uncertainty they count with
 
 
 @dataclass(frozen=True)
@@ -137,7 +133,9 @@ class TermSearch:
         """Whether the contact's own imperfections move openings by more than these are known."""
         rest = {k: v for k, v in self.values.items() if not effect(k[0]).effect.nuisance}
         r = stack.residuals(self.model, self.values) - stack.residuals(self.model, rest)
-        return bool(stack.first.any() and np.median(np.abs(r / stack.sigma_s)[stack.first]) > GAP_SIGMAS)
+        # a gap that moves the openings by more than their uncertainty would hide a term: it is also screened on
+        # landings only
+        return bool(stack.first.any() and np.median(np.abs(r / stack.sigma_s)[stack.first]) > 1.0)
 
     def _screened(self, stack: StackedResiduals) -> list[ScreenedTerm]:
         ahead = stack.loss(stack.residuals(self.model, self.values))
@@ -160,7 +158,8 @@ class TermSearch:
         with ThreadPoolExecutor(THREADS) as pool:
             tried += pool.map(lambda t: self._in_flight_term(stack, t, ranges[t.of], constants[t.name], known), within)
         tried.sort(key=lambda t: t.loss)
-        return [t for t in tried if t.loss < tried[0].loss + SCREENING_SHARE * (ahead - tried[0].loss)][:FINALISTS]
+        # terms that lose at most 40 % of the best screened gain are fitted in full
+        return [t for t in tried if t.loss < tried[0].loss + 0.4 * (ahead - tried[0].loss)][:FINALISTS]
 
     def _in_flight_term(
         self,
@@ -174,10 +173,12 @@ class TermSearch:
         curve = Curve.even(term, span)
         start = known.get((term.name, NEAREST_COVARIATE.get(term.of, "")))
         if term.name != "force":
-            values = np.full_like(curve.values, max(constant, LEAST_START)) if start is None else start.at(curve.knots)
+            # at its bound of 0 such a term has no slope: it begins at 0.01
+            values = np.full_like(curve.values, max(constant, 0.01)) if start is None else start.at(curve.knots)
             curve = curve.moved(values * (self.model.gravity if term.against_motion else 1.0))
-        curve = best_start(*self._subsampled(stack, START_EVENTS), curve, self.dwell)
-        curve = fit_in_flight(*self._subsampled(stack, FIRST_EVENTS), curve, self.dwell, SCREENING_TAILS).curve
+        # 120 events choose the starting shape, 200 are fitted: screening only orders the terms
+        curve = best_start(*self._subsampled(stack, 120), curve, self.dwell)
+        curve = fit_in_flight(*self._subsampled(stack, 200), curve, self.dwell, SCREENING_TAILS).curve
         return ScreenedTerm(
             curve, stack.loss(stack.residuals(AugmentedModel(self.model, [curve], self.dwell), self.values))
         )
@@ -218,7 +219,8 @@ class TermSearch:
         """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
         observations = self.model.observations
         rows = observations.scored & self.train[observations.measured.step]
-        z = (landing_s / np.hypot(uncertainty_at(augmented, values).landing_total_s, LEAST_SIGMA_S))[rows]
+        # no landing counts with less than 1 us of uncertainty
+        z = (landing_s / np.hypot(uncertainty_at(augmented, values).landing_total_s, 1e-6))[rows]
         return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:

@@ -27,11 +27,7 @@ from analysis.thresholds import ANOTHER_EVENT_S, Thresholds
 from kernels.arrays import Floats
 from model.effects.smooth_force import KNOTS
 
-FITTED = 8  # forms nearest to the curve that are fitted to the events, and with them all of one parameter
-JUDGED = 6  # of these, how many are judged on held-out steps
-TAILS = (0.8, 0.65, 0.5, 0.5, 0.5)  # quantiles of the residuals that set the robust width, a pass each
 NUDGE = 1e-3  # finite difference, of a parameter's unit
-LEAST_BAND = 0.02  # of the curve's spread: the least width of its band where a form is started
 
 
 @dataclass(frozen=True)
@@ -91,8 +87,10 @@ def search_forms(
 
     fits = _FormFits(best, tables)
     near = sorted(((form, *fits.nearest(form)) for form in forms_for(best.curve.term, fits.span)), key=lambda p: p[2])
-    chosen = [p for i, p in enumerate(near) if i < FITTED or len(p[0].parameters) == 1]
-    fitted = sorted((fits.fit(form, start) for form, start, _ in chosen), key=penalised)[:JUDGED]
+    # the eight forms nearest to the curve, and all of one parameter
+    chosen = [p for i, p in enumerate(near) if i < 8 or len(p[0].parameters) == 1]
+    # the six best of them are judged on held-out steps
+    fitted = sorted((fits.fit(form, start) for form, start, _ in chosen), key=penalised)[:6]
     judged = [(p, fits.held_out(p)) for p in fitted]
     spline = best.explanation.losses["events"]
     leads = [LogScoreDifference.of(loss, spline, fits.train) for _, loss in judged]
@@ -135,7 +133,8 @@ class _FormFits:
         """Values at which a form comes nearest to the curve, and its squared distance over the curve's band."""
         x = self.curve.points
         y = self.curve.at(x)
-        weight = 1.0 / np.hypot(self.band, LEAST_BAND * max(float(np.ptp(y)), float(np.max(np.abs(y))), 1e-12))
+        # no point of the curve counts as known better than to 2 % of its spread
+        weight = 1.0 / np.hypot(self.band, 0.02 * max(float(np.ptp(y)), float(np.max(np.abs(y))), 1e-12))
         best: tuple[Floats, float] = np.zeros(len(form.parameters)), np.inf
         for shape in itertools.product(*(self._grid(kind) for _, kind in form.parameters if kind not in SIZES)):
             columns = np.column_stack([form.at(x, (*unit, *shape)) for unit in np.eye(form.sizes)])
@@ -199,7 +198,8 @@ class _FormFits:
             lambda values, r: self._slopes(form, values, r),
             lambda values, step: self._within(form, values + step * unit),
         )
-        values, r = descend(problem, self._within(form, start), self.stack, TAILS)
+        # robust widths narrow from pass to pass, so that the first passes are not ruled by outliers
+        values, r = descend(problem, self._within(form, start), self.stack, (0.8, 0.65, 0.5, 0.5, 0.5))
         return _Fit(form, values, r, self._slopes(form, values, r), self.stack.loss(r))
 
     def held_out(self, p: _Fit) -> Floats:

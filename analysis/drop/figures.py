@@ -40,7 +40,7 @@ def draw_fit(plot: FitPlot, title: str, target: Path) -> Path:
     labelled = [ball not in plot.balls[:k] for k, ball in enumerate(plot.balls)] if by_ball else [False] * len(own)
     for k, (x, y) in enumerate(plot.data):
         top.plot(x, y, ".", ms=3, color=own[k], label=plot.balls[k] if labelled[k] else None)
-    # Where colours tell the balls apart, the plainest model is dotted and marked by a cross, the best solid and a dot.
+    # Where colours distinguish the balls, the plainest model is dotted and marked by a cross, the best solid and a dot.
     styles = ((":", "x", "tab:orange"), ("-", ".", "tab:blue"))
     for model, (line, mark, usual) in zip(plot.models, styles, strict=False):
         line = line if by_ball else "-"

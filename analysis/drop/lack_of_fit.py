@@ -15,9 +15,6 @@ from analysis.drop.times.model_fit import Fit
 from analysis.drop.times.one_ahead import Rows
 from kernels.arrays import Floats, Integers
 
-_LEAST_WANDER_PX = 0.15
-_WANDER_OF_JITTER = 3.0
-
 
 def of_times(fit: Fit, rows: Rows, g_mps2: float) -> list[str]:
     """Things that a model of impact times leaves unexplained; empty where the residuals are noise of a usual size.
@@ -106,7 +103,8 @@ def of_camera(clip: Clip, flights: Sequence[Flight]) -> str | None:
     if not noise:
         return None
     wander, usual = float(np.sqrt(np.concatenate(squares).mean())), float(np.median(noise))
-    if wander < max(_LEAST_WANDER_PX, _WANDER_OF_JITTER * usual):
+    # less than three times the usual jitter, or than 0.15 px, is no wander
+    if wander < max(0.15, 3.0 * usual):
         return None
     return (
         f"the ball wanders sideways by {wander:.2f} px within its flights, where places are good to {usual:.2f}: the "

@@ -31,10 +31,6 @@ _OTHER_SOUND = {".mp3", ".m4a", ".aac", ".ogg", ".flac", ".wma", ".opus", ".caf"
 _OTHER_SOUND_STARTS = (b"ID3", b"OggS", b"fLaC", b"\xff\xfb", b"\xff\xf3", b"\xff\xf1", b"#!AMR", b"caff", b"FORM")
 _HDF5 = b"\x89HDF"
 _IGNORE_REACH_S = 0.02
-_BY_HAND = 3.0  # strength of an impact that a person added: worth some events that were only heard
-_SAME_S = 1e-9
-_LONGEST_STEP_S = 5.0
-_ROUNDED_FRAMES = 0.1
 
 
 @dataclass(frozen=True)
@@ -152,7 +148,8 @@ def _drops(
 ) -> list[Drop]:
     """Every drop among the events of a file, those that a person added included."""
     added = np.array(corrections.add_s)
-    by_hand = Onsets(added, np.full(len(added), _BY_HAND), np.full(len(added), np.nan))
+    # an impact that a person added is worth three that were only heard
+    by_hand = Onsets(added, np.full(len(added), 3.0), np.full(len(added), np.nan))
     heard = events.part(corrections.keeps(events.times_s, _IGNORE_REACH_S))
     used = Onsets(*(np.concatenate(both) for both in zip(heard, by_hand, strict=True)))
     found = drops_of(used, str(path), uncertainty_s)
@@ -161,7 +158,7 @@ def _drops(
     said = tuple(
         f"{path.name}: no flight of the ball begins or ends at the impact added at {when:.4f} s"
         for when in corrections.add_s
-        if np.abs(impacts - when).min() > _SAME_S
+        if np.abs(impacts - when).min() > 1e-9
     )
     drops = [Drop(path.name + n, bounces, file=path, sound=sound) for n, bounces in zip(numbers, found, strict=True)]
     return [replace(drops[0], remarks=said, events_s=np.sort(used.times_s)), *drops[1:]]
@@ -228,7 +225,8 @@ def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
                 drops += [replace(drop, name=name + words) for drop, words in zip(read, more, strict=True)]
         except InputError as error:
             why = str(error)
-            if not isinstance(item, Points) and len(item) > 1 and np.median(np.diff(np.sort(item))) > _LONGEST_STEP_S:
+            # steps of five seconds are no times of impacts in seconds
+            if not isinstance(item, Points) and len(item) > 1 and np.median(np.diff(np.sort(item))) > 5.0:
                 hint = ". Are these milliseconds or microseconds? Then say so in the heading: time (ms)"
                 error = InputError(why + hint)
             refused = refused or error
@@ -276,6 +274,6 @@ def _clip(found: Points, name: str, corrections: Corrections, frame_s: float) ->
     track = ball_of(found.clock[used], found.x[used], found.y[used], name, corrections.axis_deg)
     frames = (track.clock - track.clock[0]) / frame_s
     whole = np.round(frames)
-    frames = whole if np.abs(frames - whole).max() < _ROUNDED_FRAMES else frames
+    frames = whole if np.abs(frames - whole).max() < 0.1 else frames
     clip = Clip(name, track.clock[0] / frame_s + frames, track.height, track.acceleration * frame_s**2)
     return clip, track.remarks

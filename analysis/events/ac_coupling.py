@@ -23,16 +23,10 @@ from kernels.arrays import Bools, Floats, Integers
 Volts = npt.NDArray[np.float32]
 
 RISE_S = 2e-4  # longest rise of an edge
-EDGE = 0.4  # rise that makes an edge, as a fraction of the declared swing
 ISOLATED_S = 1.2e-3  # distance from other edges of an edge that is measured
-CHUNK_S = 4e-4  # averaging time where the droop is measured
-MIN_CHUNKS = 100
 MIN_EDGES = 8
 USUAL_CORNER_HZ = 5.0  # corner assumed where no edge shows it
-FOLLOW_S = 5e-3  # time constant with which the level follows the deviations from the capacitor's model
 NEAR_LEVEL = 0.25  # distance from the level, as a fraction of the swing, beyond which an edge is under way
-BEYOND_LEVEL = 0.5  # overshoot, as a fraction of the swing, of a second edge of the same sign
-PERSISTS_S = 1.5e-4  # least duration of that overshoot: a spike is no edge
 
 
 @dataclass(frozen=True)
@@ -88,7 +82,8 @@ def _edges(y: Floats, swing_v: float, rate_hz: float) -> Integers:
     if y.size < 8 * step:
         return np.zeros(0, np.int64)
     rise = np.abs(y[step:] - y[:-step])
-    at = np.flatnonzero(rise > EDGE * abs(swing_v))
+    # noise and droop never rise by 0.4 of the declared swing within so short a time
+    at = np.flatnonzero(rise > 0.4 * abs(swing_v))
     groups = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
     return np.array([int(g[np.argmax(rise[g])]) + step // 2 for g in groups], np.int64)
 
@@ -103,12 +98,13 @@ def _calm(size: int, at: Integers, rate_hz: float) -> Bools:
 
 def _heights(y: Floats, at: Integers, decay: float, rate_hz: float) -> Floats:
     """Signed heights of the isolated edges, corrected for the droop on both sides."""
+    # without another edge on both sides the means before and after belong to this edge
     step, around = _samples(RISE_S, rate_hz), _samples(ISOLATED_S, rate_hz)
-    apart = np.diff(np.concatenate([[0], at, [y.size]])) > around
-    alone = at[apart[:-1] & apart[1:]]
+    far = np.diff(np.concatenate([[0], at, [y.size]])) > around
+    isolated = at[far[:-1] & far[1:]]
     span = np.arange(around - 2 * step)
     middle = step + 0.5 * (span.size - 1)
-    after, before = (y[alone[:, None] + sign * (step + span)].mean(axis=1) for sign in (1, -1))
+    after, before = (y[isolated[:, None] + sign * (step + span)].mean(axis=1) for sign in (1, -1))
     return np.asarray(after * np.exp(decay * middle) - before * np.exp(-decay * middle))
 
 
@@ -118,7 +114,8 @@ def _corner_hz(pieces: Sequence[Floats], found: Sequence[Integers], rate_hz: flo
     The chunk before is the instrumental variable, so noise does not bias the estimate.
     """
     top = bottom = 0.0
-    chunks, chunk = 0, _samples(CHUNK_S, rate_hz)
+    # means over 0.4 ms: short against the droop's time constant, long against the noise
+    chunks, chunk = 0, _samples(4e-4, rate_hz)
     for y, at in zip(pieces, found, strict=True):
         n = y.size // chunk
         means = y[: n * chunk].reshape(n, chunk).mean(axis=1)
@@ -128,7 +125,8 @@ def _corner_hz(pieces: Sequence[Floats], found: Sequence[Integers], rate_hz: flo
         whole = free[:-2] & free[1:-1] & free[2:]
         old, now, new = means[:-2][whole], means[1:-1][whole], means[2:][whole]
         top, bottom, chunks = top + float(old @ new), bottom + float(old @ now), chunks + int(whole.sum())
-    if chunks < MIN_CHUNKS or not 0.0 < top < bottom:
+    # fewer than 100 triples of chunks leave the decay unknown
+    if chunks < 100 or not 0.0 < top < bottom:
         return None
     return float(-np.log(top / bottom)) * rate_hz / (2.0 * np.pi * chunk)
 
@@ -145,8 +143,10 @@ class LevelRestorer:
     def __init__(self, coupling: Coupling, rate_hz: float) -> None:
         self.missed: list[int] = []
         self._swing_v = coupling.levels.swing_v
-        self._rate_hz, self._persists = rate_hz, _samples(PERSISTS_S, rate_hz)
-        self._rates = np.array([1.0 - np.exp(-2.0 * np.pi * coupling.corner_hz / rate_hz), 1.0 / (FOLLOW_S * rate_hz)])
+        # a shorter overshoot than 0.15 ms is a spike, no edge
+        self._rate_hz, self._persists = rate_hz, _samples(1.5e-4, rate_hz)
+        # besides the capacitor's own leak the level follows what the model of one capacitor leaves, within 5 ms
+        self._rates = np.array([1.0 - np.exp(-2.0 * np.pi * coupling.corner_hz / rate_hz), 1.0 / (5e-3 * rate_hz)])
         self._state = np.zeros(3)  # decided level, low-passed level, samples beyond a level
         self._before: Volts | None = None
 
@@ -184,7 +184,8 @@ def _restore(x, rates, persists, state, missed):  # type: ignore[no-untyped-def]
         if off * (1.0 - 2.0 * level) > 0.5:
             level = 1.0 - level
             off = value - level
-        beyond = beyond + 1 if off * (1.0 - 2.0 * level) < -BEYOND_LEVEL else 0
+        # half a swing beyond the level is a second edge of the same sign, if it lasts: the one between was missed
+        beyond = beyond + 1 if off * (1.0 - 2.0 * level) < -0.5 else 0
         if beyond == persists:
             held -= off
             value, off = level, 0.0

@@ -12,7 +12,7 @@ from analysis.signals.search import first_beyond
 from kernels import njit
 from kernels.arrays import Integers
 
-LEAD, EARLIER, AFTER = 4, 8, 8  # samples kept around a crossing, see `Window`
+LEAD, EARLIER, AFTER = 4, 8, 8  # samples stored around a crossing, see `Window`
 CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
 CLOSES, OPENS, DIP = -1, 1, 0  # kinds of crossing
 

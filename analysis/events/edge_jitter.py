@@ -20,17 +20,9 @@ from numpy.typing import ArrayLike
 from analysis.statistics import nearest
 from kernels.arrays import Bools, Floats, Integers
 
-MAX_CYCLE = 6  # longest cycle of the motion looked for, in periods
 MATCH_S = 5e-4  # largest difference between an edge and that of the next cycle
-MIN_MATCHED = 0.8  # part of the edges that must have a partner a cycle later
 N_COEFFICIENTS = 4  # coefficients of the polynomial that a sequence of edges may follow
-MIN_FREEDOM = 3  # degrees of freedom needed in a step
-MIN_EDGES = 6  # edges needed that have a next cycle
 MIN_STEPS = 3
-LEAST_PART = 0.95  # of a rounding's standard deviation that an edge's error has at least if it was rounded
-DRIFT = 0.5  # samples by which edges may move against the samples in a step, to be at one place
-NEAR = 0.1  # samples between two places that count as one
-FARTHEST = 3.0  # times the middle of the steps' squared scatters, beyond which a step's counts as so much
 
 
 @dataclass(frozen=True)
@@ -91,8 +83,10 @@ class Scatter:
                 if read_once and free:
                     square, n = _at_one_place(left * math.sqrt(len(left) / free), cycle_s / sampling_s)
                     same, pairs = same + square, pairs + n
-                    still = still or len(off) * abs(cycle_s / sampling_s - round(cycle_s / sampling_s)) < DRIFT
-            if freedom < MIN_FREEDOM:
+                    # edges that move by less than half a sample over the step are all at one place
+                    still = still or len(off) * abs(cycle_s / sampling_s - round(cycle_s / sampling_s)) < 0.5
+            # fewer than three degrees of freedom say nothing of a variance
+            if freedom < 3:
                 continue
             if pairs:
                 repeated.append(same / pairs)
@@ -147,7 +141,8 @@ def raised_together(sigmas_s: Sequence[Floats], scatters: Sequence[Scatter]) -> 
 
 def rounded(sigma_s: ArrayLike, sampling_s: float) -> Bools:
     """Whether edges were rounded to samples: they are known no better than to the rounding's standard deviation."""
-    return np.asarray(sigma_s) >= LEAST_PART * sampling_s / math.sqrt(12.0)
+    # a rounded edge's stated error is that of the rounding or more, five percent left for what was averaged
+    return np.asarray(sigma_s) >= 0.95 * sampling_s / math.sqrt(12.0)
 
 
 def _at_one_place(left_s: Floats, samples: float) -> tuple[float, int]:
@@ -157,7 +152,8 @@ def _at_one_place(left_s: Floats, samples: float) -> tuple[float, int]:
     """
     i, j = np.triu_indices(len(left_s), 1)
     away = samples * (j - i)
-    near = np.abs(away - np.round(away)) < NEAR
+    # a tenth of a sample counts as the same place
+    near = np.abs(away - np.round(away)) < 0.1
     return 0.5 * float(np.sum((left_s[i] - left_s[j])[near] ** 2)), int(np.count_nonzero(near))
 
 
@@ -167,7 +163,8 @@ def _before_rounding(squares: Floats, freedom: Integers, sampling_s: float) -> f
     Averaged over all places, jitter of J leaves the variance ``J T / sqrt(pi)`` while it is below a third of the
     interval ``T``, else ``J^2 + T^2 / 12``.
     """
-    most = max(FARTHEST * float(np.median(squares)), 0.25 * sampling_s**2)  # two neighbouring samples in turn
+    # a step whose edges hop between distant samples must not decide: it counts as three times the middle at most
+    most = max(3.0 * float(np.median(squares)), 0.25 * sampling_s**2)  # two neighbouring samples in turn
     share = float(np.average(np.minimum(squares, most), weights=freedom)) / sampling_s**2
     return sampling_s * (math.sqrt(math.pi) * share if share < 1.0 / 6.0 else math.sqrt(share - 1.0 / 12.0))
 
@@ -184,18 +181,19 @@ def _left(time_s: Floats, off_s: Floats, lines_radps: Floats) -> tuple[Floats, i
 
 
 def _sequences(time_s: Floats, period_s: float) -> list[tuple[Floats, Floats, float]]:
-    """Sequences of corresponding edges a cycle apart, for the shortest cycle after which most edges repeat.
+    """Sequences of corresponding edges of successive cycles, for the shortest cycle after which most edges repeat.
 
     Of each the times, the times less whole cycles, and the cycle.
     """
-    for cycle in range(1, MAX_CYCLE + 1):
+    # longer cycles than six periods leave too few repetitions in a step
+    for cycle in range(1, 6 + 1):
         later = time_s + cycle * period_s
         inside = later < time_s[-1] + MATCH_S if len(time_s) else np.zeros(0, dtype=bool)
-        if inside.sum() < MIN_EDGES:
+        if inside.sum() < 6:
             break
         partner = nearest(time_s, later)
         matched = inside & (np.abs(time_s[partner] - later) < MATCH_S)
-        if matched.sum() >= MIN_MATCHED * inside.sum():
+        if matched.sum() >= 0.8 * inside.sum():
             return _chained(time_s, partner, matched, cycle * period_s)
     return []
 

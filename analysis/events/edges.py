@@ -20,20 +20,10 @@ from kernels.arrays import Floats, Integers
 VISIBLE_SIGMAS = 5.0  # standard deviations of noise from which a sample counts as moved
 NO_NEIGHBOUR = 1 << 30  # distance in samples where there is no neighbouring crossing
 EDGES_AT_ONCE = 8192  # edges fitted together: memory stays bounded
-UNSETTLED_SAMPLES = 64  # distance to the edge before within which the voltage may still be settling; stretched
-OUTLIER = 4.0  # misfit over the typical misfit that raises an edge's uncertainty
 MIN_EDGES = 8  # edges needed to estimate a time constant
 FIT_SAMPLES = 3  # samples of an edge used for its shape; stretched
-LOUD_SIGMAS, LOUD = 40.0, 0.05  # height of a first sample whose successor shows the decay: sigmas, part of the swing
-ALIKE_SIGMAS = 5.0  # distance to the median within which the ratios of successive samples are averaged
-MEDIAN_CHI2 = 1.386  # median of chi square with two degrees of freedom
 CLEAR_SIGMAS = 6.0  # height of a fitted edge above its uncertainty from which its delay is linear in it
 PHASE_BINS = 20  # parts of the interval between two samples in which edges are counted
-MOST_READS = (1, 2, 3)  # reads of a clocked comparator in a sample
-FIXED_PART = 0.85  # share of the edges within two parts from which the comparator is clocked
-FILTER_RIPPLE, RIPPLE_SIGMAS = 0.01, 5.0  # ripple of a linear-phase filter, at least: of the swing, of the noise
-BETWEEN_SAMPLES = 0.1  # error of a straight line between two samples at half of the swing, in samples
-VAGUE = 12.0  # samples per uncertainty below which the posterior is integrated instead
 POSTERIOR_POINTS = 200
 
 
@@ -94,7 +84,8 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     time of the edge before; where edges are slow, their shape is then measured anew.
     """
     noise = levels.noise_v / abs(levels.swing_v)
-    if levels.ripple > max(FILTER_RIPPLE, RIPPLE_SIGMAS * noise):
+    # ripple beyond 1 % of the swing and five sigma of noise is that of a linear-phase filter: no RC shape fits
+    if levels.ripple > max(0.01, 5.0 * noise):
         return _half_way(crossings, noise, rate_hz), SHARP, SHARP
     n, around = crossings.sample.size, crossings.around
     times, sigmas = np.full(n, -np.inf), np.empty(n)  # a dip has no time yet: nothing is unsettled after it
@@ -113,11 +104,12 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
     for again in (False, True):
         anew = not again or around.stretch > 1
         if anew:
-            alone = {kind: _alone(own, room, gap, around)[: 2 * EDGES_AT_ONCE] for kind, own in index.items()}
-            seen = {kind: towards(some, kind, again) for kind, some in alone.items()}
+            isolated = {kind: _isolated(own, room, gap, around)[: 2 * EDGES_AT_ONCE] for kind, own in index.items()}
+            seen = {kind: towards(some, kind, again) for kind, some in isolated.items()}
             shapes = {kind: edge_shape(y, noise, rate_hz, around) for kind, y in seen.items()}
         for kind, own in index.items():
-            todo = own if anew else own[gap[own] < UNSETTLED_SAMPLES * around.stretch]
+            # after 64 samples (times the stretch) the voltage of the edge before has settled: its time stands
+            todo = own if anew else own[gap[own] < 64 * around.stretch]
             for part in np.array_split(todo, todo.size // EDGES_AT_ONCE + 1):
                 own_room = np.clip(room[part], 1, around.after)
                 y = towards(part, kind, again)
@@ -140,16 +132,17 @@ def _half_way(crossings: Crossings, noise: float, rate_hz: float) -> Edges:
     slope = np.maximum(rising[rows, after] - rising[rows, below], 1e-3)
     place = below - before + np.clip((0.5 - rising[rows, below]) / slope, 0.0, 1.0)
     times = np.where(crossings.kind == DIP, crossings.sample - 0.5, crossings.sample + place) / rate_hz
-    sigma = np.hypot(noise / slope, BETWEEN_SAMPLES) / rate_hz
+    # a straight line between two samples errs by a tenth of a sample at half of the swing
+    sigma = np.hypot(noise / slope, 0.1) / rate_hz
     sigma[crossings.kind == DIP] = 1.0 / (rate_hz * np.sqrt(12.0))
     return Edges(np.maximum.accumulate(times), sigma, crossings.kind)
 
 
-def _alone(index: Integers, room: Integers, gap: Integers, around: Window) -> Integers:
+def _isolated(index: Integers, room: Integers, gap: Integers, around: Window) -> Integers:
     """Edges of ``index`` far from others."""
-    alone = index[(room[index] > around.after) & (gap[index] > around.after)]
+    isolated = index[(room[index] > around.after) & (gap[index] > around.after)]
     near = 2 * around.stretch
-    return alone if alone.size >= MIN_EDGES else index[(room[index] > near) & (gap[index] > near)]
+    return isolated if isolated.size >= MIN_EDGES else index[(room[index] > near) & (gap[index] > near)]
 
 
 def _unsettled(crossings: Crossings, index: Integers, rises: Floats, tau_s: float, rate_hz: float) -> Floats:
@@ -173,41 +166,44 @@ def _first_moved(y: Floats, noise: float, before: int, gap: Integers | int = NO_
 def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeShape:
     """Time constant from many edges, ``y`` shape (n, before + after): 1 before, ``exp(-t / tau)`` after.
 
-    It follows from the ratio of samples a stretch apart where two samples of an edge exceed the noise, else from the
-    mean area: over edges at random moments the mean sum of the moved samples is ``tau * rate``.
+    It follows from the ratio of samples at a distance of one stretch where two samples of an edge exceed the noise,
+    else from the mean area: over edges at random moments the mean sum of the moved samples is ``tau * rate``.
     """
-    n, apart_hz = y.shape[0], rate_hz / around.stretch
+    n, stretch_hz = y.shape[0], rate_hz / around.stretch
     if n < MIN_EDGES:
         return SHARP
     whole = _from_first(y, _first_moved(y, noise, around.before), around)
     samples = whole[:, :: around.stretch]
-    loud = samples[:, 0] > max(LOUD_SIGMAS * noise, LOUD)
+    # only from a first sample of 40 sigma, and of 5 % of the swing, does the next one show the decay
+    loud = samples[:, 0] > max(40.0 * noise, 0.05)
     ratio, ratio_sigma = 0.0, np.inf
     if loud.sum() >= MIN_EDGES:
         ratios = samples[loud, 1] / samples[loud, 0]  # the median is robust against edges that bounce
         ratio = float(np.median(ratios))
         own = noise * np.sqrt(1.0 + ratio**2) / samples[loud, 0]
-        alike = np.abs(ratios - ratio) < ALIKE_SIGMAS * own
+        # edges that bounce lie beyond five sigma of the median ratio
+        alike = np.abs(ratios - ratio) < 5.0 * own
         if alike.sum() >= MIN_EDGES:
             ratio = float(np.average(ratios[alike], weights=own[alike] ** -2))
             ratio_sigma = 1.0 / float(np.sqrt(np.sum(1.0 / own[alike] ** 2)))
     if 8.0 * ratio_sigma < ratio < 0.98 and ratio > 0.01:
-        tau = -1.0 / (apart_hz * np.log(ratio))
-        tau_sigma = tau**2 * apart_hz * ratio_sigma / ratio
+        tau = -1.0 / (stretch_hz * np.log(ratio))
+        tau_sigma = tau**2 * stretch_hz * ratio_sigma / ratio
     else:
         area = samples.sum(axis=1) / (1.0 - VISIBLE_SIGMAS * noise)  # samples below the noise are missing in it
-        tau, tau_sigma = float(area.mean()) / apart_hz, float(area.std()) / apart_hz / np.sqrt(n)
+        tau, tau_sigma = float(area.mean()) / stretch_hz, float(area.std()) / stretch_hz / np.sqrt(n)
         if float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
             return EdgeShape(0.0, 0.0, 1.0, n)
     reads, place = _clocked(whole, noise, tau * rate_hz)
-    misfit = _misfit(samples, noise, tau * apart_hz)
-    chi = float(np.sqrt(np.median(misfit**2) * 2.0 / MEDIAN_CHI2))
+    misfit = _misfit(samples, noise, tau * stretch_hz)
+    # 1.386 is the median of chi square with two degrees of freedom
+    chi = float(np.sqrt(np.median(misfit**2) * 2.0 / 1.386))
     clock_s = 1.0 / (reads * rate_hz) if reads else 0.0
     return EdgeShape(tau, tau_sigma, max(1.0, chi), n, clock_s, (place - 0.5) * clock_s)
 
 
 def _from_first(y: Floats, first: Integers, around: Window) -> Floats:
-    """Samples of each edge from its first moved one on, `FIT_SAMPLES` of them a stretch apart and those between."""
+    """Samples of each edge from its first moved one on: `FIT_SAMPLES`, a stretch between two, and all between."""
     columns = first[:, None] + np.arange((FIT_SAMPLES - 1) * around.stretch + 1)
     return np.asarray(np.take_along_axis(y, np.minimum(columns, y.shape[1] - 1), axis=1))
 
@@ -223,9 +219,12 @@ def _clocked(samples: Floats, noise: float, tau_samples: float) -> tuple[int, fl
     if clear.sum() < MIN_EDGES:
         return 0, 0.0
     places = -tau_samples * np.log(height[clear])
-    for reads in MOST_READS:
+    # a comparator may be read up to three times a sample
+    for reads in (1, 2, 3):
         counts = np.bincount((PHASE_BINS * reads * places).astype(np.int64) % PHASE_BINS, minlength=PHASE_BINS)
-        if float((counts + np.roll(counts, 1)).max()) > FIXED_PART * height.size:  # a place may lie on a bound
+        # edges of an RC would fill two neighbouring bins of the twenty with a tenth; a clocked comparator puts nearly
+        # all there
+        if float((counts + np.roll(counts, 1)).max()) > 0.85 * height.size:  # a place may lie on a bound
             turn = float(np.angle(np.exp(2j * np.pi * reads * places).sum())) / (2.0 * np.pi) % 1.0
             return reads, turn if turn > 1.0 / PHASE_BINS else turn + 1.0
     return 0, 0.0
@@ -267,7 +266,8 @@ def fit_edges(
         return middle, uniform
     samples = _from_first(y, first, around)[:, ::stretch]
     own = _misfit(samples, noise, shape.tau_s * (rate_hz / stretch))
-    own[(own < OUTLIER * shape.chi) | (room <= 2 * stretch)] = 0.0
+    # a misfit below four times the usual is chance; where the next crossing follows at once the samples are its own
+    own[(own < 4.0 * shape.chi) | (room <= 2 * stretch)] = 0.0
     sigma_y = noise * np.maximum(shape.chi, own)  # an edge of another shape is less certain
     last = before + np.maximum(room - 2 * stretch, 0)
     use = (columns >= first[:, None]) & (columns <= np.maximum(last, first)[:, None])
@@ -281,7 +281,8 @@ def fit_edges(
     sigma = np.where(clear, shape.tau_s * sigma_u / np.where(clear, u, 1.0), np.inf)
     # the time constant's own error moves every edge by the same share of its delay
     sigma = np.hypot(sigma, np.abs(since) * shape.tau_uncertainty_s / shape.tau_s)
-    vague = ~clear | (sigma > stretch * dt / VAGUE)
+    # linear in the height only where the delay is known to a twelfth of a sample: elsewhere the posterior is integrated
+    vague = ~clear | (sigma > stretch * dt / 12.0)
     since[vague], sigma[vague] = _vague(u[vague], sigma_u[vague], shape, dt)
     delay, sigma = shape.circuit((first - before) * dt - since, sigma)
     return delay, np.minimum(sigma, uniform)

@@ -24,14 +24,10 @@ TILE = 256  # outputs of the filter computed together
 TAPS = 8  # of the filter, applied in one pass over a tile; the filter's length is a multiple of it
 APART = LEAD // 2  # samples between two candidates, at least: less than a period of the ringing
 SHIFTS = 2 * FINE  # search range around a candidate, in fine points
-SHAPE_ERROR = 0.004  # timing error from the template's shape, as a part of the score
-ECHO_ERROR = 0.1  # timing error from an earlier impact's ringing, as a part of that ringing
-ECHO_END = 0.1  # most of an impact's ringing that is left at the template's end, as a part of its score
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong, at least
-MISFIT_MARGIN = 3.0  # the same over what the template left of that impact: a sensor at its end shows a part of it
 BEGINNING = 2 * LEAD  # samples of a snippet in which no later impact can be
-ONSET_S, ONSET_PART = 2e-6, 0.15  # uncertainty of the template's onset; part of a sample, where samples are averaged
-PRECURSOR, PRECURSOR_PART = 20, 0.5  # samples within which no ball gains so much speed: the next impact's own ringing
+ONSET_S = 2e-6  # uncertainty of the template's onset
+PRECURSOR = 20  # samples within which no ball gains so much speed: the next impact's own ringing
 STRONG_PART = 0.5  # of the usual strength, from which an impact is no corner of motion that is cut off
 SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
 RECENT = 16  # impacts before a piece whose ringing may reach into it
@@ -154,10 +150,12 @@ class ImpactScan:
     def impacts(self) -> Impacts:
         """All impacts so far."""
         place, score, echo = self._found[:, [PLACE, SCORE, ECHO]].T
-        error = np.sqrt(1.0 + (ECHO_ERROR * echo) ** 2 + (SHAPE_ERROR * score) ** 2)
+        # earlier ringing is wrong by a tenth of itself, the template's own shape by 0.4 % of the score
+        error = np.sqrt(1.0 + (0.1 * echo) ** 2 + (0.004 * score) ** 2)
         sample_s = self.template.width / self.rate_hz
         sigma = error / np.maximum(score, 1.0) / self._steep[SHIFTS] * sample_s
-        onset_s = float(np.hypot(ONSET_S, ONSET_PART * sample_s * (self.template.width > 1)))
+        # means over several samples blur the onset by 0.15 of one
+        onset_s = float(np.hypot(ONSET_S, 0.15 * sample_s * (self.template.width > 1)))
         time_s = self._recorded(place) / self.rate_hz
         return Impacts(time_s, np.minimum(sigma, sample_s), score, onset_s)
 
@@ -196,7 +194,7 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
 def _echo(lag, size, fine, out):  # type: ignore[no-untyped-def]
     """Add the template, begun ``lag`` samples before the snippet, to the snippet ``out``."""
     first = int(np.floor(lag * FINE))
-    share = lag * FINE - first  # the same for all samples, which are whole numbers of points apart
+    share = lag * FINE - first  # the same for all samples, which are a whole number of points from each other
     before, after = size * (1.0 - share), size * share
     begin = max((FINE - 1 - first) // FINE, 0)
     end = min((fine.shape[0] - 2 - first) // FINE + 1, out.shape[0])
@@ -301,7 +299,8 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
         if n > 0 and index + offset - out[n - 1, PLACE] <= longest:
             loud, doubtful = _size(white, echo, room[0]), _size(white, doubt, room[0])
         if n > 0 and index + offset - out[n - 1, PLACE] <= 2 * longest:  # the end of its ringing is not in the template
-            loud = max(loud, ECHO_END * out[n - 1, SCORE])
+            # of a ringing that outlasts the template a tenth of the score is left at most
+            loud = max(loud, 0.1 * out[n - 1, SCORE])
         if middle < max(doubtful, ECHO_MARGIN * loud):
             continue
         doubt[:] = 0.0
@@ -313,9 +312,12 @@ def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n): 
         vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
         out[n, PLACE], out[n, SIZE] = place + vertex / FINE, middle / norms[best]
         out[n, SCORE], out[n, ECHO] = middle, loud
-        out[n, MARGIN] = max(ECHO_MARGIN, MISFIT_MARGIN * misfit / middle)
+        # three times over: a sensor at its end shows only a part of what the template missed
+        out[n, MARGIN] = max(ECHO_MARGIN, 3.0 * misfit / middle)
         leak, loudest = _earlier(x, index, offset, found[c + 1 :], out[: n + 1], best, fine, columns, norms, room)
-        if middle - leak >= max(limit, ECHO_MARGIN * leak, PRECURSOR_PART * loudest):
+        # half of the loudest soon after: no ball gains so much speed within 20 samples, so this is that one's own
+        # ringing
+        if middle - leak >= max(limit, ECHO_MARGIN * leak, 0.5 * loudest):
             n += 1
     return n
 

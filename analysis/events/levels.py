@@ -14,18 +14,13 @@ import numpy.typing as npt
 from kernels import njit
 from kernels.arrays import Floats
 
-LOW, HIGH = 0.35, 0.65  # hysteresis thresholds, as fractions of the swing
-MIN_DIP, DIP_SIGMAS, MAX_DIP = 0.02, 10.0, 0.3  # depth of a visible dip: bounds, and in standard deviations of noise
-RIPPLE_SAMPLES, RIPPLE_PART = 20, 1.5  # samples from an edge on; ripples that a dip must exceed
-MIN_RIPPLES = 8  # edges needed to measure a ripple
 PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the longer first; times the stretch
 PLATEAU_AFTER = 5  # samples that stay on that side, its own included
 MIN_PLATEAU = 50  # samples needed to measure a level
 NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
-ROUNDING = 1e-6  # relative error of volts kept as float32
 RISE_PART = 0.1  # of the swing, at either end, that a rise time leaves out
-USUAL_RISE_SAMPLES, MOST_STRETCH = 5.0, 32  # rise time that counts of samples are made for, and the longest in it
-CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
+USUAL_RISE_SAMPLES = 5.0  # rise time that counts of samples are made for
+CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is used, and the rms of that part
 
 
 @dataclass(frozen=True)
@@ -47,7 +42,7 @@ class Levels:
     @property
     def stretch(self) -> int:
         """Times that an edge is as long as one of `USUAL_RISE_SAMPLES`; at least 1."""
-        return min(max(round(self.rise_samples / USUAL_RISE_SAMPLES), 1), MOST_STRETCH)
+        return min(max(round(self.rise_samples / USUAL_RISE_SAMPLES), 1), 32)
 
     @property
     def swing_v(self) -> float:
@@ -57,8 +52,10 @@ class Levels:
     def thresholds(self) -> Floats:
         """``(low, high, dip)`` as fractions of the swing: hysteresis, and the upper bound of a visible dip."""
         noise = self.noise_v / abs(self.swing_v)
-        dip = max(DIP_SIGMAS * noise, RIPPLE_PART * self.ripple, MIN_DIP)
-        return np.array([LOW, HIGH, 1.0 - min(dip, MAX_DIP)])
+        # ten sigma of noise, one and a half ripples and 2 % of the swing: a shallower dip is no contact
+        dip = max(10.0 * noise, 1.5 * self.ripple, 0.02)
+        # hysteresis at 35 and 65 % of the swing: noise about one threshold makes no second crossing
+        return np.array([0.35, 0.65, 1.0 - min(dip, 0.3)])
 
 
 def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, declared_open_v: float) -> Levels:
@@ -82,10 +79,11 @@ def _ripple(fraction: Floats) -> float:
     change = np.flatnonzero(np.diff(is_open)) + 1
     heights = [0.0]
     for own, sign in ((change[is_open[change]], 1), (change[~is_open[change]] - 1, -1)):
-        index = own[:, None] + sign * np.arange(RIPPLE_SAMPLES)
+        # a linear-phase filter rings for some twenty samples about an edge
+        index = own[:, None] + sign * np.arange(20)
         index = index[(index.min(axis=1) >= 0) & (index.max(axis=1) < fraction.size)]
         near = fraction[index][is_open[index].all(axis=1)]
-        if len(near) >= MIN_RIPPLES:
+        if len(near) >= 8:
             heights.append(float(np.median(near.max(axis=1))) - 1.0)
     return max(heights)
 
@@ -152,11 +150,12 @@ def _settled(volts, side, wanted, before, length):  # type: ignore[no-untyped-de
 
 
 def _step_v(volts: npt.NDArray[np.floating]) -> float:
-    """Step of the converter: smallest distance of two values, ones that rounding has set apart taken as one."""
+    """Step of the converter: smallest distance of two values, those that differ only by rounding taken as one."""
     values = np.unique(volts).astype(np.float64)
-    apart = np.diff(values)
-    apart = apart[apart > ROUNDING * np.abs(values).max(initial=0.0)]
-    return float(apart.min()) if apart.size else 0.0
+    steps = np.diff(values)
+    # volts stored as float32 differ by 1e-6 of the largest from rounding
+    steps = steps[steps > 1e-6 * np.abs(values).max(initial=0.0)]
+    return float(steps.min()) if steps.size else 0.0
 
 
 def _core_rms(deviation: Floats) -> float:

@@ -19,18 +19,10 @@ from analysis.statistics import mad_sigma, nearest
 from kernels.arrays import Floats
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
-LONGEST_DELAY_S = 6e-3  # longest delay of the accelerometer by a converter's filter
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
-MIN_PAIRS = 3  # landings needed
-MIN_SHARE = 0.5  # part of all landings that have an impact at a large offset, at least: chatters end at any distance
-HALF_WIDTH = 1.35  # width of the half of a normal distribution about its centre, in standard deviations
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
 MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
-CHATTER_S = 3e-4  # longest time from an impact to the contact's closing that follows it
-MIN_VARIETY = 0.3  # relative range of impact strengths below which a chatter cannot be excluded
-MIN_TO_ROUND, ONE_PLACE = 20, 0.9  # impacts needed, and length of their mean phasor, to call them rounded to samples
-CHATTER_SPREAD = 0.25  # spread of a chatter's length over that of the impact strengths, relative
 
 
 @dataclass(frozen=True)
@@ -91,15 +83,17 @@ def calibrate(
     own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
     near = np.abs(d - delay_s) < REACH_S
     d, own = d[near], own[near]
-    if d.size < MIN_PAIRS:
+    if d.size < 3:
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     ordered = np.sort(d)
     width = ordered[(d.size - 1) // 2 + np.arange(d.size - (d.size - 1) // 2)] - ordered[: d.size - (d.size - 1) // 2]
     k = int(np.argmin(width))
     centre = float(np.median(ordered[k : k + (d.size - 1) // 2 + 1]))
-    spread = max(float(width[k]) / HALF_WIDTH, float(np.median(own)))
+    # half of a normal distribution lies within 1.35 standard deviations about its centre
+    spread = max(float(width[k]) / 1.35, float(np.median(own)))
     shared = np.abs(impacts.time_s[nearest(impacts.time_s, landing_s + centre)] - landing_s - centre)
-    chance = abs(centre) > SMALL_OFFSET_S and float(np.mean(shared < CORE_SPREADS * spread)) < MIN_SHARE
+    # a chatter ends at any distance, so that at a large offset most landings must have their impact there
+    chance = abs(centre) > SMALL_OFFSET_S and float(np.mean(shared < CORE_SPREADS * spread)) < 0.5
     if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     core = np.abs(d - centre) < CORE_SPREADS * spread
@@ -117,7 +111,8 @@ def _delay_s(impact_s: Floats, landing_s: Floats) -> float:
 
     The delay is the one at which most landings have an impact within `MAX_SPREAD_S`.
     """
-    begin, end = (np.searchsorted(impact_s, landing_s + far) for far in (-REACH_S, LONGEST_DELAY_S))
+    # a converter's filter delays the accelerometer by 6 ms at most
+    begin, end = (np.searchsorted(impact_s, landing_s + far) for far in (-REACH_S, 6e-3))
     index = (
         np.repeat(begin, end - begin)
         + np.arange((end - begin).sum())
@@ -137,10 +132,11 @@ def _rounding_s(impacts: Impacts, sampling_s: float) -> float:
 
     Impacts that are timed within a sample come at any place.
     """
-    if impacts.time_s.size < MIN_TO_ROUND:
+    if impacts.time_s.size < 20:
         return 0.0
     together = abs(np.mean(np.exp(2j * np.pi * impacts.time_s / sampling_s)))
-    return sampling_s / math.sqrt(12.0) if together > ONE_PLACE else 0.0
+    # the mean phasor of impacts at one place between two samples is 1 long, of those anywhere 0
+    return sampling_s / math.sqrt(12.0) if together > 0.9 else 0.0
 
 
 def _with_bias(impacts: Impacts, factor: float, bias_s: float) -> Impacts:
@@ -153,13 +149,14 @@ def _may_be_chatter(offset_s: float, spread_s: float, strength: Floats) -> bool:
     """Whether a late edge may be the end of a chatter rather than a slow circuit.
 
     A chatter's length grows with the impact's speed; a circuit's delay does not. Where all impacts are equally strong
-    the two cannot be told apart, and a long delay is not accepted. An accelerometer behind the edges is late itself.
+    the two cannot be separated, and a long delay is not accepted. An accelerometer behind the edges is late itself.
     """
     if offset_s > -SMALL_OFFSET_S:
         return False
     low, middle, high = np.quantile(strength, [0.1, 0.5, 0.9])
     variety = (high - low) / middle
-    return bool(variety < MIN_VARIETY or spread_s / abs(offset_s) > CHATTER_SPREAD * variety)
+    # impacts that vary by less than 30 % exclude no chatter; else its length would spread by a quarter of theirs
+    return bool(variety < 0.3 or spread_s / abs(offset_s) > 0.25 * variety)
 
 
 def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -> Edges:
@@ -182,7 +179,8 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     time_s[chosen] += share * difference[same]
     sigma[chosen] = np.maximum(sigma[chosen] * own / np.hypot(sigma[chosen], own), impacts.rounding_s)
     before = np.append(-np.inf, edges.time_s)[closing]  # the edge before each closing
-    late = ~same & (difference < 0.0) & (difference > -CHATTER_S) & (impacts.time_s[partner] > before)
+    # a contact chatters for 0.3 ms at most: it closes for good so long after the impact
+    late = ~same & (difference < 0.0) & (difference > -3e-4) & (impacts.time_s[partner] > before)
     chosen = closing[late]
     time_s[chosen] += difference[late]
     sigma[chosen] = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)[late]

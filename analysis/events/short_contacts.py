@@ -17,10 +17,7 @@ from analysis.events.levels import Levels
 from kernels.arrays import Floats
 
 GRID_POINTS = 25  # grid points a parameter in the search for a start
-N_STARTS = 3  # best grid points from which the fit is started
-EARLIEST = 2.5  # closing before the crossing, or before the lowest sample, samples; stretched
 MAX_LENGTH = 3.0  # longest contact, samples; stretched
-MAX_MISFIT = 12.0  # rms misfit in units of the noise beyond which the samples show no single pulse
 MAX_SHAPE_ERROR = 0.03  # largest error of the pulse's shape, fraction of the swing, where closings differ in shape
 PULSE_TOLERANCE = 0.02  # difference of two pulses, fraction of the swing, within which both are possible
 DEGENERATE_SAMPLES = 0.05  # spread of the possible edges above which it replaces the fit's uncertainty
@@ -73,10 +70,12 @@ def short_contact(
     if prior is not None:
         costs += ((grid[:, 0] - prior[0]) / prior[1]) ** 2
     bounds = ([begin[0] - 0.5, 1e-4], [begin[1] + 0.5, longest + 1.0])
-    chosen = np.clip(grid[np.argsort(costs)[:N_STARTS]], *bounds)
+    # the misfit has several valleys: the three best points of the grid are followed
+    chosen = np.clip(grid[np.argsort(costs)[:3]], *bounds)
     tries = [least_squares(misfit, start, bounds=bounds, x_scale=0.1) for start in chosen]
     best = min(tries, key=lambda t: float(t.cost))
-    if 2.0 * best.cost / (fraction.size - 2) > MAX_MISFIT**2:
+    # a misfit of twelve times the noise shows no single pulse
+    if 2.0 * best.cost / (fraction.size - 2) > 12.0**2:
         return None
     # prior: edges uniform within their sample, for samples that do not determine both
     slopes = np.asarray(best.jac)
@@ -159,7 +158,8 @@ def refine_short_contacts(
         n = min(lead + around.after, int(after[0]) - start - stretch) if after.size else lead + around.after
         own = crossings.window[k, around.before - lead :][: max(n, lead + 2 * stretch)].astype(np.float64)
         prior = _prior(impacts, start, float(sample[k]), shapes[1], rate_hz, (SHORT_SAMPLES + 1) * stretch)
-        begin = lead - EARLIEST * stretch, float(lead)
+        # a pulse closes at most 2.5 samples (times the stretch) before its crossing or lowest sample
+        begin = lead - 2.5 * stretch, float(lead)
         fit = short_contact(own, noise if prior is None else shape_error, tau, begin, prior, MAX_LENGTH * stretch)
         if fit is None:
             continue

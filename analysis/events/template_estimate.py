@@ -27,7 +27,7 @@ from analysis.events.impact_template import (
     template_from_snippets,
     thinning,
 )
-from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, lines_apart
+from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
 from analysis.signals.stream import Piece
 from daq.instrument.noise_spectrum import PREDICTED_FROM, NoiseSpectrum, measure_noise
@@ -240,7 +240,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
             continue  # the edges of what is cut off would look like impacts
         first, ratio = float(row["frequency_hz"]), int(row["ratio"])
         tones_hz = first * np.array(multiples_of(ratio))
-        tones_hz = np.append(tones_hz, lines_apart(MAINS_HZ, tones_hz, (stop - start) / rate_hz))
+        tones_hz = np.append(tones_hz, separable_lines(MAINS_HZ, tones_hz, (stop - start) / rate_hz))
         every = LockIn(rate_hz, tones_hz)
         every.add(volts[own], start)
         found.append(_Stretch(start, own, every, np.isin(tones_hz, first * np.unique([1, 2, 3, ratio]))))

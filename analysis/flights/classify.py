@@ -18,15 +18,6 @@ from kernels.arrays import Floats
 MAX_CYCLE = 8  # flights of the longest cycle looked for
 MIN_REPEATS = 3  # cycles needed
 MIN_IRREGULAR = MIN_REPEATS * MAX_CYCLE // 2  # flights needed to call a step irregular
-REPEAT_SIGMAS = 5.0  # change in units of the measurement's uncertainty within which flights repeat
-CYCLE_JITTER = 0.004  # change within which flights repeat in any case, in forcing periods
-IRREGULAR_PART = 0.25  # change above which nothing repeats, in units of the flights' spread
-IRREGULAR_MARGIN = 2.0  # the same in units of the change allowed in a cycle
-LOCKED = 0.001  # distance of a locked 1-cycle's flight time from a whole number of forcing periods
-MODE_WIDTH = 0.02  # smoothing width of the distribution of flight times, in forcing periods
-MODE_SIGMAS = 3.0  # the same, at least, in units of the measurement's uncertainty
-MODE_HEIGHT = 0.1  # height of a mode above its valleys, in units of the highest
-MEDIAN_CHANGE = 0.954  # median change of a flight time per flight, over the uncertainty: sqrt(2) * 0.6745
 
 
 @dataclass(frozen=True)
@@ -47,7 +38,7 @@ class StepClass:
     repeat_s : float
         Median change of a flight time after one cycle of the best n, per flight; NaN without flights.
     expected_s : float
-        The same from the measurement's uncertainty alone.
+        The same from only the measurement's uncertainty.
     spread_s : float
         The same between flights taken at random.
     modes : int
@@ -100,18 +91,23 @@ def _classify_step(flights: Flights, step: int) -> StepClass:
     own = float(np.median(sigma))
     pairs = np.abs(tau[:, None] - tau[None, :])[np.triu_indices(tau.size, 1)]
     spread = float(np.median(pairs)) if pairs.size else nan
-    mean, modes = float(tau.mean()), count_modes(tau, max(MODE_WIDTH * period, MODE_SIGMAS * own))
+    # smoothed over 2 % of a period, or three uncertainties: narrower, noise would make modes
+    mean, modes = float(tau.mean()), count_modes(tau, max(0.02 * period, 3.0 * own))
     repeats = np.array([_repeat(tau, n) for n in range(1, MAX_CYCLE + 1)])
-    allowed = max(REPEAT_SIGMAS * own, CYCLE_JITTER * period)
+    # flights repeat within five of their uncertainties, and within 0.4 % of a period whatever is stated
+    allowed = max(5.0 * own, 0.004 * period)
     n = next((k + 1 for k, r in enumerate(repeats) if r < allowed), 0)
     best = float(np.nanmin(repeats)) if np.isfinite(repeats).any() else nan
     if n:
         kind, best = "cycle", float(repeats[n - 1])
-    elif tau.size >= MIN_IRREGULAR and best > IRREGULAR_PART * spread and best > IRREGULAR_MARGIN * allowed:
+    # nothing repeats: the best change is a quarter of the flights' own spread, and twice what a cycle may change
+    elif tau.size >= MIN_IRREGULAR and best > 0.25 * spread and best > 2.0 * allowed:
         kind = "irregular"
     whole = mean / period
-    locked = n == 1 and abs(whole - round(whole)) < LOCKED and round(whole) > 0
-    return StepClass(step, kind, n, locked, tau.size, doubles, best, MEDIAN_CHANGE * own, spread, modes, mean)
+    # a locked 1-cycle flies a whole number of periods
+    locked = n == 1 and abs(whole - round(whole)) < 0.001 and round(whole) > 0
+    # the median change from flight to flight is sqrt(2) * 0.6745 = 0.954 of the uncertainty of one
+    return StepClass(step, kind, n, locked, tau.size, doubles, best, 0.954 * own, spread, modes, mean)
 
 
 def _in_air(flights: Flights, plate: StepPlate) -> bool:
@@ -136,14 +132,14 @@ def count_modes(tau: Floats, width: float) -> int:
     grid = np.linspace(tau.min() - 4 * width, tau.max() + 4 * width, 600)
     density = np.exp(-0.5 * ((grid[:, None] - tau[None, :]) / width) ** 2).sum(axis=1)
     peaks = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:])) + 1
-    kept = 0
+    modes = 0
     valley = 0.0
     for i, k in enumerate(peaks):
         after = density[k : peaks[i + 1]].min() if i + 1 < peaks.size else 0.0
-        if density[k] - max(valley, after) > MODE_HEIGHT * density.max():
-            kept += 1
+        if density[k] - max(valley, after) > 0.1 * density.max():
+            modes += 1
         valley = after
-    return kept
+    return modes
 
 
 @dataclass(frozen=True)
@@ -176,8 +172,8 @@ def band_test(flights: Flights, step: int, low_s: float, high_s: float) -> BandT
     tau, sigma = flights.duration_s[chosen], flights.uncertainty_s[chosen]
     half = 0.5 * (high_s - low_s)
     inside = int(((tau > low_s + 2.0 * sigma) & (tau < high_s - 2.0 * sigma)).sum())
-    beside = int(((tau > low_s - half) & (tau < high_s + half)).sum()) - inside
-    return BandTest(step, low_s, high_s, inside, float(beside), float(pdtr(inside, beside)))
+    outside = int(((tau > low_s - half) & (tau < high_s + half)).sum()) - inside
+    return BandTest(step, low_s, high_s, inside, float(outside), float(pdtr(inside, outside)))
 
 
 @dataclass(frozen=True)

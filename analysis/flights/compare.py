@@ -31,15 +31,9 @@ from model.tones import Forcing
 MAX_GAMMA = 500.0  # largest gamma of a plate, beyond what shakers reach
 MAX_FLIGHTS = 2048  # flights computed before a step is called chaotic
 CYCLES_SHOWN = 4  # cycles passed through the contact sensor's limits
-MATCH_SAMPLES = 1.0  # distance to a predicted flight time that counts as a match
-BOUNCE_PART = 0.02  # longest bounce, in units of the longest predicted flight
-BIFURCATION_STEPS = 200
-BIFURCATION_SHARP, NARROWEST = 1e-6, 1e-4  # gamma: of a predicted change, and of windows; a ramp's steps are coarser
 SAME_WITHIN = 2.0  # factor in gamma beyond which a change of the measured type is another one
 STARTS = ("take-off", "rest")  # changes of the model at its start; an integrated ball may come back to rest there
-HARMONIC_SIGMAS = 4.0  # amplitude over its uncertainty from which a harmonic belongs to the motion
 SENSITIVE_SAMPLES = 1.0 / 3.0  # shift of a flight time by the uncertainty of gamma that is too large to judge
-BIFURCATION_RANGE = 1.2  # upper end of the search for the first bifurcation, in units of the largest gamma
 
 
 @dataclass(frozen=True)
@@ -59,7 +53,7 @@ class StepComparison:
     periodic : bool
         Whether the model predicts a cycle.
     mean_ratio : float
-        Mean measured flight time, double hits apart, over mean predicted, bounces apart; NaN without either.
+        Mean measured flight time, without double hits, over mean predicted, without bounces; NaN without either.
     rms_s : float
         Rms distance of measured flights to the nearest predicted time, in periodic windows; NaN elsewhere.
     within_sample : float
@@ -140,9 +134,8 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
     if any("harmonics" in effect(name).hooks for name in effects):
         sigma = plate.acceleration.amplitude_sigma()
         size = np.abs(plate.acceleration.amplitudes)
-        multiples += [
-            m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > HARMONIC_SIGMAS * sigma[i]
-        ]
+        # a harmonic below four times its uncertainty may be noise
+        multiples += [m for i, m in enumerate(plate.multiples) if m not in multiples and size[i] > 4.0 * sigma[i]]
     rows = [plate.multiples.index(m) for m in multiples]
     n = np.array(multiples, dtype=float)
     z = plate.acceleration.amplitudes[rows] / accelerometer_response(effects, 2.0 * np.pi * plate.frequency_hz * n)
@@ -233,7 +226,7 @@ def compare(
 
 
 def first_bifurcation(flights: Flights, setup: Setup, effects: Effects) -> FirstBifurcation:
-    """The first bifurcation alone, as `compare` has it: the model's motion in each step is not needed for it.
+    """Only the first bifurcation, as `compare` has it: the model's motion in each step is not needed for it.
 
     Parameters
     ----------
@@ -288,13 +281,15 @@ def _step(
     tau = flights.duration_s[good]
     periodic = found.kind != "chaotic"
     proper = flights.duration_s[good & ~flights.has(FlightFlag.DOUBLE_HIT)]
-    launched = predicted[predicted > BOUNCE_PART * predicted.max()] if predicted.size else predicted
+    # predicted bounces below 2 % of the longest flight are the end of a chatter: no flight that starts from rest
+    launched = predicted[predicted > 0.02 * predicted.max()] if predicted.size else predicted
     ratio = float(proper.mean() / launched.mean()) if proper.size and launched.size else float("nan")
     rms, within = float("nan"), float("nan")
     if periodic and tau.size and predicted.size:
         distance = np.abs(tau[:, None] - predicted[None, :]).min(axis=1)
         rms = float(np.sqrt(np.mean(distance**2)))
-        within = float(np.mean(distance <= MATCH_SAMPLES / flights.plate.rate_hz))
+        # within one sample of a predicted flight time
+        within = float(np.mean(distance <= 1.0 / flights.plate.rate_hz))
     unit = 1.0 / plate.omega_radps
     bands = tuple(
         band_test(flights, plate.step, float(low) * unit, float(high) * unit)
@@ -348,11 +343,13 @@ def _first(flights: Flights, setup: Setup, seen: tuple[Change, ...], effects: Ef
     if not plates:
         return FirstBifurcation(measured, "", nan, nan)
     ball, _, _ = ball_on(plates[-1], setup, effects)
-    low, high = min(p.gamma for p in plates), BIFURCATION_RANGE * max(p.gamma for p in plates)
+    # the model's change may come a fifth beyond the largest gamma measured
+    low, high = min(p.gamma for p in plates), 1.2 * max(p.gamma for p in plates)
     wanted, found = "" if measured is None else measured.type, None
     farthest = math.inf if measured is None else SAME_WITHIN * max(measured.gamma_before, measured.gamma_after)
-    fine = {"narrowest": NARROWEST, "sharp": BIFURCATION_SHARP}
-    for change in each_observed(ball, low, high, sweep="up", steps=BIFURCATION_STEPS, **fine):
+    # the steps of a ramp are coarser than 1e-4 in gamma: a narrower window of the model cannot be seen
+    fine = {"narrowest": 1e-4, "sharp": 1e-6}
+    for change in each_observed(ball, low, high, sweep="up", steps=200, **fine):
         if change.type in STARTS:
             continue
         if found is not None and change.gamma > farthest:

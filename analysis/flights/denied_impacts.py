@@ -12,10 +12,6 @@ import numpy as np
 from analysis.plate.motion import PlateMotion
 from kernels.arrays import Bools, Complexes, Floats, Integers
 
-CLEARLY = 2.0  # times that the velocity of the cut flight lies farther below the plate's than that of the whole one
-LEAST_MPS = 0.03  # least distance below the plate's velocity that counts
-LEAST_PART = 0.3  # the same as a part of the velocity of a free flight of that length; a friction of 0.5 g makes 0.1
-
 
 def denied(
     plate: PlateMotion,
@@ -87,5 +83,7 @@ def _too_slow(
         return np.asarray(rise_m / lasted_s + 0.5 * g_mps2 * lasted_s - leaves_mps)
 
     usual = 0.5 * g_mps2 * (impact_s - begin_s)
-    least = np.maximum(np.maximum(-CLEARLY * start_mps(whole_s), LEAST_PART * usual), LEAST_MPS)
+    # twice as far below the plate as the whole flight's, 0.3 of a free flight's (a friction of 0.5 g makes 0.1), and 3
+    # cm/s
+    least = np.maximum(np.maximum(-2.0 * start_mps(whole_s), 0.3 * usual), 0.03)
     return np.asarray((step >= 0) & moving.any(axis=0) & (start_mps(impact_s) < -least))

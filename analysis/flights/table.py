@@ -1,6 +1,6 @@
 """Table of flights as a value: columns, flags, selection of comparable flights, and CSV.
 
-No flight is dropped: false flights, double hits, boundaries from the accelerometer alone and flights that may hide an
+No flight is dropped: false flights, double hits, boundaries only from the accelerometer and flights that may hide an
 undetected landing are flagged.
 """
 
@@ -94,7 +94,7 @@ class Flights:
         return ~self.has(bad)
 
     def heard(self) -> Bools:
-        """Landings that the accelerometer alone shows, none of which showed its delay against the contact edges."""
+        """Landings that only the accelerometer shows, none of which showed its delay against the contact edges."""
         offset, mark = self.edges.sensor_offset, self.has(FlightFlag.ACCELEROMETER)
         if offset is None or np.isfinite(offset.uncertainty_s):
             return np.zeros(len(self), dtype=np.bool_)

@@ -14,8 +14,6 @@ from analysis.joint.summary import Option, Point, RunSummary
 from analysis.joint.systematics import PLACES
 from kernels.arrays import Floats, Integers
 
-LEAST_SIGMA = 1e-3  # of a systematic error's prior: narrower, it is none
-
 
 @dataclass(frozen=True)
 class Aligned:
@@ -83,7 +81,8 @@ def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[s
         precision[i] = 0.0 if key[0] in released else width[i] ** -2.0
     first, named = len(own) + len(shared), len(own) + len(shared) + len(PLACES)
     sigma = np.max([run.systematic_sigma for run in summaries], axis=0)
-    precision[first:named] = np.maximum(sigma, LEAST_SIGMA) ** -2.0
+    # a systematic error of a narrower prior is none
+    precision[first:named] = np.maximum(sigma, 1e-3) ** -2.0
     bounds = [(-np.inf, np.inf) if place in PLACES else _bounds(place[0]) for place in columns]
     runs = tuple(_on(run, columns, named) for run in summaries)
     low, high = np.array(bounds).reshape(-1, 2).T

@@ -38,10 +38,6 @@ from model.effects.registry import registry
 Progress = Callable[[str, float], None]
 
 LEAST_RUNS = 3  # fewer tell nothing of how runs differ
-MOST_PASSES = 4  # for one set of named effects
-SETTLED_SIGMAS = 0.3  # move of a shared parameter below which a set has converged
-LEAST_WIDTH = 1e-3  # of a parameter that differs, in its scale
-WIDER = 3.0  # times the spread found: prior of a parameter that differs between runs
 
 
 def join_runs(
@@ -258,15 +254,16 @@ class _Search:
 
     def _converged(self, state: _State) -> _State:
         """Linearised anew until the shared parameters stay, and the means of bent calibrations."""
-        for _ in range(MOST_PASSES):
+        for _ in range(4):
             q, shared = len(state.point.own), sorted(state.point.shared)
             values = {k: value_at(k, float(state.found.x[q + i])) for i, k in enumerate(shared)}
             population = _population(state)
             here = {**state.point.shared, **{k: p.mean for k, p in state.point.population.items()}}
             there = {**values, **{k: p.mean for k, p in population.items()}}
             places = {k: i for i, (k, _) in enumerate(state.model.columns[: state.model.named])}
+            # converged: no shared parameter moves by a third of its uncertainty
             if here.keys() == there.keys() and all(
-                abs(coordinate_of(k, v) - coordinate_of(k, here[k])) < SETTLED_SIGMAS * state.found.sigma(places[k])
+                abs(coordinate_of(k, v) - coordinate_of(k, here[k])) < 0.3 * state.found.sigma(places[k])
                 for k, v in there.items()
             ):
                 break
@@ -305,7 +302,8 @@ class _Search:
         for key in keys:
             place = len(state.point.own) + sorted(state.point.shared).index(key)
             values, sigmas = each_on_its_own(state.model.runs, state.found, place)
-            width = WIDER * max(float(np.std(values[np.isfinite(sigmas)])), LEAST_WIDTH) * scale_of(key)
+            # three times the spread found, so that the prior does not shrink it again from pass to pass
+            width = 3.0 * max(float(np.std(values[np.isfinite(sigmas)])), 1e-3) * scale_of(key)
             priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
         shared = {k: v for k, v in state.point.shared.items() if k not in keys}

@@ -20,8 +20,6 @@ from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 from kernels.arrays import Floats
 
-LEAST_SHOWN = 1.0  # a calibration counts as seen where a run's own sigma is below so many of its prior's
-
 
 def outcome_of(
     summaries: Sequence[RunSummary],
@@ -82,7 +80,8 @@ def _over_runs(
     values, sigmas = each_on_its_own(model.runs, found, place)
     own = place < len(model.width)
     if own:
-        sigmas = np.where(sigmas < LEAST_SHOWN * model.width[place], sigmas, np.inf)
+        # a calibration is seen where a run's own sigma is below its prior's: else the run only repeats the profile
+        sigmas = np.where(sigmas < model.width[place], sigmas, np.inf)
     test = constancy(values, sigmas, days)
     effect = not own or model.prior.precision[place] == 0.0
     x, sigma = float(found.x[place]), found.sigma(place)

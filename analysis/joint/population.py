@@ -23,10 +23,7 @@ import numpy as np
 from analysis.linear_algebra import inv, pinv, solve
 from kernels.arrays import Floats, Integers
 
-MOST_ROUNDS = 300  # of the EM algorithm
-SETTLED = 1e-3  # relative change of the spreads, of the widest one, at which it ends
 LEAST_SPREAD = 1e-4  # of a prior's width: below, a calibration is common to all runs
-IDLE = 1e-9  # information, of one unit of a coordinate, below which nothing is known
 
 
 @dataclass(frozen=True)
@@ -142,7 +139,8 @@ def fit_population(
     Population
     """
     spread, width = spread.copy(), np.maximum(spread, 1e-300)
-    for _ in range(0 if fixed_spread else MOST_ROUNDS):
+    # EM converges slowly where a spread is small: up to 300 rounds
+    for _ in range(0 if fixed_spread else 300):
         found = _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
         squares = np.mean([_own_squares(run, found) for run in runs], axis=0)
         # where -n log s - S / (2 s^2) - s^2 / (2 w^2) is greatest: S is the sum of the deviations' squares over the n
@@ -151,7 +149,7 @@ def fit_population(
         after = np.asarray(width * np.sqrt(2.0 * ratio / (n + np.sqrt(n**2 + 4.0 * ratio))))
         change = float(np.max(np.abs(after - spread) / width, initial=0.0))
         spread = np.where(after < LEAST_SPREAD * width, 0.0, after)
-        if change < SETTLED:
+        if change < 1e-3:
             break
     return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
 
@@ -202,7 +200,8 @@ def each_on_its_own(runs: Sequence[Quadratic], found: Population, place: int) ->
     for i, run in enumerate(runs):
         rest = run.without_own(spread)
         known = rest.information[place, place]
-        if known > IDLE:
+        # below 1e-9 of information a coordinate is unknown, and its sigma infinite
+        if known > 1e-9:
             values[i] += rest.slope_at(found.x)[place] / known
             sigmas[i] = 1.0 / np.sqrt(known)
     return values, sigmas

@@ -27,7 +27,6 @@ NAMES = ("openings late beside closings", "closings of brief contacts late")
 PLACES: tuple[Place, ...] = tuple((("systematic", name), ()) for name in NAMES)
 """What their coordinates are called among those of a run's summary."""
 UNIT_S = 1e-6  # of their coordinates
-SHARED_PART = 0.1  # of one edge's uncertainty: how far all edges may be off together
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,9 @@ class Systematics:
             _typical(observations.opening_sigma_s, model.from_rest),
             _typical(observations.landing_sigma_s, brief),
         )
-        sigma_s = (SHARED_PART * opening_s, min(0.5 * observations.closure_s, closing_s))
+        # all edges together may be off by a tenth of one edge's uncertainty; closings by half of what their prior
+        # allows
+        sigma_s = (0.1 * opening_s, min(0.5 * observations.closure_s, closing_s))
         return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
 
 

@@ -20,8 +20,8 @@ from analysis.plate.mains_lines import (
     LOBE,
     MAINS_HZ,
     is_absent,
-    lines_apart,
     refined_line,
+    separable_lines,
     strongest_hz,
     unmeasured_line,
 )
@@ -58,7 +58,7 @@ RINGING_LEFT = 1.1  # residual over that with the longest mask, from which a sho
 MIN_PER_TONE = 8  # unmasked blocks needed per fitted tone
 OPEN_ABOVE, CLOSED_BELOW = 0.9, 0.1  # mean contact voltage, as a fraction of the swing, of flight and of contact
 WAITING_STEPS = 16  # solved in a row: what a step's small fits need then stays in the processor's caches
-CHUNK_BLOCKS = 1 << 17  # block means kept in memory before they are added to the normal equations
+CHUNK_BLOCKS = 1 << 17  # block means in memory before they are added to the normal equations
 
 
 @dataclass(frozen=True)
@@ -275,12 +275,12 @@ class StepAccumulator:
             state.mask_level = _choose_mask_level(state, state.lock_in)
 
     def _frequencies(self, state: StepState) -> tuple[tuple[int, ...], Floats]:
-        """Tones of the step: what fits under the blocks' rate; mains lines that can be told apart; their multiples."""
+        """Tones of the step: what fits under the blocks' rate; mains lines that can be separated; their multiples."""
         limit = 0.45 * self.block_rate_hz
         multiples = tuple(m for m in multiples_of(state.ratio) if m == 1 or m * state.frequency_hz < limit)
         tones = state.frequency_hz * np.array(multiples)
         mains = [m.hz for m in state.mains] + [hz for m in state.mains for hz in m.multiples_hz]
-        lines = lines_apart([hz for hz in mains if hz < limit], tones, state.hold_s)
+        lines = separable_lines([hz for hz in mains if hz < limit], tones, state.hold_s)
         return multiples, np.concatenate([tones, lines])
 
     def _follow_mains(self, state: StepState, chunk: ChunkFit) -> bool:

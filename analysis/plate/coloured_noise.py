@@ -1,7 +1,7 @@
 """Noise of the accelerometer that is stronger at the forcing's tones than the white noise which a fit's residual tells.
 
 Semiconductor sensors and charge amplifiers have noise that rises towards low frequencies. It shows in the phases of a
-tone from window to window, beyond those of the drive; an amplitude modulation leaves them alone. What all steps
+tone from window to window, beyond those of the drive; an amplitude modulation does not change them. What all steps
 together tell of it widens every uncertainty of the tone, and where chance may do it, nothing is changed.
 """
 
@@ -14,9 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.plate.motion import StepPlate
-
-SIGMAS = 4.0  # significance from which noise is coloured
-MIN_WINDOWS = 4  # windows of a step from which its phases count
 
 
 def with_coloured_noise(steps: Sequence[StepPlate | None]) -> tuple[StepPlate | None, ...]:
@@ -34,7 +31,8 @@ def with_coloured_noise(steps: Sequence[StepPlate | None]) -> tuple[StepPlate | 
 
 def _factor(square: float, freedom: float) -> float:
     """How many times larger an uncertainty is than white noise makes it; 1 where chance may do it."""
-    if square <= freedom + SIGMAS * math.sqrt(2.0 * freedom):
+    # four sigma of chi square: below, the phases scatter as white noise makes them
+    if square <= freedom + 4.0 * math.sqrt(2.0 * freedom):
         return 1.0
     return math.sqrt(square / freedom)
 
@@ -48,7 +46,8 @@ def _phase_scatter(s: StepPlate, t: int) -> tuple[float, int]:
         phase = phase - (w.drive_v[:, t] / v).imag
         variance = variance + (w.drive_uncertainty_v[:, t] / abs(v)) ** 2
     seen = np.isfinite(phase) & (variance > 0.0)
-    if np.count_nonzero(seen) < MIN_WINDOWS:
+    # a step of fewer than four windows says little of the scatter from window to window
+    if np.count_nonzero(seen) < 4:
         return 0.0, 0
     time_s, phase, weight = w.time_s[seen], phase[seen], 1.0 / variance[seen]
     total = weight.sum()

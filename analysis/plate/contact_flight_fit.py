@@ -13,9 +13,6 @@ import numpy as np
 from analysis.linear_algebra import inv
 from daq.lock_in import LockIn, ToneFit
 
-MIN_BLOCKS = 60  # block means needed in contact and in flight
-MAX_CONDITION = 1e6  # condition number of the scaled normal matrix above which the two cannot be separated
-
 
 @dataclass(frozen=True)
 class ContactFlightFit:
@@ -45,14 +42,15 @@ class ContactFlightFit:
             None where contact or flight has too few blocks, or they cannot be separated.
         """
         contact, total = self.contact, self.total
-        if min(contact.n, total.n - contact.n) < MIN_BLOCKS:
+        if min(contact.n, total.n - contact.n) < 60:
             return None
         extra = [0, *(c for r in self.rows for c in (2 * r + 1, 2 * r + 2))]
-        beside = contact.gram[:, extra]
-        gram = np.block([[total.gram, beside], [beside.T, contact.gram[np.ix_(extra, extra)]]])
+        coupling = contact.gram[:, extra]
+        gram = np.block([[total.gram, coupling], [coupling.T, contact.gram[np.ix_(extra, extra)]]])
         scale = 1.0 / np.sqrt(np.diag(gram))
         unit_gram = gram * np.outer(scale, scale)
-        if np.linalg.cond(unit_gram) > MAX_CONDITION:
+        # where contact and flight alternate with the forcing itself their tones cannot be separated
+        if np.linalg.cond(unit_gram) > 1e6:
             return None
         inverse = inv(unit_gram) * np.outer(scale, scale)
         solution = inverse @ np.concatenate([total.rhs[:, 0], contact.rhs[extra, 0]])

@@ -17,7 +17,6 @@ from analysis.linear_algebra import solve
 from kernels import njit
 from kernels.arrays import Bools, Complexes, Floats, Integers
 
-MIN_PHASE_RAD = 1e-4  # phase difference over an interval below which two exponentials count as equal
 RIDGE = 1e-9  # added to normal equations whose diagonal is 1
 
 
@@ -115,7 +114,7 @@ def solved(gram: Complexes, side: Complexes) -> Complexes:
 
 @njit()
 def _alike(keep, window, contact):  # type: ignore[no-untyped-def]
-    """First and last but one of every run of kept values with one window and one state of contact, (r, 2)."""
+    """First and last but one of every run of fitted values with one window and one state of contact, (r, 2)."""
     bounds, found = np.empty((keep.shape[0], 2), dtype=np.int64), 0
     for i in range(keep.shape[0]):
         if not keep[i]:
@@ -142,9 +141,11 @@ def _overlaps(step, span_s, e, others, out):  # type: ignore[no-untyped-def]
                 starts[end, j] = np.exp(1j * others[n, j] * span_s[r, end])
         for i in range(a):
             for j in range(b):
-                apart = others[n, j] - e[n, i]
-                if abs(apart) * length < MIN_PHASE_RAD:
-                    out[n, i, j] += length * np.exp(1j * apart * middle)
+                difference = others[n, j] - e[n, i]
+                # two exponentials that differ by less than 1e-4 rad over the interval: the quotient below would lose
+                # its digits
+                if abs(difference) * length < 1e-4:
+                    out[n, i, j] += length * np.exp(1j * difference * middle)
                 else:
                     turned = starts[1, j] * ends[1, i] - starts[0, j] * ends[0, i]
-                    out[n, i, j] += turned / (1j * apart)
+                    out[n, i, j] += turned / (1j * difference)

@@ -46,16 +46,16 @@ class LineTrials:
         self._rows[0] = 1.0
         _fill_rows(self._frequencies_hz / rate_hz, state.lock_in.response(), self.blocks, self._rows[1:])
 
-    def residual(self, fit: ToneFit, kept: int) -> Floats:
-        """Volts (n,) less the constant and all tones of ``fit`` but number ``kept``."""
+    def residual(self, fit: ToneFit, tone: int) -> Floats:
+        """Volts (n,) less the constant and all tones of ``fit`` but number ``tone``."""
         unknowns = np.empty(len(self._rows))
         unknowns[0], unknowns[1::2], unknowns[2::2] = fit.offset, fit.amplitudes.real, fit.amplitudes.imag
-        unknowns[2 * kept + 1 : 2 * kept + 3] = 0.0
+        unknowns[2 * tone + 1 : 2 * tone + 3] = 0.0
         return np.asarray(self.values - unknowns @ self._rows)
 
-    def demodulated(self, fit: ToneFit, kept: int) -> Complexes:
-        """Sums over bins of `BIN_S` of the residual demodulated at tone ``kept``, the blocks' gain and delay in it."""
-        residual, at = self.residual(fit, kept), 2 * kept + 1
+    def demodulated(self, fit: ToneFit, tone: int) -> Complexes:
+        """Sums over bins of `BIN_S` of the residual demodulated at tone ``tone``, the blocks' gain and delay in it."""
+        residual, at = self.residual(fit, tone), 2 * tone + 1
         sums = np.zeros(self._bins[-1] + 1, dtype=np.complex128)
         _demodulate(residual, self._rows[at], self._rows[at + 1], self._bins, sums)
         return sums

@@ -25,11 +25,11 @@ MAX_OFFSET_HZ = 0.3  # largest distance from the nominal frequency: a free-runni
 PRIOR_SIGMA_HZ = 0.1  # standard deviation of a line's frequency before any measurement
 WALK_HZ = 0.002  # random walk of the mains frequency within a second
 SIGNIFICANT = 6.0  # amplitude over its uncertainty from which a line's frequency is refined
-MIN_CYCLES_APART = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
+MIN_SEPARATION_CYCLES = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
 MIN_CYCLES = 5.0  # cycles of a line within a step, to be fitted
 FAR_FROM = 0.5  # part of a significant amplitude below which a line is not fitted at other frequencies
 NEAR_HZ = 10.0  # distance from a line within which noise is its own
-APART = 1.5  # cycles over a chunk from a tone within which a periodogram shows the tone
+LOBE_BINS = 1.5  # cycles over a chunk from a tone within which a periodogram shows the tone
 LOBE = 0.25  # cycles over a step by which a line may be off and still be found from its start
 TRIAL_CYCLES = 0.1  # cycles over a step between the trial frequencies: the misfit is a parabola there
 BIN_S = 0.2  # bin of a long step's search, short against a beat of `MAX_OFFSET_HZ`
@@ -103,7 +103,7 @@ def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> 
     for line, own in enumerate(cycles[first:] * size if white > 0.0 else []):
         reach = NEAR_HZ / rate_hz * size
         bins = np.arange(max(math.ceil(own - reach), 1), min(int(own + reach) + 1, spectrum.size))
-        bins = bins[np.abs(bins[:, None] - cycles * size).min(axis=1) > APART] if bins.size else bins
+        bins = bins[np.abs(bins[:, None] - cycles * size).min(axis=1) > LOBE_BINS] if bins.size else bins
         if bins.size:
             power = np.abs(spectrum[bins]) ** 2
             out[line] = median(power) / math.log(2.0) / white * bins.size, bins.size
@@ -132,10 +132,10 @@ def unmeasured_line(nominal_hz: float) -> MainsLine:
     return MainsLine(nominal_hz, nominal_hz, PRIOR_SIGMA_HZ, 0.0)
 
 
-def lines_apart(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) -> list[float]:
+def separable_lines(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) -> list[float]:
     """Lines that a step of this length can separate from its tones."""
     long_enough = [hz for hz in lines_hz if hz * length_s > MIN_CYCLES]
-    return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_CYCLES_APART / length_s]
+    return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_SEPARATION_CYCLES / length_s]
 
 
 def strongest_hz(demodulated: Complexes, line: MainsLine, length_s: float) -> tuple[float, float]:
@@ -158,7 +158,7 @@ def _trials(count: int, length_s: float, bins: int) -> tuple[Floats, Complexes]:
 
 
 def is_absent(fit: ToneFit, place: int, line: MainsLine, demodulated: Complexes, length_s: float) -> bool:
-    """Whether a line is far from significant at every frequency in its reach, told without fitting it there.
+    """Whether a line is far from significant at every frequency in its reach, without a fit there.
 
     Its amplitude elsewhere is estimated with the other tones held fast. Where they are more than a cycle over the step
     away, that is right to a small part, for which `FAR_FROM` leaves room. ``demodulated`` is as for `strongest_hz`:
@@ -170,9 +170,9 @@ def is_absent(fit: ToneFit, place: int, line: MainsLine, demodulated: Complexes,
         return False
     if length_s * line.reach_hz <= LOBE:
         return True
-    apart_hz = np.abs(fit.frequencies_hz - line.hz)
-    apart_hz[place] = np.inf
-    if not (float(np.minimum.reduce(apart_hz)) - line.reach_hz) * length_s > 1.0:
+    distance_hz = np.abs(fit.frequencies_hz - line.hz)
+    distance_hz[place] = np.inf
+    if not (float(np.minimum.reduce(distance_hz)) - line.reach_hz) * length_s > 1.0:
         return False
     return 2.0 * strongest_hz(demodulated, line, length_s)[1] < limit * fit.n
 
@@ -213,7 +213,7 @@ def refined_line(
         slope = (misfit[2] - misfit[0]) / (2.0 * h) + 2.0 * (hz - line.hz) / line.sigma_hz**2
         step = float(np.clip(-slope / curvature, -2.0 * h, 2.0 * h))
         hz += step
-        if abs(hz - line.nominal_hz) > MAX_OFFSET_HZ or np.abs(others_hz - hz).min() < MIN_CYCLES_APART / length_s:
+        if abs(hz - line.nominal_hz) > MAX_OFFSET_HZ or np.abs(others_hz - hz).min() < MIN_SEPARATION_CYCLES / length_s:
             return line
         sigma = float(np.sqrt(2.0 / curvature))
         if abs(step) < CONVERGED * sigma:

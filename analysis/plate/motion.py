@@ -20,7 +20,7 @@ from kernels.arrays import Complexes, Floats, Integers
 from model.tones import Plate
 
 TWO_PI = 2.0 * np.pi
-FALSE_ALARM = 1e-5  # probability of a slow line in noise alone, below which it is reported
+FALSE_ALARM = 1e-5  # probability of a slow line in noise, below which it is reported
 MIN_VALUES = 16  # values of the slow residual needed for a spectrum
 MIN_BINS = 8  # bins of the spectrum needed for its background
 MAX_LINES = 3
@@ -196,7 +196,7 @@ class StepPlate:
 
     @property
     def saturated(self) -> bool:
-        """Whether the accelerometer cuts off part of the motion, not the peaks of impacts alone."""
+        """Whether the accelerometer cuts off part of the motion, not only the peaks of impacts."""
         return self.cut_off > STANDS
 
     @property
@@ -234,7 +234,7 @@ class StepPlate:
         return Plate(TWO_PI * fit.frequencies_hz[strong], fit.amplitudes[strong])
 
     def forcing(self) -> Plate:
-        """Fitted motion at the forcing's tones alone."""
+        """Fitted motion at the forcing's tones only."""
         rows = [self.multiples.index(m) for m in self.forcing_multiples]
         fit = self.acceleration
         return Plate(TWO_PI * fit.frequencies_hz[rows], fit.amplitudes[rows])
@@ -242,7 +242,7 @@ class StepPlate:
     def tones_factor(self, omega_radps: Floats) -> Complexes:
         """Factor of the covariance of the fitted tones at ``omega_radps`` (k,), those of the forcing first: (2 k, k).
 
-        A mains line or a harmonic is known no better than a forcing tone; beside one, their errors cancel in what they
+        A mains line or a harmonic is known no better than a forcing tone; next to one, their errors cancel in what they
         do to the plate. So all err together here.
         """
         fit = self.acceleration

@@ -21,18 +21,16 @@ from numpy.typing import NDArray
 from analysis.statistics import median
 from daq.lock_in import ToneFit
 
-EACH_VALUE = 4  # times that each value must come on average before the distances of values tell a converter's step
-
-MOST_COUNTS = 1 << 14  # codes that are counted one by one instead of sorted
-
 
 def converter_step(values: NDArray[Any]) -> float:
     """Distance of neighbouring values of a rounded signal, codes or volts; 0 where they do not show one."""
-    if values.dtype.kind == "i" and int(values.max()) - int(values.min()) < MOST_COUNTS:
+    # codes of a short range are counted one by one, which takes less time than to sort them
+    if values.dtype.kind == "i" and int(values.max()) - int(values.min()) < (1 << 14):
         different = np.flatnonzero(np.bincount(values.astype(np.int64) - int(values.min())))
     else:
         different = np.unique(values)
-    if different.size < 2 or EACH_VALUE * different.size > len(values):
+    # each value must come four times on average, before the distances of values show a converter's step
+    if different.size < 2 or 4 * different.size > len(values):
         return 0.0
     return median(np.diff(different.astype(np.float64)))
 

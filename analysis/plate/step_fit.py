@@ -1,7 +1,7 @@
 """Plate motion of one step from its accumulated state: gamma, phase, contact and flight fits, slow motion, windows.
 
 Volts become m/s^2 by the setup's signed sensitivity, here only. Gamma is that of the accelerometer; the drive's own
-version stands beside it.
+version stands next to it.
 """
 
 from __future__ import annotations

@@ -20,12 +20,8 @@ from kernels import njit
 from kernels.arrays import Complexes, Floats, Integers
 
 WINDOW_CYCLES = 2.0  # length of a window
-SLOW_PER_CYCLE = 4.0  # values of the slow residual per period of the forcing
-MIN_WINDOW_COVER = 0.4  # part of a window's blocks that must be unmasked
 RIDGE = 1e-9  # added to the windows' normal matrices, for tones that hardly differ within a window
 MIN_WINDOWS = 4  # windows needed to measure a frequency
-MAX_PHASE_SIGMA_RAD = 0.3  # largest phase error of a window that still allows the phase to be unwrapped
-FREQUENCY_SIGMAS = 4.0  # significance of a frequency correction
 MIN_DRIFT_RAD = 1e-4  # smallest phase error over the step that is corrected
 
 
@@ -116,9 +112,11 @@ def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
         len(state.rows),
         lock_in.frequencies_hz.size - len(state.multiples),
     )
-    group = max(int(rate_hz / (SLOW_PER_CYCLE * state.frequency_hz)), 1)
+    # four values of the slow residual a period: slow lines lie below the forcing
+    group = max(int(rate_hz / (4.0 * state.frequency_hz)), 1)
     length = max(round(WINDOW_CYCLES * rate_hz / state.frequency_hz), 1)
-    least = max(MIN_WINDOW_COVER * length, 2.0 * tones.unknowns)
+    # a window needs 40 % of its blocks, and twice as many as unknowns
+    least = max(0.4 * length, 2.0 * tones.unknowns)
     begin, beat = state.spans[0].first, BIN_S * rate_hz
     beats = np.zeros((int((state.spans[-1].last - 1 - begin) / beat) + 1, tones.lines), dtype=np.complex128)
     parts, intervals, counted = [], [], 0
@@ -197,7 +195,8 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
     strongest = int(np.argmax(np.add.reduce(np.abs(chunk.amplitudes[:, :, channel])) * multiples))
     z = chunk.amplitudes[:, strongest, channel]
     sigma = chunk.fits[channel].rms * chunk.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
-    if median(sigma) > MAX_PHASE_SIGMA_RAD:
+    # windows whose phase is known worse than to 0.3 rad cannot be unwrapped
+    if median(sigma) > 0.3:
         return None
     weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
     time_s = chunk.time_s - np.add.reduce(chunk.time_s * weight) / np.add.reduce(weight)
@@ -209,7 +208,8 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
         phase = np.unwrap(phase)
     away = float(pull @ phase) / curvature / scale
     error = 1.0 / np.sqrt(curvature) / scale
-    if abs(away) <= FREQUENCY_SIGMAS * error:
+    # a correction below four sigma, or of 1e-4 rad over the step, is none
+    if abs(away) <= 4.0 * error:
         return state.nominal_hz, error, False
     if abs(away) * 2.0 * np.pi * state.hold_s <= MIN_DRIFT_RAD:
         return state.nominal_hz, abs(away), False
@@ -221,7 +221,7 @@ def _sum_span(
 ) -> tuple[SpanSums, Integers]:
     """Sums of the residuals of a span's block means about the step's ``tones``, in slow bins of ``group`` blocks.
 
-    Beside them the number of the window of each place of ``windows.length`` blocks, and of the rest; -1 for none.
+    And the number of the window of each place of ``windows.length`` blocks, and of the rest; -1 for none.
     To ``beats`` (b, lines) the residual is added, each mains line left in and demodulated at it.
     """
     n, q = len(span.values), tones.unknowns
@@ -246,14 +246,14 @@ def _sum_span(
     row_of = np.full(places + 1, -1)
     given = span.values, span.block_class, span.first, level, group, tones, windows, rate_hz, beats
     w = _fill_sums(*given, sums, scratch, row_of)
-    kept = sums._replace(
+    filled = sums._replace(
         time_s=sums.time_s[:w],
         gram=sums.gram[:w],
         side=sums.side[:w],
         power=sums.power[:w],
         used=sums.used[:w],
     )
-    return kept, row_of
+    return filled, row_of
 
 
 @njit()
@@ -340,21 +340,21 @@ def _add_beats(since, size, beat, tones, q, left, row, beats):  # type: ignore[n
 def _keep_windows(first, windows, rate_hz, sums, row_of):  # type: ignore[no-untyped-def]
     """Windows of enough blocks go to the front, numbered, their matrices made whole; how many there are."""
     length, least, counted = windows.length, windows.least, windows.counted
-    kept, q = 0, sums.gram.shape[1]
+    used, q = 0, sums.gram.shape[1]
     for w in range(sums.used.shape[0]):
         if sums.used[w] >= least:
-            row_of[w] = counted + kept
-            sums.time_s[kept] = (first + (w + 0.5) * length) / rate_hz
-            sums.used[kept] = sums.used[w]
+            row_of[w] = counted + used
+            sums.time_s[used] = (first + (w + 0.5) * length) / rate_hz
+            sums.used[used] = sums.used[w]
             for c in range(2):
-                sums.power[kept, c] = sums.power[w, c]
+                sums.power[used, c] = sums.power[w, c]
             for a in range(q):
                 for c in range(2):
-                    sums.side[kept, a, c] = sums.side[w, a, c]
+                    sums.side[used, a, c] = sums.side[w, a, c]
                 for b in range(a + 1):
-                    sums.gram[kept, a, b] = sums.gram[kept, b, a] = sums.gram[w, a, b]
-            kept += 1
-    return kept
+                    sums.gram[used, a, b] = sums.gram[used, b, a] = sums.gram[w, a, b]
+            used += 1
+    return used
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract", "nsz"})

@@ -15,8 +15,7 @@ from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
 
 LONGEST_S = 0.2  # of a flight or contact whose acceleration is integrated
-BESIDE_S = 4e-3  # time on both sides of an impact from which the motion in between is told
-LEAST_MPS2 = 1e-9  # so that the centre of nothing is its middle
+AROUND_S = 4e-3  # time on both sides of an impact from which the motion in between is interpolated
 RINGING_S = 2.5e-3  # time after an impact in which the accelerometer shows more than the plate's motion
 
 
@@ -72,7 +71,7 @@ class Pushes:
     """Integrals of the plate's acceleration plus gravity around fades, (n,).
 
     Over each flight and over the contact before it, in m/s, and where the centre of the latter lies, as a part of the
-    contact; NaN where none touches a fade or where it cannot be told.
+    contact; NaN where none touches a fade or where it is unknown.
     """
 
     flight_mps: Floats
@@ -84,7 +83,7 @@ def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Integers)
     """Integrals of the accelerometer's reading for the flights in ``rows``.
 
     Nothing need be known of how the plate gets from one motion to the next, but the accelerometer's zero must: no mean
-    of its readings tells it beside a ringing mode. Without a stated zero, or behind a capacitor, all are NaN.
+    of its readings shows it under a ringing mode. Without a stated zero, or behind a capacitor, all are NaN.
     """
     takeoff_s, landing_s = flights.takeoff_s[rows], flights.landing_s[rows]
     out = Pushes(*np.full((3, len(rows)), np.nan))
@@ -96,7 +95,8 @@ def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Integers)
     for i in np.flatnonzero(usable & fades.touch(takeoff_s, landing_s) & (landing_s - takeoff_s < LONGEST_S)):
         out.flight_mps[i] = np.mean(_push_mps2(recording, takeoff_s[i], landing_s[i])) * (landing_s[i] - takeoff_s[i])
     for i in np.flatnonzero(usable & fades.touch(before_s, takeoff_s) & (takeoff_s - before_s < LONGEST_S)):
-        push = np.maximum(_after_impact_mps2(recording, before_s[i], takeoff_s[i]), 0.0) + LEAST_MPS2
+        # a push of nothing has its centre in the middle
+        push = np.maximum(_after_impact_mps2(recording, before_s[i], takeoff_s[i]), 0.0) + 1e-9
         if len(push):
             out.contact_mps[i] = np.mean(push) * (takeoff_s[i] - before_s[i])
             out.contact_centre[i] = np.average((np.arange(len(push)) + 0.5) / len(push), weights=push)
@@ -115,10 +115,10 @@ def _push_mps2(recording: Recording, begin_s: float, end_s: float) -> Floats:
 
 def _after_impact_mps2(recording: Recording, impact_s: float, end_s: float) -> Floats:
     """The same from an impact on; while that rings, a cubic through the readings on both sides stands for them."""
-    begin_s, stop_s = impact_s - BESIDE_S, max(end_s, impact_s + RINGING_S + BESIDE_S)
+    begin_s, stop_s = impact_s - AROUND_S, max(end_s, impact_s + RINGING_S + AROUND_S)
     read = _push_mps2(recording, begin_s, stop_s)
     since_s = begin_s + (np.arange(len(read)) + 0.5) / recording.rate_hz - impact_s
     rings = (since_s > -1.0 / recording.rate_hz) & (since_s < RINGING_S)
-    near = ~rings & (since_s < RINGING_S + BESIDE_S)
+    near = ~rings & (since_s < RINGING_S + AROUND_S)
     cubic = np.polynomial.Polynomial.fit(since_s[near], read[near], 3)
     return np.asarray(np.where(rings, cubic(since_s), read)[(since_s > 0.0) & (since_s < max(end_s - impact_s, 0.0))])

@@ -35,7 +35,7 @@ from model.integrator.problem import Detection, Measured, PlateSteps, columns_of
 from model.integrator.slopes import Slopes, slopes_of
 
 KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
-MOST_KEPT = {"flights": 64, "plate": 512, "slopes": 256}  # results that are kept: of predictions, plate data and hooks
+MOST_STORED = {"flights": 64, "plate": 512, "slopes": 256}  # stored results: of predictions, plate data and hooks
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class ForwardModel:
     base
         Declared effects, by effect and parameter: the model before anything is added.
     like
-        A forward model of the same plate: what depends on the plate alone is taken from it.
+        A forward model of the same plate: what depends only on the plate is taken from it.
 
     Attributes
     ----------
@@ -92,10 +92,10 @@ class ForwardModel:
             self.ringing = None if known is None else Ringing.of(known, observations.steps.plate)
             at_work = (observations.plate, observations.steps.plate, self.gravity)
             self.loading = None if self.ringing is None else self.ringing.loading(*at_work)
-            self._plate_memory = Memory(MOST_KEPT["plate"])
+            self._plate_memory = Memory(MOST_STORED["plate"])
         else:
             self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
-        self.memory, self.slope_memory = Memory(MOST_KEPT["flights"]), Memory(MOST_KEPT["slopes"])
+        self.memory, self.slope_memory = Memory(MOST_STORED["flights"]), Memory(MOST_STORED["slopes"])
         self._nothing = row({}, self.gravity)
         self.from_rest = (
             observations.scored & ~observations.measured.relaunched
@@ -296,7 +296,7 @@ class ForwardModel:
         return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found)
 
     def predicted(self, values: Values) -> Predicted:
-        """`predict` at ``values``, kept: what touches plate data only needs no new flight."""
+        """`predict` at ``values``, stored: what touches plate data only needs no new flight."""
         values = self.start(values)
         return self.memory.recall(("predicted", values.flying), lambda: self.predict(values))
 

@@ -20,9 +20,6 @@ from daq.recording import Recording
 from kernels.arrays import Floats
 
 HELD = 0.95  # part of a step's cycles in which the ball must have landed where it was launched
-FEW = 8  # flights from which no line is fitted
-SEEN_SPREAD = 12.0  # spread of the launches by themselves, over their uncertainty, from which a slope is told
-COVERAGE = 0.95
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,8 @@ def _rows(recording: Recording, flights: Flights, launches: Launches, number: in
     of = (flights.step == number) & ((flights.flags & unusable) == 0)
     of &= launches.at(flights.takeoff_s) >= 0
     of &= np.abs(flights.landing_s - flights.takeoff_s - launches.cycle_s) < 0.125 * launches.cycle_s
-    if np.count_nonzero(of) < max(FEW, HELD * (_cycles(recording, number) - 2.0)):
+    # a line through fewer than eight flights says nothing
+    if np.count_nonzero(of) < max(8, HELD * (_cycles(recording, number) - 2.0)):
         return None
     if flights.plate.steps[number] is None:
         return None
@@ -113,12 +111,13 @@ def _held(number: int, gamma: float, row: _Rows, cycles: float) -> HeldStep:
     multiplier, half, phase = math.nan, math.nan, float(np.mean(row.before))
     x, e = launch - launch.mean(), row.part - row.part.mean()
     own = x - e * float(x @ e) / max(float(e @ e), 1e-300)
-    if np.std(own) > SEEN_SPREAD * row.sigma:
+    # a slope is known where launches spread by twelve of their uncertainties
+    if np.std(own) > 12.0 * row.sigma:
         terms = np.column_stack([x, np.ones(n), e, x * x])  # the map bends a little
         found, *_ = lstsq(terms, landing, rcond=None)
         multiplier, left = float(found[0]), landing - terms @ found
         sigma = math.sqrt(float(left @ left) / (n - 4) * pinv(terms.T @ terms)[0, 0])
-        half = sigma * float(student.ppf(0.5 + 0.5 * COVERAGE, n - 4))
+        half = sigma * float(student.ppf(0.5 + 0.5 * 0.95, n - 4))
     size = np.hypot(row.part, row.ahead)
     return HeldStep(
         number, n, min(n / max(cycles - 1.0, 1.0), 1.0), gamma, float(np.mean(row.duration_s)),

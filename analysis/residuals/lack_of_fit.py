@@ -37,7 +37,6 @@ from analysis.thresholds import (
 )
 from kernels.arrays import Bools, Floats, Integers
 
-BINS = 8  # quantile bins of a covariate
 LAGS = 4  # of the Ljung-Box test
 
 
@@ -48,7 +47,7 @@ class GoodnessOfFit:
     Attributes
     ----------
     p_lack_of_fit
-        Probability of so much structure or scatter from noise alone, all tests together (Bonferroni).
+        Probability of so much structure or scatter from noise, all tests together (Bonferroni).
     ratio
         Root mean square of the residuals over their uncertainty, of openings or of landings, whichever is more.
     plate_rms_z
@@ -98,7 +97,7 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
     model
         The observations and their model.
     values
-        Fitted values of any hypothesis, the declared model alone included.
+        Fitted values of any hypothesis, also of the declared model.
     limits
         Thresholds of the verdict: the covariate is named where its probability is below ``lack_p``.
     """
@@ -142,7 +141,7 @@ def plate_rms_standardised(model: ForwardModel, values: Values) -> float:
 
 
 def plate_probability(model: ForwardModel, values: Values) -> float:
-    """Probability of so large plate residuals from noise alone: of the worst kind, times the number of kinds."""
+    """Probability of so large plate residuals from noise: of the worst kind, times the number of kinds."""
     squares = _plate_squares(model, values)
     p = [float(chdtrc(len(q), float(np.sum(q)) / (1.0 + SCALE_KNOWN) ** 2)) for q in squares]
     return min(1.0, len(p) * min(p, default=1.0))
@@ -276,13 +275,13 @@ def _p_serial(found: Innovations) -> float:
 
 
 def _log_p_of_covariate(found: Innovations, x: Floats) -> float:
-    """Means over quantile bins of a covariate, of openings and landings apart, against the scatter within."""
+    """Means over quantile bins of a covariate, of openings and of landings, against the scatter within."""
     logs = []
     for landing in (False, True):
         rows = (found.landing == landing) & np.isfinite(x[found.event])
         if rows.sum() < 2 * LEAST_IN_BIN:
             continue
         seen = x[found.event][rows]
-        edges = np.unique(np.quantile(seen, np.linspace(0.0, 1.0, BINS + 1)[1:-1]))
+        edges = np.unique(np.quantile(seen, np.linspace(0.0, 1.0, 8 + 1)[1:-1]))
         logs.append(_log_p_grouped(found.z[rows], np.searchsorted(edges, seen, side="right"), about_zero=False))
     return min(min(logs) + math.log(len(logs)), 0.0) if logs else 0.0

@@ -1,4 +1,4 @@
-"""Results that are kept, so that what has been computed is not computed again."""
+"""Stored results, so that what has been computed is not computed again."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ class Memory:
     """Results by their key, forgotten together when they are too many; what one thread makes, the others wait for."""
 
     def __init__(self, most: int) -> None:
-        self._most, self._kept = most, dict[Hashable, Any]()
+        self._most, self._results = most, dict[Hashable, Any]()
         self._lock, self._making = threading.Lock(), dict[Hashable, threading.Event]()
 
     def recall(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """The result kept under ``key``; made, and kept, where there is none."""
-        found = self._kept.get(key)
+        """The result stored under ``key``; made, and stored, where there is none."""
+        found = self._results.get(key)
         while found is None:
             with self._lock:
-                found, others = self._kept.get(key), self._making.get(key)
+                found, others = self._results.get(key), self._making.get(key)
                 if found is None and others is None:
                     self._making[key] = threading.Event()
             if found is None and others is None:
                 return self._make(key, make)
             if found is None and others is not None:  # it may fail, or be forgotten again
                 others.wait()
-                found = self._kept.get(key)
+                found = self._results.get(key)
         return cast(_T, found)
 
     def _make(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """Make the result and keep it; whoever waits for it goes on, even if it could not be made."""
+        """Make the result and store it; whoever waits for it goes on, even if it could not be made."""
         try:
             made = make()
             with self._lock:
-                if len(self._kept) >= self._most:
-                    self._kept.clear()
-                self._kept[key] = made
+                if len(self._results) >= self._most:
+                    self._results.clear()
+                self._results[key] = made
         finally:
             self._making.pop(key).set()
         return made

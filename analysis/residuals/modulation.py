@@ -26,17 +26,12 @@ from model.integrator.problem import PlateSteps
 
 FASTEST = 0.45  # highest frequency over the windows' rate: beyond, it is aliased
 FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
-ROUNDS = 3  # of the phase's fit, with the scatter of the steps' gains estimated anew
-MOST_AT_ONCE, CHUNK = 3000, 64  # windows of the first scan; frequencies calculated together
-GROWTH = 4  # factor by which the scanned part of a long recording grows from round to round
-SHALLOWEST, DEEPEST = 1e-5, 0.5  # depths to begin with
+CHUNK = 64  # windows of the first scan; frequencies calculated together
+DEEPEST = 0.5  # depths to begin with
 RIDGE, TINY = 1e-9, 1e-300
 SMALL = 1e-3  # depth from which slopes are taken
 LEAKING = 0.05  # relative uncertainty of the leakage between tones, from averaging over blocks
-PICKED_UP_MPS2 = 0.03  # at the mains frequency by the cable of an ordinary accelerometer: 0.3 mV at 0.1 V/g
-KEPT = 4  # frequencies for which the projections are kept
 LEAST = 4  # steps or windows that are used at all
-SAME = 0.2  # difference in periods per recording below which two frequencies are one
 Source = Literal["both", "windows", "gains"]
 SOURCES: tuple[Source, ...] = ("both", "windows", "gains")
 PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gains": slice(0, 1)}
@@ -61,7 +56,7 @@ class AmplitudeModulation:
     window_step, window_span_s, value, sigma
         Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
         order of the `MODULATION` rows of the plate data.
-    kept
+    intervals
         Unmasked intervals of the fits of steps and windows.
     """
 
@@ -76,7 +71,7 @@ class AmplitudeModulation:
     window_span_s: Floats
     value: Floats
     sigma: Floats
-    kept: FitIntervals
+    intervals: FitIntervals
 
     @classmethod
     def of(cls, fitted: Sequence[StepPlate], spans_s: Floats, data: PlateData) -> Self:
@@ -102,13 +97,13 @@ class AmplitudeModulation:
         """Those of several recordings, steps and recordings counted on."""
         k = max(p.omega_radps.shape[1] for p in parts)
         parts = [p._widened(k) for p in parts]
-        names = [name for name in cls.__dataclass_fields__ if name != "kept"]
+        names = [name for name in cls.__dataclass_fields__ if name != "intervals"]
         columns: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
         steps = np.cumsum([0] + [len(p.recording) for p in parts[:-1]])
         runs = np.cumsum([0] + [int(p.recording.max(initial=-1)) + 1 for p in parts[:-1]])
         columns["window_step"] = np.concatenate([p.window_step + s for p, s in zip(parts, steps, strict=True)])
         windows = np.cumsum([0] + [len(p.value) for p in parts[:-1]])
-        columns["kept"] = FitIntervals.join([p.kept for p in parts], steps, windows)
+        columns["intervals"] = FitIntervals.join([p.intervals for p in parts], steps, windows)
         columns["recording"] = np.concatenate([p.recording + r for p, r in zip(parts, runs, strict=True)])
         return cls(**columns)
 
@@ -125,16 +120,17 @@ class AmplitudeModulation:
         return np.asarray(np.angle(self._fit_at(hz).phasor)[self.recording])
 
     def hints(self) -> tuple[tuple[float, float], ...]:
-        """Strongest modulations of windows and gains, by both and by either alone: frequency (Hz) and depth."""
+        """Strongest modulations of windows and gains, by both and by each: frequency (Hz) and depth."""
         if len(self.value) < LEAST:
             return ()
         found: list[float] = []
         sources = SOURCES if np.isfinite(self.gain).sum() > LEAST else SOURCES[1:2]
         for hz in map(self._strongest_hz, sources):
-            if all(abs(hz - other) * float(self._since_s[1].max()) > SAME for other in found):
+            # less than a fifth of a period per recording is one frequency
+            if all(abs(hz - other) * float(self._since_s[1].max()) > 0.2 for other in found):
                 found.append(round(hz, 9))
         depths = [float(np.median(np.abs(self._fit_at(hz).phasor))) for hz in found]
-        return tuple((hz, min(max(d, SHALLOWEST), DEEPEST)) for hz, d in zip(found, depths, strict=True))
+        return tuple((hz, min(max(d, 1e-5), DEEPEST)) for hz, d in zip(found, depths, strict=True))
 
     @property
     def _runs(self) -> range:
@@ -152,11 +148,12 @@ class AmplitudeModulation:
         fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
         if source == "gains":  # a faster modulation looks like a slower one from step to step
             fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
-        until = float(since[min(len(since), MOST_AT_ONCE) - 1])
+        # the first scan takes 3000 windows at most; later rounds take more of a long recording, near what was found
+        until = float(since[min(len(since), 3000) - 1])
         hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
         best = float(hz[np.argmax(self._power(hz, until, source))]) if len(hz) else fastest
         while True:
-            near, until = 1.0 / until, min(GROWTH * until, float(since[-1]))
+            near, until = 1.0 / until, min(4 * until, float(since[-1]))
             hz = np.maximum(best + np.arange(-near, near, 0.2 / (FINENESS * until)), 0.1 / until)
             best = float(hz[np.argmax(self._power(hz, until, source))])
             if until >= since[-1]:
@@ -201,24 +198,25 @@ class AmplitudeModulation:
     @cached_property
     def _gram(self) -> Complexes:
         """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
-        return self.kept.gram(self._signed[0], _in_both_senses(self.seen_mps2 != 0.0))
+        return self.intervals.gram(self._signed[0], _in_both_senses(self.seen_mps2 != 0.0))
 
     @cached_property
     def _window_gram(self) -> Complexes:
         """Normal equations of the windows' fits, (w, 5, 5)."""
         of = self.window_step
-        return self.kept.in_windows.gram(self._signed[1][of], _in_both_senses(self._forced)[of])
+        return self.intervals.in_windows.gram(self._signed[1][of], _in_both_senses(self._forced)[of])
 
     def _fit_at(self, hz: float) -> ModulationFit:
         """Projections at a frequency and the modulation of each recording that fits windows and gains best."""
         found = self._fits.get(hz)
         if found is None:
-            if len(self._fits) >= KEPT:
+            # a fit asks for the same few frequencies again and again
+            if len(self._fits) >= 4:
                 self._fits.clear()
             w, of = 2.0 * np.pi * hz, self.window_step
             every, own = self._signed
-            up = self.kept.projected(self._gram, every, own[:, 1:] + w)[:, 1:]
-            in_up = self.kept.in_windows.projected(self._window_gram, own[of], own[of, 1:] + w)[:, 1:]
+            up = self.intervals.projected(self._gram, every, own[:, 1:] + w)[:, 1:]
+            in_up = self.intervals.in_windows.projected(self._window_gram, own[of], own[of, 1:] + w)[:, 1:]
             down, in_down = shifted_down(up), shifted_down(in_up)
             fit = ModulationFit(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
             found = self._fits[hz] = replace(fit, phasor=self._fitted(fit))
@@ -231,7 +229,8 @@ class AmplitudeModulation:
             tuple(x / SMALL for x in self._model(fit, np.full(len(phasor), SMALL * turn))) for turn in (1.0 + 0j, 1j)
         ]
         windows, gains = (np.stack(x)[None] for x in zip(*slopes, strict=True))
-        for _ in range(ROUNDS):
+        # three rounds: the scatter of the steps' gains weights the fit that gives it
+        for _ in range(3):
             seen = self._model(fit, phasor)
             value, gain = self.value - seen[0], self.gain - seen[1]
             step = np.zeros(len(phasor), dtype=np.complex128)
@@ -277,8 +276,8 @@ class AmplitudeModulation:
         seen = self._seen(plate)
         true = self._true(seen, fit, depth, phase)
         z = np.where(forced, true[:, :2], 0.0)
-        apart = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
-        false = np.take_along_axis(seen - true, np.argmin(apart, axis=2), axis=1)  # lines that it mimics, too
+        distance = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
+        false = np.take_along_axis(seen - true, np.argmin(distance, axis=2), axis=1)  # lines that it mimics, too
         steady = np.where(plate.acceleration_mps2 == 0.0, 0.0, plate.acceleration_mps2 - false)
         turn = (depth * np.exp(1j * phase) / 2j)[:, None]
         tones = np.concatenate([steady, z * turn, z * np.conj(turn)], axis=1)
@@ -305,7 +304,8 @@ class AmplitudeModulation:
         out[rows] = (false / np.where(data.kind[rows] == HUM, 1.0, data.scale[rows])) ** 2
         sigma[rows] = 2.0 * LEAKING * out[rows]
         mains = data.kind == HUM  # what a cable picks up there adds to a sideband at any phase
-        sigma[mains] = np.hypot(sigma[mains], PICKED_UP_MPS2 * np.sqrt(2.0 * out[mains]))
+        # an ordinary accelerometer's cable picks up 0.3 mV of mains, which at 0.1 V/g are 0.03 m/s^2
+        sigma[mains] = np.hypot(sigma[mains], 0.03 * np.sqrt(2.0 * out[mains]))
         out[data.kind == MODULATION] = self._in_windows(seen, true, fit, depth, phase)
         return out, sigma
 
@@ -341,7 +341,7 @@ class AmplitudeModulation:
         own, others = (
             signed_frequencies(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None))
         )
-        return self.kept.in_windows.projected(self._window_gram, own, others[:, 1:])[:, 1:]
+        return self.intervals.in_windows.projected(self._window_gram, own, others[:, 1:])[:, 1:]
 
     @property
     def _forced(self) -> Bools:

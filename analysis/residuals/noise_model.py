@@ -100,7 +100,7 @@ class PlateNoise:
     def scaled(self, residual: Floats) -> tuple[Floats, Floats]:
         """Uncertainty of ``rows`` with the excess of each kind that is likeliest for these residuals (r,) of all data.
 
-        Beside it its logarithm, relative to the bare uncertainty; (n,) each.
+        And its logarithm, relative to the bare uncertainty; (n,) each.
         """
         out = np.empty_like(self.sigma)
         _widen(residual[self.rows], self.sigma, self.bounds, self.grids, out)

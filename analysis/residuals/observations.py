@@ -90,7 +90,7 @@ class Observations:
     measured : Measured
         The flights (n,), in order.
     opening_sigma_s, landing_sigma_s : arrays, shape (n,)
-        Uncertainty of the edges alone.
+        Uncertainty of the edges only.
     scored : bool array, shape (n,)
         Flights that are compared with predictions.
     time_s : array, shape (n,)
@@ -115,7 +115,7 @@ class Observations:
     run_part : array, shape (n,), or None
         Landing within its recording, from -0.5 to 0.5; None for that of its step.
     heard : bool array, shape (n,), or None
-        Landings that the accelerometer alone shows, by an unknown delay after the circuit would have; None for none.
+        Landings that only the accelerometer shows, by an unknown delay after the circuit would have; None for none.
     """
 
     measured: Measured
@@ -161,7 +161,7 @@ def observations_from(
     progress
         Called with the file's name and the fraction done.
     on_flights
-        Called with each recording and its flights, so that nobody reads it a second time for them.
+        Called with each recording and its flights, so that it is not read a second time for them.
     known
         Recordings that were reduced before, with the same setup; those that were not are added.
     high_pass_hz

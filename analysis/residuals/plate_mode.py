@@ -130,7 +130,7 @@ class Ringing:
         """From the fits of the steps and the plate made of them."""
         apart = np.abs(plate.omega_radps[:, :, None] - measured.omega_radps[:, None, :])
         omega = np.column_stack([np.zeros(len(measured.omega_radps)), measured.omega_radps])
-        return cls(measured.kept, omega, measured.seen_mps2, measured.tones, np.argmin(apart, axis=2))
+        return cls(measured.intervals, omega, measured.seen_mps2, measured.tones, np.argmin(apart, axis=2))
 
     # -- the probe of the integrator -----------------------------------------------------------------------------------
     @cached_property

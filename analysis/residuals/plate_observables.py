@@ -25,13 +25,10 @@ from model.tones import STANDARD_GRAVITY_MPS2
 
 GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
 KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
-SQUARED = (SECOND, THIRD, HUM)  # kept as unbiased squares: an amplitude without its sign
-CLOCK_LIMIT = 5e-3  # relative difference beyond which it is another frequency, not a clock error
+SQUARED = (SECOND, THIRD, HUM)  # stored as unbiased squares: an amplitude without its sign
 REVERSED = 0.8 * np.pi  # phase beyond which leads are reversed
 SYSTEMATIC = 2e-5  # relative error of the estimator itself
-GATE_UNCERTAINTY = 0.05  # of a change between contact and flight that still tells something
 LEAST_WINDOWS = 4  # windows of a step that shows a modulation
-WANDER_SIGMAS = 4.0  # significance from which a sensor's zero wanders
 
 
 @dataclass(frozen=True)
@@ -174,7 +171,7 @@ def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) ->
 
 def _drive_form(fitted: Sequence[StepPlate], notes: list[str]) -> int:
     """Power of a tone's multiple by which its scale exceeds the first's: 2 where the drive draws the displacement."""
-    apart = [
+    powers = [
         np.log(
             abs(
                 s.tone(s.ratio)[0]
@@ -187,7 +184,7 @@ def _drive_form(fitted: Sequence[StepPlate], notes: list[str]) -> int:
         for s in fitted
         if s.drive is not None and s.ratio > 1 and np.all(np.abs(s.drive.amplitudes[: s.ratio]) > 0)
     ]
-    if apart and abs(float(np.median(apart)) - 2.0) < 0.3:
+    if powers and abs(float(np.median(powers)) - 2.0) < 0.3:
         notes.append("the drive draws the plate's displacement, not its acceleration: the second tone is scaled by c^2")
         return 2
     return 0
@@ -286,7 +283,8 @@ def _wander(sample: Integers, offset: Floats, sigma: Floats) -> float:
         return 0.0
     left = offset - np.polynomial.Polynomial.fit(sample, offset, 1, w=1.0 / sigma)(sample)
     excess = float(np.sum((left / sigma) ** 2)) / freedom
-    if excess < 1.0 + WANDER_SIGMAS * np.sqrt(2.0 / freedom):
+    # chi square over its freedom scatters by sqrt(2 / freedom): a zero wanders from four of these on
+    if excess < 1.0 + 4.0 * np.sqrt(2.0 / freedom):
         return 0.0
     return float(np.sqrt((excess - 1.0) / np.mean(1.0 / sigma**2)))
 
@@ -294,7 +292,8 @@ def _wander(sample: Integers, offset: Floats, sigma: Floats) -> float:
 def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: float) -> list[tuple[float, ...]]:
     """Contact against flight, offset, clock."""
     rows: list[tuple[float, ...]] = []
-    if s.flight_log_gain is not None and s.flight_log_gain[1] < GATE_UNCERTAINTY:
+    # a change between contact and flight known worse than to 5 % says nothing
+    if s.flight_log_gain is not None and s.flight_log_gain[1] < 0.05:
         log_gain, sigma = s.flight_log_gain
         rows.append((GATE, i, log_gain, float(np.hypot(sigma, SYSTEMATIC)), s.omega_radps, asked, first))
     channel = setup.channels.accelerometer
@@ -303,10 +302,11 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
         sigma = float(np.hypot(s.acceleration.offset_uncertainty, known))
         weight = setup.g_mps2.value if channel.reads_gravity else 0.0
         rows.append((OFFSET, i, s.acceleration.offset - weight, max(sigma, 1e-4), 0.0, asked, first))
-    apart = s.frequency_hz / setup.forcing.frequency_hz - 1.0
-    if abs(apart) < CLOCK_LIMIT and 0 < s.frequency_uncertainty_hz < np.inf:
+    error = s.frequency_hz / setup.forcing.frequency_hz - 1.0
+    # beyond half a per cent it is another frequency, no error of a clock
+    if abs(error) < 5e-3 and 0 < s.frequency_uncertainty_hz < np.inf:
         rows.append(
-            (CLOCK, i, apart, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first)
+            (CLOCK, i, error, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first)
         )
     return rows
 
@@ -381,6 +381,6 @@ def _add_harmonics(out: Floats, data: PlateData, hook: Callable[..., Any]) -> No
         return np.asarray(1.0 + added(rows, data.multiple[rows]) / asked)
 
     _add_transfer(out, data, on_forcing)
-    alone = data.rows_of(SECOND, THIRD)
-    first = 1.0 + added(alone, np.ones_like(data.multiple[alone]))  # the datum is a part of the tone as it is, bent
-    out[alone] += np.abs(added(alone, data.multiple[alone]) / first) ** 2
+    rows = data.rows_of(SECOND, THIRD)
+    first = 1.0 + added(rows, np.ones_like(data.multiple[rows]))  # the datum is a part of the tone as it is, bent
+    out[rows] += np.abs(added(rows, data.multiple[rows]) / first) ** 2

@@ -182,7 +182,7 @@ def noise_quantiles_us(
     chance_p: float = FROZEN.chance_p,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Root mean squares that noise alone exceeds with probability ``chance_p`` in such a set of flights.
+    """Root mean squares that noise exceeds with probability ``chance_p`` in such a set of flights.
 
     Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor.
 
@@ -214,7 +214,7 @@ def noise_quantiles_us(
 def landing_probability(
     model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers
 ) -> tuple[float, float]:
-    """Probability that noise alone misses the landings of the flights ``rows`` (k,) by so much, and their rms, us.
+    """Probability that noise misses the landings of the flights ``rows`` (k,) by so much, and their rms, us.
 
     The sum of their squares is that of correlated normal errors. The largest `OUTLIER_FRACTION` of the errors may be
     other events than those predicted, and is left out of both.
@@ -223,8 +223,8 @@ def landing_probability(
     half = 0.5 * model.observations.steps.plate.period_s[step[rows]]
     missed = np.where(np.isfinite(r.landing_s[rows]), r.landing_s[rows], half)
     order = np.argsort(np.abs(missed) / u.landing_total_s[rows])
-    kept = np.sort(order[: len(rows) - math.ceil(OUTLIER_FRACTION * len(rows))])
-    rows, missed = rows[kept], missed[kept]
+    used = np.sort(order[: len(rows) - math.ceil(OUTLIER_FRACTION * len(rows))])
+    rows, missed = rows[used], missed[used]
     if len(rows) == 0:
         return 1.0, float("nan")
     variances = []
@@ -248,7 +248,7 @@ class GivenOpenings:
     floor_us
         The same by measurement noise, with what the openings leave unknown of the tones.
     chance_us
-        Root mean square that noise alone exceeds with the probability of the threshold.
+        Root mean square that noise exceeds with the probability of the threshold.
     """
 
     landing_rms_us: float

@@ -1,7 +1,7 @@
 """Rounding of edges to samples: an error that repeats where the motion does.
 
 A contact circuit that is read once a sample rounds the time of an edge. The error depends on the edge's place between
-two samples alone, so that edges at the same place err alike: in every cycle, where the drive's period is a whole number
+two samples only, so that edges at the same place err alike: in every cycle, where the drive's period is a whole number
 of samples. Edges that are known to less than the rounding were not rounded.
 
 References
@@ -25,8 +25,8 @@ def rounding_errors(time_s: Floats, sigma_s: Floats, sampling_s: float, jitter_s
     """Errors of edges that edges at the same place between two samples share, of one sigma each.
 
     The place of the samples is unknown, so that the covariance of two errors is that of a sawtooth of random phase,
-    ``T^2 cos(2 pi m d) / (2 pi^2 m^2)`` summed over its harmonics ``m``, for places ``d`` samples apart. Jitter of
-    standard deviation ``J`` before the rounding makes it smaller by ``exp(-(2 pi m J / T)^2)``.
+    ``T^2 cos(2 pi m d) / (2 pi^2 m^2)`` summed over its harmonics ``m``, for places that differ by ``d`` samples.
+    Jitter of standard deviation ``J`` before the rounding makes it smaller by ``exp(-(2 pi m J / T)^2)``.
 
     Parameters
     ----------

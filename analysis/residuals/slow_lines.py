@@ -13,8 +13,7 @@ from analysis.plate.motion import StepPlate
 from kernels.arrays import Floats
 from model.integrator.problem import PlateSteps
 
-WHOLE = 0.02  # distance from a multiple of the forcing, in cycles, below which a line repeats every cycle
-SHARED_LINES, LINE_APART = 3, 0.08  # steps that must show a slow line; relative distance of two lines
+SHARED_LINES = 3  # steps that must show a slow line; relative distance of two lines
 
 
 def hints_of(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
@@ -25,7 +24,8 @@ def hints_of(fitted: Sequence[StepPlate]) -> tuple[float, ...]:
 def clustered(lines_hz: Floats, least: int) -> tuple[float, ...]:
     """Middles of clusters of at least ``least`` lines, Hz."""
     found = np.sort(lines_hz)
-    clusters = np.split(found, np.flatnonzero(np.diff(found) > LINE_APART * found[1:]) + 1) if len(found) else []
+    # lines of one source lie within 8 % in all steps
+    clusters = np.split(found, np.flatnonzero(np.diff(found) > 0.08 * found[1:]) + 1) if len(found) else []
     return tuple(float(np.median(c)) for c in clusters if len(c) >= least)
 
 
@@ -34,6 +34,7 @@ def other_lines_radps(plate: PlateSteps, hints_hz: Sequence[float]) -> list[Floa
     found = []
     for w, z, period_s in zip(plate.omega_radps, plate.acceleration_mps2, plate.period_s, strict=True):
         cycles = w * period_s / (2.0 * np.pi)
-        other = (z != 0.0) & (np.abs(cycles - np.round(cycles)) > WHOLE)
+        # a line within 2 % of a multiple of the forcing repeats every cycle
+        other = (z != 0.0) & (np.abs(cycles - np.round(cycles)) > 0.02)
         found.append(np.concatenate([w[other], 2.0 * np.pi * np.array(hints_hz)]))
     return found

@@ -14,7 +14,6 @@ from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import Measured
 
-SHORT = 1.0 / 16.0  # of a cycle: a change of the drive as short as that is a correction at a launch
 NEAR = 1.0 / 8.0  # of a cycle, between a correction and the launch that it belongs to
 
 
@@ -38,7 +37,8 @@ class Launches:
         cycle_s = 1.0 / setup.forcing.frequency_hz
         multiple = next(m for m, d in setup.forcing.displacement_tones() if abs(d) > 0.0)
         own = rows[(rows["multiple"] == multiple) & (rows["n_samples"] > 0)]
-        made = own[own["n_samples"] < SHORT * cycle_s * recording.rate_hz]
+        # a change of the drive that lasts below a sixteenth of a cycle is a correction at a launch
+        made = own[own["n_samples"] < cycle_s / 16.0 * recording.rate_hz]
         if len(made) < 2 or not len(recording.steps):
             return None
         late_s = float(recording.steps["first_sample"][0] - rows["first_sample"][0]) / recording.rate_hz

@@ -96,13 +96,13 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     opening, landing = (
         rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s) for i, seen in enumerate(ev.scatters)
     )
-    alone = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
-    var = alone**2 + np.sum(bent**2, axis=0)
+    independent = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
+    var = independent**2 + np.sum(bent**2, axis=0)
     var[:, 1] += _finite(base.ambiguity_s) ** 2
     none = np.zeros_like(opening)
     shared = np.stack([np.hstack([opening, none]), np.hstack([none, landing])])
     for back, slope in enumerate(edges, start=1):  # what is predicted from an earlier landing errs with it
-        var += (slope * _earlier(alone[:, 1], back)[:, None]) ** 2
+        var += (slope * _earlier(independent[:, 1], back)[:, None]) ** 2
         shared -= slope.T[:, :, None] * _earlier(np.hstack([none, landing]), back)
     sigma = np.sqrt(var)
     return Uncertainty(
@@ -110,8 +110,8 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
         sigma[:, 1],
         np.hstack([changes[..., 0].T, shared[0]]),
         np.hstack([changes[..., 1].T, shared[1]]),
-        alone[:, 0],
-        alone[:, 1],
+        independent[:, 0],
+        independent[:, 1],
     )
 
 

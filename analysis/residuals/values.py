@@ -1,4 +1,4 @@
-"""Parameter values by effect, sorted out by what they touch: a flight, the plate as measured, or plate data alone."""
+"""Parameter values by effect, sorted out by what they touch: a flight, the plate as measured, or plate data only."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class AllValues(dict[ParameterId, float]):
     @functools.cached_property
     def flying(self) -> Own:
         """Those that touch a flight."""
-        return tuple(item for item in self.ordered if not _in_plate_data_alone(item[0]))
+        return tuple(item for item in self.ordered if not _only_in_plate_data(item[0]))
 
     def of(self, names: frozenset[str]) -> Own:
         """Those of some effects."""
@@ -47,7 +47,7 @@ def plate_effects() -> frozenset[str]:
 
 
 @functools.cache
-def _in_plate_data_alone(key: ParameterId) -> bool:
+def _only_in_plate_data(key: ParameterId) -> bool:
     """Whether a parameter touches plate data only, never a flight."""
     name, q = key[0], key[1].removesuffix(TREND)
     return name in plate_effects() or effect(name).effect.parameter(q).plate_only

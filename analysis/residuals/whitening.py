@@ -31,10 +31,7 @@ from analysis.thresholds import (
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
-NONLINEAR = 0.1  # part of the error that a step shares which counts as an event's own: grazes are not linear in it
-RAISES, RAISED_FROM, ENOUGH_EVENTS = 3, 1.1, 8  # rounds that raise an excess, least scatter and number of events
-UNSEEN = 1e-8  # common error over an event's own that changes nothing: it counts by its square
-REACH, COARSE, FINE = 1.4, 0.7, 0.05  # search of the excess, in its logarithm: range, steps, precision
+ENOUGH_EVENTS = 8  # rounds that raise an excess, least scatter and number of events
 
 
 def _capped(x: Floats, cap: Floats) -> Floats:
@@ -92,7 +89,8 @@ class Whitener:
             excess = (LEAST_EXCESS_S, LEAST_EXCESS_S)
         edges = np.concatenate([u.opening_sigma_s[opening], u.landing_sigma_s[landing]])
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
-        edges = np.hypot(edges, NONLINEAR * np.linalg.norm(tones, axis=1))
+        # grazes are not linear in the plate's error: a tenth of what a step shares counts as an event's own
+        edges = np.hypot(edges, 0.1 * np.linalg.norm(tones, axis=1))
         tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
@@ -235,10 +233,11 @@ class StepBlocks:
 
     def _raised(self, rows: Bools, both: Callable[[float], tuple[float, float]], excess: float) -> float:
         """The excess raised while whitened residuals scatter by more than a unit."""
-        for _ in range(RAISES):
+        # each channel's excess changes the scale of the others: three rounds, while one scatters 10 % too much
+        for _ in range(3):
             z, _ = self.unit(both(excess))
             scale = mad_sigma(z[rows]) if rows.sum() >= ENOUGH_EVENTS else 0.0
-            if scale <= RAISED_FROM:
+            if scale <= 1.1:
                 break
             typical = float(np.median(np.hypot(self.edges[rows], excess)))
             excess = math.sqrt(excess**2 + (scale**2 - 1.0) * typical**2)
@@ -248,17 +247,19 @@ class StepBlocks:
 def _lowest(loss: Callable[[float], float], guess: float) -> float:
     """Excess of lowest loss, from the least one to somewhat above a guess: on a grid, then between its points."""
     start = math.log(max(guess, 4.0 * LEAST_EXCESS_S))
-    grid = np.arange(math.log(LEAST_EXCESS_S), start + REACH, COARSE)
+    # coarse steps of a factor of two up to four times the start, then to 5 %
+    grid = np.arange(math.log(LEAST_EXCESS_S), start + 1.4, 0.7)
     losses = [loss(math.exp(x)) for x in grid]
     k = int(np.argmin(losses))
     ends = (float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)]))
-    fine: Any = minimize_scalar(lambda x: loss(math.exp(x)), bounds=ends, method="bounded", options={"xatol": FINE})
+    fine: Any = minimize_scalar(lambda x: loss(math.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
     return math.exp(fine.x) if fine.fun < losses[k] else max(math.exp(grid[k]), LEAST_EXCESS_S)
 
 
 def _shared(tones: Floats, bounds: Integers) -> tuple[Floats, Floats, Floats]:
     """Orthonormal directions of each block's common errors, their shrinkage, and their share of each log sigma."""
-    counts, tones = np.diff(bounds), tones[:, np.max(np.abs(tones), axis=0, initial=0.0) > UNSEEN]
+    # common errors count by their square: 1e-8 of an event's own changes nothing
+    counts, tones = np.diff(bounds), tones[:, np.max(np.abs(tones), axis=0, initial=0.0) > 1e-8]
     place = np.arange(len(tones)) - np.repeat(bounds[:-1], counts)
     block = np.repeat(np.arange(len(counts)), counts)
     padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))

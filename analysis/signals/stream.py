@@ -93,7 +93,7 @@ def read_piece(
 
 
 def pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
-    """All pieces of a recording, in order, each in the memory of the one before: what is kept of it is copied."""
+    """All pieces of a recording, in order, each in the memory of the one before: what is needed of it is copied."""
     room = Room.of(recording, channels, min(PIECE, recording.n_samples))
     for first in range(0, recording.n_samples, PIECE):
         yield read_piece(recording, channels, first, min(PIECE, recording.n_samples - first), room)

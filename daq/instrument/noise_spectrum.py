@@ -16,12 +16,8 @@ from scipy.signal import lfilter
 from kernels.arrays import Bools, Floats
 
 FRAME = 128  # samples of a periodogram
-FEWEST_FRAMES, MOST_FRAMES = 8, 1024  # periodograms from which a spectrum is measured
+FEWEST_FRAMES = 8  # periodograms from which a spectrum is measured
 QUIET_SHARE = 0.25  # quantile of the periodograms that the first estimate takes: most may hold an impact
-FRAME_SIGMAS = 4.0  # excess of a frame's mean power, in standard deviations, from which it is left out
-FRAME_SCATTER = 1.3  # standard deviation of a frame's mean power, times the root of its number of frequencies
-TURNS = 4
-LEAST_PART = 0.01  # least density used, as a part of the largest: there, no waveform is known well enough
 SLOW_HZ = 500.0  # below, a recording holds the plate's motion as well
 PLATEAU_HZ = (150.0, 600.0)  # where the density at low frequencies is taken
 OCTAVE = 1.1  # ratio of the ends of the band over which a spectrum is smoothed where its bandwidth is sought
@@ -84,7 +80,8 @@ class NoiseSpectrum:
 
     def autocovariance(self, count: int) -> Floats:
         """Autocovariance in V^2 at lags of 0 to ``count - 1`` samples, at most ``FRAME // 2`` of them."""
-        trusted = np.maximum(self.density_v2phz, LEAST_PART * self.density_v2phz[1:].max())
+        # where the density is below a hundredth of the largest no waveform is known well enough to count on
+        trusted = np.maximum(self.density_v2phz, 0.01 * self.density_v2phz[1:].max())
         return np.asarray(np.fft.irfft(0.5 * trusted)[:count] * self.rate_hz)
 
     def whitener(self, length: int) -> Floats:
@@ -124,7 +121,8 @@ def measure_noise(
         begins = np.arange(0, own.size - frame + 1, frame // 2)
         counts = np.concatenate([[0], np.cumsum(good)])
         whole = begins[counts[begins + frame] - counts[begins] == frame]
-        rows.append(own[whole[:: len(whole) * len(volts) // MOST_FRAMES + 1, None] + np.arange(frame)])
+        # of a long recording some 1024 frames, evenly
+        rows.append(own[whole[:: len(whole) * len(volts) // 1024 + 1, None] + np.arange(frame)])
     frames = np.concatenate([np.zeros((0, frame)), *rows])
     if len(frames) < FEWEST_FRAMES:
         return None
@@ -133,8 +131,11 @@ def measure_noise(
     frames -= np.outer(frames @ ramp / (ramp @ ramp), ramp)
     power = np.abs(np.fft.rfft(frames * taper)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
     density = np.quantile(power, QUIET_SHARE, axis=0) / -np.log1p(-QUIET_SHARE)
-    most = 1.0 + FRAME_SIGMAS * FRAME_SCATTER / np.sqrt(power.shape[1])
-    for _ in range(TURNS):
+    # left out is a frame whose mean power is four standard deviations too high: the taper correlates neighbouring
+    # frequencies, so that one is 1.3 over the root of their number
+    most = 1.0 + 4.0 * 1.3 / np.sqrt(power.shape[1])
+    # the density decides which frames are quiet, and they give the density: four turns settle it
+    for _ in range(4):
         if not density.min() > 0.0:
             return None
         quiet = np.mean(power / density, axis=1) < most

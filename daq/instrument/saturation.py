@@ -51,8 +51,8 @@ def _end(x: Floats, widths: list[float]) -> float:
     near = x[x > top - 2.0 * widths[-1]]
     for width in widths:
         at = near[near > top - width]
-        beside = np.count_nonzero(near > top - 2.0 * width) - at.size
-        if at.size - CROWDED * beside > CROWDED_SIGMAS * math.sqrt(at.size + CROWDED**2 * beside):
+        next_to = np.count_nonzero(near > top - 2.0 * width) - at.size
+        if at.size - CROWDED * next_to > CROWDED_SIGMAS * math.sqrt(at.size + CROWDED**2 * next_to):
             level = float(np.median(at))
             return level - SPREAD_SIGMAS * 1.4826 * float(np.median(at[at >= level] - level))
     return math.inf

@@ -17,12 +17,9 @@ from kernels.arrays import Bools, Integers
 Picture = NDArray[np.float32]
 
 SEARCH_WIDTH = 640  # frames are searched at this width, and measured at full size
-_SMALL_WIDTH = 320
 _CHANGED_LEVELS = 20.0
-_SAME_LEVELS = 0.6
 _CUT_SHARE = 0.2
 _MOST_SAMPLES = 31
-_LIVELY_SHARE = 0.25
 _ENDS = 9  # first and last frames that are compared
 _ROWS = 64  # of a picture that are held at once for all frames
 
@@ -48,7 +45,8 @@ def still_of(film: Film, progress: Progress | None = None) -> Still:
     cv2 = opencv(film.path)
     small = []
     for number, frame in enumerate(film.frames()):
-        reduced = smaller(frame, min(1.0, _SMALL_WIDTH / frame.shape[1]), 8, cv2)
+        # 320 columns show whether anything moves
+        reduced = smaller(frame, min(1.0, 320 / frame.shape[1]), 8, cv2)
         small.append(cv2.cvtColor(reduced, cv2.COLOR_BGR2GRAY))
         if progress is not None:
             progress("looking", number + 1, film.count)
@@ -60,7 +58,7 @@ def still_of(film: Film, progress: Progress | None = None) -> Still:
     _refuse_cut(stack, step, film)
     chosen = _clean_frames(stack, step, film)
     largest = step.max(axis=(1, 2))
-    same = largest < np.minimum(_SAME_LEVELS, 0.1 * float(np.median(largest)))
+    same = largest < np.minimum(0.6, 0.1 * float(np.median(largest)))
     moves = largest > _CHANGED_LEVELS
     repeated = np.flatnonzero(same[1:-1] & moves[:-2] & moves[2:]) + 2  # equal ones between those that are not
     background = _median([frame for number, frame in enumerate(film.frames()) if number in chosen])
@@ -174,7 +172,7 @@ def _clean_frames(stack: Picture, step: Picture, film: Film) -> set[int]:
     motion = np.append(motion, motion[-1])
     calm = np.flatnonzero(changed < max(0.06, float(np.percentile(changed, 25))))
     still, lively = np.percentile(motion[calm], [5, 95])
-    busy = calm[motion[calm] >= still + _LIVELY_SHARE * (lively - still)]  # not the ball's rest: it would stay behind
+    busy = calm[motion[calm] >= still + 0.25 * (lively - still)]  # not the ball's rest: it would stay behind
     pool = busy if len(busy) >= 9 else calm
     chosen, coarse = [int(pool[0])], stack[pool][:, ::4, ::4]
     distance = np.full(len(pool), np.inf)

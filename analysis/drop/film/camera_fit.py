@@ -41,7 +41,6 @@ _SHAPE_OF = {
     SPEED_FRICTION: "friction",
     FRICTION_DRAG: "friction+drag",
 }
-_IMPACT_FRAMES = 0.8  # around an impact, in which an exposure may show both flights
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,8 @@ def _clear_of_impacts(flights: list[Flight], shape: Shape) -> list[Flight]:
     out = []
     for flight in flights:
         when = seen.frame[seen.clip == flight.clip]
-        clear = np.abs(flight.frame[:, None] - when[None]).min(axis=1, initial=np.inf) > _IMPACT_FRAMES
+        # within 0.8 frames of an impact an exposure may show both flights
+        clear = np.abs(flight.frame[:, None] - when[None]).min(axis=1, initial=np.inf) > 0.8
         if clear.sum() >= 4:  # samples of a flight outside
             flight = replace(flight, frame=flight.frame[clear], height=flight.height[clear])
         out.append(flight)

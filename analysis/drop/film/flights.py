@@ -19,11 +19,8 @@ from kernels.arrays import Bools, Floats
 Indices = NDArray[np.intp]
 
 LEAST_SAMPLES = 6
-_RELEASE_SIGMA = 6.0
-_RELEASE_SHARE = 0.04  # of the fall, left out at its top: a hand lets go gradually
 _LEAST_FLIGHT_FRAMES = 6.0
 _BENDS = (0.5, 2.0)  # of the usual acceleration: friction and a tilted picture stay inside
-_FASTER = 1.3  # a speed after an impact, over that before: more is a hand, also with errors
 _SAME_FRAMES = 2.0  # an impact left out by hand is the one within so many frames
 
 
@@ -99,7 +96,8 @@ def impact_samples(clip: Clip) -> Indices:
         if len(t[before]) < 3 or len(t[after]) < 3:
             continue
         down, up = np.polyfit(t[before], h[before], 1)[0], np.polyfit(t[after], h[after], 1)[0]
-        if down < 0.0 < up and up < _FASTER * -down + 1e-9:
+        # no ball leaves faster than it came; 30 % more, with the errors of both speeds, is a hand
+        if down < 0.0 < up and up < 1.3 * -down + 1e-9:
             found.append(int(i))
         elif found:
             break  # whatever follows is not bouncing any more
@@ -156,12 +154,13 @@ def _fall(t: Floats, h: Floats, acceleration: float) -> tuple[Floats, Floats]:
         fit = np.polynomial.Polynomial.fit(s, h[begin:], 2)
         residual = h[begin:] - fit(s)
         released = float(fit.deriv()(s[0])) <= 0.5 * acceleration
-        bent = np.sqrt((residual**2).mean()) > 3.0 * noise or abs(residual[:2]).max() > _RELEASE_SIGMA * noise
+        bent = np.sqrt((residual**2).mean()) > 3.0 * noise or abs(residual[:2]).max() > 6.0 * noise
         if not bent and released:
             first = begin
         elif len(t) - begin > 2 * LEAST_SAMPLES:
             break
-    free = h[first:] < h[first] - _RELEASE_SHARE * (h[first] - h[-1])
+    # a hand lets go gradually: the top 4 % of the fall are left out
+    free = h[first:] < h[first] - 0.04 * (h[first] - h[-1])
     if free.sum() >= LEAST_SAMPLES:
         first += int(np.argmax(free))
     return _inside(t[first:], h[first:])

@@ -19,12 +19,7 @@ from kernels.arrays import Bools, Floats, Integers
 _WINDOW = 7  # samples in which free flight is looked for
 _LONGEST_GAP = 8.0  # frames a track may be lost
 # Distances at which a point may continue a track, in ranges of height:
-_GATE = 0.012
-_RIVAL_SHARE = 0.4  # of the ball's free flight
-_RIVAL_TRAVEL = 0.3  # of the ball's way: the background flickers where the ball comes to rest
 _LEAST_BALLISTIC = 6  # windows
-_STRAIGHT = 0.01  # of the height of a path, by which points of a straight one lie off its line
-_RIGID = 0.03  # of the way, by which the distance of two parts of one body varies
 
 
 @dataclass
@@ -95,13 +90,16 @@ def ball_of(clock: Floats, x: Floats, y: Floats, where: str, axis_deg: float | N
     for rival_count, rival_acceleration, k in judged[1:]:
         rival = tracks[k]
         _, own, other = np.intersect1d(clock[chosen], clock[rival], return_indices=True)
-        far = float(np.ptp(y[rival])) > _RIVAL_TRAVEL * float(np.ptp(y[chosen]))
+        # the background flickers where the ball comes to rest: a rival must travel 30 % of the ball's way
+        far = float(np.ptp(y[rival])) > 0.3 * float(np.ptp(y[chosen]))
         alike = far and 0.5 < rival_acceleration / acceleration < 2.0
-        if len(own) < _WINDOW or not alike or rival_count < max(_RIVAL_SHARE * count, 2 * _LEAST_BALLISTIC):
+        # a part that is seen in less than 40 % of the ball's free flight is no rival
+        if len(own) < _WINDOW or not alike or rival_count < max(0.4 * count, 2 * _LEAST_BALLISTIC):
             continue
-        apart_x, apart_y = x[chosen[own]] - x[rival[other]], y[chosen[own]] - y[rival[other]]
+        distance_x, distance_y = x[chosen[own]] - x[rival[other]], y[chosen[own]] - y[rival[other]]
         # Two parts of one block, on both sides of a rod, keep their distance.
-        if np.hypot(np.std(apart_x), np.std(apart_y)) >= _RIGID * max(float(np.ptp(y[chosen[own]])), 1e-12):
+        # two parts of one body stay at one distance, to 3 % of the way
+        if np.hypot(np.std(distance_x), np.std(distance_y)) >= 0.03 * max(float(np.ptp(y[chosen[own]])), 1e-12):
             raise InputError(
                 f"{where}: two movers: one near x = {np.median(x[chosen]):.0f}, another near "
                 f"x = {np.median(x[rival]):.0f}, both in free flight at once; film or crop to one ball"
@@ -126,7 +124,8 @@ def _tilt_of_fall(clock: Floats, x: Floats, y: Floats, acceleration: float) -> f
     """Angle of the fall from the vertical axis: of a straight path, else of the acceleration; 0 where not clear."""
     slope = float(np.polyfit(y, x, 1)[0])
     left = x - slope * y
-    if mad_sigma(left - np.median(left)) < _STRAIGHT * float(np.ptp(y)):
+    # points within 1 % of its height from a line are a straight path: nothing falls so
+    if mad_sigma(left - np.median(left)) < 0.01 * float(np.ptp(y)):
         return float(np.arctan(slope))  # up and down one line: a guided block, or a ball that drifts not at all
     across, down = _parabolas(clock, x), _parabolas(clock, y)
     free = down.compact & (np.abs(down.bend - acceleration) < 0.3 * abs(acceleration))
@@ -196,7 +195,8 @@ def _candidates(
     found = []
     for k, track in enumerate(live):
         span = now - track.clock
-        reach = spread * (_GATE if track.steps else 0.04) * max(1.0, span) ** 0.5  # a track's first step, across
+        # the first step of a track may go 4 % of the picture, later ones lie within 1.2 % of the prediction
+        reach = spread * (0.012 if track.steps else 0.04) * max(1.0, span) ** 0.5
         ahead = track.velocity * span
         falling = ahead + 0.5 * track.bend * span * (span + 1.0)
         for i in points:

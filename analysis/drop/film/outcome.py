@@ -18,7 +18,6 @@ from analysis.drop.film.trajectory import SHAPES
 from analysis.drop.laws.choice import Verdict, choose, gain_of
 from daq.setup.errors import InputError
 
-_SCALE_FLOOR = 1e-3  # relative uncertainty of any scale: lenses are not even along the fall
 _SIGNS = (("up", 1.0), ("down", -1.0))  # of friction, against gravity
 
 
@@ -129,7 +128,8 @@ class _Film:
                 f"{1 / units.frame_s:.4g} or the scale {units.scale_m:.4g} m is wrong; {fps:.4g} frames per second, or "
                 f"a scale of {units.scale_m / ratio:.4g} m, would make it gravity"
             )
-        common = np.hypot(self.unit_uncertainty, _SCALE_FLOOR)
+        # lenses are not even along the fall: no scale is known better than to 1e-3
+        common = np.hypot(self.unit_uncertainty, 1e-3)
         sigma = value * float(np.hypot(self.draws[:, 0].std() / self.g, common))
         return outcome.around(value, thresholds.LEVEL_SIGMAS * sigma)
 

@@ -14,8 +14,6 @@ from scipy import optimize, stats
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from kernels.arrays import Floats
 
-_LEAST_FOR_HOLD_OUT = 3
-
 
 @dataclass(frozen=True)
 class RestitutionFit:
@@ -55,7 +53,7 @@ def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: boo
     freedom = n - basis.shape[1]
     theta, covariance, scatter = _weighted(basis, ratio, sigma)
     held_out, scores = np.full(n, np.nan), np.zeros(n)
-    if n >= _LEAST_FOR_HOLD_OUT + basis.shape[1] - 1:
+    if n >= 3 + basis.shape[1] - 1:
         for i in range(n):
             others = np.arange(n) != i
             part, spread, own = _weighted(basis[others], ratio[others], sigma[others])

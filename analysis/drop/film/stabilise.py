@@ -19,21 +19,14 @@ from kernels.arrays import Floats, Integers
 
 Grey = NDArray[np.float32]
 
-_WIDTH = 640
 _COARSE = 4.0  # by which pictures are made smaller first: steps of many pixels
-_BETTER = 0.75  # of what differs from frame to frame at edges, that may be left after moving frames back
-_EDGES = 0.03  # of the pixels, those with the steepest gradients across, and as many down
 _MARGIN = 4  # pixels
 _LINE = 64  # pixels that are looked up together
 _TUKEY = 4.7
 _LEAST_NOISE = 0.5  # levels
-_STEP_PX = 1.0  # standard deviation of the hand's motion from frame to frame, where no edge shows it
 _ALIKE = 10.0  # neighbouring pixels that err alike: compression, noise that is no pixel's own
 _STRIPS = 6
 _LONGEST_STEP_PX = 2.0
-_ARRIVED_PX = 5e-3
-_WATCHED_PX = 0.25
-_LOST = 1.5  # times what usually is left: perhaps a step of many pixels
 
 
 def stabilised(film: Film, progress: Progress | None = None) -> Film:
@@ -50,13 +43,15 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
     fine: _Edges | None = None
     factor = 1.0
     for number, frame in enumerate(film.frames()):
-        factor = min(1.0, _WIDTH / frame.shape[1])
+        # the search works on 640 columns at most
+        factor = min(1.0, 640 / frame.shape[1])
         small, large = _grey(frame, factor / _COARSE, cv2), _grey(frame, factor, cv2)
         if coarse is None or fine is None:
             coarse, fine = _edges(small, cv2), _edges(large, cv2)
         before = shifts[-1] if shifts else np.zeros(2)
         shift = fine.shift_of(large, before)
-        if left and fine.difference(large, shift) > _LOST * float(np.median(left)):
+        # half more than usually left: perhaps a step of many pixels
+        if left and fine.difference(large, shift) > 1.5 * float(np.median(left)):
             roughly = fine.shift_of(large, _COARSE * coarse.shift_of(small, before / _COARSE))
             if fine.difference(large, roughly) < fine.difference(large, shift):
                 shift = roughly
@@ -68,9 +63,10 @@ def stabilised(film: Film, progress: Progress | None = None) -> Film:
         if progress is not None:
             progress("steadying", number + 1, film.count)
     table = np.array(shifts).reshape(-1, 2)
-    watched = bool(error) and float(np.median(error)) < _WATCHED_PX
+    watched = bool(error) and float(np.median(error)) < 0.25
     shaken = float(np.hypot(*np.std(table, axis=0))) if len(table) else 0.0
-    if shaken < 0.1 or not np.median(better) < _BETTER:  # px rms, at the width of the search
+    # moving frames back must take away a quarter of what differs at edges, or the camera did not shake
+    if shaken < 0.1 or not np.median(better) < 0.75:  # px rms, at the width of the search
         return replace(film, watched=watched)
     return replace(film, shifts=table / factor, watched=watched)
 
@@ -90,7 +86,8 @@ def _edges(grey: Grey, cv2: Any) -> _Edges:
     inside[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = True
     chosen = np.zeros(grey.shape, dtype=bool)
     for slope in (np.abs(across), np.abs(down)):
-        chosen |= inside & (slope >= np.quantile(slope[inside], 1.0 - _EDGES))
+        # the steepest 3 % of the pixels, across and down, show a motion best
+        chosen |= inside & (slope >= np.quantile(slope[inside], 1.0 - 0.03))
     place = np.argwhere(chosen)
     row, column = np.resize(place, (-(-len(place) // _LINE) * _LINE, 2)).T  # whole lines; the first pixels again
     gradient = np.column_stack([np.asarray(slope)[row, column] for slope in (across, down)]).astype(np.float64)
@@ -128,11 +125,12 @@ class _Edges:
             size = max(mad_sigma(off), _LEAST_NOISE)
             weight = np.maximum(1.0 - (off / (_TUKEY * size)) ** 2, 0.0) ** 2
             weighted = self.gradient * weight[:, None]
-            prior = _ALIKE * (size / _STEP_PX) ** 2
+            # where no edge shows it a hand moves by about a pixel from frame to frame
+            prior = _ALIKE * size**2
             normal = weighted.T @ self.gradient + prior * np.eye(2)
             change = np.linalg.solve(normal, weighted.T @ off + prior * (shift - before))
             shift = shift - np.clip(change, -_LONGEST_STEP_PX, _LONGEST_STEP_PX)
-            if float(np.abs(change).max()) < _ARRIVED_PX:
+            if float(np.abs(change).max()) < 5e-3:
                 break
         return shift
 

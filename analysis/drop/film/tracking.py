@@ -23,13 +23,7 @@ from analysis.statistics import mad_sigma
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
 
-_NOISE_SIGMAS = 6.0
-_LEAST_CONTRAST = 10.0
 _MOST_BLOBS = 12
-_SAME_SPAN = 0.6  # of their heights, that two parts on both sides of a rod have in common; less than all if it leans
-_UNSTEADY = 0.12  # spread of a spot's height beyond which its background is suspected
-_STAMP_LEVELS = 40.0
-_WIDEST = 0.6  # of the picture: more is a person, or the light
 _LEAST_AREA = 9.0  # of search pixels
 _SHADOW_SHARE = 0.4  # of a spot's contrast: what is fainter is its shadow or its reflection
 
@@ -107,7 +101,8 @@ class _Attempt:
 def _best_attempt(film: Film, still: Still, corrections: Corrections, progress: Progress | None) -> _Attempt:
     """The ball against the usual background, or against others that are free of it where it is unsteady."""
     best = _attempt(film, still, corrections, progress)
-    if isinstance(best, InputError) or best.unsteady > _UNSTEADY:
+    # a spot whose height spreads by 12 %: its background is suspected
+    if isinstance(best, InputError) or best.unsteady > 0.12:
         other = _attempt(film, still_by_order(film, still), corrections, progress)
         if isinstance(other, _Attempt):
             boxes = {int(row[0]): (row[1], row[2], row[3], row[4]) for row in other.size}
@@ -167,13 +162,15 @@ def blobs_in(frame: Image, still: Still, path: Path) -> list[tuple[float, float,
     small = smaller(frame, factor, 1, cv2)
     gain = _row_gain(small, still.small)
     coarse = cv2.GaussianBlur(_difference(small, still.small, gain), (0, 0), 0.8)
-    limit = max(_NOISE_SIGMAS * mad_sigma(coarse), _LEAST_CONTRAST)
+    # six sigma of the noise, and ten levels at least
+    limit = max(6.0 * mad_sigma(coarse), 10.0)
     rows, columns = coarse.shape
     full_gain = np.interp(np.arange(frame.shape[0]) * factor, np.arange(rows), gain).astype(np.float32)
     found = []
     for spot in _spots(coarse, limit, cv2):
         inside = spot.left > 0 and spot.top > 0 and spot.left + spot.wide < columns and spot.top + spot.tall < rows
-        if spot.area >= _LEAST_AREA and inside and spot.wide < _WIDEST * columns:
+        # wider than 60 % of the picture is a person, or the light
+        if spot.area >= _LEAST_AREA and inside and spot.wide < 0.6 * columns:
             found.append(_centre(frame, still.background, full_gain, spot, factor, limit, cv2))
     return [blob for blob in found if blob is not None]
 
@@ -199,7 +196,8 @@ def _spots(coarse: Picture, limit: float, cv2: Any) -> list[_Spot]:
         for k, b in enumerate(joined):
             shared = min(a.top + a.tall, b.top + b.tall) - max(a.top, b.top)
             gap = max(a.left, b.left) - min(a.left + a.wide, b.left + b.wide)
-            if shared >= _SAME_SPAN * max(a.tall, b.tall) and 0 <= gap <= 0.5 * min(a.wide, b.wide):
+            # two parts on both sides of a rod share 60 % of their heights: less than all, if it leans
+            if shared >= 0.6 * max(a.tall, b.tall) and 0 <= gap <= 0.5 * min(a.wide, b.wide):
                 left, top = min(a.left, b.left), min(a.top, b.top)
                 wide = max(a.left + a.wide, b.left + b.wide) - left
                 tall = max(a.top + a.tall, b.top + b.tall) - top
@@ -277,6 +275,6 @@ def _composite(film: Film, best: _Attempt) -> Image:
             rows = slice(max(int(y - tall * 0.6), 0), int(y + tall * 0.6) + 1)
             columns = slice(max(int(x - wide * 0.6), 0), int(x + wide * 0.6) + 1)
             box = frame[rows, columns]
-            ball = np.abs(box.astype(np.float32) - still[rows, columns]).max(axis=2) > _STAMP_LEVELS
+            ball = np.abs(box.astype(np.float32) - still[rows, columns]).max(axis=2) > 40.0
             picture[rows, columns][ball] = box[ball]
     return picture

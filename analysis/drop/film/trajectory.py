@@ -26,12 +26,8 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "friction+drag": ("g", "f", "k", "c", "d"),
 }
 _LIMITS = {"g": (1e-9, 1e9), "f": (-0.5, 0.9), "k": (0.0, np.inf), "c": (-np.inf, np.inf), "d": (-np.inf, np.inf)}
-_TILT = 0.01  # standard deviation of c times the span of heights: the scale changes by 2 % from bottom to top
-_LENS = 0.02  # of d times the square of the span: what is seen half way is off by a quarter of a per cent of the span
 _BEYOND = 1.5  # of the reach, where the distortion stays what it is: nothing was seen there
-_MOST_DRAG = 3.0  # so strong that a fall through the reach is all at terminal speed
 _OTHER_G = 4.0  # times as large or small as from single arcs: a strong drag would make any gravity a straight line
-_HUBER = 2.5
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,8 @@ def fit_shape(
     """
     span, reach = max(float(np.ptp(f.height)) for f in flights), flights[0].reach
     whole = float(max(f.height.max() for f in flights) - min(f.height.min() for f in flights))
-    widths = {"c": _TILT / whole, "d": _LENS / whole**2}
+    # the scale changes by 2 % from bottom to top where the camera is tilted, and a lens bends by 0.5 % half way
+    widths = {"c": 0.01 / whole, "d": 0.02 / whole**2}
     prior = np.array([unit / widths[key] ** 2 if key in widths else 0.0 for key in SHAPES[name]])
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span, "c": 0.0, "d": 0.0}
     low, high = _limits(name, reach)
@@ -175,7 +172,7 @@ def _seen(name: str, values: Floats, apex: tuple[float, float], flight: Flight, 
         beyond = near**2 - flight.reach**2
         residual = (flight.height - height - (c + d * near) * beyond) / noise
         size = np.abs(residual)
-        loose = _HUBER * max(1.0, mad_sigma(size))
+        loose = 2.5 * max(1.0, mad_sigma(size))
         root = np.where(size <= loose, size, np.sqrt(np.maximum(2.0 * loose * size - loose**2, loose**2)))
         factor = np.where(size <= loose, 1.0, loose / root.clip(1e-12))
         bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)  # of the seen by the true height
@@ -212,7 +209,8 @@ def _limits(name: str, reach: float) -> tuple[Floats, Floats]:
     """Bounds of the parameters."""
     low, high = np.array([_LIMITS[key] for key in SHAPES[name]]).T
     if "k" in SHAPES[name] and reach > 0.0:
-        high[SHAPES[name].index("k")] = _MOST_DRAG / reach
+        # with k of 3 over the reach the whole fall is at terminal speed: more cannot be seen
+        high[SHAPES[name].index("k")] = 3.0 / reach
     return low, high
 
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 Numbers = Any  # a float or an array of them: everything here broadcasts
-_NO_DRAG = 1e-9  # k v^2 / g below this is a parabola to the last digit that matters
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,8 @@ class FlightLaw:
 
     @property
     def _free(self) -> bool:
-        return bool(np.max(self.drag_per_m) <= _NO_DRAG)
+        # k v^2 / g below 1e-9 is a parabola to the last digit that matters
+        return bool(np.max(self.drag_per_m) <= 1e-9)
 
     @property
     def up_mps2(self) -> Numbers:

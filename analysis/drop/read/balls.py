@@ -16,7 +16,6 @@ _KG = {"kg": 1.0, "g": 1e-3, "oz": 0.028349523, "lb": 0.45359237, "lbs": 0.45359
 _M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "inch": 0.0254}
 _MASSES = {"mass": 1.0, "weight": 1.0}
 _DIAMETERS = {"diameter": 1.0, "radius": 2.0, "circumference": 1.0 / np.pi, "girth": 1.0 / np.pi}
-_LEAST_ALIKE = 0.8  # of two names: "wiffleball1" is "Whiffle Ball 1", but "softball" is no "Golf Ball"
 
 
 def read_balls(path: Path, balls: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -41,7 +40,8 @@ def read_balls(path: Path, balls: Sequence[str]) -> dict[str, tuple[float, float
     found = {}
     for ball in balls:
         numbered = [name for name in named if re.findall(r"\d+", name) == re.findall(r"\d+", _plain(ball))]
-        like = difflib.get_close_matches(_plain(ball), numbered, 1, _LEAST_ALIKE)
+        # "wiffleball1" is "Whiffle Ball 1" at 0.8, but "softball" is no "Golf Ball"
+        like = difflib.get_close_matches(_plain(ball), numbered, 1, 0.8)
         cells = [(named[name][j], factor) for name in like for j, factor in known if j < len(named[name])]
         numbers = [cell * factor for cell, factor in cells if isinstance(cell, float) and cell > 0.0]
         if len(numbers) == 2:

@@ -38,7 +38,6 @@ _SUMMARY = {
 }  # fmt: skip
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
-_MOST_REBOUNDS = 40
 _LEAST_POSITIONS = 6
 
 
@@ -76,7 +75,7 @@ def refuse_heights(columns: Columns, where: str) -> None:
     """Refuse rebound heights by number: they are no times and no positions."""
     v, words = columns.values, columns.words
     for a, b in _pairs(columns):
-        if not words[b] & _HEIGHT or words[a] & (_TIME | _FRAME) or not 3 <= len(v) <= _MOST_REBOUNDS:
+        if not words[b] & _HEIGHT or words[a] & (_TIME | _FRAME) or not 3 <= len(v) <= 40:
             continue
         ratio = v[1:, b] / np.where(v[:-1, b] == 0.0, np.nan, v[:-1, b])
         counted = np.all(np.isfinite(v[:, [a, b]])) and np.all(np.diff(v[:, a]) == 1.0)
@@ -249,8 +248,6 @@ def _is_even(column: Floats) -> bool:
 
 Item = tuple[str, Floats | Points]
 
-_CLOCK_TEXT = 3  # cells like 00:00:01.5 after which a table is taken to hold clock times
-
 
 @dataclass(frozen=True)
 class Contents:
@@ -311,10 +308,11 @@ def read_tables(grids: list[Sheet], where: str) -> Contents:
     cells = [str(cell) for grid in grids for row in grid.rows for cell in row if isinstance(cell, str)]
     clocks = [cell for cell in cells if cell.count(":") == 2 and cell.replace(":", "")[-1:].isdigit()]
     hint = f"; cells such as {clocks[0]!r} are times of day or dates: give seconds, as plain numbers" if clocks else ""
+    # from three cells like 00:00:01.5 on a table is taken to hold clock times
     raise InputError(
         f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
         f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0].columns.headings[:6]) or 'none'}"
-        + (hint if len(clocks) >= _CLOCK_TEXT else "")
+        + (hint if len(clocks) >= 3 else "")
         + "".join(f"; {words}" for table in tables for words in table.words[:3])
     )
 

@@ -7,18 +7,11 @@ import numpy as np
 from kernels.arrays import Floats, Integers
 
 LONGEST_FLIGHT_S = 3.0
-_SHORTEST_FLIGHT_S = 0.008
 _RATIOS = np.linspace(0.20, 0.985, 80)
 _WIDTHS = 0.04 + 0.06 * (1.0 - _RATIOS)  # of the logarithm of a ratio from bounce to bounce
-_LARGEST_GROWTH = 1.1  # of a flight after an irregular bounce: no bounce adds energy, some of the spin may come back
 _KINDS = np.arange(3)  # impacts that may be missed in one interval
-_LOOK_AHEAD = 6  # events of full strength that may be false between two impacts, plus one
-_MOST_LOOK_AHEAD = 24  # events of any strength
 # What a chain gains by an impact, in half squares of widths, and what it pays.
-_GAIN = 6.0
-_MISS_COST = 3.5
 _SKIP_COST = 1.5
-_BREAK_COST = 3.0
 
 
 def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
@@ -36,7 +29,7 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
     chain, missed, broken
         Indices of its events, impacts missed in each of its intervals, and the impacts where the pattern breaks.
     """
-    break_cost = _BREAK_COST if may_break else np.inf
+    break_cost = 3.0 if may_break else np.inf
     skipped = np.concatenate(([0.0], np.cumsum(_SKIP_COST * strength)))
     score: dict[tuple[int, int], Floats] = {}  # by the pair that ends a chain: (kinds, ratios)
     back: dict[tuple[int, int], Integers] = {}
@@ -44,12 +37,12 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
     for j in range(1, len(events)):
         for i in _within_reach(j, skipped):
             interval = events[j] - events[i]
-            if not _SHORTEST_FLIGHT_S <= interval <= LONGEST_FLIGHT_S:
+            if not 0.008 <= interval <= LONGEST_FLIGHT_S:
                 continue
             # With impacts missing, an interval is a geometric series of flights.
             first = interval * (1.0 - _RATIOS) / (1.0 - _RATIOS ** (_KINDS[:, None] + 1))
             last_flight[i, j] = first * _RATIOS ** _KINDS[:, None]
-            entry = -_MISS_COST * _KINDS[:, None] - (skipped[j] - skipped[i + 1])
+            entry = -3.5 * _KINDS[:, None] - (skipped[j] - skipped[i + 1])
             best = np.broadcast_to(entry, first.shape).copy()
             link = np.full(first.shape, -1, dtype=np.int64)
             for h in _within_reach(i, skipped):
@@ -57,8 +50,9 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
                     continue
                 offset = np.log(first[:, None]) - np.log(_RATIOS * last_flight[h, i][None])
                 fits = np.abs(offset) < 3.0 * _WIDTHS  # in widths
-                cut_short = np.where(offset - np.log(_LARGEST_GROWTH / _RATIOS) < 0.0, -break_cost, -np.inf)
-                gain = np.where(fits, _GAIN * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
+                # after an irregular bounce some of the spin may come back: a flight grows by 10 % at most
+                cut_short = np.where(offset - np.log(1.1 / _RATIOS) < 0.0, -break_cost, -np.inf)
+                gain = np.where(fits, 6.0 * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]
                 kind = total.argmax(axis=1)
                 top = np.take_along_axis(total, kind[:, None], axis=1)[:, 0]
@@ -85,6 +79,7 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
 def _within_reach(j: int, skipped: Floats) -> range:
     """Events before ``j`` with so little of an impact between that they may be its predecessor."""
     low = j - 1
-    while low > 0 and j - low < _MOST_LOOK_AHEAD and skipped[j] - skipped[low] <= _SKIP_COST * (_LOOK_AHEAD - 1):
+    # up to five false events of full strength between two impacts, and 24 of any
+    while low > 0 and j - low < 24 and skipped[j] - skipped[low] <= _SKIP_COST * 5:
         low -= 1
     return range(j - 1, low - 1, -1)

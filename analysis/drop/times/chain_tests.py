@@ -14,18 +14,10 @@ from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Floats
 
 _LEAST_SCATTER = 0.01  # of the logarithm of a ratio
-_LEAST_TOLERANCE_S = 2e-3
-_UNSTEADY = 0.04  # scatter of the logarithm of a ratio, where other events are near: a ball's is half as large
 _SOME = 3
 _NEAR_S = 5.0
-_LOOK_AHEAD = 6  # events at which a chain by chance may start its next flight
 _LEAST_OFF = 3e-3  # of the ratio: a ball is no better than that
-_POOR = 3.0  # a law of the ratio that leaves so many times more than the best one has no say about an end
-_LEAST_JUDGED = 7  # rows from which laws are compared with each other
 _LOUD_POWER = 1.3
-_LEAST_LOUDER = 1.5  # of the log peak, beyond what scatter makes
-_LOUDER_SIGMAS = 4.0
-_LEAST_HEARD = 4  # other impacts whose loudness is known, for an end to be judged by its own
 
 
 def why_no_drop(
@@ -60,10 +52,11 @@ def why_no_drop(
     basis = np.vander(before_s / before_s.max(), freedom)
     left = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
     spread = np.sqrt(float((left**2).sum()) / max(len(ratio) - freedom, 1))
-    tolerance = np.maximum(2.5 * max(spread, _LEAST_SCATTER) * after_s, _LEAST_TOLERANCE_S)
+    tolerance = np.maximum(2.5 * max(spread, _LEAST_SCATTER) * after_s, 2e-3)
     span = float(impacts_s[-1] - impacts_s[0]) + 2.0 * _NEAR_S
     chance = np.sort(1.0 - np.exp(-2.0 * tolerance * count / span))
-    starts = (float(weight.sum()) + len(impacts_s)) * _LOOK_AHEAD
+    # a chain by chance may start its next flight at any of six events
+    starts = (float(weight.sum()) + len(impacts_s)) * 6
     expected = float(starts * np.prod(chance[: max(len(chance) - freedom, 0)]))
     if expected > CHANCE_CHAINS:
         return f"among as many events {expected:.2g} chains as steady are expected by chance", True
@@ -80,7 +73,8 @@ def _uneven(ratio: Floats, near: int) -> str | None:
             return "its intervals do not shrink beyond doubt"
     if near >= _SOME and len(ratio) >= _SOME:
         robust = mad_sigma(ratio - np.median(ratio))
-        if 0.5 * (robust + float(ratio.std())) > _UNSTEADY:
+        # a ball's log ratios scatter half as much: with other events near, more is chance
+        if 0.5 * (robust + float(ratio.std())) > 0.04:
             return f"its ratios scatter by {float(ratio.std()):.2f}, as those of events at nearly even intervals do"
     return None
 
@@ -139,7 +133,8 @@ def _strays(before: Floats, ratio: Floats, row: int) -> bool:
             chance = 2.0 * stats.t.sf(off / max(float(sigma), 1e-12), freedom)
             left = float(np.sqrt(((ratio[others] - basis[others] @ theta) ** 2).mean()))
             laws.append((left, bool(off >= _LEAST_OFF and chance <= STRAY_CHANCE)))
-    most = _POOR * min(left for left, _ in laws) if int(others.sum()) >= _LEAST_JUDGED else np.inf
+    # a law that leaves three times more than the best one has no say about an end, if seven rows compare them
+    most = 3.0 * min(left for left, _ in laws) if int(others.sum()) >= 7 else np.inf
     return all(excluded for left, excluded in laws if left <= max(most, _LEAST_OFF))
 
 
@@ -161,7 +156,9 @@ def ends_unlike_in_loudness(loudness: Floats, impacts_s: Floats, single: Bools) 
 
 def _far_above(one: float, others: Floats) -> bool:
     known = others[np.isfinite(others)]
-    if not np.isfinite(one) or len(known) < _LEAST_HEARD:
+    # an end is judged by its own loudness only against four others
+    if not np.isfinite(one) or len(known) < 4:
         return False
     middle = float(np.median(known))
-    return bool(one - middle > max(_LEAST_LOUDER, _LOUDER_SIGMAS * mad_sigma(known - middle)))
+    # louder by a factor of e^1.5, and by four of what scatter makes
+    return bool(one - middle > max(1.5, 4.0 * mad_sigma(known - middle)))

@@ -19,16 +19,9 @@ from kernels.arrays import Bools, Floats, Integers
 
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
 _WINDOW = 400  # events that are searched at once
-_OVERLAP = 150
-_RING_S = 0.1
 # Of a rhythm or a recording played in a loop:
-_LEAST_OF_LOOP = 2  # drops
 _SAME_S = 1e-3
-_LOOPED = 0.9  # of the events, that come again
 # Of two chains at the same time:
-_STEADY = 0.01  # scatter of the log ratios
-_SHRINKS = 0.97  # ratio of successive flights
-_ECHO_S = 2e-3  # by which the delay of an echo varies
 
 
 @dataclass(frozen=True)
@@ -146,7 +139,7 @@ def _windows(times: Floats) -> list[slice]:
         first = int(start)
         while stop - first > _WINDOW:
             out.append(slice(first, first + _WINDOW))
-            first += _WINDOW - _OVERLAP
+            first += _WINDOW - 150
         out.append(slice(first, int(stop)))
     return out
 
@@ -225,7 +218,7 @@ def _without_strays(
 
 def _other_first(events: Floats, chain: list[int], single: Bools) -> int | None:
     """An event near a first impact that strays, and in whose place it does not: an impact rings, or clips."""
-    near = np.flatnonzero((np.abs(events - events[chain[0]]) < _RING_S) & (events < events[chain[1]]))
+    near = np.flatnonzero((np.abs(events - events[chain[0]]) < 0.1) & (events < events[chain[1]]))
     for other in near:
         moved = events[[int(other), *chain[1:]]]
         if int(other) != chain[0] and not ends_that_stray(moved, single)[0]:
@@ -242,7 +235,8 @@ def _a_loop(drops: list[Bounces], events: Floats) -> bool:
         ahead = impacts[impacts + period < events[-1] + _SAME_S] + period
         after = np.clip(np.searchsorted(events, ahead), 1, len(events) - 1)
         off = np.minimum(np.abs(events[after] - ahead), np.abs(events[after - 1] - ahead))
-        if len(ahead) >= _LEAST_OF_LOOP * _LEAST_OF_FURTHER and float(np.mean(off < _SAME_S)) > _LOOPED:
+        # a loop: two drops or more come again, with nine in ten events
+        if len(ahead) >= 2 * _LEAST_OF_FURTHER and float(np.mean(off < _SAME_S)) > 0.9:
             return True
     return False
 
@@ -267,7 +261,8 @@ def _two_at_once(drops: list[Bounces], events: Onsets) -> bool:
     n = min(len(one), len(other))
     shifts = other[:n] - one[np.abs(one[:, None] - other[None, :n]).argmin(axis=0)]
     together = min(one[-1], other[-1]) - max(one[0], other[0])
-    return bool(together > 0.5 * min(np.ptp(one), np.ptp(other)) and float(np.ptp(shifts)) >= _ECHO_S)
+    # the delay of an echo varies by less than 2 ms
+    return bool(together > 0.5 * min(np.ptp(one), np.ptp(other)) and float(np.ptp(shifts)) >= 2e-3)
 
 
 def _is_steady(flights: Floats) -> bool:
@@ -275,4 +270,5 @@ def _is_steady(flights: Floats) -> bool:
     ratio = np.log(flights[1:] / flights[:-1])
     basis = np.vander(flights[:-1], 2) if len(ratio) >= _LEAST_OF_FURTHER else np.ones((len(ratio), 1))
     left = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
-    return bool(float(np.sqrt((left**2).mean())) < _STEADY and float(np.median(ratio)) < np.log(_SHRINKS))
+    # a ball's flights shrink from bounce to bounce by a steady ratio: scatter of 1 %, 3 % shorter at least
+    return bool(float(np.sqrt((left**2).mean())) < 0.01 and float(np.median(ratio)) < np.log(0.97))

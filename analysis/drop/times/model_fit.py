@@ -17,13 +17,10 @@ from analysis.drop.times.one_ahead import Drop, Rows, Widths, noise_of, predict_
 from analysis.statistics import mad_sigma
 from kernels.arrays import Floats, Integers
 
-_OUTLIER_SIGMA = 4.5
-_GROSS = 0.06  # of a flight's duration, within which no bounce is left out before anything is fitted
 _SMALLEST = Widths(1e-7, 1e-6, 1e-7)
 _LARGEST = Widths(0.05, 0.5, 0.05)
 _START = Widths(2e-4, 0.01, 1e-4)
 _USUAL_WIDTHS = Widths(2e-4, 5e-3, 1e-4)  # of a phone or a camera, and of balls on floors
-_FEW_DROPS = 6
 _BOOTS = 200
 _NUDGE = 1e-5  # of a parameter, for derivatives
 
@@ -55,7 +52,8 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Integers]:
     """
     rows = rows_of(drops)
     used = rows.keep(~rows.from_height)
-    for least in (_GROSS, 0.0, 0.0):
+    # before anything is fitted no bounce within 6 % of a flight's duration is left out
+    for least in (0.06, 0.0, 0.0):
         theta = _start(SPEED_DRAG, used)
         if not least:  # the first time without a fit: one gross bounce would bend it
             theta = converge(SPEED_DRAG, theta, used, _START, g_mps2)
@@ -63,7 +61,7 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Integers]:
         pooled = relative[rows.flights]
         centre = float(np.median(pooled))
         width = mad_sigma(pooled - centre) + 5e-4
-        near = np.abs(relative - centre) < max(_OUTLIER_SIGMA * width, least)
+        near = np.abs(relative - centre) < max(4.5 * width, least)
         used = rows.keep(near & ~rows.from_height)
     used = rows.keep(used.valid | rows.from_height)
     return used, rows.valid.sum(axis=1) - used.valid.sum(axis=1)
@@ -88,7 +86,7 @@ def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator)
     residuals = np.where(rows.valid, rows.after_s - predict_s(model, theta, rows, g_mps2), np.nan)
     # The bootstrap draws drops, or flights where there are few drops.
     owner = np.nonzero(rows.valid)[0]
-    groups = owner if len(np.unique(owner)) >= _FEW_DROPS else np.arange(len(white))
+    groups = owner if len(np.unique(owner)) >= 6 else np.arange(len(white))
     names, group = np.unique(groups, return_inverse=True)
     draws = np.empty((_BOOTS, len(theta)))
     for b in range(_BOOTS):

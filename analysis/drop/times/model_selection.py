@@ -17,7 +17,6 @@ from kernels.arrays import Bools, Floats
 ANY_DRAG = (0.0, np.inf)
 _ENOUGH_DROPS = 4  # from which whole drops are held out, not bounces
 _MOST_FOLDS = 8
-_LEAST_TRIMMED = 7  # rows, of which one may be left out at an end
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,8 @@ def _beyond_physics(models: Sequence[Judged], best: Judged) -> list[str]:
 def _trimmed(rows: Rows) -> list[Rows]:
     """The rows without the last, the last two, and the first of each drop, where single bounces decide."""
     flights = rows.flights
-    if int(rows.valid.any(axis=1).sum()) >= _ENOUGH_DROPS or int(flights.sum()) < _LEAST_TRIMMED:
+    # a row may be left out at an end only of seven or more
+    if int(rows.valid.any(axis=1).sum()) >= _ENOUGH_DROPS or int(flights.sum()) < 7:
         return []
     behind = np.cumsum(flights[:, ::-1], axis=1)[:, ::-1]  # flights from here to the end
     first = np.cumsum(flights, axis=1) == 1

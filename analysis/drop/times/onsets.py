@@ -22,22 +22,12 @@ from daq.recording import Recording, open_recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 
-_CORE_S = 20.0  # of a longer one: the part of each piece whose onsets are taken
 _WINDOW_S = 0.006
 _HOP_S = 0.001
 _BEFORE_S = 0.012  # of what is compared at a candidate
-_AFTER_S = 0.004
 _LEAST_SPACING_S = 0.012
-_LEAST_RISE = 5.0  # in robust widths of the rise where nothing happens
 _LOWEST_HZ = 150.0  # below it hum and handling
-_HIGHEST_HZ = 16_000.0
-_SPECTRUM_S = 0.04
 _PREDICTOR = 64  # samples that are looked back
-_LOUDNESS_S = 0.01
-_NEIGHBOUR_S = 0.5
-_BEFORE_PEAK_S = 0.006  # before an onset, where the sound must be quieter than after it
-_GAP_S = 0.0005
-_CLEAR_RISE = 1.0  # in natural logarithms: less is a ring, or a clipped swing, of the impact before
 _BLOCK = 1 << 20  # samples of a contact channel read at once
 
 
@@ -55,7 +45,8 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets
         raise InputError(f"{path}: {wav.n_samples} samples at {rate:.0f} Hz hold no drop; the file may be cut off")
     if wav.n_samples <= 30.0 * rate:  # of a sound that is read at once
         return sound_onsets(wav.read(), rate, str(path)), rate
-    core, margin = int(_CORE_S * rate), int(1.0 * rate)  # on both sides of it
+    # a long sound is read in pieces of 20 s, with a second more on both sides
+    core, margin = int(20.0 * rate), int(1.0 * rate)
     found: list[Onsets] = []
     refused: InputError | None = None
     for start in range(0, wav.n_samples, core):
@@ -99,12 +90,13 @@ def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
     x = x[:, np.ptp(x, axis=0) > 0.0]
     if x.shape[1] == 0:
         raise InputError(f"{where}: every sample is the same; the recording is silent")
-    band = (_LOWEST_HZ, min(0.45 * rate_hz, _HIGHEST_HZ))
+    band = (_LOWEST_HZ, min(0.45 * rate_hz, 16_000.0))
     filtered = signal.sosfilt(signal.butter(2, band, "bandpass", fs=rate_hz, output="sos"), x, axis=0)
     rise, hop = _rise(filtered, rate_hz)
     centre, width = float(np.median(rise)), mad_sigma(rise - np.median(rise))
     spacing = max(int(_LEAST_SPACING_S * rate_hz / hop), 1)
-    peaks, _ = signal.find_peaks(rise, height=centre + _LEAST_RISE * width, distance=spacing)
+    # five robust widths of the rise where nothing happens
+    peaks, _ = signal.find_peaks(rise, height=centre + 5.0 * width, distance=spacing)
     if not len(peaks):
         raise InputError(f"{where}: no sound in it stands out as an impact would; record nearer to the plate")
     white = np.column_stack([_without_background(channel, rate_hz) for channel in filtered.T])
@@ -121,7 +113,7 @@ def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
 
 def _peaks(loud: Floats, onsets: Floats, rate_hz: float) -> Floats:
     """Largest value of ``loud`` just after each onset."""
-    reach = int(_LOUDNESS_S * rate_hz)
+    reach = int(0.01 * rate_hz)
     return np.array([loud[int(n) : int(n) + reach].max(initial=0.0) for n in onsets])
 
 
@@ -131,7 +123,7 @@ def _without_background(x: Floats, rate_hz: float) -> Floats:
     The prediction comes from the median spectrum, which taps do not reach; it looks back only, so nothing is heard
     before it happens.
     """
-    window = min(int(_SPECTRUM_S * rate_hz), len(x))
+    window = min(int(0.04 * rate_hz), len(x))
     _, power = signal.welch(x, rate_hz, nperseg=window, average="median")
     correlation = np.fft.irfft(power)[: _PREDICTOR + 1]
     correlation[0] *= 1.0 + 1e-7  # of the background's power: white noise that keeps the prediction stable
@@ -147,12 +139,14 @@ def _strength(x: Floats, onsets: Floats, rate_hz: float) -> Floats:
     loud = np.abs(x).max(axis=1)
     peaks = np.log(_peaks(loud, onsets, rate_hz) + 1e-12)
     floor = np.log(np.median(loud) * 4.0 + 1e-12)
-    near = np.abs(onsets[:, None] - onsets[None]) < _NEIGHBOUR_S * rate_hz
+    near = np.abs(onsets[:, None] - onsets[None]) < 0.5 * rate_hz
     top = np.where(near, peaks[None], -np.inf).max(axis=1)
     among = np.clip((peaks - floor) / np.maximum(top - floor, 1e-6), 0.02, 1.0)
-    back, gap = int(_BEFORE_PEAK_S * rate_hz), max(int(_GAP_S * rate_hz), 1)
+    # for 6 ms before an onset the sound must be quieter than after it
+    back, gap = int(0.006 * rate_hz), max(int(0.0005 * rate_hz), 1)
     before = [loud[max(int(n) - back, 0) : max(int(n) - gap, 1)].max(initial=0.0) for n in onsets]
-    risen = (peaks - np.log(np.array(before) + 1e-12)) / _CLEAR_RISE
+    # less than a factor of e is a ring, or a clipped swing, of the impact before
+    risen = peaks - np.log(np.array(before) + 1e-12)
     return np.asarray(among * np.clip(risen, 0.05, 1.0))
 
 
@@ -180,7 +174,7 @@ def _rise(x: Floats, rate_hz: float) -> tuple[Floats, int]:
 def _refine(x: Floats, near: int, rate_hz: float) -> tuple[float, float]:
     """Sharpness and place (a sample) of a change of variance: depth and place of the minimum of Maeda's criterion."""
     start = max(near - int(_BEFORE_S * rate_hz), 0)
-    part = x[start : near + int(2 * _AFTER_S * rate_hz)]
+    part = x[start : near + int(2 * 0.004 * rate_hz)]
     peak = int(np.abs(part).max(axis=1).argmax())
     part = part[: max(peak + 2, 16)]
     n = np.arange(1, len(part))[:, None]
