@@ -126,7 +126,7 @@ class Profile(Setup):
 
     @model_validator(mode="after")
     def _drivable(self) -> Self:
-        """Refuse what cannot be driven: an unknown drive scale, a tone at or above half the sample rate."""
+        """Refuse what cannot be driven: an unknown drive scale, too fast a tone, a marker beyond the drive's limit."""
         if self.drive.g_per_volt is None:
             raise ValueError("drive.g_per_volt: missing; a ramp cannot be driven without the drive's scale")
         if self.sampling.rate_hz > MOST_RATE_HZ:
@@ -141,6 +141,11 @@ class Profile(Setup):
             raise ValueError(
                 f"forcing: wanted at least 8 samples in a cycle of the fastest tone, came {highest_hz:g} Hz "
                 f"at sampling.rate_hz = {self.sampling.rate_hz:g}"
+            )
+        if self.backend.marker_v > self.limits.drive_v:  # it is played before the run, and passes no clamp
+            raise ValueError(
+                f"backend.marker_v: the chirp that finds the loop-back has {self.backend.marker_v:g} V; limits.drive_v "
+                f"allows {self.limits.drive_v:g}; lower it"
             )
         return self
 

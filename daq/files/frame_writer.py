@@ -12,6 +12,7 @@ import contextlib
 import functools
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -69,6 +70,19 @@ class FrameWriter:
                 raise InputError(f"{path}: exists already and is never overwritten; choose another name.") from error
             raise InputError(f"{path}: cannot be created ({error}).") from error
         self.path = path
+        self.is_broken = False
+        self._hdf5_descriptor = self._file.id.get_vfd_handle()
+        self._identity = os.fstat(self._hdf5_descriptor).st_ino  # by which a file that was replaced is noticed
+        try:
+            self._lay_out(channels, attributes)
+        except (OSError, RuntimeError) as error:
+            self._let_go()
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise InputError(f"{path}: cannot be created ({in_plain_words(error)}).") from error
+
+    def _lay_out(self, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:
+        """Create all that the file will hold (raises OSError or RuntimeError where the disk refuses)."""
         self.n_samples = self.n_lost = self.n_doubtful = 0
         self._n_channels = len(channels)
         self._n_blocks = self._n_steps = 0
@@ -94,11 +108,8 @@ class FrameWriter:
         self._file.flush()
         # single writer, multiple readers: every flush leaves a file that another process can open
         self._file.swmr_mode = True
-        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
-        self._hdf5_descriptor = self._file.id.get_vfd_handle()
-        sync_folder(path.parent)  # a step that is synced later is of no use in a file without a name
-        self._identity = os.fstat(self._descriptor).st_ino  # by which a file that was replaced is noticed
-        self.is_broken = False
+        self._descriptor = os.open(self.path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        sync_folder(self.path.parent)  # a step that is synced later is of no use in a file without a name
 
     def _table(self, name: str, dtype: np.dtype[Any], chunk: int) -> Any:
         return self._file.create_dataset(name, (0,), sealed_dtype(dtype), maxshape=(None,), chunks=(chunk,))
@@ -134,7 +145,9 @@ class FrameWriter:
             yield
         except (OSError, RuntimeError) as error:
             self._let_go()
-            raise OSError(f"{self.path}: the disk refuses ({error}); what was recorded before is safe") from error
+            raise OSError(
+                f"{self.path}: the disk refuses ({in_plain_words(error)}); what was recorded before is safe"
+            ) from error
 
     def _write(self, blocks: Sequence[Block]) -> None:
         """Frames first, then the rows that acknowledge them."""
@@ -218,8 +231,9 @@ class FrameWriter:
         # a reason too long for its place is cut: twelve bytes at most for a character of JSON
         if len(text) > _END_BYTES:
             text = text_of({**ending, "why": str(ending.get("why", ""))[: _END_BYTES // 12]})
-        self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
-        self._end.id.flush()
+        with self._refusals():
+            self._end[:] = np.frombuffer(text.ljust(_END_BYTES), np.uint8)
+            self._end.id.flush()
         if self.n_samples:
             self._write_marks()
             os.fsync(self._descriptor)  # a loss of power may undo the rename that follows
@@ -265,6 +279,12 @@ class FrameWriter:
         if self.is_broken and not vanished:
             raise OSError(f"{self.path}: the disk had refused")
         return where
+
+
+def in_plain_words(refusal: Exception) -> str:
+    """The system's own words for why it refused, without HDF5's addresses, clock and descriptors around them."""
+    said = re.search(r"error message = '([^']*)'", str(refusal))
+    return said[1] if said else str(refusal)
 
 
 def _extend(dataset: Any, start: int, rows: NDArray[Any], memory_type: Any) -> None:

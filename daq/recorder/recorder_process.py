@@ -176,12 +176,15 @@ class RecorderProcess(ClosedRun):
         try:
             self._pipe.send(("close", (how, why, expected_samples)))
             self._answer("close", 600.0)
-        except (BrokenPipeError, ConnectionResetError, EOFError) as error:
-            said = self._fault or f"{self.path}: the recorder is gone; run: bench recover {self.path}"
-            raise OSError(said) from error
+        except BrokenPipeError as error:
+            raise self._gone() from error
         finally:
             self._process.join(5.0)
             self.ring.close()
+
+    def _gone(self) -> OSError:
+        """What a recorder that is no more said last, or that it is gone."""
+        return OSError(self._fault or f"{self.path}: the recorder is gone; run: bench recover {self.path}")
 
     def _answer(self, to: str, within_s: float) -> None:
         """Wait for the recorder's answer; an error it reports is raised here."""
@@ -189,7 +192,10 @@ class RecorderProcess(ClosedRun):
         while not self._pipe.poll(min(0.2, within_s)):
             if not self._process.is_alive() or self._clock.monotonic_s() > until:
                 raise OSError(f"{self.path}: the recorder does not answer ({to}); run: bench recover {self.path}")
-        kind, message = self._pipe.recv()
+        try:
+            kind, message = self._pipe.recv()
+        except (EOFError, ConnectionResetError) as error:  # it was killed: its end of the pipe is closed
+            raise self._gone() from error
         if kind == "input":
             raise InputError(message)
         if kind == "error":

@@ -6,6 +6,7 @@ in a process that may do so.
 
 from __future__ import annotations
 
+import contextvars
 import importlib
 import json
 import os
@@ -13,7 +14,8 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,19 @@ class Answer:
 SERVE = "from daq.recording.subprocess_reader import serve; serve()"
 
 
+_HERE = contextvars.ContextVar("_HERE", default=False)
+
+
+@contextmanager
+def read_here() -> Iterator[None]:
+    """Call in this process for the length of a block: for a simulation, of files that HDF5 survives (decision 461)."""
+    before = _HERE.set(True)
+    try:
+        yield
+    finally:
+        _HERE.reset(before)
+
+
 def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
     """Call ``module:function`` in a process of its own.
 
@@ -51,6 +66,14 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
     InputError, OSError
         As the function did; whatever else ends it is in the answer.
     """
+    if _HERE.get():
+        said_here = [""]
+        try:
+            return Answer(json.loads(json.dumps(_named(function)(*arguments, said_here.append))))
+        except (RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
+            if isinstance(error, InputError):
+                raise
+            return Answer(None, f"reading it ended ({error})", said_here[-1])
     places = [str(Path(entry or ".").resolve()) for entry in sys.path]
     errors: list[str] = []
     said: queue.SimpleQueue[str | None] = queue.SimpleQueue()
@@ -103,8 +126,7 @@ def _follow(said: queue.SimpleQueue[str | None], patience_s: float) -> Answer:
 
 def serve() -> None:
     """Body of the process: call what the command line names, within limits."""
-    module, _, name = sys.argv[1].partition(":")
-    function = getattr(importlib.import_module(module), name)
+    function = _named(sys.argv[1])
     limit_memory(768 << 20)  # above what the process has when it starts
 
     def say(message: dict[str, Any]) -> None:
@@ -117,6 +139,13 @@ def serve() -> None:
     except (InputError, OSError) as error:
         say({"answer": {"refused": type(error).__name__, "text": str(error)}})
     os._exit(0)  # what HDF5 would do at the end of a file that is damaged is not waited for
+
+
+def _named(function: str) -> Callable[..., Any]:
+    """The function called ``module:function``."""
+    module, _, name = function.partition(":")
+    named: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return named
 
 
 def limit_memory(n_bytes: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -211,3 +212,9 @@ def test_a_ratio_beyond_any_run_is_refused() -> None:
     """c above a thousand is refused where a ramp is to be driven."""
     text = GOOD.replace("ratio = 1 ", "ratio = 2000 ").replace("frequency_hz = 25.37", "frequency_hz = 0.5")
     assert "forcing.ratio: wanted at most 1000" in refusal(text)
+
+
+def test_a_marker_beyond_the_drives_limit_is_refused() -> None:
+    """The chirp at the start passes no clamp, so its profile is refused: the limit holds for all that is played."""
+    text = re.sub(r"drive_v = [0-9.]+", "drive_v = 0.05", GOOD)
+    assert text != GOOD and "backend.marker_v: the chirp" in refusal(text)

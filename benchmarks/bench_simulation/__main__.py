@@ -1,0 +1,82 @@
+"""Simulate the whole bench, seed by seed, and say what was broken.
+
+    python -m benchmarks.bench_simulation --seeds 0:1000 --minutes 1
+    python -m benchmarks.bench_simulation --plan '{...}'
+
+A seed that fails is printed with its plan, shrunk to the fewest faults that still break something.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import logging
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from benchmarks.bench_simulation.disk import Disk, with_library
+from benchmarks.bench_simulation.mutants import MUTANTS, mutate
+
+MODULE = "benchmarks.bench_simulation"
+
+
+def main(arguments: list[str]) -> int:
+    """Simulate; the number of seeds that broke something."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", default="0:100", help="first and one past the last")
+    parser.add_argument("--minutes", type=float, default=1.0, help="of the bench's own time, of a ramp")
+    parser.add_argument("--plan", help="one plan, as a failure prints it")
+    parser.add_argument("--plans", type=Path, help="file of plans, one a line; lines that begin with # are words")
+    parser.add_argument("--mutant", choices=sorted(MUTANTS), help="with this error put into the product")
+    parser.add_argument("--twice", type=int, default=10, help="every so many seeds is run twice and compared")
+    parser.add_argument("--most", type=int, default=10, help="failures after which it ends")
+    given = parser.parse_args(arguments)
+    with_library(MODULE, arguments)
+    if given.mutant:
+        mutate(given.mutant)
+    from benchmarks.bench_simulation.judge import simulate
+    from benchmarks.bench_simulation.plan import Plan, draw
+    from benchmarks.bench_simulation.shrink import shrunk
+
+    logging.disable()
+    disk = Disk()
+    try:
+        first, last = (int(part) for part in given.seeds.split(":"))
+        plans: Iterable[Plan] = (draw(seed, given.minutes) for seed in range(first, last))
+        if given.plan or given.plans:
+            lines = [given.plan] if given.plan else given.plans.read_text(encoding="utf-8").splitlines()
+            plans = [Plan.from_json(line) for line in lines if not line.startswith("#")]
+        simulate(draw(0), disk)  # compiled before the clock runs
+        gc.collect()
+        gc.freeze()
+        began, lived_s, n, failed = time.process_time(), 0.0, 0, 0
+        faults: Counter[str] = Counter()
+        for plan in plans:
+            broken, print_, seconds = simulate(plan, disk)
+            if given.twice and plan.seed % given.twice == 0 and simulate(plan, disk)[1] != print_:
+                broken = [*broken, "the same seed gave other bytes"]
+            n, lived_s = n + 1, lived_s + seconds
+            faults.update(fault.kind for fault in plan.faults)
+            if broken:
+                failed += 1
+                small, left = shrunk(plan, broken, disk)
+                print(f"seed {plan.seed}: {'; '.join(left)}\n  --plan '{small.to_json()}'", flush=True)
+                if failed >= given.most:
+                    break
+        spent = time.process_time() - began
+        print(f"{n} runs, {failed} broke something; {sum(faults.values())} faults of {len(faults)} kinds")
+        print(f"{spent:.1f} s of processor time, {1e3 * spent / max(n, 1):.0f} ms a run, {lived_s / 3600:.1f} h lived, "
+              f"{lived_s / spent:.0f} times real time")  # fmt: skip
+        return failed
+    finally:
+        disk.close()
+
+
+if __name__ == "__main__":
+    status = min(main(sys.argv[1:]), 1)
+    sys.stdout.flush()
+    os._exit(status)  # HDF5 would close what killed processes held
