@@ -135,14 +135,8 @@ def fit_falls(
     judged = np.flatnonzero(np.isfinite(width))
     usual, width = usual[judged], width[judged]
 
-    def named(vector: Floats) -> dict[str, dict[str, float]]:
-        out: dict[str, dict[str, float]] = {name: {} for name in fitted}
-        for (name, owner), value in zip(slots, vector.tolist(), strict=True):
-            out[name][owner] = value
-        return out
-
     def left(vector: Floats) -> Floats:
-        values = {**(known or {}), **named(vector)}
+        values = {**(known or {}), **_named(slots, vector)}
         return np.concatenate(
             [(read - heights_m(values, setting, falls, times)) / unit, (vector[judged] - usual) / width]
         )
@@ -171,7 +165,15 @@ def fit_falls(
     residuals = [part * unit for part in np.split(found.fun[:count], bounds[1:-1])]
     squares = float(sum(part @ part for part in residuals))
     sigma = float(np.sqrt(squares / max(count - len(slots) + len(judged), 1)))
-    return FallFit(tuple(names), named(found.x), named(wide), residuals, evidence, sigma)
+    return FallFit(tuple(names), _named(slots, found.x), _named(slots, wide), residuals, evidence, sigma)
+
+
+def _named(slots: Sequence[tuple[str, str]], vector: Floats) -> dict[str, dict[str, float]]:
+    """Parameter -> owner -> value."""
+    out: dict[str, dict[str, float]] = {name: {} for name, _ in slots}
+    for (name, owner), value in zip(slots, vector.tolist(), strict=True):
+        out[name][owner] = value
+    return out
 
 
 def _prior(name: str, owner: str, setting: Setting, noise: Noise) -> tuple[float, float]:

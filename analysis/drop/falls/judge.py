@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from analysis.drop.falls.fall import Fall, axis_of
-from analysis.drop.falls.fit import AXIS, OWN_AXIS, FallFit, Noise, Setting, Sizes, fit_falls
+from analysis.drop.falls.fit import AXIS, OWN_AXIS, FallFit, Noise, Setting, Sizes, Values, fit_falls, heights_m
 from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.laws.choice import Candidate, Verdict, choose, worth_of
 from analysis.drop.thresholds import LARGEST_MISFIT, LEVEL_SIGMAS
@@ -41,9 +41,11 @@ class FallCandidate(Candidate):
 
     ADDED = True  # a light ball needs drag where a heavy one does not
     fit: FallFit
-    # held_out, uncalibrated: of each fall, read less predicted with what the other falls say, m; empty without others.
-    # A drop's release is its own in both; what its own axis has only in the first
+    # held_out, between, uncalibrated: of each fall, read less predicted with what the other falls say, m; empty where
+    # there are none. What is a drop's own (release, axis) comes from all of it; from every other stretch of it, and the
+    # error is of the stretches between; or only its release is its own
     held_out: list[Floats]
+    between: list[Floats]
     uncalibrated: list[Floats]
 
     @property
@@ -167,7 +169,8 @@ def _candidate(
     drops_of = Counter(fall.ball for fall in falls)
     own = tuple(name for name in names if name in (*OWN_AXIS, "below_m"))
     none = np.empty(0)
-    scores, held_out, uncalibrated = np.zeros(len(falls)), [none] * len(falls), [none] * len(falls)
+    scores = np.zeros(len(falls))
+    held_out, between, uncalibrated = ([none] * len(falls) for _ in range(3))
     for i, fall in enumerate(falls):
         if drops_of[fall.ball] < 2:
             continue
@@ -176,6 +179,20 @@ def _candidate(
         shared = {name: table for name, table in others.values.items() if name not in own}
         held_out[i] = fit_falls([fall], own, setting, noise, shared, fit).left[0]
         uncalibrated[i] = fit_falls([fall], (), setting, noise, shared, fit).left[0] if own else held_out[i]
+        between[i] = _between(fall, own, setting, noise, shared, fit)
     left = np.concatenate([*held_out, none])
     rms = float(np.sqrt(np.mean(left**2))) if len(left) else float("nan")
-    return FallCandidate(model, scores, fit.rms_m, rms, bool(len(left)), fit, held_out, uncalibrated)
+    return FallCandidate(model, scores, fit.rms_m, rms, bool(len(left)), fit, held_out, between, uncalibrated)
+
+
+def _between(fall: Fall, own: tuple[str, ...], setting: Setting, noise: Noise, shared: Values, near: FallFit) -> Floats:
+    """What is left of inner eighths of a drop whose release and own axis come from the rest of it, m.
+
+    Not of the first and the last eighth: an axis is not foretold beyond what was seen of it.
+    """
+    part, left = np.arange(len(fall.time_s)) * 8 // len(fall.time_s), np.zeros(len(fall.time_s))
+    for held in (np.isin(part, (1, 5)), np.isin(part, (2, 6)), np.isin(part, (3,)), np.isin(part, (4,))):
+        seen = replace(fall, time_s=fall.time_s[~held], height_m=fall.height_m[~held])
+        values = {**shared, **fit_falls([seen], own, setting, noise, shared, near).values}
+        left[held] = fall.height_m[held] - heights_m(values, setting, [fall], [fall.time_s[held]])
+    return left[(part > 0) & (part < 7)]

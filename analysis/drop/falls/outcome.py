@@ -102,6 +102,7 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
         "held_out_rms_m": {
             "before": _rms(plain.held_out, own),
             "after": _rms(best.held_out, own),
+            "after_between": _rms(best.between, own),
             "after_uncalibrated": _rms(best.uncalibrated, own),
         },
         "mass_kg": mass_kg, "diameter_m": diameter_m,
@@ -154,8 +155,13 @@ def _in_words(judged: Judged, payload: dict[str, Any]) -> list[str]:
             f"free fall, {100 * after:.0f} cm after; {100 * best.rms:.0f} cm on drops fitted."
         )
         if is_own:
-            bare = _rms(best.uncalibrated, range(len(judged.falls))) or 0.0
-            words.append(f"Where only the release is fitted to a drop: {100 * bare:.0f} cm after.")
+            between, bare = (
+                100 * (_rms(one, range(len(judged.falls))) or 0.0) for one in (best.between, best.uncalibrated)
+            )
+            words.append(
+                f"Where its own axis comes from other stretches of it: {between:.0f} cm; where only the release is "
+                f"fitted to a drop: {bare:.0f} cm after."
+            )
     else:
         words.append("No ball was dropped twice: nothing beyond free fall can be borne out by another drop.")
     words += outcome.ties_in_words(payload)

@@ -83,7 +83,8 @@ def test_axes_of_drops_are_found_and_the_error_without_them_is_said() -> None:
     result = of_falls(judge_falls(falls_of(drags, 0.0, np.random.default_rng(390), own=0.05), G, {}))
     assert result.payload["axis"]["own"] >= 0.02
     for one in result.payload["balls"]:
-        assert one["held_out_rms_m"]["after"] < 0.08 < one["held_out_rms_m"]["after_uncalibrated"]
+        errors = one["held_out_rms_m"]
+        assert errors["after"] < errors["after_between"] < 0.08 < errors["after_uncalibrated"]
     assert any("only the release is fitted" in words for words in result.sentences)
 
 
