@@ -134,9 +134,10 @@ class Profile(Setup):
                 f"sampling.rate_hz: wanted at most {MOST_RATE_HZ:g} to drive a ramp, came {self.sampling.rate_hz:g}; "
                 "every sample passes the interlock and the recorder as it comes"
             )
-        if self.forcing.ratio > MOST_RATIO:
-            raise ValueError(f"forcing.ratio: wanted at most {MOST_RATIO} to drive a ramp, came {self.forcing.ratio}")
-        highest_hz = self.forcing.frequency_hz * self.forcing.ratio
+        highest = self.forcing.multiples[-1]
+        if highest > MOST_RATIO:
+            raise ValueError(f"forcing.ratio: wanted at most {MOST_RATIO} to drive a ramp, came {highest}")
+        highest_hz = self.forcing.frequency_hz * highest
         if highest_hz * 8 > self.sampling.rate_hz:
             raise ValueError(
                 f"forcing: wanted at least 8 samples in a cycle of the fastest tone, came {highest_hz:g} Hz "

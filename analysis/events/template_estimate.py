@@ -239,7 +239,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
         if share_at_an_end(volts[own], rate_hz) > STANDS:
             continue  # the edges of what is cut off would look like impacts
         first, ratio = float(row["frequency_hz"]), int(row["ratio"])
-        tones_hz = first * np.array(multiples_of(ratio))
+        tones_hz = first * np.array(multiples_of((1, ratio)))
         tones_hz = np.append(tones_hz, separable_lines(MAINS_HZ, tones_hz, (stop - start) / rate_hz))
         every = LockIn(rate_hz, tones_hz)
         every.add(volts[own], start)

@@ -341,17 +341,20 @@ def _hidden(
 def _clearances(place, turn, speed, step_s, g, lowest, highest):  # type: ignore[no-untyped-def]
     """Least clearance of each path from rest well before its end, and its largest distance from the plate, m.
 
-    The plate's place is the real part of the sum of its tones ``place`` (2, n), which turn by ``turn`` (2, n) from each
-    point of a path to the next, ``step_s`` (n,) later; a path begins with ``speed`` (n,).
+    The plate's place is the real part of the sum of its tones ``place`` (k, n), which turn by ``turn`` (k, n) from each
+    point of a path to the next, ``step_s`` (n,) later; a path begins with ``speed`` (n,). ``place`` is used up.
     """
     for i in range(speed.shape[0]):
-        first, second, t = place[0, i], place[1, i], 0.0
-        begin, low, high = first.real + second.real, 1e300, 0.0
+        begin, low, high, t = 0.0, 1e300, 0.0, 0.0
+        for j in range(place.shape[0]):
+            begin += place[j, i].real
         for k in range(1, HIDDEN_POINTS):
-            first *= turn[0, i]
-            second *= turn[1, i]
             t += step_s[i]
-            height = (speed[i] - 0.5 * g * t) * t - (first.real + second.real - begin)
+            at = 0.0
+            for j in range(place.shape[0]):
+                place[j, i] *= turn[j, i]
+                at += place[j, i].real
+            height = (speed[i] - 0.5 * g * t) * t - (at - begin)
             high = max(high, abs(height))
             if k <= HIDDEN_BEFORE:
                 low = min(low, height)

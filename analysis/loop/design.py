@@ -17,7 +17,7 @@ from analysis.attribution.priors import Prior, null_value_of, priors_of
 from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIRD, PlateData, expected, second_share
+from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIRD, PlateData, expected, share_of_first
 from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
@@ -239,13 +239,14 @@ def _flights(
 def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
     """Plate data of a new run: the kinds that the present run gave, in each step, where noise is what it was there."""
     rows: list[tuple[float, ...]] = []
-    second = (seen.multiple == seen.ratio) & (seen.ratio > 1)
-    seen_mps2 = seen.scale * np.where(second & np.isin(seen.kind, (GAIN, PHASE)), np.abs(seen.share), 1.0)
+    seen_mps2 = seen.scale * np.where(np.isin(seen.kind, (GAIN, PHASE)), np.abs(seen.own_share), 1.0)
+    turns = steps.plate.omega_radps[:, :tones] * steps.plate.period_s[:, None] / (2.0 * np.pi)
+    driven = np.rint(turns).astype(np.int64)
     for kind in np.unique(seen.kind):
         like, power = seen.kind == kind, OVER_AMPLITUDE.get(int(kind), 0)
         noise, omega = (float(np.median(x[like])) for x in (seen.sigma * seen_mps2**power, seen.omega_radps))
         for i in range(len(steps)):
-            if {SECOND: 2, THIRD: 3}.get(int(kind)) == steps.ratio[i]:  # a forcing tone there
+            if {SECOND: 2, THIRD: 3}.get(int(kind)) in driven[i].tolist():  # a forcing tone there
                 continue
             scale = float(np.abs(steps.plate.acceleration_mps2[i, 0]))
             for j in range(tones if kind in (GAIN, PHASE) else 1):
@@ -256,9 +257,9 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     multiple = np.rint(table[:, 4] * steps.plate.period_s[step] / (2.0 * np.pi)).astype(np.int64)
     value, error, omega_radps, asked, scale = table[:, 2:].T
-    first, second = steps.plate.acceleration_mps2[:, [0, tones - 1]].T
-    share = np.where(steps.ratio == 1, 1.0, second_share(first, second, steps.ratio))
-    return PlateData(kind, step, value, error, omega_radps, asked, scale, multiple, steps.ratio[step], share[step])
+    first, others = steps.plate.acceleration_mps2[:, :1], steps.plate.acceleration_mps2[:, 1:tones]
+    shares = share_of_first(first, others, driven[:, 1:])
+    return PlateData(kind, step, value, error, omega_radps, asked, scale, multiple, driven[step, 1:], shares[step])
 
 
 def ranking_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:

@@ -44,6 +44,7 @@ from analysis.signals.stream import block_means
 from daq.instrument.saturation import NO_ENDS, Ends, blocks_at_an_end
 from daq.lock_in import LockIn
 from daq.recording import Recording
+from daq.setup.setup import Forcing
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
@@ -103,9 +104,12 @@ class PlatePiece:
         return block_means(self.acceleration_v, width, skip), drive, fraction, cut_off
 
 
-def block_width(rate_hz: float, steps: npt.NDArray[np.void]) -> int:
+def block_width(rate_hz: float, steps: npt.NDArray[np.void], forcing: Forcing) -> int:
     """Samples averaged: at most `BLOCK_S`, and three blocks a period of the highest tone anywhere."""
-    highest = max((float(s["frequency_hz"]) * max(multiples_of(int(s["ratio"]))) for s in steps), default=1.0)
+    highest = max(
+        (float(s["frequency_hz"]) * max(multiples_of(forcing.multiples_at(int(s["ratio"])))) for s in steps),
+        default=1.0,
+    )
     return max(1, min(int(rate_hz * BLOCK_S), int(rate_hz / (3.0 * highest))))
 
 
@@ -131,7 +135,7 @@ class StepAccumulator:
         factor, offset = recording.scale("accelerometer")
         low, high = sorted((end - offset) / factor for end in ends_v)
         self.ends = low, high  # as codes
-        self.width = block_width(self.rate_hz, steps)
+        self.width = block_width(self.rate_hz, steps, recording.setup.forcing)
         self.block_rate_hz = self.rate_hz / self.width
         self.masks = np.array([max(int(np.ceil(part * mask_s * self.block_rate_hz)), 1) for part in MASK_PARTS])
         self.starts = steps["first_sample"] + steps["settle_samples"]
@@ -181,7 +185,8 @@ class StepAccumulator:
         hold_s = max((stop - start) / self.rate_hz, 1.0 / self.rate_hz)
         nominal_hz, ratio = float(self.steps["frequency_hz"][k]), int(self.steps["ratio"][k])
         ends = self.ends if np.any(np.isfinite(self.ends)) else None
-        return StepState(k, nominal_hz, ratio, start, start, hold_s, ends=ends)
+        driven = self.recording.setup.forcing.multiples_at(ratio)
+        return StepState(k, nominal_hz, driven, start, start, hold_s, ends=ends)
 
     def _unbroken(self, start: int, stop: int) -> list[tuple[int, int]]:
         """``[start, stop)`` broken at lost samples."""
@@ -277,7 +282,7 @@ class StepAccumulator:
     def _frequencies(self, state: StepState) -> tuple[tuple[int, ...], Floats]:
         """Tones of the step: what fits under the blocks' rate; mains lines that can be separated; their multiples."""
         limit = 0.45 * self.block_rate_hz
-        multiples = tuple(m for m in multiples_of(state.ratio) if m == 1 or m * state.frequency_hz < limit)
+        multiples = tuple(m for m in multiples_of(state.forcing) if m == 1 or m * state.frequency_hz < limit)
         tones = state.frequency_hz * np.array(multiples)
         mains = [m.hz for m in state.mains] + [hz for m in state.mains for hz in m.multiples_hz]
         lines = separable_lines([hz for hz in mains if hz < limit], tones, state.hold_s)

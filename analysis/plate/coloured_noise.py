@@ -19,7 +19,8 @@ from analysis.plate.motion import StepPlate
 def with_coloured_noise(steps: Sequence[StepPlate | None]) -> tuple[StepPlate | None, ...]:
     """Steps with the uncertainties of the forcing's tones as large as their phases in windows scatter."""
     fitted = [s for s in steps if s is not None]
-    squares = np.zeros((2, 2))  # by forcing tone: sum of squares, and degrees of freedom
+    tones = max((len(s.forcing_multiples) for s in fitted), default=1)
+    squares = np.zeros((tones, 2))  # by forcing tone: sum of squares, and degrees of freedom
     for s in fitted:
         for t in range(len(s.forcing_multiples)):
             squares[t] += _phase_scatter(s, t)

@@ -218,15 +218,15 @@ def _driven(recording: Recording, drive_v: Floats, block_s: float) -> Floats:
     time_s = (np.arange(n) + 0.5) * block_s
     cycle = max(round(1.0 / forcing.frequency_hz / block_s), 1)
     tones: list[Complexes] = []
-    for multiple in sorted({1, forcing.ratio}):
+    for multiple in forcing.multiples:
         turning = np.exp(-1j * multiple * w * time_s)
         low: Complexes = _cycle_mean(_cycle_mean(2.0 * drive_v * turning, cycle), cycle)
         tones.append(np.asarray(low * np.conj(turning)))
     level = np.abs(tones[0]) ** 2
     first = tones[0]
     columns = [*tones, *(level * z for z in tones), first**2, first**3]
-    if len(tones) > 1:
-        columns += [first * tones[1], np.conj(first) * tones[1], tones[1] ** 2]
+    for further in tones[1:]:
+        columns += [first * further, np.conj(first) * further, further**2]
     whole = [drive_v, np.gradient(drive_v)]  # the tones' means over cycles lag in a fade
     table = np.concatenate([whole, *([z.real, z.imag] for z in columns)])
     size = np.sqrt(np.mean(table**2, axis=1))

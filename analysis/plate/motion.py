@@ -128,8 +128,8 @@ class StepPlate:
         First tone on the recording's clock, measured where the drive or the accelerometer shows a difference.
     nominal_hz : float
         Frequency of the step table.
-    ratio : int
-        c.
+    forcing_multiples : tuple of int
+        Multiples of the first tone at which the plate is driven.
     multiples : tuple of int
         Multiple of the frequency of each fitted tone; mains lines follow after them.
     acceleration : ToneFit
@@ -166,7 +166,7 @@ class StepPlate:
     frequency_hz: float
     frequency_uncertainty_hz: float
     nominal_hz: float
-    ratio: int
+    forcing_multiples: tuple[int, ...]
     multiples: tuple[int, ...]
     acceleration: ToneFit
     unmasked_mps2: Complexes
@@ -216,9 +216,9 @@ class StepPlate:
         return complex(fit.amplitudes[i]), fit.covariance[own, own]
 
     @property
-    def forcing_multiples(self) -> tuple[int, ...]:
-        """``(1,)`` at c = 1, else ``(1, c)``."""
-        return (1,) if self.ratio == 1 else (1, self.ratio)
+    def ratio(self) -> int:
+        """c, the second tone's multiple; 1 where there is none."""
+        return self.forcing_multiples[min(1, len(self.forcing_multiples) - 1)]
 
     def relative_amplitude(self) -> tuple[Floats, Floats]:
         """Relative deviation of the forcing's amplitude in each window beyond the drive's own; its uncertainty."""
@@ -329,9 +329,9 @@ class PlateMotion:
         return np.asarray((z * np.exp(1j * omega * self.true_time_s(time_s))).real.sum(axis=0))
 
     def forcing_tones(self, step: Integers) -> tuple[Floats, Complexes]:
-        """Angular frequencies in rad/s and amplitudes in m/s^2 of the forcing's tones in steps (n,), both (2, n).
+        """Angular frequencies in rad/s and amplitudes in m/s^2 of the forcing's tones in steps (n,), both (k, n).
 
-        The second tone of a forcing that has but one is 0 at 0 rad/s; NaN where the step was not fitted.
+        There are two at least; a tone that a forcing does not have is 0 at 0 rad/s; NaN where the step was not fitted.
         """
         omega, z = self._forcing
         row_of = np.where((step >= 0) & (step < len(self.steps)), step, len(self.steps))
@@ -340,15 +340,16 @@ class PlateMotion:
     @cached_property
     def _forcing(self) -> tuple[Floats, Complexes]:
         """The forcing's tones of every step, and of none."""
-        omega, z = np.full((2, len(self.steps) + 1), np.nan), np.zeros((2, len(self.steps) + 1), dtype=np.complex128)
+        count = max((len(s.forcing_multiples) for s in self.steps if s is not None), default=1)
+        shape = max(count, 2), len(self.steps) + 1
+        omega, z = np.full(shape, np.nan), np.zeros(shape, dtype=np.complex128)
         for k, fitted in enumerate(self.steps):
             if fitted is not None:
                 for row, multiple in enumerate(fitted.forcing_multiples):
                     at = fitted.multiples.index(multiple)
                     omega[row, k] = TWO_PI * fitted.acceleration.frequencies_hz[at]
                     z[row, k] = fitted.acceleration.amplitudes[at]
-                if len(fitted.forcing_multiples) == 1:
-                    omega[1, k] = 0.0
+                omega[len(fitted.forcing_multiples) :, k] = 0.0
         return omega, z
 
     def _table(self) -> tuple[Floats, Floats]:

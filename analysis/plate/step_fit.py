@@ -32,12 +32,12 @@ STEP_SAMPLES = 4096  # in which a converter's step is looked for
 PEAK_POINTS = 361  # points of a period at which the peak acceleration is looked for
 
 
-def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, ratio: int) -> float:
+def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, forcing: tuple[int, ...]) -> float:
     """``A w^2 / g`` of tones in m/s^2: from the first tone, or the second where the first has no amplitude."""
     g = setup.g_mps2.value
     tones = dict(setup.forcing.displacement_tones())
-    if setup.forcing.ratio != ratio:
-        tones = {1: 1.0 + 0j, ratio: 1.0 + 0j} if ratio > 1 else {1: 2.0 + 0j}
+    if setup.forcing.multiples != forcing:  # a step with another c than the profile: the paper's superposition
+        tones = dict.fromkeys(forcing, 1.0 + 0j) if len(forcing) > 1 else {1: 2.0 + 0j}
     for multiple in sorted(tones):
         if abs(tones[multiple]) > 1e-9 and multiple in multiples:
             return float(abs(amplitudes[multiples.index(multiple)])) / (g * abs(tones[multiple]) * multiple**2)
@@ -82,7 +82,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     acceleration = with_rounding(acceleration, step_v * abs(factor), noise_mps2)
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
-    gamma = gamma_of(unmasked, multiples, setup, state.ratio)
+    gamma = gamma_of(unmasked, multiples, setup, state.forcing)
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
     total.forget()  # its sums stay with the step until the recording is read to its end
     return StepPlate(
@@ -92,7 +92,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         frequency_hz=state.frequency_hz,
         frequency_uncertainty_hz=state.frequency_uncertainty_hz,
         nominal_hz=state.nominal_hz,
-        ratio=state.ratio,
+        forcing_multiples=state.forcing,
         multiples=multiples,
         acceleration=acceleration,
         unmasked_mps2=unmasked,
@@ -101,7 +101,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
         gamma_peak=gamma_peak_of(unmasked[rows], tuple(multiples[r] for r in rows), setup.g_mps2.value),
-        gamma_drive=_drive_gamma(drive, multiples, setup, state.ratio),
+        gamma_drive=_drive_gamma(drive, multiples, setup, state.forcing),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),
         cut_off=share_at_an_end(some, recording.rate_hz, state.ends),
@@ -120,12 +120,12 @@ def _unmasked(every: LockIn, total: LockIn, contact: LockIn, gravity_v: float) -
     return values
 
 
-def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup, ratio: int) -> float:
+def _drive_gamma(drive: ToneFit | None, multiples: tuple[int, ...], setup: Setup, forcing: tuple[int, ...]) -> float:
     """Gamma from drive volts and the declared ``g_per_volt``; NaN where that is not known."""
     if drive is None or setup.drive.g_per_volt is None:
         return float("nan")
     scale = setup.drive.g_per_volt.value * setup.g_mps2.value
-    return gamma_of(drive.amplitudes * scale, multiples, setup, ratio)
+    return gamma_of(drive.amplitudes * scale, multiples, setup, forcing)
 
 
 def _without_modulation(fit: ToneFit, windows: Windows, rows: list[int], noise_mps2: float) -> ToneFit:

@@ -21,9 +21,9 @@ CONTACT, NEITHER, FLIGHT = range(3)
 N_BLOCK_CLASSES = 3 * N_MASK_LEVELS
 
 
-def multiples_of(ratio: int) -> tuple[int, ...]:
-    """Multiples of the forcing that are fitted: harmonics of the first tone to `HARMONICS`, and of the second to 3."""
-    return tuple(sorted(set(range(1, HARMONICS + 1)) | {ratio * k for k in (1, 2, 3)}))
+def multiples_of(forcing: tuple[int, ...]) -> tuple[int, ...]:
+    """Multiples that are fitted to a ``forcing`` of some: the first tone's to `HARMONICS`, those of others to 3."""
+    return tuple(sorted(set(range(1, HARMONICS + 1)) | {m * k for m in forcing for k in (1, 2, 3)}))
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class StepState:
 
     step: int
     nominal_hz: float
-    ratio: int
+    forcing: tuple[int, ...]
     first_sample: int
     last_sample: int
     hold_s: float
@@ -114,7 +114,7 @@ class StepState:
     @property
     def rows(self) -> list[int]:
         """Rows of the forcing's tones among the fitted ones."""
-        return [self.multiples.index(m) for m in sorted({1, self.ratio}) if m in self.multiples]
+        return [self.multiples.index(m) for m in self.forcing if m in self.multiples]
 
     def clear_classes(self, places: tuple[int, ...] = (CONTACT, NEITHER, FLIGHT)) -> Integers:
         """Block classes of the given places outside the chosen mask."""

@@ -18,7 +18,8 @@ def tones_of(fitted: Sequence[StepPlate]) -> tuple[Floats, Complexes]:
     k = max((len(s.acceleration.amplitudes) for s in fitted), default=2)
     omega, z = np.zeros((len(fitted), k)), np.zeros((len(fitted), k), dtype=np.complex128)
     for i, s in enumerate(fitted):
-        first = [s.multiples.index(m) for m in sorted({1, max(s.ratio, 2)}) if m in s.multiples]
+        leading = s.forcing_multiples if len(s.forcing_multiples) > 1 else (1, 2)
+        first = [s.multiples.index(m) for m in leading if m in s.multiples]
         order = [*first, *(j for j in range(len(s.acceleration.amplitudes)) if j not in first)]
         omega[i] = s.omega_radps * (max(s.multiples) + 1.0 + np.arange(k))
         omega[i, : len(order)] = 2.0 * np.pi * s.acceleration.frequencies_hz[order]

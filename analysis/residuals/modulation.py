@@ -48,7 +48,7 @@ class AmplitudeModulation:
     span_s
         Start and end of each step's fit, (m, 2).
     omega_radps, seen_mps2
-        Every fitted tone and its amplitude, the forcing's two (or its one and the second harmonic) first, (m, k).
+        Every fitted tone and its amplitude, the forcing's (or its only one and the second harmonic) first, (m, k).
     tones
         Number of tones of the forcing, (m,).
     gain, gain_sigma
@@ -192,8 +192,8 @@ class AmplitudeModulation:
 
     @cached_property
     def _signed(self) -> tuple[Floats, Floats]:
-        """Both signs of every fitted tone, (m, 1 + 2 k), and of the forcing's, (m, 5)."""
-        return signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, :2])
+        """Both signs of every fitted tone, (m, 1 + 2 k), and of the leading ones, (m, 1 + 2 l)."""
+        return signed_frequencies(self.omega_radps), signed_frequencies(self.omega_radps[:, : self._leading])
 
     @cached_property
     def _gram(self) -> Complexes:
@@ -202,7 +202,7 @@ class AmplitudeModulation:
 
     @cached_property
     def _window_gram(self) -> Complexes:
-        """Normal equations of the windows' fits, (w, 5, 5)."""
+        """Normal equations of the windows' fits, (w, 1 + 2 l, 1 + 2 l)."""
         of = self.window_step
         return self.intervals.in_windows.gram(self._signed[1][of], _in_both_senses(self._forced)[of])
 
@@ -245,8 +245,9 @@ class AmplitudeModulation:
         """Contribution of each recording's modulation to the windows, (w,), and to the steps' gains, (m,)."""
         depth, phase = np.abs(phasor)[self.recording], np.angle(phasor)[self.recording]
         true = self._true(self.seen_mps2, fit, depth, phase)
-        power = np.where(self._forced, np.abs(self.seen_mps2[:, :2]) ** 2, 0.0)
-        logs = np.log(np.abs(self.seen_mps2[:, :2] / np.where(true[:, :2] == 0.0, 1.0, true[:, :2])) + TINY)
+        seen, true_own = self.seen_mps2[:, : self._leading], true[:, : self._leading]
+        power = np.where(self._forced, np.abs(seen) ** 2, 0.0)
+        logs = np.log(np.abs(seen / np.where(true_own == 0.0, 1.0, true_own)) + TINY)
         gain = np.sum(power * logs, axis=1) / np.maximum(power.sum(axis=1), TINY)
         return self._in_windows(self.seen_mps2, true, fit, depth, phase), gain
 
@@ -271,20 +272,21 @@ class AmplitudeModulation:
     # -- its contribution ----------------------------------------------------------------------------------------------
     def modulated(self, plate: PlateSteps, depth: Floats, hz: float) -> PlateSteps:
         """The plate whose forcing swells by ``depth`` (m,), each tone with its sidebands behind the other tones."""
-        fit, w = self._fit_at(hz), 2.0 * np.pi * hz
+        fit, w, leading = self._fit_at(hz), 2.0 * np.pi * hz, self._leading
         phase, forced = self.phases(hz), self._forced
         seen = self._seen(plate)
         true = self._true(seen, fit, depth, phase)
-        z = np.where(forced, true[:, :2], 0.0)
+        z = np.where(forced, true[:, :leading], 0.0)
         distance = np.abs(plate.omega_radps[:, :, None] - self.omega_radps[:, None, :])
         false = np.take_along_axis(seen - true, np.argmin(distance, axis=2), axis=1)  # lines that it mimics, too
         steady = np.where(plate.acceleration_mps2 == 0.0, 0.0, plate.acceleration_mps2 - false)
         turn = (depth * np.exp(1j * phase) / 2j)[:, None]
         tones = np.concatenate([steady, z * turn, z * np.conj(turn)], axis=1)
-        below = self.omega_radps[:, :2] - w
-        tones[:, -2:] = np.where(below < 0.0, np.conj(tones[:, -2:]), tones[:, -2:])
-        omega = np.concatenate([plate.omega_radps, self.omega_radps[:, :2] + w, np.abs(below) + (below == 0.0)], axis=1)
-        return PlateSteps(omega, tones, plate.period_s, derived=4)
+        own = self.omega_radps[:, :leading]
+        below = own - w
+        tones[:, -leading:] = np.where(below < 0.0, np.conj(tones[:, -leading:]), tones[:, -leading:])
+        omega = np.concatenate([plate.omega_radps, own + w, np.abs(below) + (below == 0.0)], axis=1)
+        return PlateSteps(omega, tones, plate.period_s, derived=2 * leading)
 
     def expected(self, data: PlateData, plate: PlateSteps, depth: Floats, hz: float) -> tuple[Floats, Floats]:
         """Contribution of the modulation to each plate datum and its standard deviation, (r,) each.
@@ -315,7 +317,8 @@ class AmplitudeModulation:
         seen = self._seen(plate)
         true = self._true(seen, self._fit_at(hz), depth, self.phases(hz))
         leak = LEAKING * np.abs(seen - true * (1.0 + depth * self._means(hz))[:, None])
-        out[:, :2] = np.where(self._forced, leak[:, :2], 0.0)
+        own = slice(self._leading)
+        out[:, own] = np.where(self._forced, leak[:, own], 0.0)
         return out
 
     def _means(self, hz: float) -> Floats:
@@ -325,48 +328,56 @@ class AmplitudeModulation:
 
     def _in_windows(self, seen: Complexes, true: Complexes, fit: ModulationFit, depth: Floats, phase: Floats) -> Floats:
         """Relative deviation of the forcing's amplitude in each window, (w,)."""
-        of, forced = self.window_step, self._forced
-        z = two_sided(np.where(forced, true[:, :2], 0.0))[of]
-        false = two_sided((seen - true)[:, 2:])[of]  # other lines in the step's fit
+        of, forced, leading = self.window_step, self._forced, self._leading
+        z = two_sided(np.where(forced, true[:, :leading], 0.0))[of]
+        false = two_sided((seen - true)[:, leading:])[of]  # other lines in the step's fit
         projection = modulated_projection(fit.window_up, fit.window_down, phase[of])
         found = z + depth[of, None] * (projection @ z[..., None])[..., 0] - (self._others @ false[..., None])[..., 0]
-        own = np.where(forced, seen[:, :2], 0.0)[of]
+        own = np.where(forced, seen[:, :leading], 0.0)[of]
         power = np.sum(np.abs(own) ** 2, axis=1)
-        change = np.sum((np.conj(own) * (2.0 * found[:, :2] - own)).real, axis=1)
+        change = np.sum((np.conj(own) * (2.0 * found[:, :leading] - own)).real, axis=1)
         return np.asarray(change / np.where(power > 0.0, power, 1.0))
 
     @cached_property
     def _others(self) -> Complexes:
-        """Projection of the tones beyond the forcing's two on windows, (w, 4, b)."""
+        """Projection of the tones beyond the leading ones on windows, (w, 2 l, b)."""
+        leading = self._leading
         own, others = (
-            signed_frequencies(self.omega_radps[self.window_step, part]) for part in (slice(2), slice(2, None))
+            signed_frequencies(self.omega_radps[self.window_step, part])
+            for part in (slice(leading), slice(leading, None))
         )
         return self.intervals.in_windows.projected(self._window_gram, own, others[:, 1:])[:, 1:]
 
+    @cached_property
+    def _leading(self) -> int:
+        """Number l of the tones that stand first in each step: those of the forcing, two at least."""
+        return max(2, int(self.tones.max(initial=0)))
+
     @property
     def _forced(self) -> Bools:
-        """Which of the first two tones are the forcing's, (m, 2)."""
-        return np.asarray(self.tones[:, None] > np.arange(2))
+        """Which of the leading tones are the forcing's, (m, l)."""
+        return np.asarray(self.tones[:, None] > np.arange(self._leading))
 
     def _seen(self, plate: PlateSteps) -> Complexes:
         """Every tone as the steps' fits have it, (m, k)."""
         out = self.seen_mps2.copy()
-        out[:, :2] = np.where(self._forced, plate.acceleration_mps2[:, :2], out[:, :2])
+        own = slice(self._leading)
+        out[:, own] = np.where(self._forced, plate.acceleration_mps2[:, own], out[:, own])
         return out
 
     def _true(self, seen: Complexes, fit: ModulationFit, depth: Floats, phase: Floats) -> Complexes:
         """The tones without the contribution of the modulation to the fits ``seen``, (m, k)."""
-        k = self.omega_radps.shape[1]
+        k, leading = self.omega_radps.shape[1], self._leading
         projection = modulated_projection(fit.step_up, fit.step_down, phase) * np.tile(self._forced, 2)[:, None, :]
         change = np.tile(np.eye(2 * k, dtype=np.complex128), (len(depth), 1, 1))
-        change[:, :, [0, 1, k, k + 1]] += depth[:, None, None] * projection
+        change[:, :, [*range(leading), *range(k, k + leading)]] += depth[:, None, None] * projection
         return np.asarray(2.0 * solve(change, two_sided(seen)[..., None])[:, :k, 0])
 
 
 @dataclass(frozen=True)
 class ModulationFit:
-    """Projections at one frequency: of the forcing's two tones in both senses, shifted up and down by it, on the tones
-    of the steps' fits (m, 2 k, 4) and of the windows' (w, 4, 4); and the modulation of each recording."""
+    """Projections at one frequency: of the l leading tones in both senses, shifted up and down by it, on the tones
+    of the steps' fits (m, 2 k, 2 l) and of the windows' (w, 2 l, 2 l); and the modulation of each recording."""
 
     step_up: Complexes
     step_down: Complexes

@@ -1,14 +1,14 @@
 """Plate data: numbers of each step that compare the plate with its drive, and their expected values.
 
 A datum is a number with its uncertainty and a kind. Its expected value is computed in one place (`expected`), from the
-hooks of the effects' own files.
+hooks of the effects' own files. Decision 450.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -47,9 +47,11 @@ class PlateData:
         What the drive asks of the first tone, in units of g (0 where unknown).
     scale
         Amplitude of the first tone, m/s^2.
-    multiple, ratio, share
-        Which multiple of the forcing the tone is, which one the second forcing tone is (1: there is none), and how
-        large the drive asks for that one, over the first; complex, its phase counted from where the first is a sine.
+    multiple
+        Which multiple of the first forcing tone the tone is.
+    others, shares
+        Which multiples the further forcing tones are (up to 1: none), (r, t), and how large the drive asks for them,
+        over the first; complex, their phases counted from where the first is a sine.
     """
 
     kind: Integers
@@ -60,8 +62,8 @@ class PlateData:
     accel_g: Floats
     scale: Floats
     multiple: Integers
-    ratio: Integers
-    share: Complexes
+    others: Integers
+    shares: Complexes
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -69,8 +71,16 @@ class PlateData:
     @cached_property
     def level_g(self) -> Floats:
         """Amplitude of one tone with the mean square of all that the drive asks for, in units of g, (r,)."""
-        second = np.where(self.ratio > 1, np.abs(self.share), 0.0)
-        return np.asarray(self.accel_g * np.hypot(1.0, second))
+        sizes = np.where(self.others > 1, np.abs(self.shares), 0.0)
+        return np.asarray(self.accel_g * functools.reduce(np.hypot, sizes.T, np.ones(len(self))))
+
+    @cached_property
+    def own_share(self) -> Complexes:
+        """How large the drive asks for the forcing tone that a datum is about, over the first, (r,); 1 for others."""
+        out = np.ones(len(self), dtype=np.complex128)
+        for other, share in zip(self.others.T, self.shares.T, strict=True):
+            out = np.where((other > 1) & (self.multiple == other), share, out)
+        return out
 
     def rows_of(self, *kinds: int) -> NDArray[np.intp]:
         """Rows of some kinds."""
@@ -100,9 +110,16 @@ class PlateData:
     @classmethod
     def join(cls, parts: Sequence[Self], shift: Integers) -> Self:
         """All parts in one table, their steps' rows moved by ``shift``."""
+        most = max(p.others.shape[1] for p in parts)
+        parts = [p._widened(most) for p in parts]
         columns = [np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__]
         columns[1] = np.concatenate([p.step + s for p, s in zip(parts, shift, strict=True)])
         return cls(*columns)
+
+    def _widened(self, count: int) -> Self:
+        """The same with places for ``count`` further forcing tones."""
+        more = ((0, 0), (0, count - self.others.shape[1]))
+        return replace(self, others=np.pad(self.others, more), shares=np.pad(self.shares, more))
 
 
 def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tuple[str, ...]]:
@@ -125,8 +142,12 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
     kind, step = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     first_radps = np.array([s.omega_radps for s in fitted])
     multiple = np.rint(table[:, 4] / first_radps[step]).astype(np.int64)
-    ratio = np.array([s.ratio for s in fitted], dtype=np.int64)[step]
-    share = np.array([_second_share(s, power) for s in fitted])[step]
+    most = max((len(s.forcing_multiples) - 1 for s in fitted), default=0)
+    others = np.zeros((len(fitted), most), dtype=np.int64)
+    shares = np.zeros((len(fitted), most), dtype=np.complex128)
+    for i, s in enumerate(fitted):
+        for j, m in enumerate(s.forcing_multiples[1:]):
+            others[i, j], shares[i, j] = m, _share_of(s, m, power)
     value, sigma, omega_radps, accel_g, first = table[:, 2:].T
     zeros = kind == OFFSET
     if wander := _wander(np.array([s.first_sample for s in fitted])[step[zeros]], value[zeros], sigma[zeros]):
@@ -134,22 +155,24 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
             f"the accelerometer's zero wanders by {wander:.2g} m/s^2 from step to step; no flight depends on it"
         )
         sigma = np.where(zeros, np.hypot(sigma, wander * np.sqrt(np.sum(zeros))), sigma)
-    rows_as_table = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, ratio, share)
+    rows_as_table = PlateData(
+        kind, step, value, sigma, omega_radps, accel_g, first, multiple, others[step], shares[step]
+    )
     return rows_as_table, tuple(notes)
 
 
-def _second_share(s: StepPlate, power: int) -> complex:
-    """What the drive asks for as second forcing tone, over the first, as accelerations; see `PlateData.share`."""
-    if s.drive is None or s.ratio == 1 or abs(s.drive.amplitudes[0]) == 0.0:
+def _share_of(s: StepPlate, multiple: int, power: int) -> complex:
+    """What the drive asks for as a further forcing tone, over the first, as accelerations; see `PlateData.shares`."""
+    if s.drive is None or abs(s.drive.amplitudes[0]) == 0.0:
         return 1.0 + 0j
-    first, second = s.drive.amplitudes[0], s.drive.amplitudes[s.multiples.index(s.ratio)]
-    return complex(second_share(first, second, s.ratio) * s.ratio**power)
+    first, own = s.drive.amplitudes[0], s.drive.amplitudes[s.multiples.index(multiple)]
+    return complex(share_of_first(first, own, multiple) * multiple**power)
 
 
-def second_share(first: Any, second: Any, ratio: Any) -> Any:
-    """The second tone's complex amplitude over the first's, its phase counted from where the first is a sine."""
+def share_of_first(first: Any, other: Any, multiple: Any) -> Any:
+    """A further tone's complex amplitude over the first's, its phase counted from where the first is a sine."""
     sine = 1j * first / np.abs(first)  # of the first tone's phase where a sine is 1
-    return 1j * second / np.abs(first) / sine**ratio
+    return 1j * other / np.abs(first) / sine**multiple
 
 
 def _drive_scale(fitted: Sequence[StepPlate], setup: Setup, notes: list[str]) -> complex | None:
@@ -374,11 +397,10 @@ def _add_harmonics(out: Floats, data: PlateData, hook: Callable[..., Any]) -> No
 
     def added(rows: NDArray[np.intp], multiple: Integers) -> Complexes:
         accel_g = np.where(data.accel_g[rows] > 0.0, data.accel_g[rows], data.scale[rows] / STANDARD_GRAVITY_MPS2)
-        return np.asarray(hook(multiple, data.ratio[rows], data.share[rows], accel_g))
+        return np.asarray(hook(multiple, data.others[rows], data.shares[rows], accel_g))
 
     def on_forcing(rows: NDArray[np.intp]) -> Complexes:
-        asked = np.where(data.multiple[rows] == 1, 1.0, data.share[rows])
-        return np.asarray(1.0 + added(rows, data.multiple[rows]) / asked)
+        return np.asarray(1.0 + added(rows, data.multiple[rows]) / data.own_share[rows])
 
     _add_transfer(out, data, on_forcing)
     rows = data.rows_of(SECOND, THIRD)

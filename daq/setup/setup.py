@@ -54,6 +54,15 @@ class Forcing(Frozen):
             return ((1, first + second),)
         return ((1, first), (self.ratio, second))
 
+    @property
+    def multiples(self) -> tuple[int, ...]:
+        """Multiples of the first tone at which the plate is driven, in order."""
+        return tuple(sorted(multiple for multiple, _ in self.displacement_tones()))
+
+    def multiples_at(self, ratio: int) -> tuple[int, ...]:
+        """The same for a step of a recording whose c may be another one."""
+        return self.multiples if ratio == self.ratio else tuple(sorted({1, ratio}))
+
 
 class ToneScale(Frozen):
     """Scale from drive volts to plate acceleration of one tone."""

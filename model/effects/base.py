@@ -25,9 +25,9 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 omega_radps)``                         ``omega_radps`` (any shape)
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
 ``impact_delay_s(p)``                  delay of impacts in the accelerometer, where no edge shows the landing as well
-``harmonics(p, multiple, ratio, share, complex amplitudes added to multiples (k,) of the forcing, over its first tone
-accel_g)``                             of ``accel_g`` (k,); the second is the ``ratio``-th (k,), ``share`` (k,)
-                                       as large: complex, its phase counted from where the first is a sine
+``harmonics(p, multiple, others,       complex amplitudes added to multiples (k,) of the forcing, over its first tone
+shares, accel_g)``                     of ``accel_g`` (k,); the further tones are multiples ``others`` (k, t), and
+                                       ``shares`` as large: complex, their phases from where the first is a sine
 ``hum_mps2(p)``                        amplitude of the plate's motion at the mains frequency
 ``pickup_mps2(p)``                     what the accelerometer shows at the mains frequency without any motion
 ``modulation(p)``                      ``(depth, omega_radps)`` of a slow modulation of the plate's amplitude

@@ -31,7 +31,7 @@ EFFECT = Effect(
         ),
         Parameter(
             "phase_rad", "rad", -np.pi, np.pi, 0.5, start_grid=(-0.5 * np.pi, 0.0, 0.5 * np.pi, np.pi), is_shape=True,
-            meaning="of the harmonic that falls on the second forcing tone, against that tone",
+            meaning="of the harmonic that falls on a further forcing tone, against that tone",
         ),
         Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, start_grid=BENDS, meaning="of acceleration squared"),
         Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, start_grid=BENDS, meaning="of acceleration cubed"),
@@ -43,10 +43,12 @@ EFFECT = Effect(
 
 
 @functools.lru_cache(maxsize=1024)
-def _powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex]:
-    """Part of ``multiple`` in square and cube of ``sin x + Im(share exp(i ratio x))``; that of a sine is real."""
+def _powers(others: tuple[int, ...], shares: tuple[complex, ...], multiple: int) -> tuple[complex, complex]:
+    """Part of ``multiple`` in square and cube of ``sin x + sum Im(share exp(i other x))``; that of a sine is real."""
     x = 2.0 * np.pi * np.arange(POINTS) / POINTS
-    wave = np.sin(x) + ((share * np.exp(1j * ratio * x)).imag if ratio > 1 else 0.0)
+    wave = np.sin(x)
+    for other, share in zip(others, shares, strict=True):
+        wave = wave + ((share * np.exp(1j * other * x)).imag if other > 1 else 0.0)
     square, cube = (2j * np.mean(wave**n * np.exp(-1j * multiple * x)) for n in (2, 3))
     return complex(square), complex(cube)
 
@@ -54,21 +56,26 @@ def _powers(ratio: int, share: complex, multiple: int) -> tuple[complex, complex
 def harmonics(
     p: Mapping[str, float],
     multiple: Integers,
-    ratio: Integers,
-    share: Complexes,
+    others: Integers,
+    shares: Complexes,
     accel_g: Floats,
 ) -> Complexes:
-    """What is added to each ``multiple`` of the forcing, over the first tone of ``accel_g``; all shapes (k,).
+    """What is added to each ``multiple`` of the forcing, over the first tone of ``accel_g``; shapes (k,).
 
-    The second forcing tone is the ``ratio``-th multiple and ``share`` times as large as the first, its phase counted
-    from where the first is a sine.
+    The further forcing tones are the multiples ``others`` (k, t), up to 1 for none, and ``shares`` (k, t) times as
+    large as the first, their phases counted from where the first is a sine.
     """
-    turn = np.where(multiple == ratio, np.exp(1j * (p["phase_rad"] + np.angle(share))), 1.0)
+    turn = np.ones(len(multiple), dtype=np.complex128)
+    for other, share in zip(others.T, shares.T, strict=True):
+        turn = np.where(multiple == other, np.exp(1j * (p["phase_rad"] + np.angle(share))), turn)
     out = turn * np.where(multiple == 2, p["second"], np.where(multiple == 3, p["third"], 0.0))
     if p["quadratic_per_g"] == 0.0 and p["cubic_per_g2"] == 0.0:
         return np.asarray(out)
     # shares rounded to 1e-3 are few: each is computed once
     parts = np.array(
-        [_powers(int(c), complex(np.round(s, 3)), int(m)) for m, c, s in zip(multiple, ratio, share, strict=True)]
+        [
+            _powers(tuple(map(int, c)), tuple(map(complex, np.round(s, 3))), int(m))
+            for m, c, s in zip(multiple, others, shares, strict=True)
+        ]
     ).reshape(-1, 2)
     return np.asarray(out + p["quadratic_per_g"] * accel_g * parts[:, 0] + p["cubic_per_g2"] * accel_g**2 * parts[:, 1])

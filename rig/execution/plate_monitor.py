@@ -58,7 +58,7 @@ class MotionWatch:
 
     def __init__(self, setup: Setup, mps2_per_code: float) -> None:
         rate_hz, first_hz = setup.sampling.rate_hz, setup.forcing.frequency_hz
-        highest_hz = first_hz * setup.forcing.ratio
+        highest_hz = first_hz * setup.forcing.multiples[-1]
         # impacts ring above four times the fastest tone; offset and integrals forget below a twentieth of the first
         low = 1.0 - math.exp(-2.0 * math.pi * 4.0 * highest_hz / rate_hz)
         leak = 1.0 - math.exp(-2.0 * math.pi * 0.05 * first_hz / rate_hz)

@@ -16,22 +16,16 @@ for effects in ({}, {"updraught": {"push_mps2": 0.8, "edge_m": 0.002}}):
 """
 
 THIRD = """
-from pathlib import Path
 from types import SimpleNamespace
-import analysis.loop.close_loop as loop
-from daq.setup.errors import InputError
-from daq.setup.setup import Drive, Forcing, Setup
+from analysis.plate.step_state import multiples_of
+from daq.setup.setup import Drive, Forcing
 from rig.programme.forcing import drive_amplitudes
-forcing = Forcing(frequency_hz=25.0, ratio=2, third={"ratio": 3, "amplitude": 0.5, "phase_deg": 40.0})
+forcing = Forcing(frequency_hz=25.0, ratio=2, third={"ratio": 7, "amplitude": 0.5, "phase_deg": 40.0})
 setup = SimpleNamespace(forcing=forcing, drive=Drive(g_per_volt=2.0))
 print(*(m for m, _ in forcing.displacement_tones()))
 print(*(abs(z) for z in drive_amplitudes(setup, 1.0)))
-loop.refuse_doubtful = lambda recordings, setup: None
-loop.observations_from = lambda recordings, **options: SimpleNamespace(setup=setup)
-try:
-    loop.judge_loop([Path("run.h5")])
-except InputError as error:
-    print(int("forcing.third" in str(error)))
+print(*multiples_of(forcing.multiples_at(2)))
+print(*multiples_of(forcing.multiples_at(1)))
 """
 
 FORCE = """
@@ -76,13 +70,14 @@ def test_the_how_to_for_hiding_an_effect_hides_one(tmp_path: Path) -> None:
     assert abs(hidden[3] - without[3] - 0.8) < 1e-12
 
 
-def test_the_how_to_for_a_tone_drives_it_and_refuses_its_verdict(tmp_path: Path) -> None:
-    """With the edits three tones are driven, each by its share of the plate's acceleration, and no verdict is given."""
-    assert set(edited_copy("add-a-tone.md", tmp_path)) == {"daq/setup/setup.py", "analysis/loop/close_loop.py"}
-    multiples, volts, refused = run_in(tmp_path, THIRD)
-    assert multiples == [1.0, 2.0, 3.0]
+def test_the_how_to_for_a_tone_drives_and_measures_it(tmp_path: Path) -> None:
+    """With edits of one file three tones are driven, each by its share of the plate's acceleration, and fitted."""
+    assert set(edited_copy("add-a-tone.md", tmp_path)) == {"daq/setup/setup.py"}
+    multiples, volts, fitted, of_another_c = run_in(tmp_path, THIRD)
+    assert multiples == [1.0, 2.0, 7.0]
     assert all(abs(v - m * m * b / 2.0) < 1e-12 for v, m, b in zip(volts, multiples, (1.0, 1.0, 0.5), strict=True))
-    assert refused == [1.0]
+    assert fitted == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 14.0, 21.0]
+    assert of_another_c == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 def test_the_how_to_for_a_channel_records_and_imports_it(tmp_path: Path) -> None:

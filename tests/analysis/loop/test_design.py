@@ -51,7 +51,7 @@ def seen_observations() -> Observations:
         np.ones(3),
         np.full(3, np.inf),
         steps,
-        PlateData(none, none, *(nothing,) * 5, none, none, nothing),
+        PlateData(none, none, *(nothing,) * 5, none, none[:, None], nothing[:, None]),
         setup,
         2e-4,
     )
@@ -70,14 +70,14 @@ def test_plate_data_of_a_run_are_as_sharp_as_its_amplitudes_allow() -> None:
     seen = seen_observations()
     kind, step, one = np.array([GAIN, SECOND]), np.zeros(2, dtype=np.int64), np.ones(2)
     data = PlateData(
-        kind, step, 0.0 * one, 1e-3 * one, 159.4 * np.array([1.0, 2.0]), one, 9.81 * one, np.array([1, 2]), step + 1,
-        one + 0j,
+        kind, step, 0.0 * one, 1e-3 * one, 159.4 * np.array([1.0, 2.0]), one, 9.81 * one, np.array([1, 2]),
+        step[:, None] + 1, one[:, None] + 0j,
     )  # fmt: skip
     model = ForwardModel(replace(seen, plate=data), {})
     made = simulate_design(Design("test", "c = 2", 2, (0.5, 1.0)), model, {}).plate
     assert made.kind.tolist() == [GAIN] * 4
     assert made.sigma == pytest.approx(1e-3 * 9.81 / 9.80665 / np.array([0.5, 2.0, 1.0, 4.0]), rel=1e-9)
-    assert abs(made.share) == pytest.approx([4.0] * 4)
+    assert abs(made.shares[:, 0]) == pytest.approx([4.0] * 4)
 
 
 def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> None:

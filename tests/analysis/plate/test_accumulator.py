@@ -39,7 +39,7 @@ def test_a_tone_keeps_its_phase_over_two_gaps(make, tmp_path: Path, lost: tuple[
     """Two gaps within a piece, their sum a whole number of blocks or not: the fit is as good as without gaps."""
     with open_recording(make([0.4], hold=40).path) as source:
         codes = np.column_stack([source.codes(name) for name in source.channels])
-        assert block_width(RATE_HZ, source.steps) == 20
+        assert block_width(RATE_HZ, source.steps, source.setup.forcing) == 20
         cuts = np.array([0, 12000, 20000, len(codes)])
         path = tmp_path / "gaps.h5"
         with RecordingWriter(

@@ -15,7 +15,7 @@ TONES_HZ = np.array([25.37, 50.74, 50.0])
 def _state() -> StepState:
     """Two spans of a step with a line at 50.05 Hz, a third of the blocks masked."""
     rng = np.random.default_rng(3)
-    state = StepState(0, 25.37, 1, 0, 0, 3.0, mask_level=2, multiples=(1, 2))
+    state = StepState(0, 25.37, (1,), 0, 0, 3.0, mask_level=2, multiples=(1, 2))
     state.lock_in = LockIn(RATE_HZ, TONES_HZ, 2, WIDTH, sorts=N_BLOCK_CLASSES)
     for first in (100, 2000):
         t = (first + np.arange(1500)) / RATE_HZ

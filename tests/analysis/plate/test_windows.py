@@ -44,7 +44,7 @@ def _state(firsts: tuple[int, ...], blocks: int) -> StepState:
     """A step in noise, its second harmonic beside a mains line, one block in three masked."""
     rng = np.random.default_rng(11)
     state = StepState(
-        0, TONES_HZ[0], 1, 0, 0, blocks / RATE_HZ, frequency_hz=TONES_HZ[0], multiples=(1, 2), mask_level=LEVEL
+        0, TONES_HZ[0], (1,), 0, 0, blocks / RATE_HZ, frequency_hz=TONES_HZ[0], multiples=(1, 2), mask_level=LEVEL
     )
     state.lock_in = LockIn(RATE_HZ, TONES_HZ, 2, WIDTH, sorts=N_BLOCK_CLASSES)
     for first in firsts:

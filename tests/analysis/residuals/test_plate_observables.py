@@ -26,14 +26,15 @@ QUADRATIC, CUBIC = 0.004, -0.0015  # per g and per g^2
 POINTS = 256
 
 
-def _bent(first_g: float, share: complex, ratio: int) -> np.ndarray:
+def _bent(first_g: float, others: dict[int, complex]) -> np.ndarray:
     """Complex amplitudes (of sines) of the bent plate's multiples, in g: index is the multiple."""
     x = 2 * np.pi * np.arange(POINTS) / POINTS
-    a = first_g * (np.sin(x) + (np.imag(share * np.exp(1j * ratio * x)) if ratio > 1 else 0.0))
+    a = first_g * (np.sin(x) + sum(np.imag(share * np.exp(1j * m * x)) for m, share in others.items()))
     return 2j * np.fft.fft(a + QUADRATIC * a**2 + CUBIC * a**3)[: POINTS // 2] / POINTS
 
 
-def _data(kinds: list[int], multiples: list[int], ratio: int, share: complex, first_g: float) -> PlateData:
+def _data(kinds: list[int], multiples: list[int], others: dict[int, complex], first_g: float) -> PlateData:
+    """Data of a drive whose further tones are ``others``, by multiple, over the first."""
     one = np.ones(len(kinds))
     whole = np.ones(len(kinds), dtype=np.int64)
     m = np.array(multiples, dtype=np.int64)
@@ -46,8 +47,8 @@ def _data(kinds: list[int], multiples: list[int], ratio: int, share: complex, fi
         first_g * one,
         9.8 * first_g * one,
         m,
-        ratio * whole,
-        share * one,
+        np.tile(list(others), (len(kinds), 1)),
+        np.tile(np.array(list(others.values()), dtype=complex), (len(kinds), 1)),
     )
 
 
@@ -59,8 +60,8 @@ BEND = {"harmonic_distortion": {
 
 def test_a_harmonic_is_a_part_of_the_first_tone_as_it_is() -> None:
     """Where a bend makes the first tone smaller, too, the harmonics are a larger part of it."""
-    said = expected(_data([GAIN, SECOND, THIRD], [1, 2, 3], 1, 1.0, 5.0), BEND)
-    true = _bent(5.0, 1.0, 1)
+    said = expected(_data([GAIN, SECOND, THIRD], [1, 2, 3], {}, 5.0), BEND)
+    true = _bent(5.0, {})
     assert said[0] == pytest.approx(np.log(abs(true[1]) / 5.0), rel=1e-9)
     assert said[1:] == pytest.approx(np.abs(true[2:4] / true[1]) ** 2, rel=1e-9)
 
@@ -68,20 +69,29 @@ def test_a_harmonic_is_a_part_of_the_first_tone_as_it_is() -> None:
 @pytest.mark.parametrize("share", [4.0 + 0j, -4.0 + 0j, 2.0 - 3.0j])
 def test_two_tones_bend_with_the_phase_between_them(share: complex) -> None:
     """Gain and phase of both tones and the third harmonic, whatever the phase of the second tone."""
-    said = expected(_data([GAIN, PHASE, GAIN, PHASE, THIRD], [1, 1, 2, 2, 3], 2, share, 1.2), BEND)
-    true = _bent(1.2, share, 2)
+    said = expected(_data([GAIN, PHASE, GAIN, PHASE, THIRD], [1, 1, 2, 2, 3], {2: share}, 1.2), BEND)
+    true = _bent(1.2, {2: share})
     one, two = np.log(true[1] / 1.2), np.log(true[2] / 1.2 / share)
     assert said[:4] == pytest.approx([one.real, one.imag, two.real, two.imag], rel=1e-9, abs=1e-12)
     assert said[4] == pytest.approx(abs(true[3] / true[1]) ** 2, rel=1e-9)
 
 
-@pytest.mark.parametrize(("ratio", "share"), [(1, 1.0 + 0j), (2, -4.0 + 0j), (3, 9.0j)])
-def test_compression_goes_with_the_mean_square_of_all_that_is_asked_for(ratio: int, share: complex) -> None:
-    """Both tones lose the same part, by the squares of both amplitudes; at c = 1 there is one."""
+@pytest.mark.parametrize("others", [{}, {2: -4.0 + 0j}, {3: 9.0j}, {2: -4.0 + 0j, 3: 4.5j}])
+def test_compression_goes_with_the_mean_square_of_all_that_is_asked_for(others: dict[int, complex]) -> None:
+    """All tones, one to three, lose the same part, by the squares of all amplitudes."""
     values = {"gain_compression": {"per_g2": np.array([1e-3])}}
-    said = expected(_data([GAIN, GAIN], [1, ratio], ratio, share, 1.2), values)
-    squares = 1.2**2 * (1.0 + (abs(share) ** 2 if ratio > 1 else 0.0))
+    said = expected(_data([GAIN, GAIN], [1, max(others, default=1)], others, 1.2), values)
+    squares = 1.2**2 * (1.0 + sum(abs(share) ** 2 for share in others.values()))
     assert said == pytest.approx([-np.log1p(1e-3 * squares)] * 2, rel=1e-9)
+
+
+def test_three_tones_bend_as_their_sum_does() -> None:
+    """Gain and phase of each of three tones, as the bent wave's own spectrum has them."""
+    others = {2: -4.0 + 0j, 3: 3.0 + 3.0j}
+    said = expected(_data([GAIN, PHASE] * 3, [1, 1, 2, 2, 3, 3], others, 0.8), BEND)
+    true = _bent(0.8, others)
+    logs = [np.log(true[m] / 0.8 / share) for m, share in {1: 1.0, **others}.items()]
+    assert said == pytest.approx([part for x in logs for part in (x.real, x.imag)], rel=1e-9, abs=1e-12)
 
 
 def test_filters_of_first_and_second_order_pass_what_they_should() -> None:
@@ -112,7 +122,7 @@ def test_a_frequency_that_is_not_known_says_nothing_of_the_clock(uncertainty_hz:
 
 def test_what_an_accelerometer_shows_late_is_in_gain_and_phase() -> None:
     """A low-pass of first order and of second order, at two tones, against the textbook's transfer function."""
-    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], 2, 1.0, 1.0)
+    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], {2: 1.0}, 1.0)
     for sharpness in (0.0, 0.25):
         values = {"delay_s": 0.0, "low_pass_s": 1e-3, "sharpness": sharpness}
         low = 1j * data.omega_radps * 1e-3
@@ -123,7 +133,7 @@ def test_what_an_accelerometer_shows_late_is_in_gain_and_phase() -> None:
 
 def test_a_high_pass_leads_and_tones_that_are_absent_pass_it() -> None:
     """Gain and phase of a first-order high-pass at two tones; a tone of frequency 0 stands for none."""
-    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], 2, 1.0, 1.0)
+    data = _data([GAIN, PHASE, GAIN, PHASE], [1, 1, 2, 2], {2: 1.0}, 1.0)
     corner = 1j * 2.0 * np.pi * 3.0
     shown = data.omega_radps / (data.omega_radps - corner)
     found = expected(data, {"accelerometer_high_pass": {"corner_hz": np.array([3.0])}})
@@ -152,7 +162,7 @@ def test_a_zero_that_wanders_is_told_from_one_that_is_off_or_drifts() -> None:
 def test_an_effect_that_stays_the_same_is_its_share_of_every_step(name: str, values: dict[str, float]) -> None:
     """What changes from step to step is, in each step, what it would be if it stayed as it is there."""
     kinds = [GAIN, PHASE, SECOND, THIRD, HUM]
-    one = _data(kinds, [1, 1, 2, 3, 1], 1, 1.0, 4.0)
+    one = _data(kinds, [1, 1, 2, 3, 1], {}, 4.0)
     two = PlateData.join([one, one], np.array([0, 1]))
     entry = effect(name).effect
     sides = [entry.null_values | {q: v * by for q, v in values.items()} for by in (1.0, 2.5)]

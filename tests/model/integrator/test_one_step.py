@@ -259,12 +259,14 @@ NO_HARMONICS = effect("harmonic_distortion").effect.null_values
 def test_harmonics_of_a_bent_amplifier_are_those_of_trigonometry():
     """sin^2, sin^3 and the products of two tones give the multiples of the addition theorems."""
     square, cube = ({**NO_HARMONICS, key: 1.0} for key in ("quadratic_per_g", "cubic_per_g2"))
-    k, one = np.array([1, 2, 3]), np.ones(3)
-    assert harmonics(square, k, np.full(3, 1), one, one)[1] == pytest.approx(-0.5j)  # sin^2 x = (1 - cos 2x) / 2
-    found = harmonics(cube, k, np.full(3, 1), one, one)  # sin^3 x = (3 sin x - sin 3x) / 4
+    k, one, same = np.array([1, 2, 3]), np.ones(3), np.ones((3, 1))
+    assert harmonics(square, k, np.full((3, 1), 1), same, one)[1] == pytest.approx(-0.5j)  # sin^2 x = (1 - cos 2x) / 2
+    found = harmonics(cube, k, np.full((3, 1), 1), same, one)  # sin^3 x = (3 sin x - sin 3x) / 4
     assert found[[0, 2]] == pytest.approx([0.75, -0.25])
-    found = harmonics(square, k, np.full(3, 2), one, one)  # 2 sin x sin 2x = cos x - cos 3x
+    found = harmonics(square, k, np.full((3, 1), 2), same, one)  # 2 sin x sin 2x = cos x - cos 3x
     assert found[[0, 2]] == pytest.approx([1j, -1j])
     p = {**NO_HARMONICS, "second": 0.02, "third": 0.01, "phase_rad": 0.5 * math.pi}
-    found = harmonics(p, k, np.full(3, 2), np.ones(3), np.ones(3))
+    found = harmonics(p, k, np.full((3, 1), 2), same, one)
     assert found == pytest.approx([0.0, 0.02j, 0.01])
+    found = harmonics(p, k, np.tile([2, 3], (3, 1)), np.tile([1.0, 1j], (3, 1)), one)
+    assert found == pytest.approx([0.0, 0.02j, -0.01])  # each against the tone on which it falls
