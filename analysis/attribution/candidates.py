@@ -40,13 +40,10 @@ def candidates_of(model: ForwardModel) -> list[Candidate]:
             out.append(Candidate((e.name,), keys, tuple(_starts(model.observations, e, variant))))
     drifting = [(r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.drifts]
     out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
-    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in model.base if not _follows(name, q)]
+    # a parameter that stands for a quantity of the flight has no drift: it already varies with the flight
+    base = [(n, q) for n, q in model.base if not effect(n).effect.parameter(q.removesuffix(TREND)).covariate]
+    out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in base]
     return out
-
-
-def _follows(name: str, q: str) -> bool:
-    """Whether a parameter stands for a quantity of the flight."""
-    return bool(effect(name).effect.parameter(q.removesuffix(TREND)).covariate)
 
 
 def _starts(observations: Observations, e: Effect, variant: Sequence[str]) -> list[Point]:

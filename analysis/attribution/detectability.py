@@ -103,7 +103,11 @@ class Detectability:
             gain, weakened = self._gain(size * left)
             if gain + 0.5 * size**2 * pulled < self.limits.gain_nats:
                 return False
-            return key in self.best.fitter.priors or self._confirmed(size**2 * signal * weakened, lost)
+            if key in self.best.fitter.priors:
+                return True
+            train = self.best.fitter.train
+            won, lose = (_sums(self._state.step, x, len(train)) for x in (size**2 * signal * weakened, lost))
+            return LogScoreDifference.of(won, lose, train).exceeds(*self._wanted)
 
         if not named(1.0):
             above = (m for m in np.geomspace(1.0, FARTHEST, COARSE)[1:] if named(m))
@@ -116,12 +120,6 @@ class Detectability:
             middle = math.sqrt(low * high)
             low, high = (low, middle) if named(middle) else (middle, high)
         return high
-
-    def _confirmed(self, signal: Floats, lost: Floats) -> bool:
-        """Whether steps left out gain enough by a size; what each residual gains and loses: see `_left_out`."""
-        m = len(self.best.fitter.train)
-        won, lose = (_sums(self._state.step, x, m) for x in (signal, lost))
-        return LogScoreDifference.of(won, lose, self.best.fitter.train).exceeds(*self._wanted)
 
     def _gain(self, change: Floats) -> tuple[float, Floats]:
         """Expected gain of a change of whitened residuals, nats, and by what it is below a square law, (r,).

@@ -49,7 +49,9 @@ class Pruning:
     def without_null(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
         """The hypothesis without candidates whose parameters' intervals hold, in the end, their null values."""
         while best.candidates:
-            null = next((c for c in best.candidates if not self._differs(best, c)), None)
+            # shapes by themselves are no size that could be null
+            sized = [c for c in best.candidates if not all(parameter_of(k).is_shape for k in c.free)]
+            null = next((c for c in sized if not best.fitted.differs(c.free)), None)
             if null is None:
                 break
             rest = tuple(c for c in best.candidates if c is not null and not _is_trend_of(c, null))
@@ -61,11 +63,6 @@ class Pruning:
             best = fitted
             rounds.append(f"step back: the 95 % intervals of {' + '.join(null.names)} hold the values of no effect")
         return best
-
-    @staticmethod
-    def _differs(x: Hypothesis, candidate: Candidate) -> bool:
-        """Whether the sizes of a candidate together differ from their null values; shapes alone are no size."""
-        return all(parameter_of(k).is_shape for k in candidate.free) or x.fitted.differs(candidate.free)
 
     def simplified(self, best: Hypothesis, pool: Sequence[Candidate], rounds: list[str]) -> Hypothesis:
         """The hypothesis with a special case in place of an effect, unless the fuller form is better beyond doubt.

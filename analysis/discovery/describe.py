@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.discovery.terms import Curve, label
-from kernels.arrays import Floats
 
 POINTS = 61  # at which the curve is evaluated
 MOSTLY = 0.8  # share of the range that the ends of a rise or fall must span; share that happens in a narrow part
@@ -33,7 +32,9 @@ def describe(curve: Curve) -> str:
 
     top, bottom = int(np.argmax(y)), int(np.argmin(y))
     if abs(y[-1] - y[0]) >= MOSTLY * span:
-        first, last = _middle(y)
+        # the ends of the middle `MOSTLY` of the rise or fall
+        part, rest = (y - y[0]) / (y[-1] - y[0]), 0.5 * (1.0 - MOSTLY)
+        first, last = int(np.argmax(part >= rest)), int(np.argmax(part >= 1.0 - rest))
         verb = "rises" if y[-1] > y[0] else "falls"
         text = f"{name} {verb} from {level(0)} to {level(-1)} as {words} goes from {place(0)} to {place(-1)}"
         narrow = last - first < 0.4 * POINTS
@@ -42,13 +43,6 @@ def describe(curve: Curve) -> str:
         peak = f"{name} is greatest, {level(top)}, where {words} is about {place(top)}"
         return f"{peak}, and {level(bottom)} at {place(bottom)}"
     return f"{name} is least, {level(bottom)}, where {words} is about {place(bottom)}, and {level(top)} at {place(top)}"
-
-
-def _middle(y: Floats) -> tuple[int, int]:
-    """First and last point of the middle `MOSTLY` of a rise or fall."""
-    part = (y - y[0]) / (y[-1] - y[0])
-    rest = 0.5 * (1.0 - MOSTLY)
-    return int(np.argmax(part >= rest)), int(np.argmax(part >= 1.0 - rest))
 
 
 def _number(value: float, unit: str) -> str:

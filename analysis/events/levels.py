@@ -20,7 +20,6 @@ MIN_PLATEAU = 50  # samples needed to measure a level
 NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
 RISE_PART = 0.1  # of the swing, at either end, that a rise time leaves out
 USUAL_RISE_SAMPLES = 5.0  # rise time that counts of samples are made for
-CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is used, and the rms of that part
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,14 @@ def measure_levels(read: npt.NDArray[np.floating], declared_closed_v: float, dec
     A plateau follows sixteen samples (four, where no plateau is so long) on one side of the declared middle, or more
     where edges are slow. Without a plateau the declared level stands.
     """
-    step_v, volts = _step_v(read), read.astype(np.float64, copy=False)
+    # smallest distance of two values; volts stored as float32 differ by 1e-6 of the largest from rounding
+    values = np.unique(read).astype(np.float64)
+    steps = np.diff(values)
+    steps = steps[steps > 1e-6 * np.abs(values).max(initial=0.0)]
+    step_v, volts = float(steps.min()) if steps.size else 0.0, read.astype(np.float64, copy=False)
     found = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, 1)
-    found = replace(found, rise_samples=_rise_samples(volts, found.closed_v, found.swing_v))
+    edges = _edge_lengths(volts, found.closed_v, found.swing_v)
+    found = replace(found, rise_samples=float(np.median(edges)) if edges.size else 0.0)
     if found.stretch > 1:
         settled = _on_plateaus(volts, step_v, declared_closed_v, declared_open_v, found.stretch)
         found = replace(settled, rise_samples=found.rise_samples)
@@ -86,12 +90,6 @@ def _ripple(fraction: Floats) -> float:
         if len(near) >= 8:
             heights.append(float(np.median(near.max(axis=1))) - 1.0)
     return max(heights)
-
-
-def _rise_samples(volts: Floats, closed_v: float, swing_v: float) -> float:
-    """Median number of samples of an edge between the levels, from one to the other; 0 without an edge."""
-    edges = _edge_lengths(volts, closed_v, swing_v)
-    return float(np.median(edges)) if edges.size else 0.0
 
 
 @njit(error_model="numpy")
@@ -131,7 +129,9 @@ def _on_plateaus(
         near = plateau[np.abs(plateau - level) < NEAR_LEVEL * abs(swing)]
         level = float(np.median(near)) if 0 < near.size < plateau.size else level
         deviation = np.abs(near - level)
-        spreads.append(_core_rms(deviation))
+        # all but the largest 2 %, of rms 0.9346 for normal noise: robust, and unbiased by quantisation
+        core = deviation[deviation <= np.quantile(deviation, 0.98)] if deviation.size else deviation
+        spreads.append(float(np.sqrt(np.mean(core**2))) / 0.9346 if core.size else 0.0)
         levels.append(level if near.size > 0.5 * plateau.size else declared)
     noise = max([*spreads, step_v / np.sqrt(12.0), 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)
@@ -147,20 +147,3 @@ def _settled(volts, side, wanted, before, length):  # type: ignore[no-untyped-de
             out[found] = volts[i - length + 1 + before]
             found += 1
     return out[:found].copy()
-
-
-def _step_v(volts: npt.NDArray[np.floating]) -> float:
-    """Step of the converter: smallest distance of two values, those that differ only by rounding taken as one."""
-    values = np.unique(volts).astype(np.float64)
-    steps = np.diff(values)
-    # volts stored as float32 differ by 1e-6 of the largest from rounding
-    steps = steps[steps > 1e-6 * np.abs(values).max(initial=0.0)]
-    return float(steps.min()) if steps.size else 0.0
-
-
-def _core_rms(deviation: Floats) -> float:
-    """Standard deviation of normal noise from all but its largest 2 %: robust, and unbiased by quantisation."""
-    if not deviation.size:
-        return 0.0
-    core = deviation[deviation <= np.quantile(deviation, CORE)]
-    return float(np.sqrt(np.mean(core**2))) / CORE_SIGMA

@@ -93,7 +93,10 @@ def _classify_step(flights: Flights, step: int) -> StepClass:
     spread = float(np.median(pairs)) if pairs.size else nan
     # smoothed over 2 % of a period, or three uncertainties: narrower, noise would make modes
     mean, modes = float(tau.mean()), count_modes(tau, max(0.02 * period, 3.0 * own))
-    repeats = np.array([_repeat(tau, n) for n in range(1, MAX_CYCLE + 1)])
+    # median change over n flights, per flight; unknown below `MIN_REPEATS` cycles
+    cycles = range(1, MAX_CYCLE + 1)
+    changes = [np.median(np.abs(tau[n:] - tau[:-n])) if tau.size >= MIN_REPEATS * n else nan for n in cycles]
+    repeats = np.array(changes) / np.sqrt(2.0)
     # flights repeat within five of their uncertainties, and within 0.4 % of a period whatever is stated
     allowed = max(5.0 * own, 0.004 * period)
     n = next((k + 1 for k, r in enumerate(repeats) if r < allowed), 0)
@@ -116,13 +119,6 @@ def _in_air(flights: Flights, plate: StepPlate) -> bool:
     begin, end = plate.first_sample / rate_hz, plate.last_sample / rate_hz
     true = ~flights.has(FlightFlag.FALSE)
     return bool(np.any(true & (flights.takeoff_s < end) & (flights.landing_s > begin)))
-
-
-def _repeat(tau: Floats, n: int) -> float:
-    """Median change of a flight time over ``n`` flights (per flight); NaN below `MIN_REPEATS` cycles."""
-    if tau.size < MIN_REPEATS * n:
-        return float("nan")
-    return float(np.median(np.abs(tau[n:] - tau[:-n])) / np.sqrt(2.0))
 
 
 def count_modes(tau: Floats, width: float) -> int:

@@ -83,7 +83,12 @@ def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[s
     sigma = np.max([run.systematic_sigma for run in summaries], axis=0)
     # a systematic error of a narrower prior is none
     precision[first:named] = np.maximum(sigma, 1e-3) ** -2.0
-    bounds = [(-np.inf, np.inf) if place in PLACES else _bounds(place[0]) for place in columns]
+    bounds = [
+        (-np.inf, np.inf)
+        if place in PLACES
+        else (coordinate_of(place[0], parameter_of(place[0]).low), coordinate_of(place[0], parameter_of(place[0]).high))
+        for place in columns
+    ]
     runs = tuple(_on(run, columns, named) for run in summaries)
     low, high = np.array(bounds).reshape(-1, 2).T
     return Aligned(point, columns, options, runs, Prior(mean, precision), width, low, high)
@@ -92,11 +97,6 @@ def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[s
 def width_of(key: tuple[str, str], sigma: float) -> float:
     """Standard deviation of a parameter's prior in coordinates."""
     return float(sigma ** (1.0 / parameter_of(key).power)) / scale_of(key)
-
-
-def _bounds(key: tuple[str, str]) -> tuple[float, float]:
-    q = parameter_of(key)
-    return coordinate_of(key, q.low), coordinate_of(key, q.high)
 
 
 def _on(run: RunSummary, columns: Sequence[Place], named: int) -> Quadratic:

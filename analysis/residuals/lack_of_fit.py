@@ -107,7 +107,12 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
     logs = {name: _log_p_of_covariate(found, x) for name, x in tables.items()}
     first = min(logs, key=lambda name: logs[name])
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
-    between, scatter, serial = _p_between(found), _p_scatter(found.z), _p_serial(found)
+    between = scatter = 1.0
+    if len(found.z):
+        # openings and landings have means of their own; the uncertainty is known only roughly
+        between = math.exp(_log_p_grouped(found.z, 2 * found.step + found.landing, about_zero=True))
+        scatter = float(chdtrc(len(found.z), float(np.sum(found.z**2)) / (1.0 + SCALE_KNOWN) ** 2))
+    serial = _p_serial(found)
     return GoodnessOfFit(
         min(1.0, 4.0 * min(p_first, between, scatter, serial)),
         rms_standardised(model, values, u),
@@ -224,14 +229,6 @@ def innovation_covariance(
     return np.asarray(edge @ edge.T + tones @ tones.T + together + np.diag(own))
 
 
-def _log_f(between: float, groups: int, within: float, freedom: int) -> float:
-    """Logarithm of the probability of so large a variance ratio, the noise taken for no less than its known size."""
-    if freedom <= 0 or groups <= 0:
-        return 0.0
-    with np.errstate(divide="ignore"):  # log 0 where the probability is too small for a double
-        return float(np.log(fdtrc(groups, freedom, between / max(within, 1.0))))
-
-
 def _log_p_grouped(z: Floats, group: Integers, about_zero: bool) -> float:
     """Do groups differ (from zero, or from their common mean)?"""
     count = np.bincount(group)
@@ -245,19 +242,11 @@ def _log_p_grouped(z: Floats, group: Integers, about_zero: bool) -> float:
     k = len(count)
     between = float(np.sum(count * (mean - centre) ** 2)) / (k - lost)
     within = float(np.sum((z - mean[group]) ** 2)) / (len(z) - k)
-    return _log_f(between, k - lost, within, len(z) - k)
-
-
-def _p_between(found: Innovations) -> float:
-    """Lack of fit between steps: means of openings and of landings against their scatter."""
-    if len(found.z) == 0:
-        return 1.0
-    return math.exp(_log_p_grouped(found.z, 2 * found.step + found.landing, about_zero=True))
-
-
-def _p_scatter(z: Floats) -> float:
-    """Lack of fit within steps: more scatter than the uncertainty, granted that it is known roughly."""
-    return float(chdtrc(len(z), float(np.sum(z**2)) / (1.0 + SCALE_KNOWN) ** 2)) if len(z) else 1.0
+    if len(z) <= k or k <= lost:
+        return 0.0
+    # the noise is taken for no less than its known size; log 0 where the probability is too small for a double
+    with np.errstate(divide="ignore"):
+        return float(np.log(fdtrc(k - lost, len(z) - k, between / max(within, 1.0))))
 
 
 def _p_serial(found: Innovations) -> float:

@@ -130,7 +130,12 @@ def held_out_errors(
     predicted = (r.predicted.landing_s - r.predicted.opening_s)[rows]
     relative = np.abs(np.where(np.isfinite(predicted), predicted, 0.0) - measured) / measured
     lost = _lost(model, values, landing, rows)
-    low, high = _interval(landing, ev.measured.step[rows], np.random.default_rng(seed))
+    # 95 % interval of the rms when whole steps are drawn anew: the step is the replicate
+    names, inverse = np.unique(ev.measured.step[rows], return_inverse=True)
+    squares, counts = np.bincount(inverse, landing**2), np.bincount(inverse)
+    drawn = np.random.default_rng(seed).integers(0, len(names), (500, len(names)))
+    rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
+    low, high = float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
     return Errors(
         _rms_us(landing),
         1e6 * low,
@@ -151,15 +156,6 @@ def _lost(model: ForwardModel, values: Mapping[ParameterId, float], landing_s: F
     sigma = np.hypot(uncertainty_at(model, values).landing_total_s[rows], SHARED_S)
     odds = log_odds(sigma, model.observations.steps.plate.period_s[model.observations.measured.step[rows]])
     return np.asarray(robust_loss(landing_s / sigma) > -odds)
-
-
-def _interval(residual: Floats, step: Integers, rng: np.random.Generator) -> tuple[float, float]:
-    """95 % interval of the rms when whole steps are drawn anew: the step is the replicate."""
-    names, inverse = np.unique(step, return_inverse=True)
-    squares, counts = np.bincount(inverse, residual**2), np.bincount(inverse)
-    drawn = rng.integers(0, len(names), (500, len(names)))
-    rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
-    return float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
 
 
 def noise_floors_us(model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers) -> tuple[float, float]:

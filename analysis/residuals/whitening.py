@@ -157,9 +157,8 @@ class Whitener:
         """Whitened residuals, from bare ones."""
         n = len(self.step)
         unit = bare[:n] / self.sd
-        return np.concatenate(
-            [self._unshared(unit[:, None], self._limited(unit)[:, None])[:, 0], bare[n:] / self.plate_sigma]
-        )
+        events = self._unshared(unit[:, None], np.clip(unit, -self.cap, self.cap)[:, None])[:, 0]
+        return np.concatenate([events, bare[n:] / self.plate_sigma])
 
     def white_slopes(self, slopes: Floats, bare: Floats) -> Floats:
         """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
@@ -167,9 +166,6 @@ class Whitener:
         unit = slopes[:n] / self.sd[:, None]
         counts = np.abs(bare[:n] / self.sd) < self.cap
         return np.concatenate([self._unshared(unit, unit * counts[:, None]), slopes[n:] / self.plate_sigma[:, None]])
-
-    def _limited(self, unit: Floats) -> Floats:
-        return np.clip(unit, -self.cap, self.cap)
 
     def _unshared(self, y: Floats, limited: Floats) -> Floats:
         out = np.ascontiguousarray(y)

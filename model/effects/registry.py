@@ -89,7 +89,13 @@ def _checked(module: ModuleType) -> tuple[Effect, dict[str, Any]]:
     if e.name != own:
         raise EffectFileError(f"{file}: the effect is called {e.name!r}; wanted the file's name, {own!r}")
     known = COMPILED_HOOKS + PLAIN_HOOKS
-    for name in _functions(module):
+    # the public functions that the module defines itself, not those that it imports
+    own_functions = [
+        k
+        for k, f in vars(module).items()
+        if callable(f) and not isinstance(f, type) and getattr(f, "__module__", "") == module.__name__
+    ]
+    for name in (k for k in own_functions if not k.startswith("_")):
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"hooks are {', '.join(known)}"
@@ -102,12 +108,6 @@ def _checked(module: ModuleType) -> tuple[Effect, dict[str, Any]]:
     _refuse_unknown(file, "tied", {q for group in e.tied.values() for q in group}, names)
     _refuse_unknown(file, "special_cases", {q for case in e.special_cases.values() for q in case.values()}, names)
     return e, hooks
-
-
-def _functions(module: ModuleType) -> list[str]:
-    """Names of the public functions that a module defines itself."""
-    own = ((k, f) for k, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__)
-    return [k for k, f in own if not k.startswith("_") and not isinstance(f, type)]
 
 
 def _file(module: ModuleType) -> str:

@@ -55,7 +55,15 @@ def still_of(film: Film, progress: Progress | None = None) -> Still:
         raise InputError(f"{film.path}: {len(stack)} frames are too few for a drop")
     stack /= np.maximum(np.median(stack, axis=(1, 2), keepdims=True), 1.0) / max(float(np.median(stack)), 1.0)
     step = np.abs(np.diff(stack, axis=0))
-    _refuse_cut(stack, step, film)
+    # a cut changes a large part of the picture at once, and for good
+    for k in range(1, len(stack)):
+        if float((step[k - 1] > _CHANGED_LEVELS).mean()) > _CUT_SHARE:
+            before, after = np.median(stack[max(k - 4, 0) : k], axis=0), np.median(stack[k : k + 4], axis=0)
+            if float((np.abs(after - before) > _CHANGED_LEVELS).mean()) > _CUT_SHARE:
+                raise InputError(
+                    f"{film.path}: a cut in the film between frames {k - 1} and {k}: a large part of the picture "
+                    "changes at once; cut the clip so that it holds one drop seen by a camera at rest"
+                )
     chosen = _clean_frames(stack, step, film)
     largest = step.max(axis=(1, 2))
     same = largest < np.minimum(0.6, 0.1 * float(np.median(largest)))
@@ -146,18 +154,6 @@ def still_without(film: Film, still: Still, boxes: dict[int, tuple[float, float,
         enough = count >= 3  # frames in which a pixel is seen without the ball
         background[rows][enough] = (0.5 * (low + high))[enough]
     return _still(background, still.n_frames, still.repeated, film)
-
-
-def _refuse_cut(stack: Picture, step: Picture, film: Film) -> None:
-    """Refuse a film with a cut, which changes a large part of the picture at once, and for good."""
-    for k in range(1, len(stack)):
-        if float((step[k - 1] > _CHANGED_LEVELS).mean()) > _CUT_SHARE:
-            before, after = np.median(stack[max(k - 4, 0) : k], axis=0), np.median(stack[k : k + 4], axis=0)
-            if float((np.abs(after - before) > _CHANGED_LEVELS).mean()) > _CUT_SHARE:
-                raise InputError(
-                    f"{film.path}: a cut in the film between frames {k - 1} and {k}: a large part of the picture "
-                    "changes at once; cut the clip so that it holds one drop seen by a camera at rest"
-                )
 
 
 def _clean_frames(stack: Picture, step: Picture, film: Film) -> set[int]:

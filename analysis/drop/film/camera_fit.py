@@ -189,7 +189,13 @@ def impacts_of(
     for i, flight in enumerate(flights):
         follows = i + 1 < len(flights) and flights[i + 1].clip == flight.clip
         if follows and flights[i + 1].order == flight.order + 1:
-            when = _meet(laws, frames, heights, i, flight, flights[i + 1])
+            # where the flight coming down meets the one going up: Newton from the middle of the gap
+            when = np.full(len(frames), 0.5 * (flight.frame[-1] + flights[i + 1].frame[0]))
+            for _ in range(20):
+                gap = heights[:, i] - heights[:, i + 1]
+                gap = gap - laws.drop_m(when - frames[:, i]) + laws.drop_m(when - frames[:, i + 1])
+                closing = _speed(laws, when - frames[:, i]) + _speed(laws, when - frames[:, i + 1])
+                when = when + np.clip(gap / np.maximum(closing, 1e-12), -3.0, 3.0)
             down = _speed(laws, when - frames[:, i])
             fallen = laws.drop_m(when - frames[:, i])
             if flight.order == 0:
@@ -202,17 +208,6 @@ def impacts_of(
     clip = np.array([row[0] for row in rows], dtype=np.int64)
     table = np.array([row[1:] for row in rows]).reshape(-1, 4, len(frames))
     return Impacts(clip, *table[:, :, 0].T, *table[:, :, 1:].transpose(1, 2, 0)), (fall[0], fall[1:])
-
-
-def _meet(laws: FlightLaw, frames: Floats, heights: Floats, i: int, before: Flight, after: Flight) -> Floats:
-    """Frame in which flight ``i`` coming down meets flight ``i + 1`` going up: Newton from the middle of the gap."""
-    when = np.full(len(frames), 0.5 * (before.frame[-1] + after.frame[0]))
-    for _ in range(20):
-        gap = heights[:, i] - heights[:, i + 1]
-        gap = gap - laws.drop_m(when - frames[:, i]) + laws.drop_m(when - frames[:, i + 1])
-        closing = _speed(laws, when - frames[:, i]) + _speed(laws, when - frames[:, i + 1])
-        when = when + np.clip(gap / np.maximum(closing, 1e-12), -3.0, 3.0)
-    return when
 
 
 def _speed(laws: FlightLaw, since: Floats) -> Floats:

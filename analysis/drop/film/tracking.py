@@ -160,7 +160,13 @@ def blobs_in(frame: Image, still: Still, path: Path) -> list[tuple[float, float,
     cv2 = opencv(path)
     factor = min(1.0, SEARCH_WIDTH / frame.shape[1])
     small = smaller(frame, factor, 1, cv2)
-    gain = _row_gain(small, still.small)
+    # brightness of each row against the background: mains flicker, banded or not
+    columns_step = max(small.shape[1] // 96, 1)
+    seen, rest = small[:, ::columns_step].astype(np.float32) + 4.0, still.small[:, ::columns_step] + 4.0
+    ratio = np.median(seen / rest, axis=(1, 2))
+    window = min(len(ratio) // 2 * 2 - 1, 31)
+    smooth = np.median(sliding_window_view(np.pad(ratio, window // 2, mode="edge"), window), axis=1)
+    gain = np.asarray(np.clip(smooth, 0.3, 3.0), dtype=np.float32)
     coarse = cv2.GaussianBlur(_difference(small, still.small, gain), (0, 0), 0.8)
     # six sigma of the noise, and ten levels at least
     limit = max(6.0 * mad_sigma(coarse), 10.0)
@@ -218,16 +224,6 @@ def _parts(mask: Bools, brush: Any, cv2: Any) -> list[_Spot]:
         for k in order.tolist()
         if stats[k, cv2.CC_STAT_AREA] >= _LEAST_AREA
     ]
-
-
-def _row_gain(frame: Image, background: Picture) -> Picture:
-    """Brightness of each row against the background: mains flicker, banded or not."""
-    step = max(frame.shape[1] // 96, 1)
-    ratio = np.median((frame[:, ::step].astype(np.float32) + 4.0) / (background[:, ::step] + 4.0), axis=(1, 2))
-    window = min(len(ratio) // 2 * 2 - 1, 31)
-    padded = np.pad(ratio, window // 2, mode="edge")
-    smooth = np.median(sliding_window_view(padded, window), axis=1)
-    return np.asarray(np.clip(smooth, 0.3, 3.0), dtype=np.float32)
 
 
 def _difference(frame: Image, background: Picture, gain: Picture) -> Picture:

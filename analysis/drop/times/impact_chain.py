@@ -253,7 +253,15 @@ def _two_at_once(drops: list[Bounces], events: Onsets) -> bool:
             return False
         chain, missed, _ = best_chain(rest.times_s, rest.strength, may_break=False)
         times = rest.times_s[chain]
-        if len(chain) < _LEAST_OF_FURTHER or any(missed) or not _is_steady(np.diff(times)):
+        if len(chain) < _LEAST_OF_FURTHER or any(missed):
+            return False
+        # a ball's flights shrink by one factor, or one that changes evenly, far more closely than chance makes them:
+        # scatter of 1 %, 3 % shorter at least
+        flights = np.diff(times)
+        ratio = np.log(flights[1:] / flights[:-1])
+        basis = np.vander(flights[:-1], 2) if len(ratio) >= _LEAST_OF_FURTHER else np.ones((len(ratio), 1))
+        scatter = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
+        if not float(np.sqrt((scatter**2).mean())) < 0.01 or not float(np.median(ratio)) < np.log(0.97):
             return False
         chains.append(times)
         rest = rest.without(times)
@@ -263,12 +271,3 @@ def _two_at_once(drops: list[Bounces], events: Onsets) -> bool:
     together = min(one[-1], other[-1]) - max(one[0], other[0])
     # the delay of an echo varies by less than 2 ms
     return bool(together > 0.5 * min(np.ptp(one), np.ptp(other)) and float(np.ptp(shifts)) >= 2e-3)
-
-
-def _is_steady(flights: Floats) -> bool:
-    """Whether flights shrink by one factor, or one that changes evenly, far more closely than chance makes them."""
-    ratio = np.log(flights[1:] / flights[:-1])
-    basis = np.vander(flights[:-1], 2) if len(ratio) >= _LEAST_OF_FURTHER else np.ones((len(ratio), 1))
-    left = ratio - basis @ np.linalg.lstsq(basis, ratio, rcond=None)[0]
-    # a ball's flights shrink from bounce to bounce by a steady ratio: scatter of 1 %, 3 % shorter at least
-    return bool(float(np.sqrt((left**2).mean())) < 0.01 and float(np.median(ratio)) < np.log(0.97))
