@@ -27,8 +27,6 @@ from analysis.residuals.whitening import Whitener
 from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import effect, registry
 
-MOST_EVENTS = 120  # of a subsample
-
 
 @functools.cache
 def coarse_grids() -> tuple[tuple[tuple[ParameterId, ...], tuple[float, ...]], ...]:
@@ -48,7 +46,7 @@ def _tied_with(key: ParameterId) -> tuple[ParameterId, ...]:
     return next((tuple((name, x) for x in group) for group in groups if q in group), (key,))
 
 
-def subsample(model: ForwardModel, train: Bools, most: int = MOST_EVENTS) -> ForwardModel:
+def subsample(model: ForwardModel, train: Bools, most: int = 120) -> ForwardModel:
     """The same model with at most about ``most`` scored events, spread over the steps in ``train``."""
     observations = model.observations
     scored = observations.scored & train[observations.measured.step]

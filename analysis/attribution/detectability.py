@@ -21,7 +21,6 @@ from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 from kernels.arrays import Bools, Floats, Integers
 
-MOST_ROUNDS = 8  # of sizes that are tried
 SETTLED = 0.1  # relative change of a size at which it has been found
 FARTHEST, COARSE = 8.0, 7  # times the size tried, or its part, up to which expected gains are tested; at so many sizes
 
@@ -62,7 +61,7 @@ class Detectability:
         most, up = max(high - x, x - low), high - x >= x - low
         size, found = min(1.0, most), math.inf
         others = np.array([k != key for k in self.best.keys])
-        for _ in range(MOST_ROUNDS):
+        for _ in range(8):
             slope = self._change(key, x + size if up else x - size, others) / size
             multiple = self._multiple(key, others, slope, size, high - low)
             found = size * multiple

@@ -30,7 +30,6 @@ from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
-ENOUGH_NATS = 0.1  # gain of a step below which the fit ends
 HELD = 0.33  # of its standard deviation, that of what was identified without a flight
 FOLDS = 3  # of the cross-validation
 
@@ -155,7 +154,8 @@ class Fitter:
                     x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
-            if gained < ENOUGH_NATS:
+            # a step that gains less than a tenth of a nat ends the fit
+            if gained < 0.1:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 

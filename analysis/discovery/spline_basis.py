@@ -13,11 +13,10 @@ from scipy.interpolate import CubicSpline
 from analysis.linear_algebra import solve
 from kernels.arrays import Floats
 
-MOST_KNOTS = 12  # of a term with one value for each flight
 ENDS = (0.01, 0.99)  # quantiles at which a covariate's first and last knot lie
 
 
-def knots_of(x: Floats, most: int = MOST_KNOTS) -> Floats:
+def knots_of(x: Floats, most: int = 12) -> Floats:
     """Knots between evenly spaced ones and quantiles of ``x``; its own values where there are few."""
     known = x[np.isfinite(x)]
     seen = np.unique(known)

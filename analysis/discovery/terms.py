@@ -20,7 +20,6 @@ from kernels.arrays import Bools, Floats
 from model.effects.registry import offsets, registry
 from model.effects.smooth_force import KNOTS
 
-USUAL_ROUGHNESS = 0.05  # standard deviation of second differences, relative to the spread of the curve
 FIRST_KNOTS, MOST_INSIDE = 12, 23  # knots of a term within the flight, at first and at most
 POINTS = 45  # at which a curve is reported
 FIRST_VALUE = "c0"  # first of the values at the knots, in the effects that carry a curve
@@ -140,7 +139,7 @@ class Curve:
     knots: Floats
     values: Floats
     basis: Floats
-    roughness: float = USUAL_ROUGHNESS
+    roughness: float = 0.05
 
     @classmethod
     def even(cls, term: Term, span: tuple[float, float], k: int = FIRST_KNOTS) -> Curve:

@@ -6,10 +6,7 @@ import numpy as np
 
 from kernels.arrays import Floats
 
-FEWEST_OUTPUTS = 1024  # from which the output's tail is measured
-CORE, CORE_SIGMA = 0.98, 0.9346  # part of normal deviations that is kept, and the rms of that part
 TAIL = 3.0  # standard deviations from which a detector's output counts as its tail
-DECAY_SIGMAS = 3.0  # significance from which a tail is heavier than that of normal noise
 FALSE_PER_HOUR = 0.1  # impacts that noise may make in an hour of recording
 
 
@@ -27,13 +24,15 @@ def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
         Outputs a second.
     """
     deviation = np.abs(quiet)
-    if deviation.size < FEWEST_OUTPUTS:
+    if deviation.size < 1024:
         return 1.0, 0.0
-    scale = float(np.sqrt(np.mean(deviation[deviation <= np.quantile(deviation[::8], CORE)] ** 2))) / CORE_SIGMA
+    # all but the largest 2 %, of rms 0.9346 for normal noise: robust, and unbiased by quantisation
+    scale = float(np.sqrt(np.mean(deviation[deviation <= np.quantile(deviation[::8], 0.98)] ** 2))) / 0.9346
     up = quiet[1:-1]
     tops = up[(up > TAIL * scale) & (up >= quiet[:-2]) & (up > quiet[2:])] / scale
     decay, per_hour = 1.0, max(tops.size, 1) / quiet.size * rate_hz * 3600.0
     if tops.size:
         measured = float(np.median(tops**2 - TAIL**2)) / (2.0 * np.log(2.0))
-        decay = measured if measured > 1.0 + DECAY_SIGMAS * measured / np.sqrt(tops.size) else 1.0
+        # a tail that is heavier by less than three standard errors is taken for that of normal noise
+        decay = measured if measured > 1.0 + 3.0 * measured / np.sqrt(tops.size) else 1.0
     return scale, float(np.sqrt(TAIL**2 + 2.0 * decay * np.log(max(per_hour / FALSE_PER_HOUR, 1.0))))

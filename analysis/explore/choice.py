@@ -31,7 +31,6 @@ from kernels.arrays import Floats
 
 CLIP_SIGMAS = 6.0  # of a whitened difference
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
-ENDLESS = 1e3  # times every step on offer: more rig time than there is
 OTHER_ORBIT = 0.05  # difference of mean flight times, relative, beyond which motions at one gamma are different orbits
 
 
@@ -226,7 +225,8 @@ def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[
     some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))
     own = [known.keys[i] for i in some].index(key)
     every = np.sum([pool.products.sum(axis=0)[np.ix_(some, some)] for pool in pools], axis=0)
-    now, then = inv(before), inv(before + ENDLESS * every)
+    # a thousand times every step on offer is more rig time than there is
+    now, then = inv(before), inv(before + 1e3 * every)
     given = then[own, own] - then[own] ** 2 / np.diag(then)  # variance, were the other known
     free = known.explanations[0].free
     limiting = [

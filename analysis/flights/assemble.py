@@ -33,18 +33,8 @@ _Intervals = tuple[Floats, Floats, Floats, Floats, Integers]
 _Table = tuple[Floats, Floats, Floats, Floats, Floats, Integers, EdgeReport]
 
 GLITCH_S = 2e-4  # shortest flight
-BOUNCE_S = 4e-4  # shortest flight within BOUNCE_AFTER_S of a landing: shorter ones are contact bounce
 BOUNCE_AFTER_S = 2e-3
-INSTANT_S = 1.5e-3  # contact time of an impact alone: after a shorter contact the ball may have left as it landed
-RESTED_S = 3e-4  # contact time after which the ball is at rest
-REBOUND_CONTACT_S = 5e-3  # longest contact of a rebound
-SOON_CYCLES = 0.5  # flight time of a double hit, in forcing periods, at most
-PUSHING = 0.8  # -a_p / g at take-off below which a ball at rest would have stayed
-HIDDEN_DEPTH = 0.1  # depth of the ideal path below the plate, over the flight's height, that implies a landing
 HIDDEN_POINTS, HIDDEN_BEFORE = 33, 27  # points of a flight, and those far enough from its own landing
-SPLIT_SAMPLES, STRENGTH_SAMPLES = 3.0, 4.0  # distance from an edge within which an impact is the edge's own
-SPLIT_S, STRENGTH_S = 1.5e-4, 2e-4  # the same in time: a contact's jitter does not shrink with the sampling interval
-MATCH_SIGMAS = 4.0  # the same in standard deviations of the impact's time
 
 
 def flights_of(recording: Recording, *, progress: Progress | None = None, high_pass_hz: float | None = None) -> Flights:
@@ -118,10 +108,12 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Tabl
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
-    intervals, reach_s = _intervals(edges, found.starts_open, end_s), max(SPLIT_S, SPLIT_SAMPLES / rate_hz)
+    # within 3 or 4 samples an impact is the edge's own; in time, as a contact's jitter does not shrink with the
+    # interval
+    intervals, reach_s = _intervals(edges, found.starts_open, end_s), max(1.5e-4, 3.0 / rate_hz)
     table = _split(*intervals, _undenied(found, g_mps2, rate_hz, intervals, impacts, reach_s), reach_s)
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
-    strength = _strength(landing, impacts, max(STRENGTH_S, STRENGTH_SAMPLES / rate_hz))
+    strength = _strength(landing, impacts, max(2e-4, 4.0 / rate_hz))
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
     report = EdgeReport(levels, opening, closing, offset, dips, found.survey.mask_s, found.missed.size)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
@@ -146,7 +138,8 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
         flags[-1] |= FlightFlag.CUT
     duration = landing - takeoff
     since = takeoff - np.append(-np.inf, landing[:-1])
-    false = (duration < GLITCH_S) | ((duration < BOUNCE_S) & (since < BOUNCE_AFTER_S))
+    # a flight shorter than 0.4 ms soon after a landing is contact bounce
+    false = (duration < GLITCH_S) | ((duration < 4e-4) & (since < BOUNCE_AFTER_S))
     flags[false] |= FlightFlag.FALSE
     return takeoff, landing, takeoff_sigma, landing_sigma, flags
 
@@ -182,7 +175,7 @@ def _split(
         return takeoff, landing, takeoff_sigma, landing_sigma, flags
     host = np.searchsorted(takeoff, impacts.time_s) - 1
     inside = host >= 0
-    margin = np.maximum(reach_s, MATCH_SIGMAS * impacts.uncertainty_s)
+    margin = np.maximum(reach_s, 4.0 * impacts.uncertainty_s)
     h = np.maximum(host, 0)
     inside &= (impacts.time_s > takeoff[h] + margin) & (impacts.time_s < landing[h] - margin)
     inside &= (flags[h] & FlightFlag.FALSE) == 0
@@ -306,15 +299,18 @@ def _launch_flags(
 ) -> Integers:
     """Flags `RELAUNCHED` (the plate fell away faster than g at the landing) and `DOUBLE_HIT` (it was pushing)."""
     flags = np.zeros(takeoff.size, dtype=np.int64)
-    brief = true & (contact < REBOUND_CONTACT_S)
+    brief = true & (contact < 5e-3)
     if not brief.any():
         return flags
     leaving = -plate.acceleration_mps2(takeoff, step) / g
     landed_at = takeoff - np.where(np.isfinite(contact), contact, 0.0)
     landed = -plate.acceleration_mps2(landed_at, step) / g
-    flags[brief & (contact < INSTANT_S) & (landed >= 1.0)] |= int(FlightFlag.RELAUNCHED)
-    back_soon = landing - takeoff < SOON_CYCLES / plate.frequency_hz(step)
-    flags[brief & (leaving < PUSHING) & back_soon] |= int(FlightFlag.DOUBLE_HIT)
+    # an impact takes less than 1.5 ms: after so short a contact the ball may have left as it landed
+    flags[brief & (contact < 1.5e-3) & (landed >= 1.0)] |= int(FlightFlag.RELAUNCHED)
+    # a double hit is back within half a period
+    back_soon = landing - takeoff < 0.5 / plate.frequency_hz(step)
+    # below 0.8 g of downward acceleration a ball at rest would have stayed
+    flags[brief & (leaving < 0.8) & back_soon] |= int(FlightFlag.DOUBLE_HIT)
     return flags
 
 
@@ -323,7 +319,8 @@ def _hidden(
 ) -> Integers:
     """Flag `UNSURE` where a ball leaving from rest in free flight would have met the plate well before its landing."""
     skip = FlightFlag.FALSE | FlightFlag.CUT | FlightFlag.GAP | FlightFlag.DOUBLE_HIT | FlightFlag.RELAUNCHED
-    rest = ((flags & int(skip)) == 0) & ((contact > RESTED_S) | np.isnan(contact))
+    # after 0.3 ms of contact the ball is at rest
+    rest = ((flags & int(skip)) == 0) & ((contact > 3e-4) | np.isnan(contact))
     index = np.flatnonzero(rest & np.isfinite(plate.frequency_hz(step)))
     omega, z = plate.forcing_tones(step[index])
     start_s, step_s = plate.true_time_s(takeoff[index]), (landing - takeoff)[index] / (HIDDEN_POINTS - 1)
@@ -333,7 +330,8 @@ def _hidden(
     lowest, highest = np.empty(index.size), np.empty(index.size)
     _clearances(place, np.exp(1j * omega * step_s), speed, step_s, g, lowest, highest)
     out = np.zeros(takeoff.size, dtype=np.int64)
-    out[index[lowest < -HIDDEN_DEPTH * np.maximum(highest, 1e-6)]] = int(FlightFlag.UNSURE)
+    # an ideal path that dips below the plate by a tenth of the flight's height hides a landing
+    out[index[lowest < -0.1 * np.maximum(highest, 1e-6)]] = int(FlightFlag.UNSURE)
     return out
 
 

@@ -33,8 +33,6 @@ from kernels.arrays import Floats, Integers
 
 Progress = Callable[[float], None]  # part done, 0 to 1
 
-MIN_SAMPLES = 32  # samples of a recording, at least
-DEFAULT_MASK_S = 2e-3  # mask after an impact where the accelerometer does not show how long it rings
 NO_CIRCUIT = Levels(0.0, 1.0, 0.1)  # levels of a scan that is never used
 
 
@@ -65,7 +63,7 @@ class Survey:
     @property
     def mask_s(self) -> float:
         """Time after an impact that is masked in the accelerometer."""
-        return DEFAULT_MASK_S if self.template is None else self.template.ring_s
+        return 2e-3 if self.template is None else self.template.ring_s
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
         When the recording is too short, or its volts are far outside a channel's range.
     """
     channels = tuple(name for name in _channels(recording) if name != "drive")
-    cycle = max(round(recording.rate_hz / recording.setup.forcing.frequency_hz), MIN_SAMPLES)
+    cycle = max(round(recording.rate_hz / recording.setup.forcing.frequency_hz), 32)
     if recording.n_samples < cycle:
         raise InputError(
             f"{recording.path}: wanted at least {cycle} samples (a cycle of the forcing at "

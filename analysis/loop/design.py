@@ -33,7 +33,6 @@ STEPS = 14  # of a designed ramp
 SETTLE_CYCLES, HOLD_CYCLES = 20, 30  # of each simulated step
 OVER_AMPLITUDE = {GAIN: 1, PHASE: 1, GATE: 1, SECOND: 2, THIRD: 2}
 """Power of a tone's amplitude by which the uncertainty of a kind of plate data falls; 0 for others."""
-RIVALS = 3  # tied hypotheses that a design is to separate from the best, at most
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,8 @@ def rank(fitted: FittedLoop, designs: Sequence[Design]) -> list[Ranked]:
     Every design is simulated under the best hypothesis, and its rivals are fitted to that simulation.
     """
     model, best = fitted.model, fitted.selection.best
-    rivals = fitted.selection.ties[1 : 1 + RIVALS]
+    # a design separates at most three tied hypotheses from the best
+    rivals = fitted.selection.ties[1 : 1 + 3]
     if not rivals:
         return []
     out = []

@@ -31,9 +31,6 @@ from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, RUN_P
 from model.effects.registry import resolve
 
-LISTED = 4  # candidates
-MOST_STARTS = 12  # of a candidate's shapes
-
 
 @dataclass(frozen=True)
 class Promising:
@@ -128,7 +125,7 @@ def _promising(model: ForwardModel, fitter: Fitter, declared: Fitted) -> tuple[P
         best = found.get(candidate.names)
         if gain > FROZEN.gain_nats and (best is None or gain > best.gain):
             found[candidate.names] = Promising(candidate.names, gain, {key: values[key] for key in free})
-    return tuple(sorted(found.values(), key=lambda one: -one.gain)[:LISTED])
+    return tuple(sorted(found.values(), key=lambda one: -one.gain)[:4])
 
 
 def _linear(
@@ -139,8 +136,9 @@ def _linear(
     if not shapes:
         return fitter.linear_step(declared, free)
     settings = {tuple(start.get(key, null_value_of(key)) for key in shapes) for start in candidate.starts}
+    # a dozen settings of a candidate's shapes, evenly
     steps = [
         fitter.linear_step(declared, free, dict(zip(shapes, at, strict=True)))
-        for at in sorted(settings)[:: max(1, len(settings) // MOST_STARTS)]
+        for at in sorted(settings)[:: max(1, len(settings) // 12)]
     ]
     return max(steps, key=lambda one: one[0], default=(0.0, {key: null_value_of(key) for key in free}))

@@ -55,11 +55,6 @@ BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # time before an impact that is masked with it
 HARMLESS_COVER = 0.85  # unmasked part of a step above which no mask can do harm
 MAX_INFLATION, MOST_INFLATION = 1.6, 5.0  # largest factors by which a mask may raise a tone's uncertainty
-RINGING_LEFT = 1.1  # residual over that with the longest mask, from which a shorter one leaves more than noise
-MIN_PER_TONE = 8  # unmasked blocks needed per fitted tone
-OPEN_ABOVE, CLOSED_BELOW = 0.9, 0.1  # mean contact voltage, as a fraction of the swing, of flight and of contact
-WAITING_STEPS = 16  # solved in a row: what a step's small fits need then stays in the processor's caches
-CHUNK_BLOCKS = 1 << 17  # block means in memory before they are added to the normal equations
 
 
 @dataclass(frozen=True)
@@ -167,7 +162,8 @@ class StepAccumulator:
                 self._add_span(self.open, piece.first, (a, b), means, begins)
             if stop <= piece.last:
                 self._close_step()
-            elif self.open.blocks > CHUNK_BLOCKS:
+            # block means in memory, before they are added to the normal equations
+            elif self.open.blocks > (1 << 17):
                 self._solve_waiting()  # their mains lines come before this step's
                 self.flush_chunk(self.open)
 
@@ -320,7 +316,8 @@ class StepAccumulator:
         if self.open is not None:
             self.waiting.append(self.open)
         self.open = None
-        if len(self.waiting) >= WAITING_STEPS:
+        # sixteen steps solved in a row: what their small fits need then stays in the processor's caches
+        if len(self.waiting) >= 16:
             self._solve_waiting()
 
     def _solve_waiting(self) -> None:
@@ -346,7 +343,7 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
         left = int(counts[level:].sum())
         if left > HARMLESS_COVER * whole and longest_rms is None:
             return level
-        if left < MIN_PER_TONE * lock_in.frequencies_hz.size:
+        if left < 8 * lock_in.frequencies_hz.size:
             continue
         state.mask_level = level
         total = lock_in.part(state.clear_classes())
@@ -361,7 +358,8 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
         if longest_rms is None:
             longest, longest_rms = level, rms
         if worst < MAX_INFLATION**2 or left > HARMLESS_COVER * whole:
-            return level if rms < RINGING_LEFT * longest_rms else longest
+            # a residual 10 % above that with the longest mask is ringing, which the shorter mask leaves in
+            return level if rms < 1.1 * longest_rms else longest
     return 1 if longest_rms is None else longest
 
 
@@ -377,5 +375,6 @@ def _classify(first, fraction, begins, impacts, masks, out):  # type: ignore[no-
         while level < levels and masks[level] < block - impacts[last]:
             level += 1
         open_part = fraction[i]
-        place = FLIGHT if open_part > OPEN_ABOVE else CONTACT if open_part < CLOSED_BELOW else NEITHER
+        # a block that is less than nine tenths in flight or in contact is neither
+        place = FLIGHT if open_part > 0.9 else CONTACT if open_part < 0.1 else NEITHER
         out[i] = place * N_MASK_LEVELS + level

@@ -20,21 +20,14 @@ from daq.lock_in import ToneFit
 from kernels.arrays import Complexes, Floats
 
 MAINS_HZ = (50.0, 60.0)
-MULTIPLES = (2, 3, 4, 5, 6, 7)  # of a measured line
 MAX_OFFSET_HZ = 0.3  # largest distance from the nominal frequency: a free-running generator, a clock that is off
 PRIOR_SIGMA_HZ = 0.1  # standard deviation of a line's frequency before any measurement
-WALK_HZ = 0.002  # random walk of the mains frequency within a second
 SIGNIFICANT = 6.0  # amplitude over its uncertainty from which a line's frequency is refined
 MIN_SEPARATION_CYCLES = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
 MIN_CYCLES = 5.0  # cycles of a line within a step, to be fitted
 FAR_FROM = 0.5  # part of a significant amplitude below which a line is not fitted at other frequencies
-NEAR_HZ = 10.0  # distance from a line within which noise is its own
-LOBE_BINS = 1.5  # cycles over a chunk from a tone within which a periodogram shows the tone
 LOBE = 0.25  # cycles over a step by which a line may be off and still be found from its start
-TRIAL_CYCLES = 0.1  # cycles over a step between the trial frequencies: the misfit is a parabola there
 BIN_S = 0.2  # bin of a long step's search, short against a beat of `MAX_OFFSET_HZ`
-CONVERGED = 0.1  # last change of the frequency over its uncertainty
-MAX_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
@@ -56,13 +49,14 @@ class MainsLine:
 
     def later(self, at_s: float) -> MainsLine:
         """Prior of the line in another step: the uncertainty grows as a random walk."""
-        sigma = float(np.hypot(self.sigma_hz, WALK_HZ * np.sqrt(abs(at_s - self.at_s))))
+        # the mains frequency walks by 2 mHz within a second
+        sigma = float(np.hypot(self.sigma_hz, 0.002 * np.sqrt(abs(at_s - self.at_s))))
         return replace(self, sigma_hz=min(sigma, PRIOR_SIGMA_HZ), at_s=at_s, slopes=None)
 
     @property
     def multiples_hz(self) -> list[float]:
         """Multiples that are fitted with the line: none where no step has shown it."""
-        return [k * self.hz for k in MULTIPLES] if self.sigma_hz < PRIOR_SIGMA_HZ else []
+        return [k * self.hz for k in (2, 3, 4, 5, 6, 7)] if self.sigma_hz < PRIOR_SIGMA_HZ else []
 
     @property
     def noise(self) -> float:
@@ -101,9 +95,11 @@ def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> 
     size, spectrum = residual.size, np.fft.rfft(residual)
     white = float(residual @ residual)
     for line, own in enumerate(cycles[first:] * size if white > 0.0 else []):
-        reach = NEAR_HZ / rate_hz * size
+        # noise within 10 Hz of a line is the line's own
+        reach = 10.0 / rate_hz * size
         bins = np.arange(max(math.ceil(own - reach), 1), min(int(own + reach) + 1, spectrum.size))
-        bins = bins[np.abs(bins[:, None] - cycles * size).min(axis=1) > LOBE_BINS] if bins.size else bins
+        # within 1.5 bins of a tone a periodogram shows the tone
+        bins = bins[np.abs(bins[:, None] - cycles * size).min(axis=1) > 1.5] if bins.size else bins
         if bins.size:
             power = np.abs(spectrum[bins]) ** 2
             out[line] = median(power) / math.log(2.0) / white * bins.size, bins.size
@@ -202,8 +198,9 @@ def refined_line(
     length_s
         Length of the step.
     """
-    hz, h = begin_hz, TRIAL_CYCLES / length_s
-    for _ in range(MAX_ITERATIONS):
+    # trials a tenth of a cycle over the step from each other: the misfit is a parabola there
+    hz, h = begin_hz, 0.1 / length_s
+    for _ in range(8):
         middle = fit_at(hz)
         if not abs(middle.amplitudes[place]) > SIGNIFICANT * line.noise * middle.amplitude_sigma()[place]:
             return line
@@ -216,7 +213,7 @@ def refined_line(
         if abs(hz - line.nominal_hz) > MAX_OFFSET_HZ or np.abs(others_hz - hz).min() < MIN_SEPARATION_CYCLES / length_s:
             return line
         sigma = float(np.sqrt(2.0 / curvature))
-        if abs(step) < CONVERGED * sigma:
+        if abs(step) < 0.1 * sigma:
             return replace(line, hz=hz, sigma_hz=sigma, slopes=(right.amplitudes - left.amplitudes) / (2.0 * h))
     return line
 

@@ -20,14 +20,10 @@ from kernels.arrays import Complexes, Floats, Integers
 from model.tones import Plate
 
 TWO_PI = 2.0 * np.pi
-FALSE_ALARM = 1e-5  # probability of a slow line in noise, below which it is reported
-MIN_VALUES = 16  # values of the slow residual needed for a spectrum
-MIN_BINS = 8  # bins of the spectrum needed for its background
 MAX_LINES = 3
 MOST_CUT_OFF = 0.35  # part of a step at the sensor's end, up to which the rest gives its tones
 PADDING = 4  # zero padding of the spectrum
 LINE_BINS = 12  # bins on either side of a line that belong to it
-BELOW_FORCING = 0.9  # upper end of the search, in units of the forcing frequency
 
 
 @dataclass(frozen=True)
@@ -52,15 +48,15 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
     The false-alarm probability is that of the largest of independent exponentially distributed powers.
     """
     known = np.isfinite(slow.mps2)
-    if known.sum() < MIN_VALUES:
+    if known.sum() < 16:
         return ()
     step_s = float(np.median(np.diff(slow.time_s)))
     x = np.where(known, slow.mps2 - np.nanmean(slow.mps2), 0.0) * np.hanning(slow.mps2.size)
     gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
     spectrum = np.abs(np.fft.rfft(x, PADDING * x.size)) / gain
     f = np.fft.rfftfreq(PADDING * x.size, step_s)
-    band = (f > 2.0 / (x.size * step_s)) & (f < BELOW_FORCING * frequency_hz)
-    if band.sum() < MIN_BINS:
+    band = (f > 2.0 / (x.size * step_s)) & (f < 0.9 * frequency_hz)
+    if band.sum() < 8:
         return ()
     power = np.where(band, spectrum, 0.0) ** 2
     background = float(np.median(power[band])) / np.log(2.0)
@@ -69,7 +65,8 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
     for _ in range(MAX_LINES):
         k = int(np.argmax(power))
         chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
-        if chance > FALSE_ALARM:
+        # noise makes such a line once in 100000 spectra
+        if chance > 1e-5:
             break
         found.append(SpectralLine(float(f[k]), float(np.sqrt(power[k]))))
         power[max(k - LINE_BINS, 0) : k + LINE_BINS + 1] = 0.0

@@ -26,8 +26,6 @@ from daq.recording import Recording
 from daq.setup.setup import Setup
 from kernels.arrays import Complexes
 
-MIN_WINDOWS = 4  # windows needed to measure a slow modulation
-MODULATION_ERROR = 0.5  # relative error of the modulation's power: windows need not cover a step
 STEP_SAMPLES = 4096  # in which a converter's step is looked for
 PEAK_POINTS = 361  # points of a period at which the peak acceleration is looked for
 
@@ -132,11 +130,12 @@ def _without_modulation(fit: ToneFit, windows: Windows, rows: list[int], noise_m
     """The fit with the power of a slow amplitude modulation, which is no noise, taken out of its residual rms."""
     tones = fit.amplitudes[rows]
     count = windows.time_s.size
-    if count < MIN_WINDOWS or fit.rms == 0.0 or not np.all(tones):
+    if count < 4 or fit.rms == 0.0 or not np.all(tones):
         return fit
     value, sigma = windows.relative_amplitude(tones)
     power = 0.5 * float(np.vdot(tones, tones).real) * max(float(value @ value - sigma @ sigma) / count, 0.0)
-    excess = max(fit.rms**2 - noise_mps2**2 - (1.0 + MODULATION_ERROR) * power, 0.0)
+    # windows need not cover a step: the modulation's power is known to a half
+    excess = max(fit.rms**2 - noise_mps2**2 - (1.0 + 0.5) * power, 0.0)
     rms = math.sqrt(noise_mps2**2 + excess)
     return replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2)
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 MOST_VECTOR_POINTS = 15_000  # in one figure; with more of them the dots are one picture under vector axes
 MOST_HOVER_POINTS = 60_000  # in one figure that the pointer can name; of more, every second, third, ... one
-MANY = 500  # dots of one line from which it joins the picture
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,8 @@ def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
         n = sum(sizes)
         if n > MOST_VECTOR_POINTS:
             for line, size in zip(dots, sizes, strict=True):
-                line.set_rasterized(bool(line.get_rasterized()) or size > MANY)
+                # a line of more than 500 dots joins the picture
+                line.set_rasterized(bool(line.get_rasterized()) or size > 500)
         out = io.BytesIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
         points, known = _points(figure, named)

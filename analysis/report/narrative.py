@@ -29,7 +29,6 @@ from model.effects.registry import effect
 
 LISTED = 3  # candidates and kinds of plate data named in a sentence
 RIVALS = 3  # sets of effects named as what else it could be
-NOTABLE = 1.2  # fall of an error from which it is named with that of landings
 
 
 def headline(loop: ClosedLoop) -> str:
@@ -70,7 +69,7 @@ def _errors(loop: ClosedLoop) -> str:
         _plate_z(loop) / loop.remainder.plate_rms_z,
     ]
     most = int(np.nanargmax([x if math.isfinite(x) else 0.0 for x in fallen]))
-    if most == 0 or fallen[most] < NOTABLE:
+    if most == 0 or fallen[most] < 1.2:
         return said
     if most == 1:
         return (

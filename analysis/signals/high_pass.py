@@ -14,7 +14,6 @@ from analysis.signals.stream import Piece, Volts
 from kernels.arrays import Floats
 
 LEAST_HZ = 1.0  # corner from which tails of impacts matter
-KEPT_PART = 0.05  # of the corner: below it nothing is restored, else noise and bias would grow without end
 
 
 class HighPass:
@@ -29,7 +28,8 @@ class HighPass:
 
     def __init__(self, corner_hz: float, rate_hz: float) -> None:
         w = 2.0 * np.pi * corner_hz
-        b, a = bilinear([1.0, w], [1.0, KEPT_PART * w], fs=rate_hz)
+        # below 5 % of the corner nothing is restored: noise and bias would grow without end
+        b, a = bilinear([1.0, w], [1.0, 0.05 * w], fs=rate_hz)
         self._undo, self._redo = (b / a[0], a / a[0]), (a / b[0], b / b[0])
         self._undone, self._redone = np.zeros(1), np.zeros(1)
         self._before: Volts | None = None

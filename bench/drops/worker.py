@@ -13,8 +13,6 @@ from typing import Any
 from bench.terminal.signals import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 
-NICENESS = 10
-
 
 def work(pipe: Connection, gives_way: bool) -> None:
     """Measure every request that comes, until the pipe ends; ``gives_way``: a run on this machine goes first.
@@ -26,7 +24,7 @@ def work(pipe: Connection, gives_way: bool) -> None:
     leave_keys_to_the_parent()
     if gives_way and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
-            os.nice(NICENESS)
+            os.nice(10)
     known = Known()
     with contextlib.suppress(EOFError, OSError):
         while True:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from analysis.drop.times.one_ahead import Drop
 
 AIR_KG_PER_M3 = 1.2
-DRAG_COEFFICIENTS = (0.3, 1.2)  # of a sphere, smooth or rough, at Reynolds numbers of 100 to 100 000 (Clift 1978)
 Height = tuple[float, float]
 
 
@@ -67,7 +66,8 @@ class Request:
         if self.mass_kg is None or self.diameter_m is None:
             return 0.0, np.inf
         area = 0.25 * np.pi * self.diameter_m**2
-        low, high = (0.5 * AIR_KG_PER_M3 * c * area / self.mass_kg for c in DRAG_COEFFICIENTS)
+        # drag coefficients of a sphere, smooth or rough, at Reynolds numbers of 100 to 100 000 (Clift 1978)
+        low, high = (0.5 * AIR_KG_PER_M3 * c * area / self.mass_kg for c in (0.3, 1.2))
         return low, high
 
     def as_json(self) -> dict[str, Any]:

@@ -29,7 +29,6 @@ from bench.web.section import Place, Section, templates_of
 from daq.setup.errors import InputError
 from rig.profile import Profile, load_profile
 
-TICK_S = 0.05
 COMMANDS = ("finish", "ramp_down", "pause", "go_on", "note", "next")
 
 
@@ -83,7 +82,7 @@ class Desk:
                 self.watch.tick()
                 self._follow(self.watch)
             self._look_at_check()
-            due = max(due + TICK_S, time.monotonic())
+            due = max(due + 0.05, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
 
     def _follow(self, watch: WatchedRun) -> None:

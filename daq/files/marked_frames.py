@@ -20,7 +20,6 @@ from daq.files.frame_marks import MAGIC, piece_rows, read_marks, rows_after
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32, joined
 
-SEARCHED_BYTES = 256 << 10  # behind a chunk, for the next one
 _ENDING = b'{"ended": '
 
 
@@ -119,7 +118,7 @@ class MarkedFrames:
         ends = self.blocks["first_sample"] + self.blocks["n_samples"]
         within = self.blocks[(self.blocks["first_sample"] >= begin) & (ends <= end) & (self.blocks["crc32"] > 0)]
         before = marks.addresses.get(chunk - 1, 0)
-        data = self._data[before : before + row_bytes * marks.chunk_rows + SEARCHED_BYTES]
+        data = self._data[before : before + row_bytes * marks.chunk_rows + (256 << 10)]
         after = row_bytes * marks.chunk_rows if before else 0
         for row in within[:1]:
             offset, n_bytes = row_bytes * int(row["first_sample"] - begin), row_bytes * int(row["n_samples"])

@@ -26,7 +26,6 @@ FELT_BELOW, FELT_ABOVE = 0.08, 0.3  # the same in the accelerometer, where impac
 BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
 DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # after an edge, at which the plate is looked at: either may be late
 RESTS = 0.9  # peak below which it certainly rests
-FRAME_S = 12.8e-3  # of a periodogram of the noise: impacts are farther apart
 SHOCK_S = (1e-3, 8e-3)  # before and after an edge of the contact, left out of the noise
 
 
@@ -134,11 +133,12 @@ def measure(
     shown = [volts["accelerometer"] for _, volts, _ in pieces]
     ends_v = common_ends(shown, rate_hz)
     channels = [[volts[role] for _, volts, _ in pieces] for role in read]
+    # impacts follow one another by more than the 12.8 ms of a periodogram
     return Measured(
         tuple(holds),
         levels,
         float(np.median(bias)) if bias else None,
-        measure_noise(rests, quiet, rate_hz, max(1 << round(math.log2(FRAME_S * rate_hz)), 16)),
+        measure_noise(rests, quiet, rate_hz, max(1 << round(math.log2(12.8e-3 * rate_hz)), 16)),
         interpolation_hz(channels, rate_hz),
         ends_v,
         sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),

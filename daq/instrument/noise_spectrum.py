@@ -21,7 +21,6 @@ QUIET_SHARE = 0.25  # quantile of the periodograms that the first estimate takes
 SLOW_HZ = 500.0  # below, a recording holds the plate's motion as well
 PLATEAU_HZ = (150.0, 600.0)  # where the density at low frequencies is taken
 OCTAVE = 1.1  # ratio of the ends of the band over which a spectrum is smoothed where its bandwidth is sought
-STEEPER = 1.3  # power of the frequency that a filter's noise falls faster than; 1/f noise falls slower
 PREDICTED_FROM = 16  # samples from which the next one is predicted
 
 
@@ -75,7 +74,8 @@ class NoiseSpectrum:
         if edge >= len(smooth):
             return None
         far = min(4 * (edge + 1) - 1, len(smooth) - 1)
-        falls = smooth[far] / smooth[edge] < (hz[1:-1][far] / hz[1:-1][edge]) ** -STEEPER
+        # a filter's noise falls faster than with the power 1.3 of the frequency, 1/f noise slower
+        falls = smooth[far] / smooth[edge] < (hz[1:-1][far] / hz[1:-1][edge]) ** -1.3
         return float(hz[1:-1][edge]) if falls else None
 
     def autocovariance(self, count: int) -> Floats:

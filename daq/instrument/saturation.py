@@ -18,13 +18,8 @@ from kernels.arrays import Bools, Floats
 
 STANDS = 0.02  # share of the samples at an end from which it saturates: a sine cut off there has lost 0.2 % of its peak
 STANDS_S = 1e-3  # time at an end from which it is the motion that stands there: a table's ringing turns sooner
-BANDS = (200.0, 100.0, 50.0, 25.0)  # parts of the range that noise may spread an end over, inverse
 CROWDED = 3.0  # times as many in the outermost band as in the next one; where a sine turns there are 2.4 times as many
-CROWDED_SIGMAS = 4.0  # significance of that
-SPREAD_SIGMAS = 4.0  # standard deviations of the noise about an end within which a reading is at the end
-BEYOND = 0.5  # of the spread about an end, by which readings of other stretches may exceed it
 STAYS_S, LEAST_STAY = 1e-4, 2.0  # mean stay at an end, and in samples, beyond which it is one
-LOOKED_AT = 4096  # samples from which the step of the readings is taken
 
 Ends = tuple[float, float]
 NO_ENDS: Ends = (-math.inf, math.inf)
@@ -37,11 +32,12 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     the next one, for parts of several sizes.
     """
     x = np.asarray(values, dtype=np.float64)
-    in_order = np.sort(values[:LOOKED_AT]).astype(np.float64)  # whole codes are sorted several times faster
+    in_order = np.sort(values[:4096]).astype(np.float64)  # whole codes are sorted several times faster
     steps = np.diff(in_order)
     least = 2.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
     least = least if least < math.inf else 0.0
-    widths = [max(float(np.ptp(x)) / part, least) for part in BANDS]
+    # noise may spread an end over so many parts of the range
+    widths = [max(float(np.ptp(x)) / part, least) for part in (200.0, 100.0, 50.0, 25.0)]
     return -_end(-x, widths), _end(x, widths)
 
 
@@ -52,9 +48,11 @@ def _end(x: Floats, widths: list[float]) -> float:
     for width in widths:
         at = near[near > top - width]
         next_to = np.count_nonzero(near > top - 2.0 * width) - at.size
-        if at.size - CROWDED * next_to > CROWDED_SIGMAS * math.sqrt(at.size + CROWDED**2 * next_to):
+        # four sigma of the counts: the readings crowd at an end
+        if at.size - CROWDED * next_to > 4.0 * math.sqrt(at.size + CROWDED**2 * next_to):
             level = float(np.median(at))
-            return level - SPREAD_SIGMAS * 1.4826 * float(np.median(at[at >= level] - level))
+            # readings within four standard deviations of the noise about an end are at the end
+            return level - 4.0 * 1.4826 * float(np.median(at[at >= level] - level))
     return math.inf
 
 
@@ -70,7 +68,7 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
         found = [sign * pair[side] for pair in pairs]
         held = [
             end for end, top, x in zip(found, tops, stretches, strict=True)
-            if max(tops) <= top + BEYOND * (top - end) and _stay(sign * x >= end) > max(STAYS_S * rate_hz, LEAST_STAY)
+            if max(tops) <= top + 0.5 * (top - end) and _stay(sign * x >= end) > max(STAYS_S * rate_hz, LEAST_STAY)
         ]  # fmt: skip
         ends.append(sign * min(held, default=math.inf))
     return ends[0], ends[1]

@@ -16,7 +16,6 @@ from model.flight.records import EdgeTables, FrictionRestitution, Segment, Tange
 from model.flight.segment import UNDECIDED, landing_or_standstill, motion, shape
 
 RESTS = 4  # the ball does not leave at this phase
-TINY = 1e-7  # a window left sooner than this may have lifted the ball by less than rounding
 
 
 @compiled
@@ -47,7 +46,7 @@ def land(
     i = branch_of(edge, n_windows, phi0)
     if n_windows > 0 and i % 2 == 0:
         tau = edge[i + 1] - phi0
-        if tau < TINY and motion(tones, gamma, segment, edge[i + 1], tau)[0] <= 0.0:  # lifted by less than rounding
+        if tau < 1e-7 and motion(tones, gamma, segment, edge[i + 1], tau)[0] <= 0.0:  # lifted by less than rounding
             return 3.0 * tau, fold(phi0 + 3.0 * tau, edge[0]), 0.0, UNDECIDED
     _, tau, phi, speed, flag = landing_or_standstill(tones, gamma, edge, n_windows, segment, False)
     return tau, phi, speed, flag

@@ -11,9 +11,7 @@ from model.integrator.hooks import plate_mode, rebound
 from model.integrator.records import Mode, Plate, Probe, compiled, inlined
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
-SAME_TONE = 1e-6  # relative difference of two frequencies that are one
 SHORT_TURN = 0.3  # rad: the next terms of the series in `_short_turn` are below 1e-16
-MINOR = 1e-3  # part of the largest displacement below which a tone needs no finer steps
 
 
 @compiled
@@ -122,7 +120,8 @@ def step_length(period: float, tones: Floats) -> float:
         largest = max(largest, math.hypot(tones[k, 1], tones[k, 2]) / (tones[k, 0] * tones[k, 0]))
     fastest = 2.0 * math.pi / period
     for k in range(tones.shape[0]):
-        if math.hypot(tones[k, 1], tones[k, 2]) / (tones[k, 0] * tones[k, 0]) > MINOR * largest:
+        # a tone of less than 1e-3 of the largest displacement needs no finer steps
+        if math.hypot(tones[k, 1], tones[k, 2]) / (tones[k, 0] * tones[k, 0]) > 1e-3 * largest:
             fastest = max(fastest, tones[k, 0])
     return 2.0 * math.pi / (fastest * STEPS_PER_PERIOD)
 
@@ -134,7 +133,8 @@ def between_steps(every: Floats, m: int, other: int, share: float) -> Floats:
     for k in range(tones.shape[0]):
         re, im = (1.0 - share) * tones[k, 1], (1.0 - share) * tones[k, 2]
         for j in range(tones.shape[0] if other >= 0 else 0):
-            if abs(every[other, j, 0] - tones[k, 0]) < SAME_TONE * tones[k, 0]:
+            # frequencies that differ by less than 1e-6 are one
+            if abs(every[other, j, 0] - tones[k, 0]) < 1e-6 * tones[k, 0]:
                 re, im = re + share * every[other, j, 1], im + share * every[other, j, 2]
                 break
         tones[k, 1], tones[k, 2] = re, im

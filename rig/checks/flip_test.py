@@ -17,7 +17,6 @@ from rig.backends.base import Backend, FlipsSensor, Running
 from rig.profile import Profile
 
 SETTLE_S = 0.5  # after the sensor was touched
-REST_S = 2.0  # of one reading
 PARTS = 20  # of a reading, whose scatter is its uncertainty
 ORIENTATIONS = (False, True, False)  # upside down? The last one tells whether the first still holds
 
@@ -122,7 +121,7 @@ def _rest(profile: Profile, backend: Backend) -> Reading:
     rate_hz, size = profile.sampling.rate_hz, profile.backend.block_samples
     column = backend.channels.index("accelerometer")
     scale_v, zero_v = backend.scales["accelerometer"]
-    wanted, settle = round((SETTLE_S + REST_S) * rate_hz), round(SETTLE_S * rate_hz)
+    wanted, settle = round((SETTLE_S + 2.0) * rate_hz), round(SETTLE_S * rate_hz)
     codes: list[np.ndarray] = []
     while sum(map(len, codes)) < wanted:
         codes.append(backend.exchange(np.zeros(size)).codes[:, column])

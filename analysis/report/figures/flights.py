@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 
 GAMMAS = 500  # points of the model's diagram
 ZONE_GAMMAS = 60  # points of the forbidden zones
-MAPS = 6  # return maps in one figure
 CYCLES = 4.0  # of the forcing, in the trajectory
-MOST_LEVELS = 12  # flight times of a predicted cycle that are drawn as lines in the history
 
 
 def draw_bifurcations(shown: Measured, figure: Figure) -> None:
@@ -129,7 +127,7 @@ def draw_return_maps(shown: Measured, figure: Figure) -> None:
         key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights),
         reverse=True,
     )
-    chosen = sorted(ranked[:MAPS], key=lambda s: s.step)
+    chosen = sorted(ranked[:6], key=lambda s: s.step)
     if not chosen:
         return
     scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
@@ -271,7 +269,8 @@ def _draw_levels(ax: Any, recording: Recording, compared: Comparison) -> None:
     label: str | None = "model's cycle"
     for own in compared.steps:
         levels = np.unique(own.predicted_s)
-        if not own.periodic or not 0 < len(levels) <= MOST_LEVELS:
+        # more than twelve flight times of a cycle would fill the history with lines
+        if not own.periodic or not 0 < len(levels) <= 12:
             continue
         row = recording.steps[own.step]
         ends = (row["first_sample"] + np.array([row["settle_samples"], row["n_samples"]])) / recording.rate_hz

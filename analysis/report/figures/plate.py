@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_SAMPLES = 400_000  # folded into one period
-
-
 def draw_plate(shown: Measured, figure: Figure) -> None:
     """Draw gain and lag of the plate against the drive at each step, and one period of the largest step."""
     recording = shown.recording
@@ -67,7 +64,7 @@ def _transfer(gain_ax: Any, lag_ax: Any, plates: list[StepPlate], x: Floats) -> 
 
 def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
     """One period of the step, all its samples folded, with the fitted tones."""
-    first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + MOST_SAMPLES)
+    first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + 400_000)
     channel = recording.setup.channels.accelerometer
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
     a = (recording.read_v("accelerometer", first, last) - zero_v) / channel.volts_per_mps2 - plate.acceleration.offset

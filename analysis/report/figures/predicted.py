@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 TURN = 2.0 * math.pi
 SHORTEST = 0.05  # flight whose share is compared, in forcing periods: shorter ones are lost in closed contacts
-VISITED = 0.1  # share of a state that the motion visits, over the mean share
 EDGES = np.arange(0.0, 2.6, 0.05)  # of the flight times, forcing periods
-BRANCHES = 3
 
 
 def draw_orbit(forcing: Forcing, gamma: float, figure: Figure) -> dict[str, Floats]:
@@ -69,9 +67,9 @@ def draw_branches(found: LandingMap, flights: Flights, figure: Figure) -> dict[s
     figure.set_size_inches(9.6, 7.2)
     axes = figure.subplot_mosaic([["states", "map"], ["shares", "shares"]])
     table: dict[str, Floats] = {"from_periods": EDGES[:-1]}
-    for m, (colour, _, _) in enumerate(HARMONICS[:BRANCHES]):
+    for m, (colour, _, _) in enumerate(HARMONICS[:3]):
         own = found.branch == m
-        for rows, size, alpha in ((own, 1.0, 0.25), (own & (share > VISITED * share.mean()), 3.0, 0.7)):
+        for rows, size, alpha in ((own, 1.0, 0.25), (own & (share > 0.1 * share.mean()), 3.0, 0.7)):
             axes["states"].plot(
                 found.phase[rows] / TURN, found.tau[rows] / TURN, ".", ms=size, mew=0, color=colour, alpha=alpha,
                 rasterized=True,

@@ -29,11 +29,7 @@ LANDINGS = (
 TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
 COLUMNS = 3  # of panels
 BINS, LEAST_IN_BIN = 12, 4  # of the medians, and flights in a bin
-SHOWN = 95.0  # per cent of the residuals within the axes; the others are triangles at the edge
-AT_LEAST_FLOORS = 4.0  # half height of an axis, at least, over the noise floor
 PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
-STILL = 1e-6  # relative spread of a covariate below which it counts as constant
-TICKS = (-1000, -100, -10, -2, 0, 2, 10, 100, 1000)
 
 
 def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
@@ -68,9 +64,8 @@ def _draw(
     x = loop.flights.covariates
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     if rows.any():
-        against = tuple(
-            c for c in against if np.nanstd(x[c][rows]) > STILL * np.nanmax(np.abs(x[c][rows]), initial=0.0)
-        )
+        # a covariate that spreads by less than 1e-6 of itself counts as constant
+        against = tuple(c for c in against if np.nanstd(x[c][rows]) > 1e-6 * np.nanmax(np.abs(x[c][rows]), initial=0.0))
     if not rows.any() or not against:
         return
     shown_sides = sides(loop)
@@ -104,7 +99,8 @@ def _panel(ax: Any, x: Floats, residual_us: Floats, flights: Integers, colour: s
     if not len(x):
         return
     floor = floor_us if np.isfinite(floor_us) else 0.0
-    limit = 1.15 * max(float(np.percentile(np.abs(y), SHOWN)), AT_LEAST_FLOORS * floor, 1e-3)
+    # 95 % of the residuals within the axes, and four noise floors; the others are triangles at the edge
+    limit = 1.15 * max(float(np.percentile(np.abs(y), 95.0)), 4.0 * floor, 1e-3)
     ax.axhspan(-floor, floor, color=FLOOR, alpha=0.35, lw=0)
     ax.axhline(0.0, color=FLOOR, lw=0.6)
     beyond = clipped_dots(ax, x, y, limit, flights[known], color=colour)
@@ -163,7 +159,7 @@ def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Floats, str]]
     ax.axvspan(-2.0, 2.0, color=FLOOR, alpha=0.35, lw=0)
     largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, _ in models)
     ax.set_xscale("symlog", linthresh=4.0)
-    ticks = [t for t in TICKS if abs(t) <= max(largest, 2.0)]
+    ticks = [t for t in (-1000, -100, -10, -2, 0, 2, 10, 100, 1000) if abs(t) <= max(largest, 2.0)]
     ax.set_xticks(ticks, [str(t).replace("-", "−") for t in ticks])
     ax.set_yticks(range(len(present)), [KINDS[k] for k in present])
     ax.set_xlabel("each datum, in sigmas")

@@ -18,9 +18,6 @@ from analysis.report.wording import plain
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_ROWS = 6  # parameters in the figure
-ROW_INCHES, HEAD_INCHES = 1.35, 0.6
-
 
 def draw_runs(found: JointVerdict, figure: Figure) -> None:
     """Each run's own value with its 95 % interval, over the day, and the mean of all runs with its interval.
@@ -28,10 +25,10 @@ def draw_runs(found: JointVerdict, figure: Figure) -> None:
     What was named comes first, then what differs between runs.
     """
     shown = [x for x in found.parameters if x.kind == "effect" or x.differs]
-    shown = [x for x in shown if np.isfinite(x.sigmas).any()][:MOST_ROWS]
+    shown = [x for x in shown if np.isfinite(x.sigmas).any()][:6]
     if not shown:
         return
-    figure.set_size_inches(7.2, HEAD_INCHES + ROW_INCHES * len(shown))
+    figure.set_size_inches(7.2, 0.6 + 1.35 * len(shown))
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     for ax, x in zip(axes, shown, strict=True):
         _draw_one(ax, x, found.runs)

@@ -50,8 +50,6 @@ FORMATS: dict[str, dict[str, Any]] = {
     "png": {"pil_kwargs": {"compress_level": 1}},  # a little larger than at level 6, and written in half the time
     "svg": {"metadata": {"Date": None}},
 }
-BADGE_INCHES = 0.36  # of height, above the axes
-PAD_INCHES = 0.07  # above and below axes with their texts
 STYLE: dict[Any, Any] = {
     "font.family": "serif",
     "font.serif": ["DejaVu Serif"],  # it comes with matplotlib; a list is looked through for each text
@@ -129,8 +127,9 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], N
                 for spine in ax.spines.values():
                     spine.set_in_layout(False)
             # an engine that the figure owned would place the axes again for each file
-            below = (0.0, 0.0, 1.0, 1.0 - BADGE_INCHES / figure.get_figheight())
-            ConstrainedLayoutEngine(h_pad=PAD_INCHES, rect=below).execute(figure)
+            # the badge takes 0.36 inches above the axes, texts of axes 0.07
+            below = (0.0, 0.0, 1.0, 1.0 - 0.36 / figure.get_figheight())
+            ConstrainedLayoutEngine(h_pad=0.07, rect=below).execute(figure)
             files = {}
             for form, options in FORMATS.items():
                 file = io.BytesIO()

@@ -11,8 +11,6 @@ from kernels.arrays import Floats
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.tones import Forcing
 
-HALVINGS = 5  # of a step of gamma, for a zone's ends
-
 
 def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
     """Zones between ascending ``gammas``: rows of gamma, lower and upper edge in radians, (n, 3) each.
@@ -50,7 +48,8 @@ def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
 def _onward(forcing: Forcing, last: Floats, beyond: float) -> list[Floats]:
     """Rows of a zone after its ``last`` one, towards the gamma ``beyond``, where the zone is no more."""
     rows: list[Floats] = []
-    for _ in range(HALVINGS if beyond != last[0] else 0):
+    # a zone's end to a 32nd of a step of gamma
+    for _ in range(5 if beyond != last[0] else 0):
         gamma = 0.5 * (last[0] + beyond)
         here = [(a, b) for a, b in forbidden_zones(forcing, gamma) if a < last[2] and last[1] < b]
         if here:
