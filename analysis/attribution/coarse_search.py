@@ -51,6 +51,7 @@ def subsample(model: ForwardModel, train: Bools, most: int = 120) -> ForwardMode
     observations = model.observations
     scored = observations.scored & train[observations.measured.step]
     counts = np.bincount(observations.measured.step[scored], minlength=len(observations.steps))
+    # at least four events of each step
     share = max(most // max(int(np.sum(counts > 0)), 1), 4)
     before: Integers = np.cumsum(scored) - scored
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]

@@ -101,6 +101,7 @@ def descend(
             if gained > 0.0:
                 x, r, here = trial, r_trial, False
                 break
+        # a step that gains less than 0.2 nats ends the fit
         if gained < 0.2:
             if own and set(tails[i:]) == {tail}:
                 break

@@ -132,6 +132,7 @@ def count_modes(tau: Floats, width: float) -> int:
     valley = 0.0
     for i, k in enumerate(peaks):
         after = density[k : peaks[i + 1]].min() if i + 1 < peaks.size else 0.0
+        # a mode rises above its valleys by a tenth of the highest
         if density[k] - max(valley, after) > 0.1 * density.max():
             modes += 1
         valley = after

@@ -63,6 +63,7 @@ class Survey:
     @property
     def mask_s(self) -> float:
         """Time after an impact that is masked in the accelerometer."""
+        # 2 ms where the accelerometer does not show how long it rings
         return 2e-3 if self.template is None else self.template.ring_s
 
 

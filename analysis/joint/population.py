@@ -149,6 +149,7 @@ def fit_population(
         after = np.asarray(width * np.sqrt(2.0 * ratio / (n + np.sqrt(n**2 + 4.0 * ratio))))
         change = float(np.max(np.abs(after - spread) / width, initial=0.0))
         spread = np.where(after < LEAST_SPREAD * width, 0.0, after)
+        # the spreads, as parts of the widest one, stand still
         if change < 1e-3:
             break
     return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)

@@ -343,6 +343,7 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
         left = int(counts[level:].sum())
         if left > HARMLESS_COVER * whole and longest_rms is None:
             return level
+        # each tone needs eight unmasked blocks
         if left < 8 * lock_in.frequencies_hz.size:
             continue
         state.mask_level = level

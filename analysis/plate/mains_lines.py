@@ -213,6 +213,7 @@ def refined_line(
         if abs(hz - line.nominal_hz) > MAX_OFFSET_HZ or np.abs(others_hz - hz).min() < MIN_SEPARATION_CYCLES / length_s:
             return line
         sigma = float(np.sqrt(2.0 / curvature))
+        # the last step is a tenth of the uncertainty: more steps would not be seen
         if abs(step) < 0.1 * sigma:
             return replace(line, hz=hz, sigma_hz=sigma, slopes=(right.amplitudes - left.amplitudes) / (2.0 * h))
     return line

@@ -48,6 +48,7 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
     The false-alarm probability is that of the largest of independent exponentially distributed powers.
     """
     known = np.isfinite(slow.mps2)
+    # fewer than 16 values make no spectrum, fewer than 8 bins no background of it
     if known.sum() < 16:
         return ()
     step_s = float(np.median(np.diff(slow.time_s)))
@@ -55,6 +56,7 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
     gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
     spectrum = np.abs(np.fft.rfft(x, PADDING * x.size)) / gain
     f = np.fft.rfftfreq(PADDING * x.size, step_s)
+    # two periods in the step at least, and below the forcing, whose own tones are fitted
     band = (f > 2.0 / (x.size * step_s)) & (f < 0.9 * frequency_hz)
     if band.sum() < 8:
         return ()

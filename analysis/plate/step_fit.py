@@ -130,12 +130,13 @@ def _without_modulation(fit: ToneFit, windows: Windows, rows: list[int], noise_m
     """The fit with the power of a slow amplitude modulation, which is no noise, taken out of its residual rms."""
     tones = fit.amplitudes[rows]
     count = windows.time_s.size
+    # a slow modulation needs four windows
     if count < 4 or fit.rms == 0.0 or not np.all(tones):
         return fit
     value, sigma = windows.relative_amplitude(tones)
     power = 0.5 * float(np.vdot(tones, tones).real) * max(float(value @ value - sigma @ sigma) / count, 0.0)
     # windows need not cover a step: the modulation's power is known to a half
-    excess = max(fit.rms**2 - noise_mps2**2 - (1.0 + 0.5) * power, 0.0)
+    excess = max(fit.rms**2 - noise_mps2**2 - 1.5 * power, 0.0)
     rms = math.sqrt(noise_mps2**2 + excess)
     return replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2)
 

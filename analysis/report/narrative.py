@@ -69,6 +69,7 @@ def _errors(loop: ClosedLoop) -> str:
         _plate_z(loop) / loop.remainder.plate_rms_z,
     ]
     most = int(np.nanargmax([x if math.isfinite(x) else 0.0 for x in fallen]))
+    # an error that falls by less than a sixth is not named
     if most == 0 or fallen[most] < 1.2:
         return said
     if most == 1:

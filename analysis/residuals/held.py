@@ -117,6 +117,7 @@ def _held(number: int, gamma: float, row: _Rows, cycles: float) -> HeldStep:
         found, *_ = lstsq(terms, landing, rcond=None)
         multiplier, left = float(found[0]), landing - terms @ found
         sigma = math.sqrt(float(left @ left) / (n - 4) * pinv(terms.T @ terms)[0, 0])
+        # a 95 % interval; four terms are fitted
         half = sigma * float(student.ppf(0.5 + 0.5 * 0.95, n - 4))
     size = np.hypot(row.part, row.ahead)
     return HeldStep(

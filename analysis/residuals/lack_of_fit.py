@@ -271,6 +271,7 @@ def _log_p_of_covariate(found: Innovations, x: Floats) -> float:
         if rows.sum() < 2 * LEAST_IN_BIN:
             continue
         seen = x[found.event][rows]
+        # eight quantile bins of a covariate
         edges = np.unique(np.quantile(seen, np.linspace(0.0, 1.0, 8 + 1)[1:-1]))
         logs.append(_log_p_grouped(found.z[rows], np.searchsorted(edges, seen, side="right"), about_zero=False))
     return min(min(logs) + math.log(len(logs)), 0.0) if logs else 0.0

@@ -118,6 +118,7 @@ class MarkedFrames:
         ends = self.blocks["first_sample"] + self.blocks["n_samples"]
         within = self.blocks[(self.blocks["first_sample"] >= begin) & (ends <= end) & (self.blocks["crc32"] > 0)]
         before = marks.addresses.get(chunk - 1, 0)
+        # the next chunk begins within 256 KiB behind this one
         data = self._data[before : before + row_bytes * marks.chunk_rows + (256 << 10)]
         after = row_bytes * marks.chunk_rows if before else 0
         for row in within[:1]:

@@ -172,6 +172,7 @@ def _seen(name: str, values: Floats, apex: tuple[float, float], flight: Flight, 
         beyond = near**2 - flight.reach**2
         residual = (flight.height - height - (c + d * near) * beyond) / noise
         size = np.abs(residual)
+        # Huber's weight from 2.5 standard deviations on
         loose = 2.5 * max(1.0, mad_sigma(size))
         root = np.where(size <= loose, size, np.sqrt(np.maximum(2.0 * loose * size - loose**2, loose**2)))
         factor = np.where(size <= loose, 1.0, loose / root.clip(1e-12))

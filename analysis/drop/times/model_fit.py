@@ -61,6 +61,7 @@ def usable_rows(drops: Sequence[Drop], g_mps2: float) -> tuple[Rows, Integers]:
         pooled = relative[rows.flights]
         centre = float(np.median(pooled))
         width = mad_sigma(pooled - centre) + 5e-4
+        # a bounce beyond 4.5 standard deviations is left out
         near = np.abs(relative - centre) < max(4.5 * width, least)
         used = rows.keep(near & ~rows.from_height)
     used = rows.keep(used.valid | rows.from_height)

@@ -64,6 +64,7 @@ def _transfer(gain_ax: Any, lag_ax: Any, plates: list[StepPlate], x: Floats) -> 
 
 def _period(ax: Any, recording: Recording, plate: StepPlate) -> None:
     """One period of the step, all its samples folded, with the fitted tones."""
+    # at most 400 000 samples are folded into one period
     first, last = plate.first_sample, min(plate.last_sample, plate.first_sample + 400_000)
     channel = recording.setup.channels.accelerometer
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0

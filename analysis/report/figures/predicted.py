@@ -69,6 +69,7 @@ def draw_branches(found: LandingMap, flights: Flights, figure: Figure) -> dict[s
     table: dict[str, Floats] = {"from_periods": EDGES[:-1]}
     for m, (colour, _, _) in enumerate(HARMONICS[:3]):
         own = found.branch == m
+        # states that the motion visits more often than a tenth of the mean stand out
         for rows, size, alpha in ((own, 1.0, 0.25), (own & (share > 0.1 * share.mean()), 3.0, 0.7)):
             axes["states"].plot(
                 found.phase[rows] / TURN, found.tau[rows] / TURN, ".", ms=size, mew=0, color=colour, alpha=alpha,
