@@ -184,15 +184,19 @@ def _prior(name: str, owner: str, setting: Setting, noise: Noise) -> tuple[float
 
 
 def _start(slots: Sequence[tuple[str, str]], falls: Sequence[Fall], setting: Setting, near: FallFit | None) -> Floats:
-    """Free fall from the first height with the drag of a light ball; or what a fit to nearly the same has."""
-    first = {fall.name: fall for fall in falls}
-    usual = {"g_mps2": setting.g_mps2, "k_per_m": 0.01, "c_per_s": 0.1}
+    """Free fall from the first height, half way to terminal speed at its end; or what a fit to nearly the same has."""
+    usual = {"g_mps2": setting.g_mps2}
     out = []
     for name, owner in slots:
         value = usual.get(name, 0.0)
+        own = next(fall for fall in falls if owner in ("", fall.ball, fall.name))
+        late = len(own.time_s) * 2 // 3
+        speed = abs(float(np.polyfit(own.time_s[late:], own.height_m[late:], 1)[0]))
         if name == "top_m":
-            value = float(first[owner].height_m.max())
+            value = float(own.height_m.max())
         elif name == "release_s":
-            value = float(first[owner].time_s[0])
+            value = float(own.time_s[0])
+        elif name in ("k_per_m", "c_per_s"):
+            value = 0.5 * setting.g_mps2 / speed ** (2 if name == "k_per_m" else 1)
         out.append(near.values.get(name, {}).get(owner, value) if near is not None else value)
     return np.array(out)

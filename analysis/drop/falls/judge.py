@@ -107,7 +107,8 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     """
     count = sum(len(fall.time_s) for fall in falls)
     setting = Setting(axis_of(falls), g_mps2, sizes)
-    noise, first = Noise(axis=_OWN_AXES[-1]), None
+    noise = Noise(axis=_OWN_AXES[-1])
+    first = fit_falls(falls, ("k_per_m",), setting, noise)  # from far away a distorted axis may stand for a strong drag
     for _ in range(3):  # residuals are correlated from sample to sample: how much one is worth sets what a prior weighs
         first = fit_falls(falls, _RICHEST, setting, noise, near=first)
         limit = _STRAY * max(mad_sigma(np.concatenate(first.left)), 0.02 * first.sigma_m)

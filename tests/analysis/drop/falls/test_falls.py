@@ -124,6 +124,15 @@ def test_a_ball_dropped_once_names_no_cause() -> None:
     assert any("dropped twice" in words for words in of_falls(judged).sentences)
 
 
+def test_a_ball_far_beyond_the_others_is_fitted() -> None:
+    """A ball that falls at 5 m/s, of unknown size, next to two heavier ones: its drag is found, not a bent axis."""
+    falls = falls_of({"beach": 0.35, "tennis": 0.02, "hockey": 0.008}, 0.0, np.random.default_rng(459))
+    judged = judge_falls(falls, G, {})
+    assert judged.verdict.best.startswith("quadratic_drag")
+    k = next(one for one in of_falls(judged).payload["balls"] if one["ball"] == "beach")["k_per_m"]
+    assert k["low"] <= 0.35 <= k["high"]
+
+
 def test_single_wrong_heights_are_left_out() -> None:
     """Of a drop with one height 5 m off and another 2 m off it is still a fall; both are left out, and it is said."""
     falls = falls_of({"light": 0.05, "heavy": 0.005}, 0.0, np.random.default_rng(458))
