@@ -6,12 +6,17 @@ No shape is assumed, only that it repeats. The time zero of the template is its 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import Polynomial
+from scipy.optimize import least_squares
 
+from analysis.linear_algebra import lstsq
 from daq.instrument.noise_spectrum import NoiseSpectrum
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Bools, Floats, Integers
 
 LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample
 LENGTH = LEAD + TAIL
@@ -26,6 +31,11 @@ MIN_WEIGHT = 0.03  # weight of a known point over that of most points
 RESIDUAL_PART = 0.1  # part of the waveform that its subtraction may leave
 LOUD = 2.2  # rms over two samples, in the noise of a point, from which it is waveform
 SLOW_S = 1e-3  # averaging time that removes the ringing
+BEND = 4.0  # `SLOW_S` in which the slow motion under a template bends once
+BEGINNINGS, LEAST_DECAY = (1.0, 1.5, 2.0, 3.0, 4.0), 2.0  # `SLOW_S` after the peak and of ringing: fits of its decay
+MOST_POINTS = 400  # of a waveform in the fit of its decay
+CUT_OFF = 0.03  # rms of the last quarter over the greatest value, above which only one mode's decay may be cut off
+ONE_MODE = 0.1  # rms that one decaying mode may leave of a template's end
 ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is placed
 MIN_LANDINGS = 6  # landings needed for a template
 MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a landing
@@ -100,8 +110,12 @@ def rings_on(snippets: Floats, rate_hz: float) -> bool:
     width = max(round(SLOW_S * rate_hz), 1)
     ends = np.pad(np.median(snippets / np.abs(snippets).max(axis=1, keepdims=True), axis=0), width, mode="edge")
     quick = (ends - np.convolve(ends, np.ones(width) / width, mode="same"))[width:-width]
-    late = quick[3 * quick.size // 4 :]
-    return float(np.sqrt(np.mean(late**2))) > RINGING_LEFT * float(np.abs(quick).max())
+    return _late_part(quick) > RINGING_LEFT
+
+
+def _late_part(quick: Floats) -> float:
+    """Rms of the last quarter of a waveform over its greatest value."""
+    return float(np.sqrt(np.mean(quick[3 * quick.size // 4 :] ** 2))) / float(np.abs(quick).max())
 
 
 def whitener(noise: NoiseSpectrum, tones_hz: Floats) -> Floats:
@@ -207,10 +221,12 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
 
 
 def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
-    """The waveform where its ringing is significant, its slow part removed; None where nothing is significant.
+    """The waveform where its ringing is significant, its slow part removed; None where nothing is, or much is cut off.
 
     Noise left in the mean of a few landings would be added to the recording after every impact. Slow motion after a
-    landing is that of the plate under another load and must not be subtracted.
+    landing is that of the plate under another load, or what is not fitted of the forcing, and must not be subtracted.
+    Ringing that decays as one mode is continued beyond the waveform's end: what is left of a loud impact there would
+    be taken for impacts, and landings that stand so far from others as the table rings may be few.
     """
     width = max(round(SLOW_S * rate_hz * FINE), 1)
     ends = np.pad(fine, width, mode="edge")  # no artificial jump at either end
@@ -219,13 +235,87 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:
         return None
-    ends_at = np.flatnonzero(loud)[[0, -1]] + (-FINE, FINE)
-    grid = np.arange(fine.size)
-    return np.where((grid >= ends_at[0]) & (grid <= ends_at[1]), fine - _slow_part(fine, peak, width), 0.0)
+    begin, end = np.flatnonzero(loud)[[0, -1]] + (-FINE, FINE + 1)
+    end = min(int(end), fine.size)
+    decay, grid = one_mode(fine, quick, peak, end, width), np.arange(fine.size)
+    slow = _line_under(fine, peak, width) if decay is None else decay.slow(grid)
+    out = np.where((grid >= begin) & (grid < end), fine - np.clip((grid - peak) / width, 0.0, 1.0) * slow, 0.0)
+    if decay is None:  # what follows a cut off end would be found as impacts
+        return None if _late_part(out) > CUT_OFF else out
+    rest = decay.ringing(np.arange(end, min(decay.ends(sigma_v), int(ECHOES_S[-1] * rate_hz * FINE))))
+    return np.concatenate([out[:end], rest, np.zeros(max(fine.size - end - rest.size, 0))])
 
 
-def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
-    """Straight line under the ringing, which rises from zero over ``width`` points from the peak on.
+class Decay(NamedTuple):
+    """Ringing of one mode and the slow motion under it, from point ``begin`` of a waveform on.
+
+    The mode falls by ``e`` and turns by ``period`` in as many points; ``parts`` are its cosine and sine.
+    """
+
+    begin: int
+    fall: float
+    period: float
+    parts: Floats
+    slow: Polynomial
+
+    def ringing(self, point: Integers) -> Floats:
+        """The mode, (n,)."""
+        return np.asarray(_turning(self.fall, self.period, point - self.begin) @ self.parts)
+
+    def ends(self, noise: float) -> int:
+        """Point after which less than ``noise`` is left."""
+        return self.begin + int(self.fall * np.log(max(np.hypot(*self.parts) / noise, 1.0)))
+
+
+def _turning(fall: float, period: float, point: Integers) -> Floats:
+    """A decaying cosine and sine, (n, 2)."""
+    angle = 2.0 * np.pi * point / period
+    return np.asarray(np.exp(-point / fall)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def one_mode(fine: Floats, quick: Floats, peak: int, end: int, width: int) -> Decay | None:
+    """The decay of one mode over slow motion, up to point ``end`` of a waveform; None where it is more than that.
+
+    Modes that decay faster have died away some `SLOW_S` (``width`` points) after the ``peak``. ``quick`` is the
+    waveform roughly without its slow motion, which is a polynomial.
+    """
+    found: list[tuple[float, Decay]] = []
+    for begin in (peak + round(later * width) for later in BEGINNINGS):
+        if end - begin >= LEAST_DECAY * width:
+            bends = max(int((end - begin) / (BEND * width)), 1)
+            found += _decays(fine[begin:end], quick[begin:end], begin, bends)
+    return min(found, key=itemgetter(0))[1] if found else None
+
+
+def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[float, Decay]]:
+    """What one mode and a polynomial leave of the end of a waveform, and both; none where they do not fit."""
+    n, size, point = seen.size, float(np.std(quick)), np.arange(0, seen.size, max(FINE // 2, seen.size // MOST_POINTS))
+    early, late = (float(np.std(half)) for half in np.array_split(quick, 2))
+    if not early > late > 0.0:
+        return []
+    tone = int(np.argmax(np.abs(np.fft.rfft(quick * np.hanning(n), 8 * n))))
+    start, powers = np.array([0.5 * n / np.log(early / late), 8 * n / max(tone, 1)]), 2.0 * point / n - 1.0
+    unit = seen[point] / size
+
+    def columns(p: Floats) -> Floats:
+        fall, period = p * start
+        return np.column_stack([_turning(fall, period, point), np.vander(powers, bends + 1)])
+
+    def left(p: Floats) -> Floats:
+        every = columns(p)
+        return np.asarray(every @ lstsq(every, unit)[0] - unit)
+
+    p = least_squares(left, np.ones(2), bounds=([0.2, 0.8], [5.0, 1.25])).x
+    if not np.std(left(p)) < ONE_MODE:
+        return []
+    parts: Floats = np.asarray(size * lstsq(columns(p), unit)[0], dtype=np.float64)
+    slow = Polynomial(parts[:1:-1], domain=[begin, begin + n])
+    fall, period = (float(x) for x in p * start)
+    return [(float(np.std(left(p))), Decay(begin, fall, period, parts[:2], slow))]
+
+
+def _line_under(fine: Floats, peak: int, width: int) -> Floats:
+    """Straight line under the ringing.
 
     Smoothing twice over ``width`` points removes the ringing from three widths after the peak on.
     """
@@ -236,7 +326,7 @@ def _slow_part(fine: Floats, peak: int, width: int) -> Floats:
     if tail.stop - tail.start < width:
         return np.zeros(fine.size)
     slope, level = np.polyfit(grid[tail], smooth[tail], 1)
-    return np.asarray(np.clip((grid - peak) / width, 0.0, 1.0) * (level + slope * grid))
+    return np.asarray(level + slope * grid)
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:

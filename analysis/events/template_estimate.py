@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,10 +37,11 @@ from daq.lock_in import LockIn, ToneFit
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
-MASK_S = 8e-3  # mask after an impact in the tone fits made here
+MASK_S = 4e-3  # mask after an impact in the tone fits made here
 QUIET_SAMPLES = 60  # samples without an onset before an onset
 ONSET_SIGMAS = 6.0  # standard deviations of noise that make an onset
 STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
+NOTICED = 0.05  # of an impact's strength, from which another one nearby changes its waveform
 N_ALIGNMENTS = 2
 MAX_IMPACTS = 400  # strongest impacts used
 N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
@@ -55,6 +57,14 @@ class _Stretch:
     own: slice
     every: LockIn
     main: Bools
+
+
+class _Found(NamedTuple):
+    """Impacts in a piece: places in samples, strengths, and which may serve for the template, (n,) each."""
+
+    places: Floats
+    strength: Floats
+    used: Bools
 
 
 def estimate_template(
@@ -93,22 +103,21 @@ def estimate_template(
     if noise is None:
         return None, None
     found = [_onsets(volts, fitted, noise) for volts, fitted in still]
-    places, strong = [own for own, _ in found], [enough for _, enough in found]
-    echo, template = _echo(still, places, strong, rate_hz), None
+    echo, template, places = _echo(still, found, rate_hz), None, nothing
     for turn in range(N_ALIGNMENTS):
-        snippets, fractions = _all_snippets(still, places, strong, echo)
+        snippets, fractions = _all_snippets(still, found, echo)
         most = np.argsort(-np.abs(snippets).max(axis=1))[:MAX_IMPACTS] if len(snippets) else np.zeros(0, np.int64)
         template = template_from_snippets(snippets[most], fractions[most], noise, few)
         if template is None:
             return noise, None
         detectors = [_detector(piece, template, rate_hz) for piece in pieces]
-        places = [d.impacts().time_s * rate_hz + piece.pad for d, piece in zip(detectors, pieces, strict=True)]
-        strong = [np.ones(own.size, dtype=np.bool_) for own in places]
+        impacts = [d.impacts() for d in detectors]
+        places = [own.time_s * rate_hz + piece.pad for own, piece in zip(impacts, pieces, strict=True)]
+        found = [_Found(at, own.strength, at > 0.0) for at, own in zip(places, impacts, strict=True)]
         if turn < N_ALIGNMENTS - 1:
-            clean = pieces
-            if echo > echo_samples(rate_hz):  # what still rings after the mask would bend the tones
-                clean = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
-                stretches = [_stretches(piece, steps, rate_hz) for piece in clean]
+            # what still rings after the mask would bend the tones
+            clean = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
+            stretches = [_stretches(piece, steps, rate_hz) for piece in clean]
             still = [_without_motion(*own, rate_hz) for own in zip(pieces, clean, stretches, places, strict=True)]
         if turn == 0:
             noise = _noise(still, places, rate_hz, echo) or noise
@@ -117,11 +126,11 @@ def estimate_template(
     return noise, template
 
 
-def _echo(still: list[tuple[Floats, Bools]], places: list[Floats], strong: list[Bools], rate_hz: float) -> int:
+def _echo(still: list[tuple[Floats, Bools]], found: list[_Found], rate_hz: float) -> int:
     """Samples of the template: as long as the table rings, where enough landings stand so far from others."""
     echo = echo_samples(rate_hz)
     for length_s in ECHOES_S:
-        snippets, _ = _all_snippets(still, places, strong, echo_samples(rate_hz, length_s))
+        snippets, _ = _all_snippets(still, found, echo_samples(rate_hz, length_s))
         if len(snippets) < MIN_LANDINGS:
             break
         echo = snippets.shape[1]
@@ -130,10 +139,8 @@ def _echo(still: list[tuple[Floats, Bools]], places: list[Floats], strong: list[
     return echo
 
 
-def _all_snippets(
-    still: list[tuple[Floats, Bools]], places: list[Floats], strong: list[Bools], echo: int
-) -> tuple[Floats, Floats]:
-    rows = [_snippets(*one, own, some, echo) for one, own, some in zip(still, places, strong, strict=True)]
+def _all_snippets(still: list[tuple[Floats, Bools]], found: list[_Found], echo: int) -> tuple[Floats, Floats]:
+    rows = [_snippets(*one, own, echo) for one, own in zip(still, found, strict=True)]
     return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
 
 
@@ -203,8 +210,8 @@ def _unbroken(steps: npt.NDArray[np.void], breaks: Integers, width: int) -> npt.
     return np.array(rows, dtype=steps.dtype)
 
 
-def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> tuple[Floats, Bools]:
-    """Places in a piece where a signal begins after a quiet interval, and whether it is strong."""
+def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> _Found:
+    """Places in a piece where a signal begins after a quiet interval; used are the strong ones."""
     surprise = np.abs(noise.innovations(volts))
     span = PREDICTED_FROM + 1
     known = np.convolve(fitted, np.ones(span))[: volts.size] > span - 0.5  # its past is fitted, too
@@ -212,15 +219,21 @@ def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> tuple[Floats,
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
     peak = np.array([surprise[n : n + LEAD].max() for n in first])
     usual = float(np.quantile(peak, 0.9)) if first.size else 0.0
-    return np.asarray(first - 0.5, dtype=np.float64), peak > max(STRONG_SIGMAS, STRONG_PART * usual)
+    return _Found(np.asarray(first - 0.5, dtype=np.float64), peak, peak > max(STRONG_SIGMAS, STRONG_PART * usual))
 
 
-def _snippets(volts: Floats, fitted: Bools, places: Floats, strong: Bools, echo: int) -> tuple[Floats, Floats]:
-    """Accelerometer around strong impacts far from all others, and the impacts' time before the sample, in samples."""
-    alone = (np.append(np.diff(places), np.inf) > echo) & (np.diff(places, prepend=-np.inf) > echo)
+def _snippets(volts: Floats, fitted: Bools, found: _Found, echo: int) -> tuple[Floats, Floats]:
+    """Accelerometer around impacts far from all others, and the impacts' time before the sample, in samples.
+
+    One that is much weaker does not count as another: what a loud one still rings may be taken for one.
+    """
+    places, strength, used = found
+    near = np.abs(places[:, None] - places) <= echo
+    np.fill_diagonal(near, False)
+    alone = used & ~np.any(near & (strength > NOTICED * strength[:, None]), axis=1)
     sample = np.ceil(places).astype(np.int64)
     index = sample[:, None] + np.arange(-LEAD, echo - LEAD)
-    inside = alone & strong & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
+    inside = alone & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
     index, fractions = index[inside], (sample - places)[inside]
     usable = fitted[index].all(axis=1)
     return volts[index[usable]], fractions[usable]
