@@ -1,6 +1,6 @@
 """Deaths of the host behind the gate of `firmware/`: is the drive at zero within two cycles, and does it stay there?
 
-    python -m benchmarks.rig.gate_deaths [--deaths 1000] [--seed 1]
+    python -m benchmarks.rig.gate_deaths [--deaths 1000] [--seed 1] [--emulator node_modules/rp2040js]
 
 The gate is compiled for this machine. A host arms it and answers its counts, by a line that is slow, and dies at a
 random moment: before it armed, in the middle of a message, between two. Then the line is silent, carries noise, what
@@ -15,11 +15,13 @@ import argparse
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.rig.gate_emulator import EmulatedGate, build_for_chip
 from rig.backends.gate import ARM, BEAT, END, GateLimits, StatusReader, limits_for, message
 from tests.fakes.gate import Gate, build_gate
 
@@ -46,11 +48,11 @@ class Line:
         return b"".join(self._on_the_way.pop(0))
 
 
-def death(library: Path, rng: np.random.Generator) -> tuple[str, Counter[str]]:
+def death(make: Callable[[int], Gate], rng: np.random.Generator) -> tuple[str, Counter[str]]:
     """One death: what is wrong (nothing where all is well), and what it was."""
     part, rate_hz = float(rng.uniform(0.05, 1.0)), float(rng.integers(1000, 20001))
     limits = limits_for(25.0, 25.0 * int(rng.integers(1, 4)), part, rate_hz)
-    gate = Gate(library, int(rng.choice([0, 2**31, 2**32]) - rng.integers(1, 9 * limits.cycle)) % 2**32)
+    gate = make(int(rng.choice([0, 2**31, 2**32]) - rng.integers(1, 9 * limits.cycle)) % 2**32)
     line, heard = Line(int(rng.integers(0, 3))), StatusReader()
     every = int(rng.integers(1, 5))  # ticks between two messages
     dies, after, what = int(rng.integers(0, 5 * TICKS)), str(rng.choice(AFTER)), str(rng.choice(DRIVES))
@@ -104,11 +106,11 @@ def fault(gate: Gate, limits: GateLimits, out: NDArray[np.int_], zero_from: int)
     return ""
 
 
-def score(library: Path, n_deaths: int, seed: int) -> Counter[str]:
+def score(make: Callable[[int], Gate], n_deaths: int, seed: int) -> Counter[str]:
     """So many deaths: what they were, and what was wrong."""
     rng, counts = np.random.default_rng(seed), Counter[str]()
     for i in range(n_deaths):
-        wrong, kinds = death(library, rng)
+        wrong, kinds = death(make, rng)
         counts += kinds
         counts["deaths"] += 1
         counts["at zero within two cycles, and locked"] += not wrong
@@ -123,10 +125,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--deaths", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--emulator", type=Path, help="folder of rp2040js: the gate's machine code runs on it")
     given = parser.parse_args()
     began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        counts = score(build_gate(Path(folder)), given.deaths, given.seed)
+        if given.emulator is None:
+            library = build_gate(Path(folder))
+            counts = score(lambda now: Gate(library, now), given.deaths, given.seed)
+        else:
+            elf, emulator = build_for_chip(Path(folder)), given.emulator.resolve()
+            counts = score(lambda now: EmulatedGate(elf, emulator, now), given.deaths, given.seed)
     print(f"{time.process_time() - began:.0f} s of processor")
     for key, n in counts.most_common():
         print(f"{n:7d} {key}")

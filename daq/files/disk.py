@@ -7,6 +7,7 @@ take stays in memory, and the writer asks for the refusal.
 from __future__ import annotations
 
 import io
+import mmap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +36,12 @@ def refusal(error: OSError, path: Path) -> OSError:
     why = error.strerror or str(error)
     hint = "free some space there, or choose another place"
     return OSError(error.errno, f"the disk refuses to take more ({why}); {hint}", str(path))
+
+
+def mapped(path: Path) -> Any:
+    """Bytes of a file, read as they are asked for; an empty one has none."""
+    with path.open("rb") as raw:
+        return mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) if raw.seek(0, io.SEEK_END) else b""
 
 
 class PatchedFile(io.RawIOBase):

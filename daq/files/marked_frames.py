@@ -179,7 +179,8 @@ class MarkedFrames:
             held = {row["first_sample"].tobytes(): row for row in held.values()}
         for other in further.get(name, np.zeros(0, dtype)):
             row = np.array([other], dtype)
-            held[row["first_sample"].tobytes() if is_step else row.tobytes()] = row
+            # a step by another way may have been cut where that way lost the samples
+            held.setdefault(row["first_sample"].tobytes() if is_step else row.tobytes(), row)
         table = _stacked(held.values(), dtype)
         return table[np.argsort(table[(dtype.names or ("",))[0]], kind="stable")]
 
@@ -218,12 +219,6 @@ class MarkedFrames:
 def _stacked(rows: Iterable[NDArray[np.void]], dtype: np.dtype[Any]) -> NDArray[np.void]:
     """Rows (1,) as one array; `numpy.concatenate` compares their types field by field, each time."""
     return np.frombuffer(bytearray(b"".join(row.tobytes() for row in rows)), dtype)
-
-
-def mapped(path: Path) -> Any:
-    """Bytes of a file, read as they are asked for; an empty one has none."""
-    with path.open("rb") as raw:
-        return mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) if raw.seek(0, 2) else b""
 
 
 def has_marks(path: Path) -> bool:

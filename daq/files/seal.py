@@ -1,7 +1,8 @@
 """The seal: checksums over every byte of a closed recording, behind the end of the HDF5 file.
 
 HDF5 is handed only bytes that were found to be those that were written. Damaged tables and indexes make it loop or
-crash; so they are compared before it sees them, and put right from a second copy in the seal.
+crash; so they are compared before it sees them, and put right from a second copy in the seal. What else is damaged is
+computed from parity over the whole file. The table of checksums stands before and behind the parity. Decision 470.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import json
 import struct
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,6 +22,9 @@ import h5py
 import hdf5plugin  # noqa: F401 (registers bitshuffle-LZ4 with HDF5)
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.files.disk import mapped
+from daq.files.parity import SECTOR, SPARE, parity_of, restored, sector_crcs, stripe_sectors
 
 Found = TypeVar("Found")
 MAGIC = b"\x89SEAL\r\n\x1a"
@@ -42,6 +46,11 @@ class Seal:
     columns: tuple[str, ...]
     extents: NDArray[np.void]
     copy: bytes
+    # of the parity; none in a file of an earlier version
+    parity_at: int = 0  # its first byte in the file
+    crcs: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))  # of each sector before ``end``
+    parity_crcs: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))  # of each of its own
+    is_less: bool = False  # one of the two tables of checksums is damaged
 
 
 @dataclass(frozen=True)
@@ -94,11 +103,17 @@ def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:
             row["crc32"] = zlib.crc32(data)
             if row["column"] < 0:
                 tables.append(data)
+        end = raw.seek(0, io.SEEK_END)
+        parity, crcs = parity_of(lambda offset, n_bytes: _read(raw, offset, n_bytes), end)
         packed, copy = io.BytesIO(), np.frombuffer(b"".join(tables), "u1")
-        np.savez_compressed(packed, columns=np.array(columns), extents=extents, copy=copy)
+        np.savez_compressed(
+            packed, columns=np.array(columns), extents=extents, copy=copy, crcs=crcs,
+            parity_crcs=sector_crcs(parity.tobytes()),
+        )  # fmt: skip
         body = packed.getvalue()
-        raw.seek(0, io.SEEK_END)
-        raw.write(body + FOOTER.pack(MAGIC, raw.tell(), len(body), zlib.crc32(body)))
+        body += FOOTER.pack(MAGIC, end, len(body), zlib.crc32(body))
+        raw.seek(end)
+        raw.write(body + parity.tobytes() + body)
     return extents
 
 
@@ -112,20 +127,50 @@ def _read(raw: Any, offset: int, n_bytes: int) -> bytes:
 
 def read_seal(path: Path) -> Seal | bool:
     """The seal of a file; False where it has none, True where it has one that is damaged."""
+    size = path.stat().st_size
     with path.open("rb") as raw:
-        size = raw.seek(0, io.SEEK_END)
-        footer = _read(raw, size - FOOTER.size, FOOTER.size) if size > FOOTER.size else b""
-        if footer[: len(MAGIC)] != MAGIC or len(footer) < FOOTER.size:
-            return False
-        _, end, length, crc = FOOTER.unpack(footer)
-        if end + length + FOOTER.size != size:
-            return True
-        body = _read(raw, end, length)
-    if zlib.crc32(body) != crc:
-        return True
+        last = _read(raw, max(0, size - FOOTER.size), FOOTER.size)
+    ends_in_one = last[: len(MAGIC)] == MAGIC
+    if ends_in_one and (seal := _seal_at(path, size, last)) is not None and not seal.is_less:
+        return seal
+    found = seal if ends_in_one else None
+    data = mapped(path)
+    at = data.find(MAGIC)
+    while at >= 0 and found is None:
+        found = _seal_at(path, size, data[at : at + FOOTER.size])
+        at = data.find(MAGIC, at + 1)
+    return ends_in_one if found is None else found
+
+
+def _seal_at(path: Path, size: int, footer: bytes) -> Seal | None:
+    """The seal that a footer describes, by one of its two bodies that fits, or what both have that is not zero."""
+    if len(footer) < FOOTER.size:
+        return None
+    _, end, length, crc = FOOTER.unpack(footer)
+    if not end <= size - length - FOOTER.size:
+        return None
+    with path.open("rb") as raw:
+        first, last = _read(raw, end, length), _read(raw, size - FOOTER.size - length, length)
+    bodies = [last, first]
+    if len(first) == len(last):
+        bodies.append((np.frombuffer(first, "u1") | np.frombuffer(last, "u1")).tobytes())
+    body = next((body for body in bodies if zlib.crc32(body) == crc), None)
+    if body is None:
+        return None
     with np.load(io.BytesIO(body), allow_pickle=False) as held:
         columns, extents, copy = (held[name] for name in ("columns", "extents", "copy"))
-    return Seal(end, tuple(map(str, columns)), extents.astype(EXTENT_DTYPE), copy.tobytes())
+        further: dict[str, Any] = {}
+        if "crcs" in held:
+            further = {
+                "crcs": held["crcs"],
+                "parity_crcs": held["parity_crcs"],
+                "parity_at": end + length + FOOTER.size,
+            }
+    seal = Seal(end, tuple(map(str, columns)), extents.astype(EXTENT_DTYPE), copy.tobytes(), **further)
+    n_parity = SPARE * stripe_sectors(end) * SECTOR if further else 0
+    if size != end + (2 if further else 1) * (length + FOOTER.size) + n_parity:
+        return None  # of a file that was cut off, or written to since
+    return replace(seal, is_less=first != last)
 
 
 def once_per_state(examined: Callable[[Path], Found]) -> Callable[[Path], Found]:
@@ -168,6 +213,9 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
     patches: list[tuple[int, bytes]] = []
     spans: dict[bool, dict[str, tuple[tuple[int, int], ...]]] = {True: {}, False: {}}
     where: list[str] = []
+    fixed: dict[int, bytes] | None = None  # sectors that the parity gives, once they are asked for
+    if seal.is_less:
+        where.append("one of its two tables of checksums differs from what was written; the other is whole")
     at = 0  # in the second copy, which holds extents without samples one after the other
     with path.open("rb", buffering=_LONGEST) as raw:
         for row in seal.extents if samples else seal.extents[seal.extents["column"] < 0]:
@@ -178,7 +226,15 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
             if len(data) == n_bytes and zlib.crc32(data) == row["crc32"]:
                 continue
             place = f"bytes {row['offset']} to {row['offset'] + row['n_bytes'] - 1}"
-            right = copy or mended(data, n_bytes, int(row["crc32"]))
+            right, how = copy, "a second copy has them"
+            if not right:
+                fixed = _by_parity(path, seal) if fixed is None else fixed
+                right, how = _with(data, row, fixed), "differ, and are computed from the parity"
+            if not right:
+                right, how = (
+                    mended(data, n_bytes, int(row["crc32"])),
+                    "one byte differs and is put right by its checksum",
+                )
             if is_table:
                 where.append(
                     f"{place} (tables, attributes, indexes) differ from what was written; a second copy has them"
@@ -186,13 +242,31 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
             else:
                 name, first = seal.columns[row["column"]], int(row["first_sample"])
                 last = first + int(row["n_samples"])
-                how = "one byte differs and is put right by its checksum" if right else "differ from what was written"
+                how = how if right else "differ from what was written"
                 where.append(f"{name}: samples {first} to {last - 1} ({place}): {how}")
                 of = spans[bool(right)]
                 of[name] = (*of.get(name, ()), (first, last))
             if right:
                 patches.append((int(row["offset"]), right))
     return Checked(tuple(patches), spans[False], spans[True], tuple(where))
+
+
+def _by_parity(path: Path, seal: Seal) -> dict[int, bytes]:
+    """Sectors of a file that differ and that its parity gives, by number."""
+    data, n = mapped(path), len(seal.parity_crcs)
+    sectors = {k: data[seal.parity_at + k * SECTOR : seal.parity_at + (k + 1) * SECTOR] for k in range(n)}
+    sound = {k: np.frombuffer(x, np.uint8) for k, x in sectors.items() if zlib.crc32(x) == seal.parity_crcs[k]}
+    return restored(lambda offset, n_bytes: data[offset : offset + n_bytes], seal.end, seal.crcs, sound) if n else {}
+
+
+def _with(data: bytes, extent: np.void, sectors: dict[int, bytes]) -> bytes:
+    """Bytes of an extent with sectors put in; nothing where they are still not those that were written."""
+    first, right = int(extent["offset"]), bytearray(data)
+    for k, sector in sectors.items():
+        a, b = max(k * SECTOR, first), min(k * SECTOR + len(sector), first + len(data))
+        if a < b:
+            right[a - first : b - first] = sector[a - k * SECTOR : b - k * SECTOR]
+    return bytes(right) if len(right) == extent["n_bytes"] and zlib.crc32(right) == extent["crc32"] else b""
 
 
 def mended(data: bytes, n_bytes: int, crc: int) -> bytes:

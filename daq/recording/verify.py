@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
+from daq.files.disk import mapped
 from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, stated_bytes, table_of
-from daq.files.marked_frames import MarkedFrames, has_marks, mapped
+from daq.files.marked_frames import MarkedFrames, has_marks
 from daq.files.seal import Checked, check, once_per_state
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32, joined
 from daq.recording.opening import UNCHECKED, differing_blocks, open_checked, open_file, require_hdf5, unsealed
@@ -93,7 +94,9 @@ def _by_marks(path: Path, looked: Survey) -> tuple[Recording, Survey] | None:
         frames = MarkedFrames(mapped(path), further)
     except LookupError:
         return None
-    others = [line for line in looked.where if not line.startswith("block ")]  # the marks know it more exactly
+    known = {f"block {i}" for i in range(len(frames.blocks))}  # of which the marks know it more exactly
+    frames.faults += [line for line in looked.where if line.startswith("block ") and line.split(":")[0] not in known]
+    others = [line for line in looked.where if not line.startswith("block ")]
     lines = (*others, *frames.faults) or (
         "rows of its tables differ from what was written; marks in the file have them",
     )

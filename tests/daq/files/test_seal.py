@@ -120,7 +120,8 @@ def test_a_lost_piece_is_a_gap(run: tuple[Path, np.ndarray]) -> None:
     path, codes = run
     with open_recording(path) as recording:
         times = recording.timestamps_ns()
-    change(path, int(extent(path, "accelerometer", 65536)["offset"]) + 50, 200)
+    gone = extent(path, "accelerometer", 65536)  # more of it than the parity gives back
+    change(path, int(gone["offset"]) + 50, int(gone["n_bytes"]) - 100)
     left = np.r_[0:65536, 131072:N]
     found = recover(path)
     assert found.is_less
@@ -163,10 +164,12 @@ def test_damaged_bytes_never_reach_hdf5(run: tuple[Path, np.ndarray], monkeypatc
 
 
 def test_a_damaged_seal_is_damage(run: tuple[Path, np.ndarray]) -> None:
-    """A byte of the seal itself: found; the recording is read without it, in another process first."""
+    """A byte of both tables of the seal: found; the recording is read without it, in another process first."""
     path, codes = run
     seal_end = seal_of(path).end
     change(path, path.stat().st_size - FOOTER.size - 30)
+    assert "the other is whole" in verify(path).where[0]
+    change(path, seal_of(path).parity_at - FOOTER.size - 30)
     assert verify(path).where[0] == "its table of checksums differs from what was written"
     with open_recording(path) as recording:
         np.testing.assert_array_equal(recording.codes("drive"), codes[:, 2])

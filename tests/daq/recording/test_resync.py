@@ -11,6 +11,7 @@ import pytest
 from benchmarks.daq import resync
 from daq.files.frame_file import as_if_ended
 from daq.files.frame_marks import MAGIC
+from daq.files.seal import Seal, read_seal
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
 from daq.setup.errors import InputError
@@ -90,6 +91,17 @@ def test_a_lost_row_of_the_block_table_costs_no_sample(run: Path) -> None:
     assert recover(run).n_samples == 30000
 
 
+def test_steps_keep_their_length_where_the_block_table_is_cut(run: Path) -> None:
+    """HDF5 reads only half of the blocks and cuts the step there; the marks have more, and what is gone is said."""
+    place, _ = chunks(run, "frame_blocks")[0]
+    zero(run, place + 15 * 60, place + 30 * 60)
+    found = recover(run)
+    assert (found.n_samples, found.is_less) == (22000, True)
+    assert found.damage[0].startswith("block 22: its row differs")
+    with open_recording(found.path) as recording:
+        assert recording.steps["n_samples"].tolist() == [10000, 10000]
+
+
 def test_rows_that_no_mark_holds_are_found_in_their_table(run: Path) -> None:
     """Without index and without the last marks, blocks after the last whole mark are found by their own checksum."""
     place = run.read_bytes().rfind(MAGIC)
@@ -108,8 +120,26 @@ def test_a_file_of_an_earlier_version_is_read_as_before(run: Path) -> None:
         recover(run, run.with_name("b.h5"))
 
 
-def test_a_hundredth_zeroed_anywhere() -> None:
-    """Of runs with 1 % zeroed, in a run, in pages, in sectors, 98 % of the samples come back (1,000: benchmarks)."""
-    results = [row for rows in resync.score("cut-off", 6, 0.01, 3).values() for row in rows]
+@pytest.mark.parametrize("kind", ["cut-off", "closed"])
+def test_a_hundredth_zeroed_anywhere(kind: str) -> None:
+    """With 1 % zeroed, in a run, in pages, in sectors, 98 % of the samples come back (1,000 files: benchmarks)."""
+    results = [row for rows in resync.score(kind, 6, 0.01, 3).values() for row in rows]
     assert not [fault for _, fault in results if fault]
     assert np.mean([back for back, _ in results]) > 0.98
+
+
+@pytest.mark.parametrize("which", ["the last", "the first", "both, in different places"])
+def test_one_table_of_checksums_is_enough(run: Path, which: str) -> None:
+    """A closed file with either of its two tables of checksums damaged is read whole, and said to be damaged."""
+    path = recover(run).path
+    seal = read_seal(path)
+    assert isinstance(seal, Seal)
+    size = path.stat().st_size
+    if which != "the last":
+        zero(path, seal.end + 10, seal.end + 300)
+    if which != "the first":
+        zero(path, size - 600, size - 400 if which.startswith("both") else size)
+    report = verify(path)
+    assert (report.state, report.n_samples) == ("damaged", 30000)
+    assert "tables of checksums" in report.where[0]
+    assert verify(recover(path, path.with_name("b.h5")).path).state == "stopped"

@@ -57,12 +57,12 @@ def test_a_changed_byte_is_placed(tmp_path: Path, setup: Setup, name: str) -> No
     """One bit, or a few bytes, of one chunk of one channel: damaged, with the channel and the range of samples."""
     path = tmp_path / "a.h5"
     record(path, setup).close()
-    for n_bytes, said in ((1, "one byte differs and is put right"), (100, "differ from what was written")):
+    for n_bytes in (1, 100):
         overwrite(path, name, 1, n_bytes)
         report = verify(path)
         assert report.state == "damaged"
         assert report.where[0].startswith(f"{name}: samples 65536 to 131071 (bytes ")
-        assert said in report.where[0]
+        assert "computed from the parity" in report.where[0]
 
 
 def test_a_changed_byte_in_the_frames_is_placed(tmp_path: Path, setup: Setup) -> None:
