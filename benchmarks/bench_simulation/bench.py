@@ -75,6 +75,9 @@ class RecorderOnBench:
             next(self._turns)
         except StopIteration:
             self.ended = True
+        except Exception:
+            if not self.is_dead:  # what a dead process met no longer matters
+                raise
         if not self.is_dead:
             self.after_turn()
             if self.marked:
@@ -365,7 +368,9 @@ class Bench:
         """The file as another process sees it now."""
         if self.left.path.exists() and not self.disk.frozen and not self._recorder.run_is_gone:
             copy = self.disk.folder / f"copy{len(self.left.copies)}.h5"
+            self.disk.is_aside = True
             copy.write_bytes(self.left.path.read_bytes())
+            self.disk.is_aside = False
             self.left.copies.append((how, copy, self._safe))
 
     def _second(self, fault: Fault) -> None:
@@ -380,7 +385,9 @@ class Bench:
     def _remove(self, fault: Fault) -> None:
         if not self.disk.frozen and not self._recorder.run_is_gone and self.left.path.exists():
             self.left.was_removed = True
+            self.disk.is_aside = True
             self.left.path.unlink()
+            self.disk.is_aside = False
 
     def _stall(self, fault: Fault) -> None:
         self._recorder.stalls_ns = fault.n * 10**7

@@ -51,6 +51,8 @@ class Disk:
     ----------
     frozen
         Whether nothing reaches the disk any more: whoever wrote to it is dead, and does not know.
+    is_aside
+        Whether what happens now is not of the product, and passes.
     on_call
         Called before each call that changes the disk, with its number.
     """
@@ -65,7 +67,7 @@ class Disk:
 
     def reset(self) -> None:
         """Empty, sound, and without a past."""
-        self.frozen, self.refusals = False, list[Refusal]()
+        self.frozen, self.refusals, self.is_aside = False, list[Refusal](), False
         self.on_call: Callable[[int], None] = lambda call: None
         self.logged, self.calls = "", 0
         for path in self.folder.iterdir():
@@ -85,7 +87,7 @@ class Disk:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _called(self, call: int, fd: int, data: int | None, n: int, at: int) -> int:
-        if call == READ:
+        if call == READ or self.is_aside:
             return 0
         self.calls += 1
         self.on_call(self.calls)
