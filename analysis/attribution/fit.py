@@ -154,7 +154,6 @@ class Fitter:
                     x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
-            # a step that gains less than a tenth of a nat ends the fit
             if gained < 0.1:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)

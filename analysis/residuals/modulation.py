@@ -210,7 +210,6 @@ class AmplitudeModulation:
         """Projections at a frequency and the modulation of each recording that fits windows and gains best."""
         found = self._fits.get(hz)
         if found is None:
-            # a fit asks for the same few frequencies again and again
             if len(self._fits) >= 4:
                 self._fits.clear()
             w, of = 2.0 * np.pi * hz, self.window_step

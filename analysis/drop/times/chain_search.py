@@ -42,7 +42,6 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
             # With impacts missing, an interval is a geometric series of flights.
             first = interval * (1.0 - _RATIOS) / (1.0 - _RATIOS ** (_KINDS[:, None] + 1))
             last_flight[i, j] = first * _RATIOS ** _KINDS[:, None]
-            # a missed impact costs 3.5
             entry = -3.5 * _KINDS[:, None] - (skipped[j] - skipped[i + 1])
             best = np.broadcast_to(entry, first.shape).copy()
             link = np.full(first.shape, -1, dtype=np.int64)
@@ -53,7 +52,6 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
                 fits = np.abs(offset) < 3.0 * _WIDTHS  # in widths
                 # after an irregular bounce some of the spin may come back: a flight grows by 10 % at most
                 cut_short = np.where(offset - np.log(1.1 / _RATIOS) < 0.0, -break_cost, -np.inf)
-                # an impact in the chain is worth six times its strength, less its misfit in the ratio of flights
                 gain = np.where(fits, 6.0 * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]
                 kind = total.argmax(axis=1)
