@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
+import scipy.linalg
 
 Routine = TypeVar("Routine", bound=Callable[..., Any])
 
@@ -41,4 +42,5 @@ lstsq = _checked(np.linalg.lstsq)
 pinv = _checked(np.linalg.pinv)
 slogdet = _checked(np.linalg.slogdet)
 solve = _checked(np.linalg.solve)
+solveh_banded = _checked(scipy.linalg.solveh_banded)
 svd = _checked(np.linalg.svd)

@@ -8,12 +8,47 @@ that follows at once. No model of the ball enters.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from kernels.arrays import Bools, Floats
 
 SHORTEST_REST_S = 1.2e-3  # after a shorter contact the ball left as it landed
 LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction
+
+
+@dataclass(frozen=True)
+class Push:
+    """Push on the plate for a ball of unit mass, upwards.
+
+    Attributes
+    ----------
+    contact_mps2
+        Of the ball that lies on it, mean in each block, (n,).
+    impact_s, impulse_mps
+        Of the impacts (m,), in order.
+    block_s
+        Length of a block.
+    """
+
+    contact_mps2: Floats
+    impact_s: Floats
+    impulse_mps: Floats
+    block_s: float
+
+    @property
+    def impacts_mps2(self) -> Floats:
+        """Mean push of the impacts in each block, (n,); one between two centres of blocks is shared by both."""
+        n = len(self.contact_mps2)
+        place = self.impact_s / self.block_s - 0.5
+        block = np.clip(np.floor(place).astype(np.int64), 0, n - 2)
+        part = np.clip(place - block, 0.0, 1.0)
+        out = np.zeros(n)
+        np.add.at(out, block, self.impulse_mps * (1.0 - part) / self.block_s)
+        np.add.at(out, block + 1, self.impulse_mps * part / self.block_s)
+        return out
 
 
 def filled_after_impacts(acceleration_mps2: Floats, known: Bools) -> Floats:
@@ -27,9 +62,14 @@ def filled_after_impacts(acceleration_mps2: Floats, known: Bools) -> Floats:
 
 
 def ball_push(
-    acceleration_mps2: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats, gravity_mps2: float
-) -> tuple[Floats, Floats]:
-    """Mean push on the plate in each block for a ball of unit mass, upwards: of the contact and of impacts, (n,) each.
+    acceleration_mps2: Floats,
+    block_s: float,
+    takeoff_s: Floats,
+    landing_s: Floats,
+    gravity_mps2: float,
+    mass_ratio: float = 0.0,
+) -> Push:
+    """What the ball does to the plate while it lies on it, and at each landing.
 
     Parameters
     ----------
@@ -41,21 +81,30 @@ def ball_push(
         Of the flights (m,), in order.
     gravity_mps2
         Of the place.
+    mass_ratio
+        Of the ball and what moves under it: with the ball on it the plate accelerates by so much less.
     """
     n, felt = len(acceleration_mps2), gravity_mps2 + acceleration_mps2
     edges_s = np.arange(n + 1) * block_s
     rested = np.append(np.inf, takeoff_s[1:] - landing_s[:-1])
     bounced = rested < SHORTEST_REST_S
     takeoff_s = np.where(bounced, np.roll(landing_s, 1), takeoff_s)  # a contact stays closed for longer than it touches
-    # the contact's share of each block, from the edges of all flights
-    air = np.diff(np.interp(edges_s, np.ravel(np.column_stack([takeoff_s, landing_s])), _flown(landing_s - takeoff_s)))
-    gained, back = _over_flights(felt, block_s, takeoff_s, landing_s)
+    length_s = landing_s - takeoff_s
+    flight = np.clip(np.searchsorted(takeoff_s, edges_s, side="right") - 1, 0, len(takeoff_s) - 1)
+    until_s = np.clip(edges_s, takeoff_s[flight], landing_s[flight])
+    air = np.diff((np.cumsum(length_s) - length_s)[flight] + until_s - takeoff_s[flight]) / block_s
+    # Impacts keep to a phase: what blocks blur would add up, the jump of the plate that is suddenly loaded above all.
+    free = felt / (air + (1.0 - air) / (1.0 + mass_ratio))
+    once = CubicSpline(edges_s, np.append(0.0, np.cumsum(free)) * block_s)
+    twice = once.antiderivative()
+    begun = once(takeoff_s)
+    gained, back = once(landing_s) - begun, (twice(landing_s) - twice(takeoff_s)) / length_s - begun
+    flown = (np.cumsum(gained) - gained)[flight] + once(until_s) - begun[flight]
     # A friction slows the ball on both ways: as much of it as brings flights from rest back to the plate.
-    speed = np.where(bounced, back, 0.0)
-    flight = np.clip(np.searchsorted(takeoff_s, edges_s[:-1] + 0.5 * block_s) - 1, 0, len(takeoff_s) - 1)
-    fallen = np.append(0.0, np.cumsum(felt)) * block_s
-    rising = speed[flight] + np.interp(takeoff_s, edges_s, fallen)[flight] > 0.5 * (fallen[1:] + fallen[:-1])
-    slowing = np.where(rising, 1.0, -1.0) * air / block_s
+    speed, middle_s = np.where(bounced, back, 0.0), edges_s[:-1] + 0.5 * block_s
+    flight = np.clip(np.searchsorted(takeoff_s, middle_s) - 1, 0, len(takeoff_s) - 1)
+    rising = speed[flight] + begun[flight] > once(middle_s)
+    slowing = np.where(rising, 1.0, -1.0) * air
     slowed, slowed_back = _over_flights(slowing, block_s, takeoff_s, landing_s)
     long = ~bounced & (landing_s - takeoff_s > LONG_S)
     if np.sum(long) >= FEWEST_FLIGHTS:
@@ -63,14 +112,9 @@ def ball_push(
         gained, back = gained + friction * slowed, back + friction * slowed_back
     start = np.where(bounced, back, 0.0)
     impulse = gained - start + np.append(start[1:], 0.0)
-    push = -felt * (1.0 - air / block_s)
-    place = landing_s / block_s - 0.5  # centre of a block; an impulse between two centres is shared by both
-    block = np.clip(np.floor(place).astype(np.int64), 0, n - 2)
-    part = np.clip(place - block, 0.0, 1.0)
-    impulses = np.zeros(n)
-    np.add.at(impulses, block, -impulse * (1.0 - part) / block_s)
-    np.add.at(impulses, block + 1, -impulse * part / block_s)
-    return push, impulses
+    # what changes at an impact is the speed over the plate, which recoils
+    loaded = 1.0 + mass_ratio
+    return Push(-np.diff(once(edges_s) - flown) / block_s / loaded, landing_s, -impulse / loaded, block_s)
 
 
 def _over_flights(rate: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats) -> tuple[Floats, Floats]:
@@ -81,9 +125,3 @@ def _over_flights(rate: Floats, block_s: float, takeoff_s: Floats, landing_s: Fl
     begun = np.interp(takeoff_s, edges_s, once)
     path = np.interp(landing_s, edges_s, twice) - np.interp(takeoff_s, edges_s, twice)
     return np.interp(landing_s, edges_s, once) - begun, path / (landing_s - takeoff_s) - begun
-
-
-def _flown(length_s: Floats) -> Floats:
-    """Time in the air until each take-off and landing, (2 m,)."""
-    ends = np.cumsum(length_s)
-    return np.ravel(np.column_stack([ends - length_s, ends]))

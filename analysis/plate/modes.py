@@ -19,18 +19,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from analysis.linear_algebra import NotFiniteError, pinv, solve
-from analysis.plate.ball_push import ball_push, filled_after_impacts
-from analysis.plate.mains_lines import MAINS_HZ
-from analysis.signals.stream import block_means, pieces
+from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
+from analysis.plate.ball_push import Push, ball_push, filled_after_impacts
+from analysis.plate.in_blocks import LEAD_S, drive_regressors, unmasked, volts_in_blocks
+from analysis.plate.mode_motion import TORN_S, ModeMotion, PushedPlate, turn_of
 from daq.recording import Recording
-from kernels.arrays import Bools, Complexes, Floats, Integers
+from kernels.arrays import Bools, Floats, Integers
 
 EFFECT = "table_resonance"  # by which a verdict names the mode
 RATE_HZ = 1000.0  # of the block means: far above any mode that a ball shakes
@@ -40,6 +40,7 @@ GRID = 1.12  # ratio of neighbouring frequencies of the first look
 STARTS = 3
 MOST_STEPS = 25  # of a search from one start
 ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
+REPEATED = 3  # for the whole recording
 SETTLED = 3e-4  # relative change of frequency and damping
 RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
 MOST_DAMPING, STRONG_DAMPING = 0.9, 0.5  # what is found at the bound, or so damped above the drive, is no mode
@@ -47,9 +48,8 @@ MOST_RESTARTS, TORN = 3, 1.6  # pieces that are left out, each with so many time
 FEWEST_BLOCKS, FEWEST_IN_CLUSTER = 1000, 50
 RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width and damping, and of the mass ratio: what blocks blur
 LAGS = 2  # pieces whose scores are correlated
-LEAD_S = 1e-3  # before an impact, left out with it
 FEWEST_IMPACTS = 20
-CLUSTER_S = 0.5  # length of the pieces whose scores are taken as independent
+CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
@@ -68,6 +68,8 @@ class PlateMode:
         Root mean square of what is left of the acceleration with the mode and without it.
     gain_nats
         By how much the mode raises the likelihood, the remainder's correlation allowed for.
+    pushed
+        What the ball did to the plate, where the mode is sure.
     """
 
     frequency_hz: float
@@ -77,6 +79,7 @@ class PlateMode:
     remainder_mps2: float
     before_mps2: float
     gain_nats: float
+    pushed: PushedPlate | None = None
 
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of frequency, damping and mass ratio."""
@@ -87,6 +90,11 @@ class PlateMode:
     def sure(self) -> bool:
         """Whether no other minimum comes near, so that its values may be taken for measured."""
         return self.gain_nats > SURE_NATS
+
+    def motion(self) -> ModeMotion | None:
+        """How it moved; None where it is not sure."""
+        known = (self.frequency_hz, self.damping, self.mass_ratio)
+        return None if self.pushed is None else self.pushed.moved(*known)
 
     def measured(self) -> dict[tuple[str, str], tuple[float, float]]:
         """Values and standard deviations, by effect and parameter."""
@@ -110,27 +118,25 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         return None
     width = max(round(recording.rate_hz / RATE_HZ), 1)
     block_s = width / recording.rate_hz
-    acceleration, drive = _means(recording, width)
-    skipped = max(len(acceleration) - round(MOST_S / block_s), 0)
-    acceleration, drive = acceleration[skipped:], drive[skipped:]
-    inside = takeoff_s > skipped * block_s
-    takeoff_s, landing_s = (x[inside] - skipped * block_s for x in (takeoff_s, landing_s))
+    acceleration, drive = volts_in_blocks(recording, width)
     landed = landing_s < (len(acceleration) - 1) * block_s
-    known = _unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
+    known = unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
     if not landed.all():  # the impulse at the end of the flight before needs this flight
         last = int(np.argmin(landed))
         known[int((landing_s[max(last - 1, 0)] - LEAD_S) / block_s) :] = False
-    takeoff_s, landing_s = takeoff_s[landed], landing_s[landed]
-    if len(landing_s) < FEWEST_IMPACTS:
+    whole = _Recorded(
+        acceleration, drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed], landing_s[landed],
+        recording.setup.g_mps2.value,
+    )  # fmt: skip
+    skipped = max(len(acceleration) - round(MOST_S / block_s), 0)
+    record, begun, found = whole.last(skipped), [0], None
+    if len(record.landing_s) < FEWEST_IMPACTS:
         return None
-    linear, gravity = _driven(recording, drive, block_s), recording.setup.g_mps2.value
-    record = _Recorded(acceleration, linear, block_s, takeoff_s, landing_s, gravity)
-    begun, found = [0], None
     for _ in range(MOST_RESTARTS + 1):
-        if np.count_nonzero(known) < FEWEST_BLOCKS:
+        if np.count_nonzero(record.known) < FEWEST_BLOCKS:
             return None
         try:
-            seen, found = record.settled(known, begun, found)
+            seen, found = record.settled(begun, found)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return None
         worst = seen.worst_cluster(found)
@@ -138,108 +144,91 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
             break
         # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
         ends = int((worst + 1) * CLUSTER_S / block_s)
-        known = known.copy()  # the regression has the one before
-        known[int(worst * CLUSTER_S / block_s) : ends] = False
-        begun.append(min(ends, len(known) - 2))
-    return None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)
+        record = record.without(int(worst * CLUSTER_S / block_s), ends)
+        begun.append(min(ends, len(record.known) - 2))
+    mode = None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)
+    return replace(mode, pushed=whole.pushed(seen, found)) if mode and mode.sure and found is not None else mode
 
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Block means of the acceleration (n,), regressors of the drive (n, k), and the flights."""
+    """Block means of the acceleration (n,), regressors of the drive (n, k), unmasked blocks (n,), and the flights."""
 
     acceleration: Floats
     linear: Floats
+    known: Bools
     block_s: float
     takeoff_s: Floats
     landing_s: Floats
     gravity_mps2: float
 
-    def settled(self, known: Bools, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats]:
+    def last(self, skipped: int) -> _Recorded:
+        """Without the first blocks."""
+        inside, shift_s = self.takeoff_s > skipped * self.block_s, skipped * self.block_s
+        return _Recorded(
+            self.acceleration[skipped:], self.linear[skipped:], self.known[skipped:], self.block_s,
+            self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2,
+        )  # fmt: skip
+
+    def without(self, first: int, stop: int) -> _Recorded:
+        """With some blocks unknown."""
+        known = self.known.copy()
+        known[first:stop] = False
+        return replace(self, known=known)
+
+    def push(self, acceleration: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
+        """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it."""
+        zero = -np.mean(acceleration) - (0.0 if impulses is None else mass_ratio * float(np.mean(impulses)))
+        flights = (self.takeoff_s, self.landing_s)
+        return ball_push(acceleration + zero, self.block_s, *flights, self.gravity_mps2, mass_ratio)
+
+    def settled(self, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.
 
         Where impacts hide the acceleration, the ball feels what the model says. The plate goes nowhere, so what it
         gains by impacts, which the acceleration between them lacks, is its mean.
         """
+        known, ratio, impulses = self.known, 0.0, None
         basis, upper = np.linalg.qr(self.linear[known])
 
         def drive_part(seen: Floats) -> Floats:
             return np.asarray(self.linear @ solve(upper, basis.T @ seen[known]))
 
-        driven, rise = drive_part(self.acceleration), 0.0
+        driven = drive_part(self.acceleration)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, known)
         for rounds in range(ROUNDS):
-            zero = rise - np.mean(acceleration)
-            flights = (self.takeoff_s, self.landing_s)
-            push, impulses = ball_push(acceleration + zero, self.block_s, *flights, self.gravity_mps2)
-            seen = _Regression.of(acceleration, basis, push + impulses, known, self.block_s, begun)
+            push = self.push(acceleration, impulses, ratio)
+            impulses = push.impacts_mps2
+            seen = _Regression.of(acceleration, basis, push.contact_mps2 + impulses, known, self.block_s, begun)
             again = rounds == 1 and len(begun) == 1  # the first search did not know what is hidden
             x = seen.searched() if found is None or again else seen.followed([found])
             sizes = seen.sizes(seen.columns(*np.exp(x)))
             mode = seen.answers(*np.exp(x)) @ sizes
             acceleration = np.where(known, acceleration, drive_part(acceleration - mode) + mode - sizes[0] * impulses)
             settled = not again and found is not None and bool(np.max(np.abs(x - found)) < SETTLED)
-            found, rise = x, -float(sizes[0]) * float(np.mean(impulses))
+            found, ratio = x, float(sizes[0])
             if settled:
                 break
         return seen, x
 
-
-def _means(recording: Recording, width: int) -> tuple[Floats, Floats]:
-    """Block means of acceleration in m/s^2, whatever its zero, and drive in volts, (n,) each."""
-    parts: dict[str, list[Floats]] = {"accelerometer": [], "drive": []}
-    rest = {name: np.zeros(0, dtype=np.float32) for name in parts}
-    for piece in pieces(recording, ("accelerometer", "drive")):
-        for name, found in parts.items():
-            volts = np.concatenate([rest[name], piece.own(name)])
-            found.append(block_means(volts, width).astype(np.float64))
-            rest[name] = volts[len(volts) // width * width :].copy()
-    both = {name: np.concatenate(found) for name, found in parts.items()}
-    return both["accelerometer"] / recording.setup.channels.accelerometer.volts_per_mps2, both["drive"]
-
-
-def _unmasked(n: int, block_s: float, landing_s: Floats, mask_s: float) -> Bools:
-    """Blocks (n,) without an impact or its ringing."""
-    edges = np.zeros(n + 1, dtype=np.int64)
-    first = np.clip(((landing_s - LEAD_S) / block_s).astype(np.int64), 0, n)
-    last = np.clip(((landing_s + mask_s) / block_s).astype(np.int64) + 1, 0, n)
-    np.add.at(edges, first, 1)
-    np.add.at(edges, last, -1)
-    return np.asarray(np.cumsum(edges[:-1]) == 0)
-
-
-def _driven(recording: Recording, drive_v: Floats, block_s: float) -> Floats:
-    """Regressors of what the drive makes of the plate, (n, k): both quadratures of its tones, bent by level, products.
-
-    A bent gain, harmonics and a second tone are so linear in what is regressed.
-    """
-    forcing = recording.setup.forcing
-    w, n = 2.0 * math.pi * forcing.frequency_hz, len(drive_v)
-    time_s = (np.arange(n) + 0.5) * block_s
-    cycle = max(round(1.0 / forcing.frequency_hz / block_s), 1)
-    tones: list[Complexes] = []
-    for multiple in forcing.multiples:
-        turning = np.exp(-1j * multiple * w * time_s)
-        low: Complexes = _cycle_mean(_cycle_mean(2.0 * drive_v * turning, cycle), cycle)
-        tones.append(np.asarray(low * np.conj(turning)))
-    level = np.abs(tones[0]) ** 2
-    first = tones[0]
-    columns = [*tones, *(level * z for z in tones), first**2, first**3]
-    for further in tones[1:]:
-        columns += [first * further, np.conj(first) * further, further**2]
-    whole = [drive_v, np.gradient(drive_v)]  # the tones' means over cycles lag in a fade
-    table = np.concatenate([whole, *([z.real, z.imag] for z in columns)])
-    size = np.sqrt(np.mean(table**2, axis=1))
-    table = table[size > 0.0] / size[size > 0.0, None]
-    slow = np.cos(np.pi * np.arange(4)[:, None] * np.arange(n) / n)  # the zero wanders
-    hum = [part(2.0 * np.pi * k * hz * time_s) for hz in MAINS_HZ for k in (1, 3, 5) for part in (np.cos, np.sin)]
-    return np.concatenate([table, slow, hum]).T
-
-
-def _cycle_mean(x: Complexes, width: int) -> Complexes:
-    """Mean over the ``width`` values about each."""
-    padded = np.concatenate([np.zeros(1), np.cumsum(np.pad(x, (width // 2, width - width // 2 - 1), mode="edge"))])
-    return np.asarray((padded[width:] - padded[:-width]) / width)
+    def pushed(self, seen: _Regression, x: Floats) -> PushedPlate:
+        """What the ball did to the plate of the whole recording, of which ``seen`` is the end."""
+        skipped, sizes = len(self.known) - len(seen.known), seen.sizes(seen.columns(*np.exp(x)))
+        mode = seen.answers(*np.exp(x)) @ sizes
+        left = (self.acceleration[skipped:] - mode)[seen.known]
+        driven = self.linear @ lstsq(self.linear[skipped:][seen.known], left)[0]
+        acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
+        ratio, impulses = float(sizes[0]), None
+        for _ in range(REPEATED):
+            push = self.push(acceleration, impulses, ratio)
+            impulses = push.impacts_mps2
+            own = ratio * answer(push.contact_mps2 + impulses, self.block_s, *np.exp(x))
+            acceleration = np.where(self.known, self.acceleration, driven + own - ratio * impulses)
+        plate = PushedPlate.of(self.push(acceleration, impulses, ratio))
+        motion = plate.moved(float(np.exp(x[0])), float(np.exp(x[1])), ratio)
+        left = self.acceleration - driven - motion.gained_mps() / self.block_s
+        torn_s = [(skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:]]
+        return plate.corrected(motion, left, self.known, float(np.std(seen.remainder(x))), torn_s)
 
 
 def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: float) -> Floats:
@@ -247,8 +236,7 @@ def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: floa
 
     The transition from block to block is exact. The mode begins at rest under the first push.
     """
-    w = 2.0 * math.pi * frequency_hz
-    turn = complex(-damping * w, w * math.sqrt(1.0 - damping**2))
+    turn = turn_of(frequency_hz, damping)
     pole = np.exp(turn * block_s)
     # velocity q' = sum over both poles; a step of the push makes q' = Im exp(turn t) / Im turn
     step = np.exp(turn * block_s * np.array([0.0, 1.0])).imag / turn.imag
@@ -283,8 +271,7 @@ class _Regression:
 
     def answers(self, frequency_hz: float, damping: float) -> Floats:
         """The mode's answer to the push, and how it rings on from each free state, (n, 1 + 2 r)."""
-        n, w = len(self.push), 2.0 * math.pi * frequency_hz
-        turn = complex(-damping * w, w * math.sqrt(1.0 - damping**2))
+        n, turn = len(self.push), turn_of(frequency_hz, damping)
         out = np.zeros((n, 1 + 2 * len(self.begun)))
         out[:, 0] = answer(self.push, self.block_s, frequency_hz, damping)
         for k, at in enumerate(self.begun):

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.residuals.covariates import COVARIATES, covariates_of
+from analysis.residuals.measured_mode import MeasuredMode
 from analysis.residuals.memory import Memory
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
-from analysis.residuals.plate_mode import Ringing
+from analysis.residuals.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
 from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.values import (
     TREND,
@@ -31,10 +32,9 @@ from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Detection, Measured, PlateSteps, columns_of
+from model.integrator.problem import Detection, Measured, PlateSteps, active
 from model.integrator.slopes import Slopes, slopes_of
 
-KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 256}  # stored results: of predictions, plate data and hooks
 
 
@@ -268,15 +268,27 @@ class ForwardModel:
         that are compared only those ``wanted`` (n,) are predicted, where given.
         """
         x = self.inputs(values, tones, rows)
-        measured = self.measured_at(x, wanted)
+        measured, mode = self.measured_at(x, wanted), self.measured_mode(x.rows)
+        if mode is not None:
+            measured = replace(measured, mode=mode.state)
         if landing_shift_s is not None:
             measured = replace(measured, landing_s=measured.landing_s + landing_shift_s)
-        p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=near)
+        p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=mode or near)
         return replace(
             p,
             takeoff_s=p.takeoff_s + x.opening_late_s,
             landing_s=p.landing_s + x.landing_late_s,
             opening_s=p.opening_s + x.opening_late_s,
+        )
+
+    def measured_mode(self, rows: Floats) -> MeasuredMode | None:
+        """How a plate mode of the parameters (P + 1,) moved under what the ball did; None where that is not known."""
+        ringing = self.ringing
+        if rows.ndim > 1 or ringing is None or not self.observations.pushed or not active(rows, "plate_mode"):
+            return None
+        mode = plate_mode(rows)
+        return self._plate_memory.recall(
+            ("measured mode", *mode), lambda: MeasuredMode.of(self.observations, ringing, mode)
         )
 
     def measured_at(self, x: Inputs, wanted: Bools | None = None) -> Measured:
@@ -310,16 +322,9 @@ class ForwardModel:
                 return self.observations.modulation, depth, float(omega[0]) / (2.0 * np.pi)
         return None
 
-    def kicks(self, values: Values) -> tuple[tuple[float, float], ...]:
-        """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
-        rows, place = self.inputs(values).rows, columns_of("plate_mode")
-        rows = rows.reshape(-1, rows.shape[-1])
-        if not rows[:, place].any():
-            return ()
-        row = rows[int(np.argmax(np.abs(rows[:, place[0]])))]  # where it is struck most: it may drift
-        omega, _, ratio = plate_mode(row)
-        speed = KICK * ratio * self.gravity * float(np.median(self.observations.steps.plate.period_s))
-        return (speed / omega, 0.0), (0.0, speed)
+    def inexact(self, values: Values) -> float:
+        """Relative uncertainty of what a plate mode adds to the tones."""
+        return INEXACT if self.measured_mode(self.inputs(values).rows) is None else INEXACT_AS_MEASURED
 
     def moved_landings(
         self, values: Values, shift_s: Floats, wanted: Bools | None = None
@@ -346,7 +351,7 @@ class ForwardModel:
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
         if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):
-            added = functools.partial(ringing.added, ev.plate, ev.steps.plate, p)
+            added = functools.partial(ringing.added, ev.plate, ev.steps.plate, p, self.inexact(values))
             of_flights = ("mode in plate data", values.flying)
             with np.errstate(over="ignore", invalid="ignore"):  # of a mode that diverges
                 mode = self.memory.recall(of_flights, added) if rows is None else added()

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import Scatter, raised_together
-from analysis.events.impact_detection import ECHO_MARGIN
-from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.plate.mode_motion import PushedPlate, without_ringing
 from analysis.plate.modes import PlateMode, identified_mode
 from analysis.plate.motion import StepPlate
-from analysis.residuals.fades import RINGING_S, Fades, pushes
+from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data
+from analysis.residuals.shown_impacts import closure_s, weak_mps
 from analysis.residuals.slow_lines import hints_of, other_lines_radps
 from analysis.residuals.steered import Launches
 from daq.recording import Recording, open_recording
@@ -30,7 +30,6 @@ from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import Measured, PlateSteps
-from model.tones import STANDARD_GRAVITY_MPS2
 
 NOT_EVENTS = FlightFlag.FALSE
 NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
@@ -39,9 +38,6 @@ SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball lea
 MAX_TONES = 8
 OF_FORCING = 0.005  # of a multiple, by which a tone of the forcing may be off
 TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
-FEW_CONTACTS = 8
-WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
-DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
 
 
 @dataclass(frozen=True)
@@ -108,6 +104,8 @@ class Observations:
         Time for which an impact keeps the circuit closed.
     mode : PlateMode or None
         Of the plate that the ball strikes, from recorded volts; None where none is identified.
+    pushed : tuple of PushedPlate
+        What the ball did to the plate, of each recording; empty where a mode is not sure in all of them.
     modulation : AmplitudeModulation or None
         Change of the forcing's amplitude within steps and from step to step.
     scatters : pair of Scatter
@@ -131,6 +129,7 @@ class Observations:
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     mode: PlateMode | None = None
+    pushed: tuple[PushedPlate, ...] = ()
     modulation: AmplitudeModulation | None = None
     closure_s: float = 0.0
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
@@ -192,6 +191,10 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     """Observations of one recording; ``with_mode`` a ringing mode is identified, in about a second."""
     setup = recording.setup
     fitted = [s for s in flights.plate.steps if s is not None and s.usable]
+    true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
+    mode = identified_mode(recording, true.takeoff_s, true.landing_s, mask_s) if with_mode else None
+    if motion := mode and mode.motion():
+        fitted = [without_ringing(s, motion, recording.rate_hz, flights.plate.noise_mps2) for s in fitted]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
     steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)
@@ -215,9 +218,8 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
     )
     shown = flights.edges.sensor_offset is not None
-    weak = _weak_mps(measured, steps, flights, keep) if shown else np.full(len(scored), np.inf)
+    weak = weak_mps(measured, steps, flights, keep) if shown else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
-    true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -232,8 +234,9 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
         notes=(*notes, *flights.plate.saturation_warnings()),
-        mode=identified_mode(recording, true.takeoff_s, true.landing_s, mask_s) if with_mode else None,
-        closure_s=_closure_s(measured),
+        mode=mode,
+        pushed=(mode.pushed,) if mode and mode.pushed else (),
+        closure_s=closure_s(measured),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
@@ -274,33 +277,6 @@ def _of_forcing_only(steps: Steps) -> Steps:
     own = np.abs(turns - np.round(turns)) < OF_FORCING
     plate = replace(steps.plate, acceleration_mps2=np.where(own, steps.plate.acceleration_mps2, 0.0))
     return replace(steps, plate=plate, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
-
-
-def _weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: Bools) -> Floats:
-    """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
-
-    The strength at a speed is calibrated by free flights from rest; friction makes it too low by its own size at most.
-    While an impact rings, impacts of less than a part of its size are masked.
-    """
-    rest, turns = ~measured.relaunched, 1j * steps.plate.omega_radps[measured.step]
-    velocity = steps.plate.acceleration_mps2[measured.step] / turns
-    at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
-    strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
-    impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
-    shown = rest & (impact > WEAK_MPS) & (strength > 0.0)
-    if shown.sum() < FEW_CONTACTS:
-        return np.full(len(rest), WEAK_MPS)
-    speed = float(np.median(impact[shown] / strength[shown]))
-    before = np.concatenate([[0.0], strength[:-1]])
-    rings = measured.relaunched & (duration_s < RINGING_S)
-    usual = max(WEAK_MPS, DETECTED * THRESHOLD * speed)
-    return np.where(rings, np.maximum(usual, DETECTED * ECHO_MARGIN * speed * before), usual)
-
-
-def _closure_s(measured: Measured) -> float:
-    """Middle of the contacts from which the ball left at once; 0 where there are few."""
-    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.relaunched[1:] & measured.linked[1:]]
-    return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
 
 
 def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, Bools, Bools]:
@@ -392,6 +368,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
         mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
+        pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),
         closure_s=float(np.median([p.closure_s for p in parts])),
         modulation=AmplitudeModulation.join(swings)
         if (swings := [p.modulation for p in parts if p.modulation])

@@ -6,6 +6,7 @@ offset, modulation or mass loading follows from the normal equations over the un
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -13,6 +14,7 @@ from typing import Self
 import numpy as np
 
 from analysis.plate.fit_mask import FitIntervals, solved
+from analysis.plate.mode_motion import ModeMotion
 from analysis.plate.phasors import signed_frequencies
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
@@ -23,7 +25,8 @@ from model.integrator.problem import PlateSteps
 KNOWN = 0.99  # least part of a window's time in which the mode is followed
 LEAST = 1e-6  # least driven part of a tone
 SMALL = 1e-3  # relative change for which a load's contribution is taken as linear
-INEXACT = 0.03  # relative uncertainty of the contribution: blocks are means, and the impact template absorbs a part
+# relative uncertainty of the contribution: the impact template absorbs a part; more of it where flights tell the motion
+INEXACT, INEXACT_AS_MEASURED = 0.03, 0.01
 
 
 def driven(z: Complexes, mode_amplitudes: Complexes) -> Complexes:
@@ -103,7 +106,7 @@ class IntervalSums:
 
 @dataclass(frozen=True)
 class Ringing:
-    """Projection of a plate mode on the fitted tones; an `model.integrator.one_step.ToneProbe`.
+    """Projection of a plate mode on the fitted tones; an `model.integrator.tone_probe.ToneProbe`.
 
     Attributes
     ----------
@@ -149,16 +152,40 @@ class Ringing:
         found = self._solved(contact + rest)[:, 1 : self.omega_radps.shape[1]]
         return np.take_along_axis(2.0 * found, self.place, 1)
 
+    def of_motions(self, motions: Sequence[ModeMotion], recording: Integers) -> Complexes:
+        """Projection (r, 1 + k) of a mode's motion in each recording, of steps ``recording`` (m,).
+
+        Blocks are far shorter than a period of the tones: in each the acceleration is its mean.
+        """
+        gained = [x.gained_mps() for x in motions]
+        out = np.zeros((len(self.span_s), self.omega_radps.shape[1]), dtype=np.complex128)
+        for i in np.flatnonzero(np.diff(self.first)):
+            rows, own = slice(self.first[i], self.first[i + 1]), gained[recording[i]]
+            block_s = motions[recording[i]].push.block_s
+            place = np.clip(self.span_s[rows] / block_s, 0.0, len(own))
+            begin, end = int(place.min()), int(np.ceil(place.max()))
+            middle_s = (np.arange(begin, end) + 0.5) * block_s
+            turning = np.exp(-1j * self.omega_radps[i] * middle_s[:, None])
+            blurred = np.sinc(self.omega_radps[i] * block_s / (2.0 * np.pi)) * turning
+            so_far = np.concatenate([0.0 * turning[:1], np.cumsum(own[begin:end, None] * blurred, axis=0)])
+            whole = np.minimum(place.astype(np.int64) - begin, len(so_far) - 2)
+            part = (place - begin - whole)[..., None]
+            at = so_far[whole] * (1.0 - part) + so_far[whole + 1] * part
+            out[rows] = at[:, 1] - at[:, 0]
+        return out
+
     # -- plate data ---------------------------------------------------------------------------------
-    def added(self, data: PlateData, plate: PlateSteps, p: Predicted) -> tuple[Floats, Floats]:
+    def added(self, data: PlateData, plate: PlateSteps, p: Predicted, inexact: float) -> tuple[Floats, Floats]:
         """Contribution of a prediction's mode to each datum and its standard deviation, (r,) each."""
         if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))
-        return self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s)
+        added, part = self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s)
+        return added, inexact * part
 
     def _added(
         self, data: PlateData, plate: PlateSteps, mode_amplitudes: Complexes, projection: Complexes, observed_s: Floats
     ) -> tuple[Floats, Floats]:
+        """Contribution, and that whose part is its standard deviation."""
         out = np.zeros(len(data))
         contact_side, rest_side = self._of_places(projection, observed_s)
         found, step = self._solved(contact_side + rest_side), data.step
@@ -167,19 +194,19 @@ class Ringing:
         size = 2.0 * np.abs(found[step, k])
         out += np.where(np.isin(data.kind, (SECOND, THIRD)), (size / data.scale) ** 2, 0.0)
         out += np.where(data.kind == HUM, size**2, 0.0)
-        sigma = INEXACT * np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
+        sigma = np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
         ratio = z / driven(z, mode_amplitudes[step[rows], j])
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
-        sigma[rows] = INEXACT * np.abs(ratio - 1.0)
+        sigma[rows] = np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
         contact, flight = self._apart(contact_side, rest_side)
         z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
-        sigma[rows] = INEXACT * np.abs((flight - contact)[step[rows]] / z)
+        sigma[rows] = np.abs((flight - contact)[step[rows]] / z)
         rows = np.flatnonzero(data.kind == MODULATION)
         out[rows], sigma[rows] = self._in_windows(found, projection, observed_s)
         return out, sigma
@@ -301,4 +328,4 @@ class Ringing:
         change = 2.0 * np.sum((np.conj(own) * left[:, 1 : self.omega_radps.shape[1]]).real, axis=1)
         value, known = change / np.where(power > 0.0, power, 1.0), part > KNOWN
         usual = float(np.sqrt(np.mean(value[known] ** 2))) if known.any() else 0.0
-        return np.where(known, value, 0.0), np.where(known, INEXACT * np.abs(value), usual)
+        return np.where(known, value, 0.0), np.where(known, np.abs(value), usual / INEXACT)

@@ -14,16 +14,17 @@ from typing import Any
 import numpy as np
 
 from analysis.residuals.forward_model import ForwardModel, Inputs
-from analysis.residuals.plate_mode import INEXACT
 from analysis.residuals.sample_rounding import rounding_errors
 from analysis.residuals.values import Values
 from kernels.arrays import Bools, Complexes, Floats, Integers
+from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Measured, PlateSteps
+from model.integrator.problem import Measured, PlateSteps, active, columns_of
 from model.integrator.slopes import Slopes
 
 Kicks = tuple[tuple[float, float], ...]
 
+KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
@@ -71,10 +72,10 @@ def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
 def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     """Uncertainty of edges and plate, carried through the prediction."""
     ev, base = model.observations, model.predicted(values)
-    tones, kicks = _tone_changes(model, values), model.kicks(values)
+    tones, kicks = _tone_changes(model, values), kicks_of(model, values)
     own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
     again = ev.measured.wanted & (base.kind >= 0)
-    if kicks:  # a plate mode rings on from flight to flight, and with it what fades tell of it
+    if active(model.inputs(values).rows, "plate_mode"):  # it rings on from flight to flight, what fades tell with it
         shape = (len(tones) + len(kicks), len(ev), 2)
         edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
         if again.any():
@@ -115,6 +116,20 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     )
 
 
+def kicks_of(model: ForwardModel, values: Values) -> tuple[tuple[float, float], ...]:
+    """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
+    rows, place = model.inputs(values).rows, columns_of("plate_mode")
+    if model.measured_mode(rows) is not None:
+        return ()
+    rows = rows.reshape(-1, rows.shape[-1])
+    if not rows[:, place].any():
+        return ()
+    row = rows[int(np.argmax(np.abs(rows[:, place[0]])))]  # where it is struck most: it may drift
+    omega, _, ratio = plate_mode(row)
+    speed = KICK * ratio * model.gravity * float(np.median(model.observations.steps.plate.period_s))
+    return (speed / omega, 0.0), (0.0, speed)
+
+
 def by_tones(slopes: Slopes, change_mps2: Complexes, step: Integers) -> Floats:
     """Changes of opening, landing and impact speed, (n, 3), for changes (m, k) of the plate's tones."""
     parts = np.stack([change_mps2.real, change_mps2.imag], axis=-1)[step]
@@ -147,7 +162,7 @@ def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
     """One sigma of each number that the plate's measured tones depend on, as changes of the tones (m, k)."""
     steps, base = model.observations.steps, model.predicted(values)
     sigma = steps.sigma_mps2
-    inexact = INEXACT * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
+    inexact = model.inexact(values) * np.abs(base.mode_amplitudes[:, : sigma.shape[1]])
     if (swings := model.modulation_at(values)) is not None:
         inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
     wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)

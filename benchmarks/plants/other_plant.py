@@ -225,7 +225,7 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
             share = h_old / (h_old - h)
             hit, speed = t + share * dt, max(-(u_old + share * (u - u_old)), 0.0)
             e = _rebound(q, speed)
-            last, yv, u = hit - left, yv - q[_RATIO] * (1.0 + e) * speed, e * speed
+            last, yv, u = hit - left, yv - q[_RATIO] / (1.0 + q[_RATIO]) * (1.0 + e) * speed, e * speed
             impacts[n_impacts, 0], impacts[n_impacts, 1] = hit, speed
             edges[n_edges] = -hit
             n_impacts, n_edges = n_impacts + 1, n_edges + 1

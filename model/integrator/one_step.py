@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
 from model.integrator.problem import Detection, Measured, PlateSteps, active, columns_of, for_kernel, tones_for_kernel
 from model.integrator.records import Acting, Events, Law, Mode, Plate, Probe, Steps, Visibility
+from model.integrator.tone_probe import ContinuousProbe, Projected, ToneProbe
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -58,49 +59,6 @@ class Predicted:
     projection: Complexes
     observed_s: Floats
     table: Floats | None = None
-
-
-class ToneProbe(Protocol):
-    """The time intervals and frequencies at which plate tones were measured; projects a mode's motion on them.
-
-    Attributes
-    ----------
-    first
-        Where each step's intervals begin in ``span_s``, and where the last ends, (m + 1,).
-    span_s
-        Intervals of time, in order within a step, (r, 2).
-    omega_radps
-        Angular frequencies, (m, l).
-    """
-
-    @property
-    def first(self) -> Integers: ...
-    @property
-    def span_s(self) -> Floats: ...
-    @property
-    def omega_radps(self) -> Floats: ...
-
-    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
-        """Contribution to the plate's tones (m, k), m/s^2, of integrals (r, l) of ``acceleration exp(-i w t)``."""
-        ...
-
-
-@dataclass(frozen=True)
-class ContinuousProbe:
-    """Tones measured all the time, of well separated frequencies."""
-
-    omega_radps: Floats
-
-    @property
-    def first(self) -> Integers:
-        return np.arange(len(self.omega_radps) + 1)
-
-    @property
-    def span_s(self) -> Floats:
-        return np.tile([-np.inf, np.inf], (len(self.omega_radps), 1))
-
-    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
-        return np.asarray(2.0 * projection / np.where(observed_s > 0.0, observed_s, 1.0)[:, None])
 
 
 def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
@@ -156,6 +114,7 @@ class Problem:
             for_kernel(np.full(n, np.nan) if m.gained_mps is None else m.gained_mps),
             for_kernel(np.full(n, np.nan) if m.pressed_mps is None else m.pressed_mps),
             for_kernel(np.full(n, np.nan) if m.pressed_at is None else m.pressed_at),
+            for_kernel(np.full((n, 4), np.nan) if m.mode is None else m.mode),
         )
 
 
@@ -174,7 +133,7 @@ def one_ahead(
     *,
     kick: tuple[float, float] = (0.0, 0.0),
     probe: ToneProbe | None = None,
-    mode: Predicted | None = None,
+    mode: Projected | None = None,
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
@@ -192,7 +151,7 @@ def one_ahead(
     probe
         How the plate's tones were measured; without one, all the time.
     mode
-        A prediction whose plate mode is taken over, not projected anew: for small changes of events and tones.
+        What a plate mode adds, not projected anew: as measured, or of a prediction of almost the same.
     """
     rows = for_kernel(rows.reshape(-1, rows.shape[-1]))
     problem = Problem(measured, plate, rows, Detection() if detection is None else detection, kick)

@@ -151,14 +151,16 @@ def one_ahead(
     for i in range(n):
         p = rows[i if len(rows) > 1 else 0]
         m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
+        measured = not np.isnan(events.mode[i, 2])
         if len(rows) > 1:
             om, ze, ratio = plate_mode(p)
         out[i, KIND], out[i, AMBIGUITY], out[i, WAY], out[i, PASSED] = -1.0, 0.0, 0.0, 0.0
         # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
         soon = (i + 1 < n and events.wanted[i + 1]) or (i + 2 < n and events.wanted[i + 2])
-        needed = ratio != 0.0 or (bounces and soon)
+        needed = (ratio != 0.0 and not measured) or (bounces and soon)
+        after_q, after_qd = (events.mode[i, 2], events.mode[i, 3]) if measured else (0.0, 0.0)
         if not (events.wanted[i] or needed):  # nothing needs more of it than its landing
-            last = Chain(landing, last.impact, 0.0, 0.0, True, 0)
+            last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         tones, length = plate_of(i, events, steps, lengths)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
@@ -170,14 +172,19 @@ def one_ahead(
         passed, chained = 0, last.chained + 1
         if not event.linked:
             chained = 0
-            last = begin_chain(event, steps.period[m], last, bare, p)
+            if measured:
+                last = Chain(event.opening, last.impact, events.mode[i, 0], events.mode[i, 1], False, 0)
+            else:
+                last = begin_chain(event, steps.period[m], last, bare, p)
             loose = 1.0 if np.isnan(events.pressed_mps[i]) else 0.2  # a measured push tells most of the mode's motion
             last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(event, last, bare, law, seen, out[i])
         out[i, PASSED] = passed
         if not (needed or (bounces and events.wanted[i])):
-            last = Chain(landing, last.impact, last.q, last.qd, True, 0)
+            if not measured:
+                after_q, after_qd = last.q, last.qd
+            last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
         if passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < seen.passable_s:
@@ -192,8 +199,9 @@ def one_ahead(
         if ratio != 0.0 and events.linked[i]:
             project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
             project_mode(start, landing, False, flying, p, probe, m)
-        q, qd = strike(flying.mode, landing - start, hit, p)
-        last = Chain(landing, hit, q, qd, True, chained)
+        if not measured:
+            after_q, after_qd = strike(flying.mode, landing - start, hit, p)
+        last = Chain(landing, hit, after_q, after_qd, True, chained)
 
 
 @compiled

@@ -60,6 +60,9 @@ class Measured:
         tones tell it; None where they always do.
     part, ahead_s
         Part by which the plate moved more in the flight than in its step, and by how much earlier. None for all alike.
+    mode
+        Displacement and velocity of a plate mode at the opening, and just after the landing, (n, 4), as measured. NaN
+        or None where it is followed from flight to flight.
     """
 
     opening_s: Floats
@@ -75,6 +78,7 @@ class Measured:
     pressed_at: Floats | None = None
     part: Floats | None = None
     ahead_s: Floats | None = None
+    mode: Floats | None = None
 
 
 @dataclass(frozen=True)

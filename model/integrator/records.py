@@ -135,7 +135,7 @@ class Events(NamedTuple):
     """Measured flights in order, (n,) each; see `model.integrator.one_step.Measured`.
 
     ``bounces`` marks those whose impact the ball may rebound from; ``gap_m`` and ``weak_mps`` are those of
-    `model.integrator.one_step.Detection`.
+    `model.integrator.one_step.Detection`; ``mode`` is (n, 4).
     """
 
     opening: Floats
@@ -154,6 +154,7 @@ class Events(NamedTuple):
     gained_mps: Floats
     pressed_mps: Floats
     pressed_at: Floats
+    mode: Floats
 
 
 class Event(NamedTuple):

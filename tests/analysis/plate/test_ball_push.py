@@ -15,20 +15,20 @@ def test_the_mean_push_is_the_balls_weight() -> None:
     w = 2.0 * np.pi * 20.0
     time_s = (np.arange(4000) + 0.5) * BLOCK_S
     edges_s = np.linspace(0.05, 1.9, 38)
-    contact, impacts = ball_push(-15.0 * np.sin(w * time_s), BLOCK_S, edges_s[:-1], edges_s[1:], G)
-    assert np.mean(contact + impacts) == pytest.approx(-G, abs=1e-6)
+    push = ball_push(-15.0 * np.sin(w * time_s), BLOCK_S, edges_s[:-1], edges_s[1:], G)
+    assert np.mean(push.contact_mps2 + push.impacts_mps2) == pytest.approx(-G, abs=1e-6)
 
 
 def test_an_impact_after_a_rest_has_the_speed_that_the_flight_gained() -> None:
     """Over a plate at rest that is gravity times the flight's length."""
-    _, impulses = ball_push(np.zeros(1000), BLOCK_S, np.array([0.1]), np.array([0.15]), G)
+    impulses = ball_push(np.zeros(1000), BLOCK_S, np.array([0.1]), np.array([0.15]), G).impacts_mps2
     assert np.sum(impulses) * BLOCK_S == pytest.approx(-G * 0.05)
 
 
 def test_rebounds_give_back_what_the_flights_gained() -> None:
     """A ball that leaves as it lands starts with half a flight's gravity, so each impulse equals a flight's."""
     edges_s = np.linspace(0.1, 0.3, 6)
-    _, impulses = ball_push(np.zeros(1000), BLOCK_S, edges_s[:-1], edges_s[1:], G)
+    impulses = ball_push(np.zeros(1000), BLOCK_S, edges_s[:-1], edges_s[1:], G).impacts_mps2
     at = int(edges_s[2] / BLOCK_S)
     assert np.sum(impulses[at - 5 : at + 5]) * BLOCK_S == pytest.approx(-G * 0.04, rel=1e-6)
 
@@ -59,6 +59,6 @@ def test_a_friction_is_found_from_flights_that_begin_at_rest() -> None:
                 height, flying = 0.0, False
     edges_s = np.array(flights[: len(hits) * 2]).reshape(-1, 2)
     time_s = (np.arange(6000) + 0.5) * BLOCK_S
-    _, impacts = ball_push(-18.0 * np.sin(w * time_s), BLOCK_S, edges_s[:, 0], edges_s[:, 1], G)
+    impacts = ball_push(-18.0 * np.sin(w * time_s), BLOCK_S, edges_s[:, 0], edges_s[:, 1], G).impacts_mps2
     assert len(hits) > 30
     assert np.sum(impacts) * BLOCK_S == pytest.approx(-sum(hits), rel=0.01)

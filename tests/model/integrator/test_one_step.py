@@ -212,6 +212,24 @@ def test_an_inelastic_ball_leaves_from_rest_whatever_the_contact_looked_like():
     assert hasty.mode_amplitudes[0, 0] == pytest.approx(found.mode_amplitudes[0, 0], rel=1e-6)
 
 
+def test_a_mode_whose_motion_was_measured_is_a_tone_more():
+    """A light mode that hardly dies away, its states given: flights are those over a plate with that tone."""
+    bare, own, size_m = complex(1.7 * G_MPS2), 2.0 * math.pi * 6.3, 2e-4
+    off, land, _ = marched(np.array([bare]), 0.0, own, 0.05, 1.2, 2e-6, OMEGA_RADPS * np.array([1.0]))
+    seen = events(off, land)
+    state = np.column_stack(
+        [f for t in (off, land) for f in (size_m * np.sin(own * t), size_m * own * np.cos(own * t))]
+    )
+    mode = row({"table_resonance": {"mass_ratio": 1e-9, "frequency_hz": 6.3, "damping": 1e-6}}, G_MPS2)
+    rung = one_ahead(replace(seen, mode=state), steps_of(bare), mode)
+    two = PlateSteps(
+        np.array([[OMEGA_RADPS, own]]), np.array([[bare, 1j * size_m * own**2]]), np.array([PERIOD_S])
+    )  # its acceleration is -w^2 size sin(w t)
+    np.testing.assert_allclose(rung.landing_s[1:], one_ahead(seen, two, row({}, G_MPS2)).landing_s[1:], atol=1e-7)
+    still = one_ahead(seen, steps_of(bare), mode)
+    assert np.nanmax(np.abs(rung.landing_s - still.landing_s)) > 1e-4
+
+
 def test_stretches_of_time_add_up_to_the_whole():
     """What a mode does in two halves of every cycle is, together, what it does all the time."""
     bare, ratio, om, ze = np.array([1.7 * G_MPS2 + 0j]), 0.03, 2.0 * math.pi * 6.3, 0.05

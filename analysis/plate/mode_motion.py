@@ -1,0 +1,183 @@
+"""How a mode of the plate moved in a recording: the exact answer to what the ball did to it.
+
+The state is the complex amplitude ``z = q' - conj(turn) q`` with ``turn = -damping w + i w sqrt(1 - damping^2)``, so
+that ``z' = turn z + push``: both pushes, the constant one of a block and the impulse of an impact, act in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from scipy.signal import lfilter
+
+from analysis.linear_algebra import lstsq, solveh_banded
+from analysis.plate.ball_push import Push
+from analysis.plate.motion import StepPlate
+from kernels.arrays import Bools, Complexes, Floats
+
+KICK_MPS, KICK_PART = 1e-3, 5e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
+UNKNOWN_MPS = 1.0  # where it was not followed before, or flights were missed
+TORN_S = 0.5  # length of such a piece
+LEFT = 0.05  # of the mode's power, which may be noise: where impacts are masked it is another one
+
+
+def turn_of(frequency_hz: float, damping: float) -> complex:
+    """Rate of a mode's complex amplitude, 1/s."""
+    w = 2.0 * math.pi * frequency_hz
+    return complex(-damping * w, w * math.sqrt(1.0 - damping**2))
+
+
+@dataclass(frozen=True)
+class PushedPlate:
+    """What the ball did to the plate of one recording, for a ball of the mode's own mass.
+
+    Attributes
+    ----------
+    push
+        From the first sample on.
+    time_s, kicks_mps
+        The first sample and every impact, and by how much each changes the mode's amplitude, (1 + k,).
+    """
+
+    push: Push
+    time_s: Floats
+    kicks_mps: Complexes
+
+    @classmethod
+    def of(cls, push: Push) -> Self:
+        """By impacts alone, from rest under the first push."""
+        return cls(push, np.append(0.0, push.impact_s), np.append(0.0, push.impulse_mps).astype(np.complex128))
+
+    def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
+        """The motion of a mode under this push."""
+        turn, push = turn_of(frequency_hz, damping), self.push
+        factor = np.expm1(turn * push.block_s) / turn
+        rest = -np.conj(turn) * push.contact_mps2[0] / abs(turn) ** 2
+        pressed = lfilter([1.0], [1.0, -np.exp(turn * push.block_s)], np.append(rest, factor * push.contact_mps2))
+        struck, decay = self.kicks_mps.copy(), np.exp(turn * np.diff(self.time_s))
+        for i in range(1, len(struck)):
+            struck[i] += decay[i - 1] * struck[i - 1]
+        return ModeMotion(turn, push, mass_ratio, np.asarray(pressed), self.time_s, self.kicks_mps, struck)
+
+    def corrected(
+        self, motion: ModeMotion, left_mps2: Floats, known: Bools, noise_mps2: float, torn_s: Sequence[float] = ()
+    ) -> Self:
+        """With kicks changed as the acceleration between impacts asks for: a smoother of the mode's state.
+
+        Parameters
+        ----------
+        motion
+            Of the mode under this push.
+        left_mps2, known
+            What the motion leaves of the acceleration in each block, and where it is known, (n,).
+        noise_mps2
+            Standard deviation of the former.
+        torn_s
+            Begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there.
+
+        Notes
+        -----
+        From kick to kick the amplitude turns freely; the two real unknowns of each meet those of the next, so that the
+        normal equations are banded.
+        """
+        turn, slope = motion.turn, motion.turn.real / motion.turn.imag
+        middle_s = (np.flatnonzero(known) + 0.5) * self.push.block_s
+        after = np.searchsorted(self.time_s, middle_s, side="right") - 1
+        seen = motion.mass_ratio / noise_mps2
+        rate = turn * np.exp(turn * (middle_s - self.time_s[after])) * seen
+        shown = np.stack([rate.real + slope * rate.imag, slope * rate.real - rate.imag])
+        m, read = len(self.time_s), left_mps2[known] / noise_mps2
+        total = [np.bincount(after, x, minlength=m) for x in (shown[0] ** 2, shown[1] ** 2, shown[0] * shown[1])]
+        side = np.column_stack([np.bincount(after, x * read, minlength=m) for x in shown])
+        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(self.kicks_mps)) ** 2)
+        for begin_s in (-TORN_S, *torn_s):
+            sure[(self.time_s >= begin_s) & (self.time_s <= begin_s + TORN_S)] = UNKNOWN_MPS**-2
+        step = np.exp(turn * np.diff(self.time_s))
+        own = sure + np.append(np.abs(step) ** 2 * sure[1:], 0.0)
+        bands = np.zeros((4, 2 * m))
+        bands[0, 0::2], bands[0, 1::2] = total[0] + own, total[1] + own
+        bands[1, 0::2] = total[2]
+        bands[1, 1:-1:2], bands[2, 0:-2:2] = step.imag * sure[1:], -step.real * sure[1:]
+        bands[2, 1:-1:2], bands[3, 0:-2:2] = -step.real * sure[1:], -step.imag * sure[1:]
+        off = solveh_banded(bands, side.ravel(), lower=True).reshape(m, 2) @ np.array([1.0, 1j])
+        return replace(self, kicks_mps=self.kicks_mps + off - np.append(0.0, step * off[:-1]))
+
+
+@dataclass(frozen=True)
+class ModeMotion:
+    """Motion of a mode.
+
+    Attributes
+    ----------
+    turn
+        Rate of its complex amplitude.
+    push, mass_ratio
+        What acts on it, and the ball's mass over the mode's.
+    pressed
+        Amplitude by the push of contacts at the edges of the blocks, (n + 1,).
+    time_s, kicks, struck
+        Kicks: when, by how much they change the amplitude, and the amplitude by all so far just after each, (k,).
+    """
+
+    turn: complex
+    push: Push
+    mass_ratio: float
+    pressed: Complexes
+    time_s: Floats
+    kicks: Complexes
+    struck: Complexes
+
+    def state(self, time_s: Floats) -> Floats:
+        """Displacement and speed (m, 2) at times (m,), just after an impact at one of them."""
+        block_s, n = self.push.block_s, len(self.push.contact_mps2)
+        block = np.clip(np.floor(time_s / block_s).astype(np.int64), 0, n - 1)
+        since = self.turn * (time_s - block * block_s)
+        pressed = self.pressed[block] * np.exp(since) + self.push.contact_mps2[block] * np.expm1(since) / self.turn
+        z = self.mass_ratio * (pressed + self._struck(time_s))
+        return np.column_stack([z.imag / self.turn.imag, self._speed(z)])
+
+    def _struck(self, time_s: Floats) -> Complexes:
+        """Amplitude by impacts so far, (m,)."""
+        last = np.searchsorted(self.time_s, time_s, side="right") - 1
+        found = self.struck[last] * np.exp(self.turn * (time_s - self.time_s[last]))
+        return np.asarray(np.where(last >= 0, found, 0.0))
+
+    def _speed(self, z: Complexes) -> Floats:
+        return np.asarray(z.real + self.turn.real / self.turn.imag * z.imag)
+
+    def gained_mps(self) -> Floats:
+        """What the speed gains in each block but for the jumps of impacts, (n,): the integral of the acceleration."""
+        edges_s = self.push.block_s * np.arange(len(self.pressed), dtype=np.float64)
+        smooth: Complexes = np.add(self.pressed, self._struck(edges_s))
+        jumps = np.append(0.0, np.cumsum(self._speed(self.kicks)))
+        over = jumps[np.searchsorted(self.time_s, edges_s, side="right")]
+        return np.asarray(self.mass_ratio * np.diff(self._speed(smooth) - over))
+
+
+def without_ringing(step: StepPlate, motion: ModeMotion, rate_hz: float, noise_mps2: float) -> StepPlate:
+    """The step with a mode's power, which is no noise, taken out of the residual of its fitted tones.
+
+    Parameters
+    ----------
+    step
+        Of a recording with ``rate_hz``.
+    motion
+        Of the mode.
+    noise_mps2
+        White noise of the accelerometer.
+    """
+    fit, block_s = step.acceleration, motion.push.block_s
+    first, last = (int(x / rate_hz / block_s) for x in (step.first_sample, step.last_sample))
+    mode = motion.gained_mps()[first:last] / block_s
+    if not len(mode) or fit.rms == 0.0:
+        return step
+    turns = 2.0 * np.pi * fit.frequencies_hz * (np.arange(len(mode))[:, None] * block_s)
+    known = np.column_stack([np.ones(len(mode)), np.cos(turns), np.sin(turns)])
+    power = float(np.mean((mode - known @ lstsq(known, mode)[0]) ** 2))
+    white = min(noise_mps2, fit.rms) ** 2
+    rms = math.sqrt(white + max(fit.rms**2 - white - power, min(LEFT * power, fit.rms**2 - white)))
+    return replace(step, acceleration=replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2))

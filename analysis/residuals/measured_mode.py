@@ -1,0 +1,46 @@
+"""A plate mode as it moved in recordings, under what the ball did to the plate: states at events, and parts of tones.
+
+No chain of predictions leads to it, so an error of one flight stays there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from analysis.residuals.observations import Observations
+from analysis.residuals.plate_mode import Ringing
+from kernels.arrays import Complexes, Floats
+
+
+@dataclass(frozen=True)
+class MeasuredMode:
+    """Where the mode was, and what it adds to the measured tones; see `model.integrator.one_step`.
+
+    Attributes
+    ----------
+    state
+        Displacement and velocity at each opening and just after each landing, (n, 4).
+    mode_amplitudes, projection, observed_s
+        As in `model.integrator.one_step.Predicted`.
+    """
+
+    state: Floats
+    mode_amplitudes: Complexes
+    projection: Complexes
+    observed_s: Floats
+
+    @classmethod
+    def of(cls, ev: Observations, ringing: Ringing, mode: tuple[float, float, float]) -> Self:
+        """Of a ``mode`` of angular frequency, damping and mass ratio, in recordings that show what the ball did."""
+        omega_radps, damping, mass_ratio = mode
+        motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in ev.pushed]
+        of = ev.steps.recording[ev.measured.step]
+        state = np.empty((len(ev), 4))
+        for i, motion in enumerate(motions):
+            own, seen = of == i, ev.measured
+            state[own] = np.hstack([motion.state(t[own]) for t in (seen.opening_s, seen.landing_s)])
+        projection, seconds = ringing.of_motions(motions, ev.steps.recording), ringing.kept.seconds
+        return cls(state, ringing.of_tones(projection, seconds), projection, seconds)
