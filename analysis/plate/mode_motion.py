@@ -7,9 +7,8 @@ that ``z' = turn z + push``: both pushes, the constant one of a block and the im
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import lfilter
@@ -19,7 +18,7 @@ from analysis.plate.ball_push import Push
 from analysis.plate.motion import StepPlate
 from kernels.arrays import Bools, Complexes, Floats
 
-KICK_MPS, KICK_PART = 1e-3, 5e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
+KICK_MPS, KICK_PART = 5e-4, 3e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
 UNKNOWN_MPS = 1.0  # where it was not followed before, or flights were missed
 TORN_S = 0.5  # length of such a piece
 LEFT = 0.05  # of the mode's power, which may be noise: where impacts are masked it is another one
@@ -33,70 +32,56 @@ def turn_of(frequency_hz: float, damping: float) -> complex:
 
 @dataclass(frozen=True)
 class PushedPlate:
-    """What the ball did to the plate of one recording, for a ball of the mode's own mass.
+    """What the ball did to the plate of one recording, and how the plate answered.
 
     Attributes
     ----------
     push
-        From the first sample on.
-    time_s, kicks_mps
-        The first sample and every impact, and by how much each changes the mode's amplitude, (1 + k,).
+        For a ball of the mode's own mass, from the first sample on.
+    answer_mps2, known
+        Acceleration in each block less what the drive makes of it, and where no impact hides it, (n,).
+    noise_mps2
+        Standard deviation of the former beside the mode.
+    torn_s
+        Begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there.
     """
 
     push: Push
-    time_s: Floats
-    kicks_mps: Complexes
-
-    @classmethod
-    def of(cls, push: Push) -> Self:
-        """By impacts alone, from rest under the first push."""
-        return cls(push, np.append(0.0, push.impact_s), np.append(0.0, push.impulse_mps).astype(np.complex128))
+    answer_mps2: Floats
+    known: Bools
+    noise_mps2: float
+    torn_s: tuple[float, ...] = ()
 
     def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
-        """The motion of a mode under this push."""
+        """The motion of a mode under this push, kicks corrected by the acceleration between them."""
         turn, push = turn_of(frequency_hz, damping), self.push
         factor = np.expm1(turn * push.block_s) / turn
-        rest = -np.conj(turn) * push.contact_mps2[0] / abs(turn) ** 2
+        rest = -np.conj(turn) * push.contact_mps2[0] / abs(turn) ** 2  # at rest under the first push
         pressed = lfilter([1.0], [1.0, -np.exp(turn * push.block_s)], np.append(rest, factor * push.contact_mps2))
-        struck, decay = self.kicks_mps.copy(), np.exp(turn * np.diff(self.time_s))
-        for i in range(1, len(struck)):
-            struck[i] += decay[i - 1] * struck[i - 1]
-        return ModeMotion(turn, push, mass_ratio, np.asarray(pressed), self.time_s, self.kicks_mps, struck)
+        time_s, kicks = np.append(0.0, push.impact_s), np.append(0.0, push.impulse_mps).astype(np.complex128)
+        motion = ModeMotion(turn, push, mass_ratio, np.asarray(pressed), time_s, kicks)
+        return replace(motion, kicks=kicks + self._correction(motion)) if self.known.any() else motion
 
-    def corrected(
-        self, motion: ModeMotion, left_mps2: Floats, known: Bools, noise_mps2: float, torn_s: Sequence[float] = ()
-    ) -> Self:
-        """With kicks changed as the acceleration between impacts asks for: a smoother of the mode's state.
+    def _correction(self, motion: ModeMotion) -> Complexes:
+        """By how much kicks differ from those of a motion: a smoother of the mode's state, (1 + k,).
 
-        Parameters
-        ----------
-        motion
-            Of the mode under this push.
-        left_mps2, known
-            What the motion leaves of the acceleration in each block, and where it is known, (n,).
-        noise_mps2
-            Standard deviation of the former.
-        torn_s
-            Begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there.
-
-        Notes
-        -----
         From kick to kick the amplitude turns freely; the two real unknowns of each meet those of the next, so that the
         normal equations are banded.
         """
-        turn, slope = motion.turn, motion.turn.real / motion.turn.imag
-        middle_s = (np.flatnonzero(known) + 0.5) * self.push.block_s
-        after = np.searchsorted(self.time_s, middle_s, side="right") - 1
-        seen = motion.mass_ratio / noise_mps2
-        rate = turn * np.exp(turn * (middle_s - self.time_s[after])) * seen
+        turn, time_s = motion.turn, motion.time_s
+        slope = turn.real / turn.imag
+        left_mps2 = self.answer_mps2 - motion.gained_mps() / self.push.block_s
+        middle_s = (np.flatnonzero(self.known) + 0.5) * self.push.block_s
+        after = np.searchsorted(time_s, middle_s, side="right") - 1
+        rate = turn * np.exp(turn * (middle_s - time_s[after])) * (motion.mass_ratio / self.noise_mps2)
         shown = np.stack([rate.real + slope * rate.imag, slope * rate.real - rate.imag])
-        m, read = len(self.time_s), left_mps2[known] / noise_mps2
+        m, read = len(time_s), left_mps2[self.known] / self.noise_mps2
         total = [np.bincount(after, x, minlength=m) for x in (shown[0] ** 2, shown[1] ** 2, shown[0] * shown[1])]
         side = np.column_stack([np.bincount(after, x * read, minlength=m) for x in shown])
-        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(self.kicks_mps)) ** 2)
-        for begin_s in (-TORN_S, *torn_s):
-            sure[(self.time_s >= begin_s) & (self.time_s <= begin_s + TORN_S)] = UNKNOWN_MPS**-2
-        step = np.exp(turn * np.diff(self.time_s))
+        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2)
+        for begin_s in (-TORN_S, *self.torn_s):
+            sure[(time_s >= begin_s) & (time_s <= begin_s + TORN_S)] = UNKNOWN_MPS**-2
+        step = np.exp(turn * np.diff(time_s))
         own = sure + np.append(np.abs(step) ** 2 * sure[1:], 0.0)
         bands = np.zeros((4, 2 * m))
         bands[0, 0::2], bands[0, 1::2] = total[0] + own, total[1] + own
@@ -104,7 +89,7 @@ class PushedPlate:
         bands[1, 1:-1:2], bands[2, 0:-2:2] = step.imag * sure[1:], -step.real * sure[1:]
         bands[2, 1:-1:2], bands[3, 0:-2:2] = -step.real * sure[1:], -step.imag * sure[1:]
         off = solveh_banded(bands, side.ravel(), lower=True).reshape(m, 2) @ np.array([1.0, 1j])
-        return replace(self, kicks_mps=self.kicks_mps + off - np.append(0.0, step * off[:-1]))
+        return np.asarray(off - np.append(0.0, step * off[:-1]))
 
 
 @dataclass(frozen=True)
@@ -119,8 +104,8 @@ class ModeMotion:
         What acts on it, and the ball's mass over the mode's.
     pressed
         Amplitude by the push of contacts at the edges of the blocks, (n + 1,).
-    time_s, kicks, struck
-        Kicks: when, by how much they change the amplitude, and the amplitude by all so far just after each, (k,).
+    time_s, kicks
+        The first sample and every impact, and by how much each changes the amplitude, (1 + k,).
     """
 
     turn: complex
@@ -129,7 +114,14 @@ class ModeMotion:
     pressed: Complexes
     time_s: Floats
     kicks: Complexes
-    struck: Complexes
+
+    @cached_property
+    def struck(self) -> Complexes:
+        """The amplitude by all kicks so far, just after each, (1 + k,)."""
+        out, decay = self.kicks.copy(), np.exp(self.turn * np.diff(self.time_s))
+        for i in range(1, len(out)):
+            out[i] += decay[i - 1] * out[i - 1]
+        return out
 
     def state(self, time_s: Floats) -> Floats:
         """Displacement and speed (m, 2) at times (m,), just after an impact at one of them."""

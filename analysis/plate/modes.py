@@ -40,7 +40,7 @@ GRID = 1.12  # ratio of neighbouring frequencies of the first look
 STARTS = 3
 MOST_STEPS = 25  # of a search from one start
 ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
-REPEATED = 3  # for the whole recording
+REPEATED = 3  # until the impacts agree with the motion
 SETTLED = 3e-4  # relative change of frequency and damping
 RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
 MOST_DAMPING, STRONG_DAMPING = 0.9, 0.5  # what is found at the bound, or so damped above the drive, is no mode
@@ -50,6 +50,7 @@ RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width and damping, and of the 
 LAGS = 2  # pieces whose scores are correlated
 FEWEST_IMPACTS = 20
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
+HEAVY = 0.06  # mass ratio from which the motion is taken as recorded: a lighter one is told better by impacts alone
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
@@ -69,7 +70,7 @@ class PlateMode:
     gain_nats
         By how much the mode raises the likelihood, the remainder's correlation allowed for.
     pushed
-        What the ball did to the plate, where the mode is sure.
+        What the ball did to the plate, where the mode is sure and heavily struck.
     """
 
     frequency_hz: float
@@ -92,7 +93,7 @@ class PlateMode:
         return self.gain_nats > SURE_NATS
 
     def motion(self) -> ModeMotion | None:
-        """How it moved; None where it is not sure."""
+        """How it moved; None where that is not taken as recorded."""
         known = (self.frequency_hz, self.damping, self.mass_ratio)
         return None if self.pushed is None else self.pushed.moved(*known)
 
@@ -147,7 +148,8 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         record = record.without(int(worst * CLUSTER_S / block_s), ends)
         begun.append(min(ends, len(record.known) - 2))
     mode = None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)
-    return replace(mode, pushed=whole.pushed(seen, found)) if mode and mode.sure and found is not None else mode
+    recorded = mode is not None and mode.sure and mode.mass_ratio > HEAVY
+    return replace(mode, pushed=whole.pushed(seen, found)) if mode and recorded and found is not None else mode
 
 
 @dataclass(frozen=True)
@@ -218,17 +220,14 @@ class _Recorded:
         left = (self.acceleration[skipped:] - mode)[seen.known]
         driven = self.linear @ lstsq(self.linear[skipped:][seen.known], left)[0]
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
-        ratio, impulses = float(sizes[0]), None
-        for _ in range(REPEATED):
-            push = self.push(acceleration, impulses, ratio)
-            impulses = push.impacts_mps2
-            own = ratio * answer(push.contact_mps2 + impulses, self.block_s, *np.exp(x))
-            acceleration = np.where(self.known, self.acceleration, driven + own - ratio * impulses)
-        plate = PushedPlate.of(self.push(acceleration, impulses, ratio))
-        motion = plate.moved(float(np.exp(x[0])), float(np.exp(x[1])), ratio)
-        left = self.acceleration - driven - motion.gained_mps() / self.block_s
-        torn_s = [(skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:]]
-        return plate.corrected(motion, left, self.known, float(np.std(seen.remainder(x))), torn_s)
+        known, impulses = (float(np.exp(x[0])), float(np.exp(x[1])), float(sizes[0])), None
+        torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
+        rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), torn_s)
+        for _ in range(REPEATED):  # impacts are sharper from the motion as modelled: it has no noise
+            plate = PushedPlate(self.push(acceleration, impulses, known[2]), *rest)
+            acceleration = driven + plate.moved(*known).gained_mps() / self.block_s
+            impulses = plate.push.impacts_mps2
+        return plate
 
 
 def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: float) -> Floats:

@@ -175,7 +175,9 @@ class Ringing:
         return out
 
     # -- plate data ---------------------------------------------------------------------------------
-    def added(self, data: PlateData, plate: PlateSteps, p: Predicted, inexact: float) -> tuple[Floats, Floats]:
+    def added(
+        self, data: PlateData, plate: PlateSteps, p: Predicted, inexact: float = INEXACT
+    ) -> tuple[Floats, Floats]:
         """Contribution of a prediction's mode to each datum and its standard deviation, (r,) each."""
         if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))

@@ -5,7 +5,8 @@
     python -m benchmarks.analysis.ringing --seed-base 4000 --trials 10 --loop
 
 Frequencies are drawn from 1.5 to 12 Hz, damping from .01 to .3, mass ratio from .02 to .3; friction, restitution, c
-and the instrument, too. A line a trial: hidden, found, standard deviations, processor seconds.
+and the instrument, too. A line a trial: hidden, found, standard deviations, processor seconds; with ``--loop`` the
+verdict, what it names beside the hidden causes or misses, and at the end how many are right.
 """
 
 from __future__ import annotations
@@ -13,19 +14,23 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from analysis.flights.assemble import FlightFlag, flights_of
+from analysis.loop.close_loop import judge_loop
 from analysis.plate.modes import PlateMode, identified_mode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from benchmarks.plants.instrument import Instrument
+from benchmarks.scoring.truth import OTHER_NAMED, OTHER_PARAMETERS
 from daq.recording import open_recording
 
 GAMMAS = {1: (0.5, 2.6), 2: (0.2, 1.5)}
 STEPS = 27
+INSTRUMENTAL = frozenset({"accelerometer_lag", "mains_pickup", "accelerometer_offset"})  # of the instruments below
 INSTRUMENTS: tuple[dict[str, float], ...] = (
     {}, {"pulse": 1}, {"low_pass_hz": 5e3}, {"bias_v": 0.01}, {"mains_v": 0.005, "mains_odd": 0.5}, {"film_v": 0.05},
 )  # fmt: skip
@@ -61,6 +66,50 @@ def found_in(path: Path) -> tuple[PlateMode | None, float]:
         return mode, time.process_time() - start
 
 
+@dataclass(frozen=True)
+class Closed:
+    """A verdict held against what is hidden: names, landings over their floor, errors of values in sigmas, seconds."""
+
+    verdict: str
+    names: tuple[str, ...]
+    hidden: frozenset[str]
+    landing_us: float
+    floor_us: float
+    sigmas: tuple[float, ...]
+    seconds: float
+
+    @property
+    def right(self) -> bool:
+        """Whether exactly the hidden causes are named; instruments may be named beside them."""
+        return self.hidden == set(self.names) - INSTRUMENTAL
+
+    @property
+    def explained(self) -> bool:
+        """Whether landings are missed by no more than 1.3 floors."""
+        return self.verdict != "unexplained" and self.landing_us < 1.3 * self.floor_us
+
+    def line(self) -> str:
+        """In one line."""
+        z = " ".join(f"{x:+.1f}" for x in self.sigmas)
+        names = " + ".join(self.names) + ("" if self.right else " (wrong)")
+        errors = f"{self.landing_us:.1f} / {self.floor_us:.1f} us"
+        return f"{self.verdict}: {names}, {errors}, [{z}] sigmas, {self.seconds:.0f} s"
+
+
+def judged(path: Path, run: other_plant.Run) -> Closed:
+    """The loop closed on a recording."""
+    start = time.process_time()
+    loop, _ = judge_loop([path])
+    spent_s = time.process_time() - start
+    found = {(p.effect, p.parameter): p for p in loop.selection.parameters if p.added}
+    wanted = {(e, q): run.hidden[k] * f for k in run.hidden for e, q, f in OTHER_PARAMETERS.get(k, ())}
+    wanted["table_resonance", "damping"] = run.hidden.get("table_resonance.damping", 0.0)
+    sigmas = [(found[k].value - v) / found[k].sigma for k, v in wanted.items() if k in found]
+    hidden = frozenset(OTHER_NAMED[k.split(".")[0]] for k in run.hidden)
+    errors = (loop.errors.after.landing_rms_us or 0.0, loop.errors.landing_floor_us)
+    return Closed(loop.verdict, loop.selection.names, hidden, *errors, tuple(sigmas), spent_s)
+
+
 def main() -> None:
     """Print a line a trial, then how many are near enough."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -70,13 +119,15 @@ def main() -> None:
     options.add_argument("--loop", action="store_true", help="close the loop, too")
     args = options.parse_args()
     errors, sigmas, seconds, named = [], [], [], 0
+    closed: list[Closed] = []
     for seed in range(args.seed_base, args.seed_base + args.trials):
         run = drawn(seed, without=args.without)
         truth = np.array([run.hidden.get(f"table_resonance.{k}", np.nan) for k in ("hz", "damping", "ratio")])
         with tempfile.TemporaryDirectory() as folder:
             path = imported(other_plant.simulate(run), other_plant.profile_of(run), Path(folder))
             mode, spent_s = found_in(path)
-            verdict = _verdict(path) if args.loop else ""
+            closed += [judged(path, run)] if args.loop else []
+            verdict = closed[-1].line() if closed else ""
         seconds.append(spent_s)
         named += mode is not None
         if mode is None:
@@ -99,17 +150,12 @@ def main() -> None:
         print("frequency to 1 %, damping to 15 %, mass ratio to 3 % or two sigmas:", near.sum(axis=0))
         print("all three:", near.all(axis=1).sum(), "; within 1.96 sigmas:", np.mean(z < 1.96, axis=0).round(2))
         print("median size of the error, %:", (100 * np.median(size, axis=0)).round(2))
-
-
-def _verdict(path: Path) -> str:
-    """The loop's verdict in one line."""
-    from analysis.loop.close_loop import judge_loop
-
-    start = time.process_time()
-    loop, _ = judge_loop([path])
-    spent_s = time.process_time() - start
-    names, rms_us = " + ".join(e.name for e in loop.selection.effects), loop.errors.after.landing_rms_us
-    return f"{loop.verdict}: {names}, {rms_us} / {loop.errors.landing_floor_us:.0f} us, {spent_s:.0f} s"
+    if closed:
+        spent = [x.seconds for x in closed]
+        z = np.array([v for x in closed if x.right for v in x.sigmas])
+        print(f"loop: names right {sum(x.right for x in closed)}, explained {sum(x.explained for x in closed)}, both")
+        print(f"{sum(x.right and x.explained for x in closed)} of {len(closed)}; values within 1.96 sigmas:", end=" ")
+        print(f"{np.sum(np.abs(z) < 1.96)} of {len(z)}; s: median {np.median(spent):.0f}, worst {max(spent):.0f}")
 
 
 if __name__ == "__main__":
