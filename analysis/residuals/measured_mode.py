@@ -33,14 +33,14 @@ class MeasuredMode:
     observed_s: Floats
 
     @classmethod
-    def of(cls, ev: Observations, ringing: Ringing, mode: tuple[float, float, float]) -> Self:
+    def of(cls, observations: Observations, ringing: Ringing, mode: tuple[float, float, float]) -> Self:
         """Of a ``mode`` of angular frequency, damping and mass ratio, in recordings that show what the ball did."""
         omega_radps, damping, mass_ratio = mode
-        motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in ev.pushed]
-        of = ev.steps.recording[ev.measured.step]
-        state = np.empty((len(ev), 4))
+        motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.pushed]
+        of = observations.steps.recording[observations.measured.step]
+        state = np.empty((len(observations), 4))
         for i, motion in enumerate(motions):
-            own, seen = of == i, ev.measured
+            own, seen = of == i, observations.measured
             state[own] = np.hstack([motion.state(t[own]) for t in (seen.opening_s, seen.landing_s)])
-        projection, seconds = ringing.of_motions(motions, ev.steps.recording), ringing.kept.seconds
+        projection, seconds = ringing.of_motions(motions, observations.steps.recording), ringing.kept.seconds
         return cls(state, ringing.of_tones(projection, seconds), projection, seconds)
