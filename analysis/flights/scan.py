@@ -20,7 +20,7 @@ from analysis.events.levels import Levels, measure_levels
 from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.coloured_noise import with_coloured_noise
-from analysis.plate.motion import PlateMotion
+from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.signals.high_pass import LEAST_HZ, HighPass
 from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
@@ -238,20 +238,26 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
             progress(piece.last / recording.n_samples)
     plate = with_coloured_noise(accumulator.finish())
     impacts = NO_IMPACTS if detector is None else detector.impacts().away_from(recording.gaps[:, 0] / rate_hz)
-    # where motion is cut off, its corners look like impacts: from such a step's first sample to the next one's hold
-    cut_off = np.array([s is not None and s.saturated for s in plate])
-    holds = np.append(steps["first_sample"] + steps["settle_samples"], recording.n_samples)
-    spans = np.column_stack([steps["first_sample"], holds[1:]])[cut_off]
     return Scan(
         survey=known,
         steps=steps,
         crossings=contact.crossings(),
         starts_open=contact.started_open,
-        impacts=impacts.strong_in(spans / rate_hz),
+        impacts=impacts.strong_in(_cut_off_spans_s(recording, steps, plate)),
         plate=PlateMotion(plate, _noise_mps2(recording, known), rate_hz, recording.gaps),
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
         filled_spans_s=_filled_spans_s(recording),
     )
+
+
+def _cut_off_spans_s(recording: Recording, steps: npt.NDArray[np.void], plate: list[StepPlate | None]) -> Floats:
+    """Spans (k, 2) of the steps whose motion a sensor's end cuts off, where corners of the motion look like impacts.
+
+    Each lasts from the step's first sample to the next one's hold.
+    """
+    holds = np.append(steps["first_sample"] + steps["settle_samples"], recording.n_samples)
+    cut_off = np.array([s is not None and s.saturated for s in plate])
+    return np.asarray(np.column_stack([steps["first_sample"], holds[1:]])[cut_off] / recording.rate_hz)
 
 
 def plate_of(recording: Recording, *, progress: Progress | None = None) -> PlateMotion:

@@ -1,8 +1,7 @@
 """Slow modulation of the plate's amplitude: its frequency and phase, and its contribution to the data.
 
 Depth and frequency are those of the rig; each recording has a phase of its own, found from its windows. A tone measured
-in a step contains the modulation's mean and leakage from other tones; least squares over the step's span, in closed
-form, removes both.
+in a step contains the modulation's mean and leakage from other tones; closed least squares over its span remove both.
 """
 
 from __future__ import annotations

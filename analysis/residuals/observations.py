@@ -218,7 +218,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
     )
     shown = flights.edges.sensor_offset is not None
-    weak = weak_mps(measured, steps, flights, keep) if shown else np.full(len(scored), np.inf)
+    weak = weak_mps(measured, steps.plate, flights, keep) if shown else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(

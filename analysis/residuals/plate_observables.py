@@ -264,17 +264,8 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float, mains_hz: float
             rows.append((kind, i, square - 2 * noise**2, _square_sigma(square, noise), m * s.omega_radps, asked, first))
     for k in _mains_rows(s, mains_hz):
         square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
-        rows.append(
-            (
-                HUM,
-                i,
-                square - 2 * noise**2,
-                _square_sigma(square, noise),
-                2 * np.pi * fit.frequencies_hz[k],
-                asked,
-                first,
-            )
-        )
+        power, omega = square - 2 * noise**2, 2 * np.pi * fit.frequencies_hz[k]
+        rows.append((HUM, i, power, _square_sigma(square, noise), omega, asked, first))
     if len(s.windows.time_s) >= LEAST_WINDOWS:
         for value, sigma in zip(*s.relative_amplitude(), strict=True):
             rows.append((MODULATION, i, value, float(np.hypot(sigma, SYSTEMATIC)), 0.0, asked, first))

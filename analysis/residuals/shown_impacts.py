@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from analysis.events.impact_detection import ECHO_MARGIN
@@ -11,25 +9,22 @@ from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import Flights
 from analysis.residuals.fades import RINGING_S
 from kernels.arrays import Bools, Floats
-from model.integrator.problem import Measured
+from model.integrator.problem import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2
-
-if TYPE_CHECKING:
-    from analysis.residuals.observations import Steps
 
 FEW_CONTACTS = 8
 WEAK_MPS = 0.03  # least speed of impacts that the accelerometer shows reliably
 DETECTED = 1.5  # strength over the threshold of the scan above which an impact is detected whatever the noise
 
 
-def weak_mps(measured: Measured, steps: Steps, flights: Flights, keep: Bools) -> Floats:
+def weak_mps(measured: Measured, plate: PlateSteps, flights: Flights, keep: Bools) -> Floats:
     """Impact speed below which the accelerometer may have missed the impact that ends each flight, (n,).
 
     The strength at a speed is calibrated by free flights from rest; friction makes it too low by its own size at most.
     While an impact rings, impacts of less than a part of its size are masked.
     """
-    rest, turns = ~measured.relaunched, 1j * steps.plate.omega_radps[measured.step]
-    velocity = steps.plate.acceleration_mps2[measured.step] / turns
+    rest, turns = ~measured.relaunched, 1j * plate.omega_radps[measured.step]
+    velocity = plate.acceleration_mps2[measured.step] / turns
     at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
     strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
     impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
