@@ -6,7 +6,7 @@ stages: raw volts, contact voltage as a fraction of its swing, and accelerometer
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -250,7 +250,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     )
 
 
-def _cut_off_spans_s(recording: Recording, steps: npt.NDArray[np.void], plate: list[StepPlate | None]) -> Floats:
+def _cut_off_spans_s(recording: Recording, steps: npt.NDArray[np.void], plate: Sequence[StepPlate | None]) -> Floats:
     """Spans (k, 2) of the steps whose motion a sensor's end cuts off, where corners of the motion look like impacts.
 
     Each lasts from the step's first sample to the next one's hold.
