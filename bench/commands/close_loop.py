@@ -58,8 +58,8 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from bench.jobs.joint_runs import holds_summaries, judge_runs
-    from bench.jobs.keep_term import place_for
+    from bench.jobs.loops.joint_runs import holds_summaries, judge_runs
+    from bench.jobs.loops.keep_term import place_for
 
     check_outputs(
         File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
@@ -116,7 +116,7 @@ def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, in
     ``again``: what the simulated rig hides, and a seed, for runs that are made until one explanation stands.
     """
     from analysis.loop.close_loop import fit_loop
-    from bench.jobs.adaptive_runs import until_clear
+    from bench.jobs.loops.adaptive_runs import until_clear
     from bench.profiles.find import load_measuring
     from bench.terminal.progress import progress_bar
 
@@ -141,8 +141,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.loop.verdict_json import loop_json
     from analysis.report.page import write_report
     from analysis.report.wording import term_effect_in_words
-    from bench.jobs.keep_term import keep_term
-    from bench.jobs.keep_verdict import conclude
+    from bench.jobs.loops.keep_term import keep_term
+    from bench.jobs.loops.keep_verdict import conclude
     from bench.profiles.improved import write_improved
     from bench.profiles.next_run import possible_runs, write_next
     from bench.terminal.progress import progress_bar

@@ -43,7 +43,7 @@ def command(
     import datetime
     import time
 
-    from bench.jobs.unsealed import compared, in_words
+    from bench.jobs.loops.unsealed import compared, in_words
     from bench.profiles.find import find_scenario
     from rig.sim.blind_scenarios import instrument_in_words
     from rig.sim.scenario import load_scenario
@@ -183,7 +183,7 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
     from analysis.loop.verdict_json import loop_json
     from analysis.report.page import write_report
     from analysis.residuals.observations import observed
-    from bench.jobs.keep_verdict import conclude
+    from bench.jobs.loops.keep_verdict import conclude
     from bench.profiles.improved import write_improved
     from daq.recording import open_recording
 

@@ -122,8 +122,7 @@ def _serve(request: Request, json_target: str | None, into: Path | None, port: i
 
 def _measure(request: Request, json_target: str | None, out: Path | None, into: Path | None, stale: str) -> None:
     """The drop test itself: sentences, JSON, pictures, profile."""
-    from bench.jobs.declare_drop import declare_into
-    from bench.jobs.drop_test import draw, measure
+    from bench.jobs.drop_test import declare_into, draw, measure
 
     if stale not in ("ask", "keep", "remove"):
         fail(f"--stale {stale}: expected ask, keep or remove", EXIT_USAGE)

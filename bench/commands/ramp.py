@@ -53,8 +53,7 @@ def command(
     was wrong.
     """
     from bench.jobs.hold_branch import branch_hold
-    from bench.jobs.resume import continued
-    from bench.jobs.run_ramp import make_backend, record
+    from bench.jobs.run_ramp import continued, make_backend, record
     from bench.live.onlooker import Onlookers
     from bench.profiles.find import load
     from bench.profiles.plan import refuse_forbidden

@@ -1,10 +1,11 @@
-"""One drop test: files read, fitted and judged; pictures drawn."""
+"""One drop test: files read, fitted and judged; pictures drawn; the result declared in a rig profile."""
 
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -314,3 +315,55 @@ def _units(paths: list[Path2D], request: Request) -> Units:
     is_assumed = request.fps is None and first.tracked is not None
     uncertainties = request.scale_uncertainty, request.fps_uncertainty
     return Units(frame_s, scale, request.gravity_mps2, *uncertainties, is_assumed, ball)
+
+
+def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str], bool | None]) -> str | None:
+    """Write what was measured into a profile that still reads afterwards; returns why nothing was written.
+
+    Parameters
+    ----------
+    profile
+        The file.
+    outcome
+        What was measured; nothing that is unexplained, or compatible with zero, is in it.
+    stale
+        "keep" or "remove" effects that are declared and that this result was measured without; "ask" about them.
+    ask
+        Puts a question; None where there is no answer.
+
+    Raises
+    ------
+    InputError
+        The profile cannot be read, or would be none any more.
+    """
+    from bench.profiles.edit import declare, withdraw
+    from daq.files.whole_file import write_whole
+    from rig.profile import parse_profile
+
+    if not outcome.measured:
+        reasons = "; ".join(outcome.payload["unexplained_because"]) or "every value is compatible with zero"
+        return f"{profile}: nothing was written into it: {reasons}"
+    try:
+        text = profile.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{profile}: cannot be read ({error.strerror})") from error
+    before = parse_profile(text, str(profile)).declared
+    effects = sorted({item.effect for item in outcome.measured})
+    left = [name for name in ("coulomb_friction", "quadratic_drag") if name in before and name not in effects]
+    if left and stale == "ask":
+        names = " and ".join(left)
+        answer = ask(f"{profile} declares {names}; the restitution was measured without. Remove it?")
+        if answer is None:
+            return (
+                f"{profile}: nothing was written into it: it declares {names}, and the restitution found here was "
+                "measured without; say --stale remove or --stale keep"
+            )
+        stale = "remove" if answer else "keep"
+    edited = declare(text, outcome.measured, datetime.date.today(), str(profile))
+    if left and stale == "remove":
+        edited = withdraw(edited, left, str(profile))
+        outcome.sentences.append(f"{profile}: removed {', '.join(left)}")
+    parse_profile(edited, str(profile))
+    write_whole(profile, edited)
+    outcome.sentences.append(f"{profile}: declared {', '.join(effects)}")
+    return None

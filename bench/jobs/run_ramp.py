@@ -1,4 +1,7 @@
-"""A ramp driven through the back end of its profile and recorded, with a display and soft stops."""
+"""A ramp driven through the back end of its profile and recorded, with a display and soft stops; a stopped one resumed.
+
+A resumed ramp, or one step repeated, is a new recording: it names the first, which is only read, and from which step it
+goes on."""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from bench.terminal.orders import TypedLines
 from bench.terminal.run_display import run_display
 from bench.terminal.signals import stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
-from daq.recording import RecordingWriter
+from daq.recording import Recording, RecordingWriter, open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.backends.base import Backend
@@ -24,7 +27,7 @@ from rig.execution.branch_hold import BranchHold
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.priority import before_other_work
 from rig.execution.run import run_ramp
-from rig.profile import Profile
+from rig.profile import Profile, parse_profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import largest_block
 from rig.sim.scenario import Scenario
@@ -138,3 +141,65 @@ def warm_up(profile: Profile) -> None:
             backend=rig.name, simulated=True,
         )  # fmt: skip
         run_ramp(profile.model_copy(update={"ramp": short}), rig, writer)
+
+
+def continued(profile: Profile, first: Path | None, step: int | None = None) -> tuple[Profile, dict[str, Any]]:
+    """The rest of a ramp, and the free keys by which the new recording names the first.
+
+    Parameters
+    ----------
+    profile
+        The whole ramp's, as for the first recording.
+    first
+        The recording that was stopped; None: the whole ramp is left.
+    step
+        Repeat only this step, numbered as `bench plan` does (from 0).
+
+    Raises
+    ------
+    InputError
+        When ``first`` was driven by another ramp, has nothing left, or there is no such step.
+    """
+    if first is None:
+        if step is not None:
+            raise InputError(f"--step {step}: name the recording whose step it repeats by --resume REC.h5")
+        return profile, {}
+    gammas = profile.ramp.gammas()
+    with open_recording(first) as recording:
+        before = parse_profile(str(recording.attrs.get("profile_text", "")), f"{first} (its profile)")
+        if before.forcing != profile.forcing or before.ramp != profile.ramp:
+            raise InputError(
+                f"{first}: was driven by another ramp; wanted the same [forcing] and [ramp] as the profile's"
+            )
+        began = str(recording.attrs.get("started", ""))
+        if step is None:
+            start = _first_unfinished(recording)
+            if start >= len(gammas):
+                raise InputError(f"{first}: all {len(gammas)} steps were finished; --step N repeats one of them")
+            left = gammas[start:]
+        else:
+            if not 0 <= step < len(gammas):
+                raise InputError(f"--step {step}: the ramp has the steps 0 to {len(gammas) - 1}; see bench plan")
+            start, left = step, (gammas[step],)
+    ramp = profile.ramp.model_copy(update={"gamma": left, "order": None})
+    keys = {"continues": first.name, "continues_started": began, "from_step": start, "one_step": step is not None}
+    return profile.model_copy(update={"ramp": ramp}), keys
+
+
+def _first_unfinished(recording: Recording) -> int:
+    """Index, in the whole ramp, of the first step that was not held to its end."""
+    extra = recording.attrs.get("extra", {})
+    if extra.get("one_step"):
+        raise InputError(f"{recording.path}: holds one repeated step; resume the recording it names")
+    start = int(extra.get("from_step", 0))
+    done = 0
+    for row in recording.steps:
+        first, end = int(row["first_sample"]), int(row["first_sample"] + row["n_samples"])
+        gaps = recording.gaps
+        inside = gaps[(gaps[:, 0] > first) & (gaps[:, 0] <= end)]
+        held = int(row["n_samples"] - row["settle_samples"]) + int(inside[:, 1].sum())
+        wanted = float(row["cycles"]) * recording.rate_hz / float(row["frequency_hz"])
+        if end > recording.n_samples or held < wanted - 2:
+            break
+        done += 1
+    return start + done

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from bench.jobs.keep_verdict import SAVED
+from bench.jobs.loops.keep_verdict import SAVED
 from daq.recording.notebook import ENDING
 from daq.setup.errors import InputError
 

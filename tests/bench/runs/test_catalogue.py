@@ -13,7 +13,7 @@ import pytest
 
 from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import save_verdict
-from bench.jobs.keep_verdict import keep_verdict
+from bench.jobs.loops.keep_verdict import keep_verdict
 from bench.runs import catalogue as catalogue_module
 from bench.runs.catalogue import VERSION, Catalogue
 from bench.runs.query import Query

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.jobs.resume import continued
-from bench.jobs.run_ramp import make_backend, record
+from bench.jobs.run_ramp import continued, make_backend, record
 from bench.profiles.find import load
 from daq.recording import open_recording
 from daq.setup.errors import InputError

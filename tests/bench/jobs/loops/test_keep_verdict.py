@@ -13,7 +13,7 @@ from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict
 from bench.batch.examine import examine
 from bench.cli import app
-from bench.jobs.keep_verdict import keep_verdict, verdict_file
+from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
 from tests.bench.runs.recordings import record
 
 

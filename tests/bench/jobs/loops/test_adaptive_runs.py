@@ -7,7 +7,7 @@ import pytest
 import bench.profiles.next_run
 from analysis.loop.design import Design, Ranked
 from analysis.loop.result import ClosedLoop
-from bench.jobs import adaptive_runs
+from bench.jobs.loops import adaptive_runs
 
 
 class Simulated:
