@@ -1,4 +1,4 @@
-"""Detection limit of a parameter: the smallest size whose expected gains pass the tests of a verdict.
+"""Detection limits: the sizes below which a recording could not have shown an effect.
 
 A size is named when it gains enough in the fit, and when steps that the fit did not see gain by it. Both expectations
 follow from the change that the whole size makes, not from a derivative at nothing: what begins at a threshold is no
@@ -14,12 +14,14 @@ import numpy as np
 
 from analysis.attribution.comparison import LogScoreDifference
 from analysis.attribution.fit import Fitted, of_same_events
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.linear_algebra import pinv
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 from kernels.arrays import Bools, Floats, Integers
+from model.effects.registry import registry
 
 SETTLED = 0.1  # relative change of a size at which it has been found
 FARTHEST, COARSE = 8.0, 7  # times the size tried, or its part, up to which expected gains are tested; at so many sizes
@@ -172,3 +174,30 @@ class Detectability:
 
 def _sums(place: Integers, values: Floats, count: int) -> Floats:
     return np.asarray(np.bincount(place, values, minlength=count), dtype=np.float64)
+
+
+def detection_limits(best: Hypothesis, limits: Thresholds) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Detection limits by ``effect.parameter``, and the effects that no size would show.
+
+    The limit is the smallest size whose expected gains pass the tests of a verdict, with calibrations and nuisances
+    free (`Detectability`).
+    """
+    fitted, detectability = best.fitted, Detectability(best.fitted, limits)
+    sizes: dict[str, float] = {}
+    unidentifiable: list[str] = []
+    for entry in registry():
+        e = entry.effect
+        if e.nuisance or not e.library or not entry.hooks:
+            continue
+        shown = []
+        for q in e.parameters:
+            key = (e.name, q.name)
+            if q.is_shape or key in fitted.free:
+                continue
+            size = detectability.limit(key)
+            if size < q.high - q.low:
+                shown.append(q.name)
+                sizes[f"{e.name}.{q.name}"] = size
+        if not shown and not any(k[0] == e.name for k in fitted.free):
+            unidentifiable.append(e.name)
+    return sizes, tuple(unidentifiable)

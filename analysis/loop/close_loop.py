@@ -15,16 +15,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Rejected, SelectionResult, with_hidden_free
 from analysis.attribution.priors import priors_of
 from analysis.attribution.selection import StepwiseSelection
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
-from analysis.loop.identifiability import detection_limits
-from analysis.loop.parameters import added_effects, fitted_calibrations, fitted_parameters
 from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, Selection, TestedCandidate
-from analysis.loop.tables import first_bifurcations, flight_table, plate_table, source_of, step_table
+from analysis.loop.tables import (
+    added_effects,
+    first_bifurcations,
+    fitted_calibrations,
+    fitted_parameters,
+    flight_table,
+    plate_table,
+    source_of,
+    step_table,
+)
 from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit

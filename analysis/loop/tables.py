@@ -1,15 +1,23 @@
-"""Tables of a closed loop: steps, flights and plate data, measured and predicted, as plain arrays."""
+"""Tables of a closed loop: steps, flights and plate data, measured and predicted; fitted parameters with intervals.
+
+Calibrations are free in every fit, within their stated uncertainty, so that no effect is named for what they explain.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.flights.compare import FirstBifurcation, first_bifurcation
 from analysis.flights.table import Flights
 from analysis.loop.result import (
+    AddedEffect,
     Bifurcation,
+    Calibration,
     FirstBifurcations,
+    FittedParameter,
     FlightTable,
     PlateTable,
     Predictions,
@@ -18,13 +26,13 @@ from analysis.loop.result import (
 )
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.uncertainty import uncertainty_at
-from analysis.residuals.values import Values
+from analysis.residuals.values import TREND, ParameterId, Values
 from daq.recording import open_recording
 from daq.recording.identity import stored_id
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Bools
-from model.effects.registry import resolve
+from model.effects.registry import effect, resolve
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -109,3 +117,60 @@ def first_bifurcations(flights: Flights, setup: Setup, improved: Effects) -> Fir
 def _predicted(first: FirstBifurcation) -> Bifurcation:
     at = float(first.predicted_gamma)
     return Bifurcation(first.predicted_type, at, at, float(first.same_type_gamma))
+
+
+Z95 = 1.96  # standard deviations to either end of a 95 % interval
+
+
+def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:
+    """Every parameter that the best hypothesis fits: those of the added effects first, in the order added."""
+    fitted, values = best.fitted, best.fitted.values
+
+    def one(key: ParameterId, added: bool) -> FittedParameter:
+        name, q = key
+        plain, sigma = q.removesuffix(TREND), float(fitted.sigma(key))
+        if added and plain == q:
+            sigma = math.hypot(sigma, effect(name).effect.parameter(plain).ordinary)
+        return FittedParameter(name, plain, float(values[key]), sigma, added, q.endswith(TREND))
+
+    return (*(one(k, True) for k in best.free), *(one(k, False) for k in values if k not in best.free))
+
+
+def fitted_calibrations(best: Hypothesis) -> tuple[Calibration, ...]:
+    """Every calibration that the fit left free along with the effects of ``best``, in alphabetical order."""
+    fitted = best.fitted
+    return tuple(
+        Calibration(*key, float(fitted.values[key]), fitted.sigma(key), prior.mean, prior.sigma)
+        for key, prior in sorted(fitted.fitter.priors.items())
+        if key in fitted.keys and key not in best.free
+    )
+
+
+def added_effects(names: Sequence[str], parameters: Sequence[FittedParameter]) -> tuple[AddedEffect, ...]:
+    """Each added effect with its parameters and 95 % intervals; a trend is named ``parameter_drift``.
+
+    Parameters
+    ----------
+    names
+        Effects of the best hypothesis.
+    parameters
+        All that it fits. A trend is given relative to its parameter's middle, or as it is where that is zero.
+    """
+    tables: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in names}
+    middles = {(p.effect, p.parameter): p.value for p in parameters if not p.trend}
+    for p in (p for p in parameters if p.added):
+        spread = Z95 * p.sigma
+        if p.trend:
+            middle = middles.get((p.effect, p.parameter), 0.0)
+            size = abs(middle) if middle else 1.0
+            change = "relative_change" if middle else "change"
+            tables.setdefault("parameter_drift", {})[f"{p.effect}.{p.parameter}_{change}"] = (
+                p.value / size,
+                (p.value - spread) / size,
+                (p.value + spread) / size,
+            )
+            continue
+        bounds = effect(p.effect).effect.parameter(p.parameter)
+        interval = (p.value, max(p.value - spread, bounds.low), min(p.value + spread, bounds.high))
+        tables.setdefault(p.effect, {})[p.parameter] = interval
+    return tuple(AddedEffect(name, table) for name, table in tables.items())

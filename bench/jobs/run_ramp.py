@@ -1,7 +1,8 @@
 """A ramp driven through the back end of its profile and recorded, with a display and soft stops; a stopped one resumed.
 
 A resumed ramp, or one step repeated, is a new recording: it names the first, which is only read, and from which step it
-goes on."""
+goes on.
+"""
 
 from __future__ import annotations
 

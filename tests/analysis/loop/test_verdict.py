@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from analysis.attribution.hypothesis import Rejected
-from analysis.loop.parameters import added_effects
 from analysis.loop.result import FittedParameter
+from analysis.loop.tables import added_effects
 from analysis.loop.verdict import confirmed_on_reserve, verdict_of
 from analysis.loop.verdict_json import rejected_json
 from analysis.residuals.lack_of_fit import GoodnessOfFit

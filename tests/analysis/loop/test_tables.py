@@ -8,7 +8,7 @@ from typing import cast
 import pytest
 
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.loop.parameters import added_effects, fitted_parameters
+from analysis.loop.tables import added_effects, fitted_parameters
 
 
 def test_interval_of_a_hum_allows_for_what_the_cable_picks_up() -> None:
