@@ -21,9 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate
+from analysis.attribution.candidates import Candidate, null_value_of, parameter_of
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis
-from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.linear_algebra import eigh, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight

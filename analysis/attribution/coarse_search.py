@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from analysis.attribution.candidates import Point
-from analysis.attribution.priors import parameter_of
+from analysis.attribution.candidates import Point, parameter_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener

@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.candidates import null_value_of, parameter_of
+from analysis.attribution.choice import LogScoreDifference
 from analysis.attribution.fit import Fitted, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.linear_algebra import pinv
 from analysis.residuals.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId

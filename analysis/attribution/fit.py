@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
+from analysis.attribution.candidates import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_loss, robust_weight

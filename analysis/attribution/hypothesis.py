@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ParamSpec
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.candidates import Candidate, Prior
 from analysis.attribution.fit import Fitted, Fitter
-from analysis.attribution.priors import Prior
 from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
@@ -228,35 +226,3 @@ class ChanceTest:
     p: float
     critical: float
     accepted: bool
-
-
-@dataclass(frozen=True)
-class SelectionResult:
-    """Result of a stepwise selection.
-
-    Attributes
-    ----------
-    before, best
-        The declared model alone, and the best hypothesis found (the same object where nothing is missing).
-    ties
-        Hypotheses that the data do not distinguish from the best one, the best first.
-    tried
-        Every candidate of the first round with its gain.
-    rounds
-        Outcome of each round: names, gain, standard error, accepted or why not.
-    rejected
-        Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
-    chance
-        By round, the best candidate against chance.
-    earlier
-        Hypotheses before the last effect was added, from the declared model on.
-    """
-
-    before: Hypothesis
-    best: Hypothesis
-    ties: tuple[Hypothesis, ...]
-    tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]
-    rounds: tuple[str, ...] = field(default=())
-    rejected: Rejected | None = None
-    chance: tuple[ChanceTest, ...] = ()
-    earlier: tuple[Hypothesis, ...] = ()

@@ -10,11 +10,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from analysis.attribution.candidates import Candidate, Point, distinct_starts, trends_of
+from analysis.attribution.candidates import Candidate, Point, distinct_starts, null_value_of, parameter_of, trends_of
 from analysis.attribution.coarse_search import CoarseSearch, joint_points, subsample
 from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
-from analysis.attribution.priors import null_value_of, parameter_of
 from analysis.linear_algebra import NotFiniteError
 from analysis.parallel import THREADS
 from analysis.residuals.values import TREND, ParameterId, plate_effects

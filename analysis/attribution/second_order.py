@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from analysis.attribution.candidates import null_value_of
 from analysis.attribution.chance import Place
 from analysis.attribution.fit import Fitter, of_same_events
-from analysis.attribution.priors import null_value_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise_model import robust_curvature, robust_weight
 from analysis.residuals.values import ParameterId, Values

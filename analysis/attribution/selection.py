@@ -11,17 +11,16 @@ A. Miller, Subset Selection in Regression, 2nd ed. (Chapman & Hall, 2002), chapt
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of
 from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
-from analysis.attribution.choice import Judge
+from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, contained_in
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected, SelectionResult
+from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected
 from analysis.attribution.proposals import Proposals
-from analysis.attribution.pruning import Pruning, contained_in
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, Thresholds
@@ -29,6 +28,38 @@ from analysis.thresholds import FROZEN, Thresholds
 Progress = Callable[[str, float], None]
 
 MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
+
+
+@dataclass(frozen=True)
+class SelectionResult:
+    """Result of a stepwise selection.
+
+    Attributes
+    ----------
+    before, best
+        The declared model alone, and the best hypothesis found (the same object where nothing is missing).
+    ties
+        Hypotheses that the data do not distinguish from the best one, the best first.
+    tried
+        Every candidate of the first round with its gain.
+    rounds
+        Outcome of each round: names, gain, standard error, accepted or why not.
+    rejected
+        Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
+    chance
+        By round, the best candidate against chance.
+    earlier
+        Hypotheses before the last effect was added, from the declared model on.
+    """
+
+    before: Hypothesis
+    best: Hypothesis
+    ties: tuple[Hypothesis, ...]
+    tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]
+    rounds: tuple[str, ...] = field(default=())
+    rejected: Rejected | None = None
+    chance: tuple[ChanceTest, ...] = ()
+    earlier: tuple[Hypothesis, ...] = ()
 
 
 class StepwiseSelection:

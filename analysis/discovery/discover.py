@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.comparison import LogScoreDifference, tied
+from analysis.attribution.choice import LogScoreDifference, tied
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.describe import describe

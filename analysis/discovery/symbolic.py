@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.comparison import LogScoreDifference, penalised_best, tied
+from analysis.attribution.choice import LogScoreDifference, penalised_best, tied
 from analysis.discovery.descent import Problem, descend, newton_step, normal_equations
 from analysis.discovery.forms import SIZES, Form, forms_for
 from analysis.discovery.search import CURVE_FOLDS, RefinedTerm

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.attribution.candidates import coordinate_of, parameter_of, scale_of
 from analysis.attribution.chance import Place
-from analysis.attribution.priors import coordinate_of, parameter_of, scale_of
 from analysis.joint.population import Prior, Quadratic
 from analysis.joint.summary import Option, Point, RunSummary
 from analysis.joint.systematics import PLACES

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analysis.attribution.candidates import parameter_of, scale_of
 from analysis.attribution.chance import ScoreSpace, probability_of, unit_scale
-from analysis.attribution.comparison import (
+from analysis.attribution.choice import (
     LogScoreDifference,
     chance_refusal,
     gain_refusal,
@@ -23,7 +24,6 @@ from analysis.attribution.comparison import (
     tied,
 )
 from analysis.attribution.fit import bounded_step
-from analysis.attribution.priors import parameter_of, scale_of
 from analysis.joint.alignment import Aligned
 from analysis.joint.population import Population, Quadratic, normal_equations
 from analysis.joint.summary import Option

@@ -16,7 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, priors_of, scale_of, value_at
+from analysis.attribution.candidates import (
+    Prior,
+    coordinate_of,
+    null_value_of,
+    parameter_of,
+    priors_of,
+    scale_of,
+    value_at,
+)
 from analysis.joint.alignment import Aligned, aligned
 from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses, loss_of
 from analysis.joint.outcome import outcome_of

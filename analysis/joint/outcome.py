@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of, value_at
+from analysis.attribution.candidates import Prior, coordinate_of, null_value_of, parameter_of, value_at
 from analysis.joint.alignment import Aligned, width_of
 from analysis.joint.constancy import OneRun, constancy, one_run_alone
 from analysis.joint.population import Population, each_on_its_own

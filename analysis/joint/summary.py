@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from analysis.attribution.candidates import candidates_of
+from analysis.attribution.candidates import Prior, candidates_of, coordinate_of, null_value_of, parameter_of
 from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
-from analysis.attribution.priors import Prior, coordinate_of, null_value_of, parameter_of
 from analysis.attribution.second_order import adjusted_gradient_and_information, secants_at, slopes_at
 from analysis.joint.population import Quadratic
 from analysis.joint.systematics import PLACES, Systematics

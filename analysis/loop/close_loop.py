@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.attribution.candidates import priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Rejected, SelectionResult, with_hidden_free
-from analysis.attribution.priors import priors_of
-from analysis.attribution.selection import StepwiseSelection
+from analysis.attribution.hypothesis import Rejected, with_hidden_free
+from analysis.attribution.selection import SelectionResult, StepwiseSelection
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
 from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, Selection, TestedCandidate

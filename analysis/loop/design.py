@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from analysis.attribution.candidates import Prior, null_value_of, priors_of
 from analysis.attribution.fit import Fitter
-from analysis.attribution.priors import Prior, null_value_of, priors_of
 from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps

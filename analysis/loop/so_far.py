@@ -18,10 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, candidates_of
+from analysis.attribution.candidates import Candidate, candidates_of, null_value_of, parameter_of, priors_of
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Refits
-from analysis.attribution.priors import null_value_of, parameter_of, priors_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_probability
 from analysis.residuals.observations import Observations

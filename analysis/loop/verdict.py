@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.choice import LogScoreDifference
 from analysis.loop.verdicts import Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings

@@ -166,8 +166,8 @@ class _Judged:
 
 def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: bool) -> _Judged:
     """The closed loop on all blocks; with fewer steps than a verdict needs, only the best set."""
+    from analysis.attribution.candidates import priors_of
     from analysis.attribution.fit import Fitter
-    from analysis.attribution.priors import priors_of
     from analysis.attribution.selection import StepwiseSelection
     from analysis.loop.close_loop import judge_loop
     from analysis.residuals.forward_model import ForwardModel
@@ -276,7 +276,7 @@ def _not_shown(loop: ClosedLoop, aims: Aims, known: Weighed) -> dict[ParameterId
     An effect that is more probable than all else together, and not named yet, is to be shown at its own size, with
     twice the evidence at least that there is now: a verdict asks for more than probability.
     """
-    from analysis.attribution.priors import null_value_of, parameter_of
+    from analysis.attribution.candidates import null_value_of, parameter_of
 
     limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.sizes.items()}
     over = {key: size / (aims.limit * parameter_of(key).scale) for key, size in limits.items()}
@@ -292,7 +292,7 @@ def _can_be_shown(
     hidden: Mapping[ParameterId, float], pools: Sequence[Pool], known: Weighed, left_s: float
 ) -> list[ParameterId]:
     """Of detection limits above what is asked for, those that the rig time left would bring down to it."""
-    from analysis.attribution.priors import parameter_of
+    from analysis.attribution.candidates import parameter_of
     from analysis.explore.choice import sharpest
 
     return [

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.attribution.candidates import priors_of
 from analysis.attribution.fit import Fitter
-from analysis.attribution.priors import priors_of
 from analysis.loop.design import Design, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps

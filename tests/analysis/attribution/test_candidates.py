@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from analysis.attribution.candidates import candidates_of, distinct_starts, trends_of
+from analysis.attribution.choice import contained_in
 from analysis.attribution.coarse_search import joint_points
 from analysis.attribution.fit import HELD, Fitter
-from analysis.attribution.pruning import contained_in
 from analysis.plate.modes import PlateMode
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId

@@ -1,4 +1,4 @@
-"""Refusals: every candidate that gains and does not stand has its reason."""
+"""Judgement by held-out steps: rules of choice, and a reason for every candidate that gains and does not stand."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import pytest
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.chance import ChanceGains
-from analysis.attribution.choice import Judge
-from analysis.attribution.fit import Fitted, Fitter
+from analysis.attribution.choice import Judge, LogScoreDifference, chance_refusal, gain_refusal, required_gain, tied
+from analysis.attribution.fit import Fitted, Fitter, bounded_step
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener
+from analysis.thresholds import FROZEN
 from kernels.arrays import Floats
 
 STEPS = 16
@@ -182,3 +183,39 @@ def test_chance_is_asked_about_those_alone_that_could_be_chosen(
     close, far = explanation("damping", np.full(STEPS, 0.1)), explanation("friction", np.full(STEPS, 5.0))
     assert judge.choose(best, [far, close, leader], 0, cast(ChanceGains, Chance())) is leader
     assert [x.candidates[0].names for x in asked] == [("drag",), ("damping",)]
+
+
+ALL = np.ones(10, dtype=np.bool_)
+
+
+def test_a_further_effect_must_gain_more_than_the_first() -> None:
+    """A clear gain of ten nats names a first effect and no second one; the refusal says what was wanted."""
+    gain = LogScoreDifference.of(np.linspace(0.9, 1.1, 10), np.zeros(10), ALL)
+    assert gain_refusal(gain, *required_gain(0, FROZEN)) is None
+    assert gain_refusal(gain, *required_gain(1, FROZEN)) == "too small a gain: 10.0 nats, wanted 15"
+
+
+def test_a_gain_on_which_replicates_differ_is_refused_in_their_name() -> None:
+    """Two runs of ten that gain all are refused as runs that do not agree."""
+    worse = np.where(np.arange(10) < 2, 20.0, -1.0)
+    why = gain_refusal(LogScoreDifference.of(worse, np.zeros(10), ALL), *required_gain(1, FROZEN), replicate="run")
+    assert why is not None and why.startswith("the runs do not agree on its gain: 32 +- ")
+
+
+def test_what_leads_by_less_than_the_tie_is_not_distinguished() -> None:
+    """A lead of three nats is a tie, a lead of thirty is none."""
+    assert tied(np.zeros(10), np.full(10, 0.3), ALL, FROZEN)
+    assert not tied(np.zeros(10), np.full(10, 3.0), ALL, FROZEN)
+
+
+def test_chance_forbids_what_it_often_does() -> None:
+    """One in a hundred is too often, one in ten thousand is not."""
+    assert chance_refusal(1e-4, FROZEN) is None
+    assert "p = 0.01" in str(chance_refusal(1e-2, FROZEN))
+
+
+def test_what_hits_a_bound_stays_there_and_the_rest_follows() -> None:
+    """The bounded minimum of a quadratic form is that of the rest, given what stands on its bound."""
+    normal, gradient = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([3.0, 3.0])
+    assert bounded_step(normal, gradient, np.full(2, -9.0), np.full(2, 9.0)) == pytest.approx([1.0, 1.0])
+    assert bounded_step(normal, gradient, np.full(2, -9.0), np.array([0.5, 9.0])) == pytest.approx([0.5, 1.25])

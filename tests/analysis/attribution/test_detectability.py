@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.constants import g as G_MPS2
 
+from analysis.attribution.candidates import priors_of
 from analysis.attribution.detectability import Detectability
 from analysis.attribution.fit import Fitter
-from analysis.attribution.priors import priors_of
 from analysis.loop.close_loop import close_loop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.whitening import Whitener

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from analysis.attribution.candidates import Prior, priors_of
 from analysis.attribution.fit import Fitter, _solve
-from analysis.attribution.priors import Prior, priors_of
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener

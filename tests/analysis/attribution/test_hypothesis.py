@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from analysis.attribution.candidates import Candidate
+from analysis.attribution.choice import contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits, with_hidden_free
-from analysis.attribution.pruning import contained_in
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId
 from analysis.residuals.whitening import Whitener

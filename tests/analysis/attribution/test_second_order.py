@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from analysis.attribution.candidates import Prior, scale_of
 from analysis.attribution.fit import Fitter
-from analysis.attribution.priors import Prior, scale_of
 from analysis.attribution.second_order import (
     adjusted_gradient_and_information,
     gradient_and_information,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from analysis.attribution.candidates import Candidate, candidates_of
-from analysis.attribution.comparison import LogScoreDifference, penalised_best
+from analysis.attribution.choice import LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, SelectionResult
-from analysis.attribution.selection import StepwiseSelection, remaining_candidates
+from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.selection import SelectionResult, StepwiseSelection, remaining_candidates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId
 from analysis.residuals.whitening import Whitener

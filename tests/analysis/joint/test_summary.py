@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.attribution.priors import Prior, coordinate_of, priors_of
+from analysis.attribution.candidates import Prior, coordinate_of, priors_of
 from analysis.joint.summary import Point, summarise
 from analysis.thresholds import FROZEN
 from benchmarks.analysis.joint import short_runs

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.attribution.candidates import priors_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Refits
-from analysis.attribution.priors import priors_of
 from analysis.joint.systematics import NAMES, UNIT_S, Systematics
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import observations_from

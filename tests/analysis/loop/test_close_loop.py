@@ -8,7 +8,8 @@ import pytest
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, SelectionResult
+from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.selection import SelectionResult
 from analysis.loop.close_loop import refuse_far_off, withdraw_unconfirmed
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId

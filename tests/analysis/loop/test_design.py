@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.attribution.candidates import priors_of
 from analysis.attribution.fit import Fitter
-from analysis.attribution.priors import priors_of
 from analysis.loop.design import Design, designs_for, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps

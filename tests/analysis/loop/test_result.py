@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from analysis.attribution import selection
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.choice import LogScoreDifference
 from analysis.discovery.discover import Band, Discovery
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop

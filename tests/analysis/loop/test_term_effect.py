@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.choice import LogScoreDifference
 from analysis.discovery.discover import Band, Discovery
 from analysis.discovery.forms import FORMS, Form, forms_for
 from analysis.discovery.symbolic import FittedForm

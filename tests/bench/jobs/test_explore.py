@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import shakerbench as sb
-from analysis.attribution.priors import parameter_of
+from analysis.attribution.candidates import parameter_of
 from analysis.explore.choice import Pool
 from analysis.explore.explanations import Explanation, Weighed
 from analysis.loop.result import DetectionLimits

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.attribution.comparison import LogScoreDifference
+from analysis.attribution.choice import LogScoreDifference
 from analysis.discovery.discover import Band, Discovery
 from analysis.loop.result import ClosedLoop, FittedParameter
 from analysis.loop.verdicts import Verdict
