@@ -10,8 +10,7 @@ from model.bifurcations.cycle_branches import CycleBranch, cycle_branches
 from model.effects.routing import ball_effects
 from model.orbits.make_ball import make_ball
 from model.tones import Forcing
-from rig.execution.branch_hold import BranchHold
-from rig.execution.locked_branch import LockedBranch
+from rig.execution.branch_hold import BranchHold, LockedBranch
 from rig.profile import BranchTable, Profile
 
 

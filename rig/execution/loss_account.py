@@ -1,24 +1,29 @@
-"""Account of a run's losses: the place of every frame among the samples that were played.
+"""Account of a run's samples: the place of every frame among the samples that were played, and the clocks' tables.
 
 A count that came short is taken at once; the rest is found in the looped-back drive
 (`daq.clocks.sample_loss.LossDetector`). Recorded and declared lost samples add up to those that the device must have
-given. The places that a device declares for its blocks are taken as they are.
+given. The places that a device declares for its blocks are taken as they are. Where playing and recording have a clock
+each, the back end reads them; every reading is written, and the map fitted to them at the end of a step.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
+from daq.clocks.clock_sync import fit_clock
 from daq.clocks.loss_search import AtOnce
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block
 from kernels.arrays import Floats
-from rig.execution.high_pass import HighPass
+from rig.backends.base import TwoClocked
 from rig.profile import Profile
+from rig.programme.high_pass import HighPass
 
 
 class LossAccount:
@@ -156,3 +161,33 @@ class LossAccount:
                 self._losses.append((block.first_sample + self._settled_lost, self._settled_lost))
                 self._gaps.append((block.first_sample, self._settled_lost))
         return blocks
+
+
+class ClockLog:
+    """The clock tables of one run.
+
+    Attributes
+    ----------
+    rate : float
+        Played samples a frame, less one, by the last map; 0 before the first.
+    """
+
+    def __init__(self, backend: TwoClocked) -> None:
+        self.rate = 0.0
+        self._backend = backend
+        self._written = 0
+        self._mapped = -1
+
+    def rows(self, at: int) -> Iterator[tuple[str, NDArray[np.void]]]:
+        """New readings, and the map at frame ``at`` (lost ones counted) where they reach it: ``(table, rows)``."""
+        readings = self._backend.readings
+        new = readings[self._written :]
+        if len(new):
+            self._written = len(readings)
+            yield "clock_readings", new
+        if len(readings) < 2 or at <= self._mapped or readings["recorded_sample"][-1] < at:
+            return
+        # what lies further back says nothing of the clocks' rate now
+        node = fit_clock(readings[-600:], np.array([at]))
+        self._mapped, self.rate = at, float(node["rate"][0])
+        yield "clock_map", node

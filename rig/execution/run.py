@@ -22,9 +22,8 @@ from kernels.arrays import Bools
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.branch_hold import BranchHold
-from rig.execution.clock_log import ClockLog
 from rig.execution.interlock import Interlock
-from rig.execution.loss_account import LossAccount
+from rig.execution.loss_account import ClockLog, LossAccount
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.plate_monitor import Motion, MotionWatch
 from rig.execution.tone_meter import MeterBlock, ToneMeter

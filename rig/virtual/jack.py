@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.kinds.soundcard import card_options
-from rig.execution.high_pass import HighPass
 from rig.execution.priority import may_run_first
 from rig.profile import Profile
+from rig.programme.high_pass import HighPass
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 

@@ -12,8 +12,7 @@ from bench.profiles.find import load
 from daq.files.tables import Block
 from daq.recording import RecordingWriter, open_recording
 from daq.setup.errors import InputError
-from rig.execution.branch_hold import BranchHold
-from rig.execution.locked_branch import LockedBranch
+from rig.execution.branch_hold import BranchHold, LockedBranch
 from rig.execution.run import run_ramp
 from rig.profile import BranchTable, Profile
 from rig.sim.scenario import Scenario

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from daq.files.tables import Block
-from rig.execution.high_pass import HighPass
 from rig.execution.interlock import Interlock
 from rig.execution.plate_monitor import MotionWatch
 from rig.execution.run import run_ramp
+from rig.programme.high_pass import HighPass
 
 LONG = ("hold_cycles = 3", "hold_cycles = 30")
 

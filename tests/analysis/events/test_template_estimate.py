@@ -1,11 +1,11 @@
-"""A detector's threshold from its own output."""
+"""A template estimated from the accelerometer: the threshold of its detector, from its own output."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from analysis.events.detection_threshold import FALSE_PER_HOUR, scale_and_threshold
+from analysis.events.template_estimate import FALSE_PER_HOUR, scale_and_threshold
 
 RATE_HZ = 20000.0
 
