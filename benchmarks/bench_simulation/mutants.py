@@ -22,7 +22,7 @@ MUTANTS = {
         "daq.recorder.recorder_process", 'ring.set_counter("safe_samples", writer.n_samples)',
         'ring.set_counter("safe_samples", writer.n_samples + 1)',
     ),
-    "no sync of a step": ("daq.files.frame_writer", "            os.fsync(self._descriptor)\n", ""),
+    "no sync of a step": ("daq.files.frames.frame_writer", "            os.fsync(self._descriptor)\n", ""),
     "last sample not limited": (
         "rig.execution.interlock", "return np.clip(drive_v, -limit, limit)",
         "return np.append(np.clip(drive_v[:-1], -limit, limit), drive_v[-1:])",
@@ -46,7 +46,7 @@ MUTANTS = {
         "daq.files.seal", "if len(data) == n_bytes and zlib.crc32(data) == row[\"crc32\"]:", "if len(data) == n_bytes:",
     ),
     "last block not read": (
-        "daq.files.frame_file", "int(np.flatnonzero(intact)[-1]) + 1 if", "int(np.flatnonzero(intact)[-1]) if",
+        "daq.files.frames.frame_file", "int(np.flatnonzero(intact)[-1]) + 1 if", "int(np.flatnonzero(intact)[-1]) if",
     ),
     "heartbeat not watched": ("rig.execution.interlock", "HEARTBEAT_S = 0.5", "HEARTBEAT_S = 1e9"),
     "stuck sensor not seen": ("rig.execution.interlock", "if self._still < self._cycle:", "if self._still < 10**9:"),

@@ -68,7 +68,7 @@ def make(path: Path, kind: str) -> None:
 
 def _as_killed(path: Path) -> bytes:
     """The superblock of a closed frames file with the marks of a writer."""
-    from daq.files.frame_file import lookup3
+    from daq.files.frames.frame_file import lookup3
 
     head = bytearray(path.read_bytes()[:48])
     head[11] |= 5
@@ -169,7 +169,7 @@ def regions(path: Path, kind: str) -> list[tuple[str, int, int]]:
     if kind == "cut-off":
         import h5py
 
-        from daq.files.frame_file import as_if_ended
+        from daq.files.frames.frame_file import as_if_ended
 
         spans: list[tuple[str, int, int]] = []
         with h5py.File(as_if_ended(path), "r") as file:

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.daq.kill import SETUP, content
-from daq.files.frame_marks import MAGIC, read_marks
-from daq.files.marked_frames import MarkedFrames
+from daq.files.frames.frame_marks import MAGIC, read_marks
+from daq.files.frames.marked_frames import MarkedFrames
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
 from daq.setup.errors import InputError

@@ -68,8 +68,8 @@ def operations(c: int, n: int) -> float:
     """Additions, multiplications and divisions of a flight from the first threshold, mean over ``n`` gammas."""
     from benchmarks.model.one_number import in_python
     from model.flight import first_landing
-    from model.flight.edge_table import TABLE
-    from model.flight.ideal_lanes import land_lanes
+    from model.flight.lanes.edge_table import TABLE
+    from model.flight.lanes.ideal_lanes import land_lanes
     from model.flight.segment import shape
 
     land, forcing = in_python(land_lanes), Forcing.superposition(c)

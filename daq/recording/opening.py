@@ -18,8 +18,8 @@ from pydantic import ValidationError
 from daq.files.claims import in_words
 from daq.files.column_file import FORMAT, FORMAT_VERSION
 from daq.files.disk import PatchedFile
-from daq.files.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short, stated_bytes
-from daq.files.marked_frames import has_marks
+from daq.files.frames.frame_file import FRAMES, as_if_ended, is_being_written, is_cut_short, stated_bytes
+from daq.files.frames.marked_frames import has_marks
 from daq.files.seal import Checked, check, check_tables
 from daq.files.tables import BlockFlag
 from daq.recording.reader import Recording

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import TABLES, read_table
 from daq.files.disk import Closing
-from daq.files.frame_file import FRAMES, FrameFile
-from daq.files.marked_frames import MarkedFrames
+from daq.files.frames.frame_file import FRAMES, FrameFile
+from daq.files.frames.marked_frames import MarkedFrames
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, BlockFlag, Holes
 from daq.setup.errors import InputError

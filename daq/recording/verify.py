@@ -18,8 +18,16 @@ from numpy.typing import NDArray
 from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
 from daq.files.disk import mapped
-from daq.files.frame_file import FRAME_SIDE, FRAME_STEPS, FRAMES, is_being_written, is_cut_short, stated_bytes, table_of
-from daq.files.marked_frames import MarkedFrames, has_marks
+from daq.files.frames.frame_file import (
+    FRAME_SIDE,
+    FRAME_STEPS,
+    FRAMES,
+    is_being_written,
+    is_cut_short,
+    stated_bytes,
+    table_of,
+)
+from daq.files.frames.marked_frames import MarkedFrames, has_marks
 from daq.files.seal import Checked, check, once_per_state
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32, joined
 from daq.recording.opening import UNCHECKED, differing_blocks, open_checked, open_file, require_hdf5, unsealed

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
 from daq.files.disk import Closing
-from daq.files.frame_writer import FrameWriter
+from daq.files.frames.frame_writer import FrameWriter
 from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording.live_columns import LiveColumns

@@ -14,7 +14,7 @@ import numpy as np
 from kernels.arrays import Floats
 from model.bifurcations.continuation import next_cycle
 from model.flight.branches import TWO_PI
-from model.flight.records import FrictionRestitution
+from model.flight.numerics import FrictionRestitution
 from model.orbits.attractor import Ball, LockedCycle, State
 
 SEEDS = 24  # phases from which Newton begins, at one gamma

@@ -24,8 +24,7 @@ import math
 
 from kernels.arrays import Floats
 from model.flight.branches import q_and_slope
-from model.flight.numerics import compiled, sincos
-from model.flight.records import FrictionRestitution
+from model.flight.numerics import FrictionRestitution, compiled, sincos
 
 REACH = 0.25  # of the highest harmonic's phase: the first term left out, at order 11, is below 1e-14 of gamma
 NEWTON = 8

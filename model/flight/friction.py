@@ -17,8 +17,7 @@ from kernels.lanes import nearest
 from model.flight.bounces import short_bounce, tail_of_chatter
 from model.flight.branches import TWO_PI, branch_of, fill_edges, fold
 from model.flight.ideal import RESTS
-from model.flight.numerics import compiled, inlined
-from model.flight.records import EdgeTables, FrictionRestitution, Segment, Tangent
+from model.flight.numerics import EdgeTables, FrictionRestitution, Segment, Tangent, compiled, inlined
 from model.flight.segment import UNDECIDED, landing_or_standstill, motion, segment_from, standstill, total_speed
 
 HUNG = 8

@@ -11,8 +11,7 @@ import numpy as np
 
 from kernels.arrays import Floats
 from model.flight.branches import branch_of, fill_edges, fold, q_and_slope
-from model.flight.numerics import compiled, inlined
-from model.flight.records import EdgeTables, FrictionRestitution, Segment, Tangent
+from model.flight.numerics import EdgeTables, FrictionRestitution, Segment, Tangent, compiled, inlined
 from model.flight.segment import UNDECIDED, landing_or_standstill, motion, shape
 
 RESTS = 4  # the ball does not leave at this phase

@@ -1,17 +1,19 @@
-"""The one way this room compiles a kernel, and the sine and cosine that every kernel shares.
+"""The one way this room compiles a kernel; sine and cosine that every kernel shares; the records that they take.
 
 Kernels are compiled by numba and cached on disk, with IEEE division (`error_model="numpy"`: a division by zero gives
 inf, not a branch), so that the compiler can vectorise. Of `fastmath` only the fused multiply-add is allowed, never a
-reordering, because the rounding bounds rely on the order.
+reordering, because the rounding bounds rely on the order. Records are named tuples, because numba passes them as it
+passes their fields.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from kernels import njit
+from kernels.arrays import Floats
 from kernels.lanes import floor, nearest, select
 
 Number = Any
@@ -69,3 +71,37 @@ def sincos(x: Number) -> tuple[Number, Number]:
     a = select(odd, cosine, sine)
     b = select(odd, sine, cosine)
     return select(quarter >= 2.0, -a, a), select((quarter == 1.0) | (quarter == 2.0), -b, b)
+
+
+class Segment(NamedTuple):
+    """The start of a segment of a flight: ``phi0, s(phi0), s'(phi0), h''(0), v0, h0`` and the steady pull."""
+
+    phase: float
+    s: float
+    slope: float
+    acceleration: float
+    speed: float
+    height: float
+    pull: float
+
+
+class FrictionRestitution(NamedTuple):
+    """Coulomb friction in units of the weight, up and down, and restitution ``e0 - e1 v``, v in units of g/w."""
+
+    mu_up: float = 0.0
+    mu_down: float = 0.0
+    e0: float = 0.0
+    e1: float = 0.0
+
+
+Tangent = tuple[float, float, float, float]
+"""Derivatives of a flight: of its landing's phase by phase and speed of its take-off, then of its rebound's speed."""
+
+
+class EdgeTables(NamedTuple):
+    """Window edges (`model.flight.branches.fill_edges`) at the pulls going up and going down, and their windows."""
+
+    up: Floats
+    n_up: int
+    down: Floats
+    n_down: int

@@ -21,8 +21,7 @@ from typing import Any
 from kernels.arrays import Floats
 from kernels.lanes import root, select
 from model.flight.branches import TWO_PI, branch_of
-from model.flight.numerics import Number, compiled, cosine_series, inlined, sincos, sine_series
-from model.flight.records import Segment
+from model.flight.numerics import Number, Segment, compiled, cosine_series, inlined, sincos, sine_series
 
 UNDECIDED = 2  # a graze closer than double precision can tell
 SHORT = 0.125  # over shorter times the height is computed as tau^2 times a series: the plain sum is rounding noise

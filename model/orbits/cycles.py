@@ -19,8 +19,7 @@ import numpy as np
 from kernels.arrays import Floats, Integers
 from model.flight import friction, ideal
 from model.flight.branches import TWO_PI, branch_of, fold
-from model.flight.numerics import compiled
-from model.flight.records import EdgeTables, FrictionRestitution
+from model.flight.numerics import EdgeTables, FrictionRestitution, compiled
 
 CHATTERS = 1  # bit of a mark: the landing ends in a completed chatter
 SMALL = 2  # bit of a mark: a bounce that lands in the branch in which it began

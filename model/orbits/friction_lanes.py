@@ -1,9 +1,9 @@
 """Orbits with friction and restitution side by side: as those of `model.orbits.cycles`, an orbit a lane.
 
-All lanes that rise find the end of the rise together, then all that fall (`model.flight.friction_lanes`). A lane known
-to land waits until there are `ENOUGH` of them, and their landings are located together. What is rare (hanging, what is
-not plain) and what comes between two flights (rebound, short bounces, the tail of a chatter, a threshold that repeats)
-is done lane by lane.
+All lanes that rise find the end of the rise together, then all that fall (`model.flight.lanes.friction_lanes`). A lane
+known to land waits until there are `ENOUGH` of them, and their landings are located together. What is rare (hanging,
+what is not plain) and what comes between two flights (rebound, short bounces, the tail of a chatter, a threshold that
+repeats) is done lane by lane.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, any_of, count, select, spread, store
 from model.flight.branches import fold
 from model.flight.friction import MOST_SEGMENTS, hang, rise
-from model.flight.friction_lanes import fall_in_lanes, land_in_lanes, rise_in_lanes
-from model.flight.numerics import Number, compiled, inlined
-from model.flight.records import Segment
+from model.flight.lanes.friction_lanes import fall_in_lanes, land_in_lanes, rise_in_lanes
+from model.flight.numerics import Number, Segment, compiled, inlined
 from model.flight.segment import landing_or_standstill, motion, segment_from, shape
 from model.orbits import lane_state as at
 from model.orbits.lane_state import Lanes, keep_landing, leave_of, numbers, places_of_branches, tables_of_lane

@@ -1,7 +1,7 @@
 """Ideal orbits side by side: as those of `model.orbits.cycles`, an orbit a lane.
 
-All lanes together find their landings (`model.flight.ideal_lanes`); whether a ball waits for a threshold, and whether
-that closes its orbit, is decided lane by lane. Decision 154.
+All lanes together find their landings (`model.flight.lanes.ideal_lanes`); whether a ball waits for a threshold, and
+whether that closes its orbit, is decided lane by lane. Decision 154.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from kernels.arrays import Floats
 from kernels.lanes import WIDTH, select, spread, store
 from model.flight.ideal import land, take_off_pull
-from model.flight.ideal_lanes import land_lanes
+from model.flight.lanes.ideal_lanes import land_lanes
 from model.flight.numerics import compiled
 from model.flight.segment import shape
 from model.orbits import lane_state as at

@@ -17,11 +17,10 @@ from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH, load
 from model.flight.bounces import short_bounce, surely_long
 from model.flight.branches import TWO_PI
-from model.flight.edge_table import TABLE, fold_onto
 from model.flight.friction import rebound_or_rest
-from model.flight.friction_lanes import BRANCH_ROWS, EDGE_ROWS
-from model.flight.numerics import Number, compiled, inlined
-from model.flight.records import EdgeTables, FrictionRestitution
+from model.flight.lanes.edge_table import TABLE, fold_onto
+from model.flight.lanes.friction_lanes import BRANCH_ROWS, EDGE_ROWS
+from model.flight.numerics import EdgeTables, FrictionRestitution, Number, compiled, inlined
 from model.flight.segment import shape
 from model.orbits.cycles import CHATTERS
 
@@ -34,7 +33,7 @@ S, SLOPE, Q, S_X, SLOPE_X, Q_X = range(24, 30)
 NUMBERS = 30
 # values of MOTION: a landing is first known to come, then located
 RESTS, RISES, FALLS, HANGS, LANDS, LANDED = (float(k) for k in range(6))
-# rows of a branch, from NUMBERS on: `model.flight.friction_lanes.Branch`
+# rows of a branch, from NUMBERS on: `model.flight.lanes.friction_lanes.Branch`
 LO, HI, SEEN_LO, SEEN_HI, PER_GAIN, BEND_LO, BEND_HI = range(BRANCH_ROWS)
 # rows of ``whole``; from SEEN on the flight that left each threshold, then its turn
 ROW, COUNT, LIMIT, TURN, STATUS, FIRST, PERIODS, SEEN = range(8)

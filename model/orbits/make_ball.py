@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from kernels.errors import InputError
 from model.effects.base import COMPILED_HOOKS
 from model.effects.registry import effect, resolve
-from model.flight.records import FrictionRestitution
+from model.flight.numerics import FrictionRestitution
 from model.orbits.attractor import Ball
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.integrated_ball import IntegratedBall

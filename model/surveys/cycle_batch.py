@@ -17,7 +17,7 @@ import numpy as np
 from kernels.arrays import Floats, Integers
 from kernels.lanes import WIDTH
 from model.flight.branches import fold
-from model.flight.edge_table import FOUND, TABLE, fill_tables
+from model.flight.lanes.edge_table import FOUND, TABLE, fill_tables
 from model.flight.numerics import compiled
 from model.flight.segment import shape
 from model.orbits import friction_lanes, ideal_lanes

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.daq import hostile_recordings
-from daq.files.frame_marks import MAGIC
+from daq.files.frames.frame_marks import MAGIC
 from daq.files.seal import FOOTER, Seal, mended, read_seal, text_crc
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Holes
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify

@@ -17,7 +17,7 @@ import pytest
 from benchmarks.daq import kill
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import DiskFile
-from daq.files.frame_file import FrameFile
+from daq.files.frames.frame_file import FrameFile
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
 from daq.setup.setup import Setup

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from benchmarks.daq import kill
-from daq.files.frame_file import is_being_written, lookup3
+from daq.files.frames.frame_file import is_being_written, lookup3
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover
 from daq.setup.errors import InputError

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.daq import resync
-from daq.files.frame_file import as_if_ended
-from daq.files.frame_marks import MAGIC
+from daq.files.frames.frame_file import as_if_ended
+from daq.files.frames.frame_marks import MAGIC
 from daq.files.seal import Seal, read_seal
 from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
 from daq.recording.recover import recover

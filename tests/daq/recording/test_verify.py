@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.files.frame_marks import MAGIC
+from daq.files.frames.frame_marks import MAGIC
 from daq.recording import CHANNELS, Block, RecordingWriter, verify
 from daq.recording.recover import recover
 from daq.setup.errors import InputError

@@ -14,7 +14,7 @@ from model.flight import friction
 from model.flight.bounces import PHASE_BOUND, tail_of_chatter
 from model.flight.first_landing import take_off_phases, turning_points
 from model.flight.ideal import RESTS
-from model.flight.records import FrictionRestitution
+from model.flight.numerics import FrictionRestitution
 from model.flight.segment import UNDECIDED
 from model.orbits.attractor import State
 from model.orbits.cycles import CHATTERS, FRICTION, room_for

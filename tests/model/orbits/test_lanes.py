@@ -9,9 +9,9 @@ import pytest
 
 from kernels.lanes import WIDTH
 from model.flight import first_landing
-from model.flight.edge_table import FOUND, TABLE, fill_tables
 from model.flight.friction import MOST_SEGMENTS, edge_tables, land_with_friction, rebound_or_rest
-from model.flight.records import FrictionRestitution
+from model.flight.lanes.edge_table import FOUND, TABLE, fill_tables
+from model.flight.numerics import FrictionRestitution
 from model.orbits import friction_lanes, ideal_lanes
 from model.orbits import lane_state as at
 from model.tones import Forcing

@@ -6,8 +6,8 @@ import mpmath as mp
 import numpy as np
 
 from kernels.lanes import WIDTH, load, store
+from model.flight.lanes.plate_lanes import NEAR, plate, turned
 from model.flight.numerics import compiled, sincos
-from model.flight.plate_lanes import NEAR, plate, turned
 
 TONES = np.array([[1.0, 0.7, 0.0], [2.0, 1.0, 0.4], [7.0, 0.5, -2.0], [100.0, 0.01, 3.0]])
 

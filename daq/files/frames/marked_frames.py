@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.frame_file import ROW_CRC
-from daq.files.frame_marks import MAGIC, piece_rows, read_marks, rows_after
+from daq.files.frames.frame_file import ROW_CRC
+from daq.files.frames.frame_marks import MAGIC, piece_rows, read_marks, rows_after
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32, joined
 
@@ -24,7 +24,7 @@ _ENDING = b'{"ended": '
 
 
 class MarkedFrames:
-    """A frames file as its marks describe it; `daq.files.frame_file.FrameFile` is the same through HDF5.
+    """A frames file as its marks describe it; `daq.files.frames.frame_file.FrameFile` is the same through HDF5.
 
     Parameters
     ----------

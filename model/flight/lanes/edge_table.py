@@ -15,8 +15,8 @@ import numpy as np
 from kernels.arrays import Floats
 from kernels.lanes import ROW, WIDTH, any_of, floor, gather, load, root, select, size, spread, store
 from model.flight.branches import TWO_PI
+from model.flight.lanes.plate_lanes import plate
 from model.flight.numerics import Number, compiled, inlined, sincos
-from model.flight.plate_lanes import plate
 
 TABLE = ROW  # numbers a table holds of an edge: its phase, and s, s' and q' there
 FOUND = 5  # rows of lanes that a crossing needs while tables are made

@@ -9,7 +9,7 @@ import pytest
 from kernels.lanes import WIDTH
 from model.flight import first_landing
 from model.flight.branches import fill_edges
-from model.flight.edge_table import FOUND, TABLE, fill_tables
+from model.flight.lanes.edge_table import FOUND, TABLE, fill_tables
 from model.tones import Forcing
 
 

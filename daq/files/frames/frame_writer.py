@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.frame_file import (
+from daq.files.frames.frame_file import (
     FRAME_BLOCKS,
     FRAME_END,
     FRAME_MARKS,
@@ -33,7 +33,7 @@ from daq.files.frame_file import (
     sealed_dtype,
     sealed_rows,
 )
-from daq.files.frame_marks import MarkLog, running_crcs
+from daq.files.frames.frame_marks import MarkLog, running_crcs
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, step_row
 from daq.files.whole_file import sync_folder

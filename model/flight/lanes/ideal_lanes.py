@@ -2,8 +2,8 @@
 
 A landing is proven first as in `model.flight.ideal.land`; what is added is order. For all lanes together: walk the
 branches by their tabulated edges, without trigonometry, to the first whose ends enclose the landing, then take a few
-steps to the root (`model.flight.plate_lanes`). A lane whose proof or convergence is not plain (a near graze, a short
-flight) is left to `land`.
+steps to the root (`model.flight.lanes.plate_lanes`). A lane whose proof or convergence is not plain (a near graze, a
+short flight) is left to `land`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 from kernels.arrays import Floats
 from kernels.lanes import any_of, floor, gather_rows, select, size, spread
 from model.flight.branches import TWO_PI
-from model.flight.edge_table import TABLE
+from model.flight.lanes.edge_table import TABLE
+from model.flight.lanes.plate_lanes import plate, root_in_branch, start_of_root
 from model.flight.numerics import Number, inlined
-from model.flight.plate_lanes import plate, root_in_branch, start_of_root
 from model.flight.segment import SHORT, clear_times
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`

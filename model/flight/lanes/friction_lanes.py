@@ -21,9 +21,8 @@ from typing import Any, NamedTuple
 from kernels.arrays import Floats
 from kernels.lanes import WIDTH, floor, load, root, select, spread
 from model.flight.branches import TWO_PI
-from model.flight.numerics import Number, inlined
-from model.flight.plate_lanes import root_in_branch, start_of_root
-from model.flight.records import Segment
+from model.flight.lanes.plate_lanes import root_in_branch, start_of_root
+from model.flight.numerics import Number, Segment, inlined
 from model.flight.segment import SHORT, height
 
 PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
