@@ -116,6 +116,7 @@ class ScoreSpace:
             u = scores[:, group]
             if len(group) == 1:
                 j = group[0]
+                # a size that cannot be negative gains by scores of one sign only: half of the draws gain nothing
                 x = u[:, 0] if self.signs[j] == 0 else np.maximum(self.signs[j] * u[:, 0], 0.0)
                 gain = 0.5 * x * x
             else:
@@ -126,6 +127,7 @@ class ScoreSpace:
 
     def by_noise(self, rng: np.random.Generator, draws: int = DRAWS) -> Floats:
         """Best gains of normal noise of the stated covariance, (draws,)."""
+        # candidates alike make it singular, where Cholesky's factor does not exist
         values, vectors = eigh(self.information)
         root = vectors * np.sqrt(np.clip(values, 0.0, None))
         return self.best_gains(rng.standard_normal((draws, len(values))) @ root.T)
@@ -143,6 +145,7 @@ class ScoreSpace:
             Source and number of draws.
         """
         m = int(step.max(initial=-1)) + 1
+        # residuals of a step share the plate's errors: the step is the replicate, and has one sign
         parts = np.zeros((m, self.columns.shape[1]))
         np.add.at(parts, step, self.columns * scored[:, None])
         return self.best_gains(rng.choice((-1.0, 1.0), (draws, m)) @ parts)
@@ -159,6 +162,7 @@ def unit_scale(own: Floats, whole: Floats) -> Floats:
 
 def probability_of(gain: float, kinds: Sequence[Floats]) -> float:
     """Probability of so large a gain by chance, the greatest of several kinds of draws; at least 1 / (draws + 1)."""
+    # the gain itself counts as a draw, so that no probability is 0
     return max((1.0 + int(np.sum(draws >= gain))) / (len(draws) + 1.0) for draws in kinds)
 
 

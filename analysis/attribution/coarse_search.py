@@ -50,7 +50,7 @@ def subsample(model: ForwardModel, train: Bools, most: int = 120) -> ForwardMode
     observations = model.observations
     scored = observations.scored & train[observations.measured.step]
     counts = np.bincount(observations.measured.step[scored], minlength=len(observations.steps))
-    # at least four events of each step
+    # at least four events of each step: a step of none would leave its gamma out of the search
     share = max(most // max(int(np.sum(counts > 0)), 1), 4)
     before: Integers = np.cumsum(scored) - scored
     first = np.concatenate([[0], np.cumsum(counts)])[:-1]
@@ -93,6 +93,7 @@ class CoarseSearch:
             return self.loss(point), point
         parameters = [parameter_of(g[0]) for g in groups]
         start = np.array([point[g[0]] for g in groups])
+        # a parameter at 0 begins with its scale: 30 % of nothing would leave the simplex flat
         step = np.array([q.coarse_step or max(0.3 * abs(x), q.scale) for q, x in zip(parameters, start, strict=True)])
         bounds = [(q.low, q.high) for q in parameters]
         low, high = np.array(bounds).T

@@ -63,6 +63,7 @@ class Detectability:
         most, up = max(high - x, x - low), high - x >= x - low
         size, found = min(1.0, most), math.inf
         others = np.array([k != key for k in self.best.keys])
+        # the change is not proportional to the size: each turn takes it at the size that the one before has found
         for _ in range(8):
             slope = self._change(key, x + size if up else x - size, others) / size
             multiple = self._multiple(key, others, slope, size, high - low)
@@ -102,6 +103,7 @@ class Detectability:
         def named(multiple: float) -> bool:
             size = tried * multiple
             gain, weakened = self._gain(size * left)
+            # named, the size saves the priors what calibrations would pay to follow it
             if gain + 0.5 * size**2 * pulled < self.limits.gain_nats:
                 return False
             if key in self.best.fitter.priors:
@@ -154,6 +156,7 @@ class Detectability:
         for i, fold in enumerate(self.best.fitter.folds, start=1):
             held = fold[self._state.step]
             bias = slope - self._beside @ self._followed(others, slope, i)
+            # the range bounds the size as a prior of that width does
             known = float(slope @ (self._weights[i] * bias)) + reach**-2.0
             signal[held] = (0.5 * self._weight * bias**2)[held]
             lost[held] = signal[held] / known

@@ -123,8 +123,7 @@ class Fitter:
         NotFiniteError
             Where predictions at ``start`` or the equations of a step are not finite.
         """
-        always = [k for k in self.priors if k not in free]
-        keys = [*free, *always]
+        keys = [*free, *(k for k in self.priors if k not in free)]
         x = np.array(
             [self.to_x(k, start.get(k, self.priors[k].mean if k in self.priors else null_value_of(k))) for k in keys]
         )
@@ -154,6 +153,7 @@ class Fitter:
                     x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
+            # hypotheses are compared in whole nats: a step that gains less than a tenth of one ends the fit
             if gained < 0.1:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
@@ -228,6 +228,7 @@ class _State:
         point = self.point(x) if kept else {}
         here = tuple(sorted((k, v) for k, v in point.items() if k in model.base or v != null_value_of(k)))
         for j in columns:
+            # at an upper bound the difference is taken inwards
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             if kept:
                 key = (here, self.keys[j], h)
@@ -244,6 +245,7 @@ class _State:
     def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
         z, jacobian = self.whitener.white_all(raw), self.whitener.white_slopes(slopes, raw)
+        # iteratively reweighted least squares: with these weights the step lowers the robust loss
         weight = np.where(mask, robust_weight(z, self.whitener.odds), 0.0)
         weighted = jacobian * weight[:, None]
         pull = self.inverse**2
@@ -259,6 +261,7 @@ def of_same_events(change: Floats, whitener: Whitener) -> Floats:
 def _solve(normal: Floats, gradient: Floats, damping: float, below: Floats, above: Floats) -> Floats:
     """Step that lowers the quadratic model within ``below <= step <= above``: what hits a bound stays on it."""
     diagonal = np.diag(normal).copy()
+    # Marquardt scales the damping by the diagonal: what nothing shows has none, and must not move for it
     diagonal[diagonal <= 0] = 1e-12
     return bounded_step(normal + np.diag(damping * diagonal + 1e-12), gradient, below, above)
 

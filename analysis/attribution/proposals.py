@@ -70,6 +70,7 @@ class Proposals:
             Called with a candidate's name and the fraction of the round that is done.
         """
         flying = [c for c in options if not set(c.names) <= {trend_name(), *plate_effects()}]
+        # only a landing that is lost lies on another branch, where no small step from here leads
         far = flying if best.whitener.lost else []
         attempted = self.refits.attempted
         done, total = 0, max(len(options) + 2 * len(far), 1)
@@ -158,9 +159,11 @@ class Proposals:
         if level - starts[0][0] >= self.limits.negligible_nats:
             return self._best_of(best, added, [self._fitted_from(best, (*best.free, *free), p) for _, p in two])
         plate_only = set(candidate.names) <= plate_effects()
+        # a power has no slope where its amplitude is 0: the linear gain would be none, whatever the data show
         cheap = plate_only and (not best.free or bool(SQUARED_HOOKS & effect(candidate.names[0]).hooks.keys()))
         if not cheap and promised < self.limits.negligible_nats:
             return None
+        # what is fitted already has its slopes here: only the candidate's are taken
         known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
         fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
         gained = max(best.fitted.loss - fitted.loss, level - self.refits.profile_loss(best.whitener, fitted.values))
@@ -270,6 +273,7 @@ class Proposals:
 
         seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
         below = sorted(pool.map(minimised, seen), key=lambda x: x[0])
+        # a subsample orders candidates only roughly: all that come near the best are fitted in full
         enough = below[0][0] + max(NEAR_NATS, NEAR_PART * (search.loss({}) - below[0][0]))
         near = [x for x in below if x[0] <= enough][:MOST_FITS]
         return [x for x in pool.map(fitted, near) if x is not None]

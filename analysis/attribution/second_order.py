@@ -82,6 +82,7 @@ def secants_at(
     for j, (key, shapes) in enumerate(places):
         x = fitter.to_x(key, at.get(key, null_value_of(key)))
         low, high = fitter.bounds(key, released=True)
+        # what can move both ways has a derivative
         if low < x < high:
             continue
         known = float(np.sum(whitener.white_slopes(slopes[:, [j]], raw) ** 2))

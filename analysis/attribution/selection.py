@@ -172,11 +172,13 @@ class StepwiseSelection:
             if kept is not accepted and (why := self._left_by_simplification(best, accepted, kept, depth, null)):
                 rounds.append(f"step back: that simpler form is refused ({why})")
                 break
+            # a step back changes what the round's other hypotheses were added to: they are no rivals any more
             rivals = found if kept is accepted else []
             if kept is accepted:  # a cause and its drift are confirmed one by one
                 chain += [x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates][:1]
             best = self.refits.again(kept)
             chain.append(best)
+        # an effect may have been needed only while others were missing
         best = chain[-1] = self.pruning.without_null(best, rounds)
         ties = self._ties(before, best, rivals)
         if best is not before:
@@ -247,6 +249,7 @@ class StepwiseSelection:
         if best is before:
             return ()
         out = [best]
+        # both in the weights of the best one: motions are compared, not weights
         z_best, _ = best.whitener.white(self.model.residuals(best.fitted.values))
         for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
             if x is best or x.names in [t.names for t in out] or not self.judge.tied(best, x):

@@ -141,6 +141,7 @@ def discover(
     level = TermSearch(model, fitter, explanation, named, tables).refine(
         best.curve.without_covariate(len(model.observations))
     )
+    # a curve that does no better than its constant shows no law of the covariate
     constant = LogScoreDifference.of(level.per_step, best.per_step, train)
     if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
         return None
@@ -216,6 +217,7 @@ def _similar_effects(best: RefinedTerm, least: float) -> tuple[tuple[str, float]
         both = np.concatenate(
             [(p.landing_s - base.landing_s)[plain.observations.scored], (p.opening_s - base.opening_s)[plain.from_rest]]
         )
+        # a flight that became another one shifts by a period, not by the effect
         return np.asarray(np.where(np.abs(both) < ANOTHER_EVENT_S, np.nan_to_num(both), 0.0))
 
     ours, out = shift(best.model.predict(values)), dict[str, float]()

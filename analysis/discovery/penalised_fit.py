@@ -75,6 +75,7 @@ def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floa
     for tail in TAILS:
         r, _ = _interpolated(table, grid, near @ values)
         width = stack.widths(r, tail)
+        # near each knot the constant value that fits the events there best: a start for every value, without a slope
         by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
         values = grid[np.argmin(by_value, axis=0)]
     rows = basis[stack.event]
@@ -146,6 +147,7 @@ def jacobian_of(
     nudge = curve.term.nudge
     if curve.term.columns:
         moved = replace(curve, values=curve.values + nudge)
+        # each flight has one value, so one prediction with all moved gives every derivative by the chain rule
         along = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
         return np.asarray(along[:, None] * curve.basis[stack.event])
     out = np.empty((len(r), len(curve.values)))

@@ -88,6 +88,7 @@ class RefinedTerm:
         """
         basis = basis_of(self.curve.points, self.curve.knots)
         noise = np.maximum(np.sum((basis @ self.covariance) * basis, axis=1), 0.0)
+        # jackknife: (f - 1) / f times the sum of the squared deviations of f curves
         steps = (len(self.folds) - 1) * np.var(self.folds @ basis.T, axis=0)
         return np.asarray(1.96 * np.sqrt(np.maximum(noise, steps)))
 

@@ -171,6 +171,7 @@ class Curve:
 
     def without_covariate(self, n: int) -> Curve:
         """The same term at its median value for all ``n`` flights."""
+        # within the flight a friction is carried as a force in m/s^2, for each flight in units of g
         middle = float(np.median(self.values)) / (STANDARD_GRAVITY_MPS2 if self.term.against_motion else 1.0)
         sign = -1.0 if self.term.name == "force" and not self.term.columns else 1.0
         term = event_term(self.term.name, self.term.of)
@@ -216,6 +217,7 @@ def ranges_of(tables: Mapping[str, Floats], judged: Bools) -> dict[str, tuple[fl
     """Ranges of the quantities within a flight, by name; NaN for what is known of no flight."""
 
     def most(name: str) -> float:
+        # the largest one in a hundred would stretch the knots over where there is almost nothing
         known = tables[name][judged & np.isfinite(tables[name])]
         return float(np.quantile(known, 0.99)) if len(known) else np.nan
 
@@ -268,6 +270,7 @@ class AugmentedModel(ForwardModel):
 def _put(out: Floats, curve: Curve, dwell_s: Floats) -> None:
     """Set the parameters that carry a curve; a friction or restitution takes the place of a constant one."""
     term, place = curve.term, offsets()
+    # with its constant left in, only the sum of both would be known
     for key in substituted(term.name):
         out[..., place[key]] = 0.0
     if term.columns:

@@ -189,10 +189,12 @@ def _sequences(time_s: Floats, period_s: float) -> list[tuple[Floats, Floats, fl
     for cycle in range(1, 6 + 1):
         later = time_s + cycle * period_s
         inside = later < time_s[-1] + MATCH_S if len(time_s) else np.zeros(0, dtype=bool)
+        # six edges with a next cycle at least; a longer cycle leaves fewer, so none is looked for
         if inside.sum() < 6:
             break
         partner = nearest(time_s, later)
         matched = inside & (np.abs(time_s[partner] - later) < MATCH_S)
+        # a fifth may be missing, by chatter or a lost edge; of irregular motion fewer find a partner
         if matched.sum() >= 0.8 * inside.sum():
             return _chained(time_s, partner, matched, cycle * period_s)
     return []

@@ -83,6 +83,7 @@ def calibrate(
     own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
     near = np.abs(d - delay_s) < REACH_S
     d, own = d[near], own[near]
+    # of two landings no half is closer together than the other: neither offset nor spread is known
     if d.size < 3:
         return _with_bias(impacts, 1.0, impacts.onset_s), unknown
     ordered = np.sort(d)
@@ -132,6 +133,7 @@ def _rounding_s(impacts: Impacts, sampling_s: float) -> float:
 
     Impacts that are timed within a sample come at any place.
     """
+    # a few impacts lie at one place by chance
     if impacts.time_s.size < 20:
         return 0.0
     together = abs(np.mean(np.exp(2j * np.pi * impacts.time_s / sampling_s)))

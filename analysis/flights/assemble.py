@@ -175,6 +175,7 @@ def _split(
         return takeoff, landing, takeoff_sigma, landing_sigma, flags
     host = np.searchsorted(takeoff, impacts.time_s) - 1
     inside = host >= 0
+    # or within four of its standard deviations: an impact in noise is timed worse than an edge
     margin = np.maximum(reach_s, 4.0 * impacts.uncertainty_s)
     h = np.maximum(host, 0)
     inside &= (impacts.time_s > takeoff[h] + margin) & (impacts.time_s < landing[h] - margin)
@@ -299,6 +300,7 @@ def _launch_flags(
 ) -> Integers:
     """Flags `RELAUNCHED` (the plate fell away faster than g at the landing) and `DOUBLE_HIT` (it was pushing)."""
     flags = np.zeros(takeoff.size, dtype=np.int64)
+    # a rebound's contact lasts less than 5 ms: after a longer one the ball was carried
     brief = true & (contact < 5e-3)
     if not brief.any():
         return flags

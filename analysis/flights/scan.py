@@ -137,6 +137,7 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
         When the recording is too short, or its volts are far outside a channel's range.
     """
     channels = tuple(name for name in _channels(recording) if name != "drive")
+    # and 32 samples: levels and noise need some even where a cycle has fewer
     cycle = max(round(recording.rate_hz / recording.setup.forcing.frequency_hz), 32)
     if recording.n_samples < cycle:
         raise InputError(

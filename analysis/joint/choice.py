@@ -182,6 +182,7 @@ class Candidates:
     def _space(self, x: Floats) -> ScoreSpace:
         """Scores of each run at ``x``, less what calibrations follow, in units of their deviation."""
         prior, free, tried = self.model.prior, self.found.free, self._places
+        # each run bears an equal part of the priors' pull: at the fit the runs' slopes then add up to none
         share = (prior.precision * (x - prior.mean))[free] / len(self.every)
         parts = np.empty((len(self.every), len(tried)))
         for i, run in enumerate(self.found.runs):
@@ -200,6 +201,7 @@ def loss_of(model: Aligned, found: Population, x: Floats) -> float:
 
 def bounded_fit(runs: Sequence[Quadratic], start: Floats, model: Aligned, free: Integers) -> Floats:
     """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
+    # the means of calibrations, which come first, are held by their priors
     x, bounded = start.copy(), free >= len(model.point.own)
     below = np.where(bounded, (model.low - start)[free], -np.inf)
     above = np.where(bounded, (model.high - start)[free], np.inf)

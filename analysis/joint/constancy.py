@@ -65,10 +65,12 @@ def constancy(values: Floats, sigmas: Floats, time: Floats) -> Constancy:
     total = weight.sum()
     mean, middle = float(weight @ v / total), float(weight @ t / total)
     chi_square, degrees = float(weight @ (v - mean) ** 2), len(v) - 1
+    # DerSimonian and Laird: the variance that raises the expected chi square to the one found
     excess = float(max(chi_square - degrees, 0.0) / (total - float(weight @ weight) / total))
     lever = float(weight @ (t - middle) ** 2)
     if lever <= 0.0:
         return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, 0.0, np.inf, 1.0)
+    # weighted regression on the date
     slope, sigma = float(weight @ ((t - middle) * v)) / lever, float(lever**-0.5)
     p_trend = float(2.0 * norm.sf(abs(slope) / sigma))
     return Constancy(chi_square, degrees, float(chi2.sf(chi_square, degrees)), excess**0.5, slope, sigma, p_trend)
@@ -112,6 +114,7 @@ def one_run_alone(values: Floats, sigmas: Floats, null: float, width: float) -> 
         return None
     place = int(known[np.argmax(far)])
     rest = known[known != place]
+    # the other runs may scatter by more than they state: their mean is known no better than that
     spread = max(constancy(values[rest], sigmas[rest], np.zeros(len(rest))).spread, width)
     weight = 1.0 / (sigmas[rest] ** 2 + spread**2)
     mean, sigma = float(weight @ values[rest] / weight.sum()), float(weight.sum() ** -0.5)

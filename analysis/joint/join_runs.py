@@ -11,7 +11,6 @@ import functools
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +39,6 @@ from daq.recording.identity import refuse_repeated
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
-from kernels.arrays import Floats
 from model.effects.registry import registry
 
 Progress = Callable[[str, float], None]
@@ -202,11 +200,10 @@ class _Search:
         tried = tuple(
             Candidate(t.option.names, t.gain, t.held_out.gain, t.held_out.error, t.p, t.refusal) for t in first
         )
-        times, dated = _days(state.summaries)
         return outcome_of(
-            state.summaries, state.model, state.found, self.limits, times, self.declared,
+            state.summaries, state.model, state.found, self.limits, self.declared,
             names=state.names, ties=ties, candidates=tried, rounds=tuple(self.rounds), passes=self.passes.done,
-            dated=dated, detection=Candidates(state.model, state.found, self.limits).detection_limits(),
+            detection=Candidates(state.model, state.found, self.limits).detection_limits(),
         )  # fmt: skip
 
     def _at(self, point: Point, named: tuple[tuple[str, ...], ...]) -> _State:
@@ -262,6 +259,7 @@ class _Search:
 
     def _converged(self, state: _State) -> _State:
         """Linearised anew until the shared parameters stay, and the means of bent calibrations."""
+        # the linear fit holds near its point only, so it is made anew there
         for _ in range(4):
             q, shared = len(state.point.own), sorted(state.point.shared)
             values = {k: value_at(k, float(state.found.x[q + i])) for i, k in enumerate(shared)}
@@ -300,9 +298,7 @@ class _Search:
 
     def _own_where_they_differ(self, state: _State) -> _State:
         """Shared parameters that differ between runs become the runs' own, about a mean."""
-        times, _ = _days(state.summaries)
-        now = outcome_of(state.summaries, state.model, state.found, self.limits, times, self.declared)
-        differing = now.differing
+        differing = outcome_of(state.summaries, state.model, state.found, self.limits, self.declared).differing
         keys = {(x.effect, x.parameter): x for x in differing if (x.effect, x.parameter) in state.point.shared}
         if not keys:
             return state
@@ -344,15 +340,3 @@ def _moved(point: Point, values: dict[ParameterId, float]) -> Point:
     """The point with parameters set: a prior's mean where runs have their own values, else the shared value."""
     priors = {k: Prior(values.get(k, p.mean), p.sigma) for k, p in point.priors.items()}
     return Point(priors, {**point.shared, **{k: v for k, v in values.items() if k not in priors}})
-
-
-def _days(summaries: Sequence[RunSummary]) -> tuple[Floats, bool]:
-    """Days since the first run, and whether they are known; else the runs' numbers."""
-    try:
-        starts = [datetime.fromisoformat(s.started) for s in summaries]
-        seconds = np.array([(x - min(starts)).total_seconds() for x in starts])
-    except (ValueError, TypeError):
-        return np.arange(len(summaries), dtype=np.float64), False
-    if len(set(seconds.tolist())) < len(seconds):
-        return np.arange(len(summaries), dtype=np.float64), False
-    return seconds / 86400.0, True

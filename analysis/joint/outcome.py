@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ def outcome_of(
     model: Aligned,
     found: Population,
     limits: Thresholds,
-    days: Floats,
     declared: Mapping[ParameterId, Prior],
     *,
     names: tuple[str, ...] = (),
@@ -41,16 +41,16 @@ def outcome_of(
         Of the last pass.
     limits
         Thresholds of the verdict.
-    days
-        Time of each run, (R,).
     declared
         Priors of calibrations before any run.
     names, ties
         What was named, and what ties with it.
     course
-        ``detection``, ``candidates``, ``rounds``, ``passes`` and ``dated`` of the result.
+        ``detection``, ``candidates``, ``rounds`` and ``passes`` of the result.
     """
+    days, dated = days_since_first(summaries)
     columns = model.columns[: model.named - len(PLACES)]
+    # Bonferroni's share: so many parameters are tested for constancy
     level = limits.best_of_all_p / max(len(columns), 1)
     parameters = tuple(
         _over_runs(model, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
@@ -61,7 +61,7 @@ def outcome_of(
         Systematic(name, us * float(found.x[i]), us * found.sigma(i), us * float(model.prior.precision[i] ** -0.5))
         for i, name in enumerate(NAMES, start=len(columns))
     )
-    of_the_search = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": False, **course}
+    of_the_search = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": dated, **course}
     verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
     first = tuple(sorted(parameters, key=lambda x: x.kind != "effect"))
     return JointVerdict(verdict, names, ties, first, shared, runs, **of_the_search)
@@ -114,6 +114,7 @@ def _in_unit(key: ParameterId, x: float, width: float) -> float:
         return float("inf")
     if parameter_of(key).power == 1.0:
         return width * parameter_of(key).scale
+    # a coordinate that is a root of the value has no constant unit: half the interval's length
     return 0.5 * (value_at(key, x + width) - value_at(key, x - width))
 
 
@@ -122,3 +123,16 @@ def _run(s: RunSummary, days: float) -> RunOutcome:
         s.recording, s.started, s.flights, s.steps, days, s.ratio, s.plate_rms_z, s.p_lack_of_fit, s.landing_rms_us,
         s.noise_floor_us, s.failed,
     )  # fmt: skip
+
+
+def days_since_first(summaries: Sequence[RunSummary]) -> tuple[Floats, bool]:
+    """Days since the first run, (R,), and whether they are known; else the runs' numbers."""
+    try:
+        starts = [datetime.fromisoformat(s.started) for s in summaries]
+        seconds = np.array([(x - min(starts)).total_seconds() for x in starts])
+    except (ValueError, TypeError):
+        return np.arange(len(summaries), dtype=np.float64), False
+    # two runs that began at one instant have wrong clocks: a trend with the date would mean nothing
+    if len(set(seconds.tolist())) < len(seconds):
+        return np.arange(len(summaries), dtype=np.float64), False
+    return seconds / 86400.0, True

@@ -51,6 +51,7 @@ class Quadratic:
             Standard deviation of each calibration from run to run, (q,).
         """
         q = len(spread)
+        # Woodbury's identity in units of the spreads: a spread of 0 needs no inverse
         inner = np.eye(q) + spread[:, None] * self.information[:q, :q] * spread
         across = spread[:, None] * self.information[:q]
         follow = solve(inner, np.column_stack([across, spread * self.gradient[:q]]))
@@ -176,6 +177,7 @@ def _own_squares(run: Quadratic, found: Population) -> Floats:
     """Expected square of a run's deviations over their spread, (q,)."""
     spread, free = found.spread, found.free
     q = len(spread)
+    # E step: variance of the deviations, their squared mean, and what the uncertainty of the means adds
     inverse = inv(np.eye(q) + spread[:, None] * run.information[:q, :q] * spread)
     own = inverse @ (spread * run.slope_at(found.x)[:q])
     follow = inverse @ (spread[:, None] * run.information[:q][:, free])

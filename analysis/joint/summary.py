@@ -220,6 +220,7 @@ def _options(model: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
     """Candidates to be added to what is named; a drift within a run belongs to that run and is left to `close_loop`."""
     out: dict[tuple[Place, ...], Option] = {}
     for candidate in candidates_of(model):
+        # a drift's size in one run is no property that runs share
         if any(q.endswith(TREND) for _, q in candidate.free):
             continue
         for sizes in places([candidate], fitted):

@@ -124,6 +124,7 @@ def _promising(model: ForwardModel, fitter: Fitter, declared: Fitted) -> tuple[P
         best = found.get(candidate.names)
         if gain > FROZEN.gain_nats and (best is None or gain > best.gain):
             found[candidate.names] = Promising(candidate.names, gain, {key: values[key] for key in free})
+    # by the linear gain only, before any fit of them: a few names are a hint while the run lasts, no verdict
     return tuple(sorted(found.values(), key=lambda one: -one.gain)[:4])
 
 

@@ -277,6 +277,7 @@ class StepAccumulator:
 
     def _frequencies(self, state: StepState) -> tuple[tuple[int, ...], Floats]:
         """Tones of the step: what fits under the blocks' rate; mains lines that can be separated; their multiples."""
+        # short of half the blocks' rate, beyond which a tone would be folded back
         limit = 0.45 * self.block_rate_hz
         multiples = tuple(m for m in multiples_of(state.forcing) if m == 1 or m * state.frequency_hz < limit)
         tones = state.frequency_hz * np.array(multiples)
@@ -349,6 +350,7 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
         state.mask_level = level
         total = lock_in.part(state.clear_classes())
         try:
+            # without a mask both quadratures of a tone have the variance 4 / n together
             spread = np.diag(total.inverse())
             worst = max(float(spread[2 * r + 1] + spread[2 * r + 2]) for r in state.rows) * whole / 4.0
             if worst > MOST_INFLATION**2:

@@ -95,6 +95,7 @@ def ball_push(
     air = np.diff((np.cumsum(length_s) - length_s)[flight] + until_s - takeoff_s[flight]) / block_s
     # Impacts keep to a phase: what blocks blur would add up, the jump of the plate that is suddenly loaded above all.
     free = felt / (air + (1.0 - air) / (1.0 + mass_ratio))
+    # velocity at the blocks' edges is exact, as blocks are means; the spline keeps it there
     once = CubicSpline(edges_s, np.append(0.0, np.cumsum(free)) * block_s)
     twice = once.antiderivative()
     begun = once(takeoff_s)

@@ -42,6 +42,7 @@ class ContactFlightFit:
             None where contact or flight has too few blocks, or they cannot be separated.
         """
         contact, total = self.contact, self.total
+        # fewer blocks do not fix the tones of contact and of flight separately
         if min(contact.n, total.n - contact.n) < 60:
             return None
         extra = [0, *(c for r in self.rows for c in (2 * r + 1, 2 * r + 2))]

@@ -56,6 +56,7 @@ class MainsLine:
     @property
     def multiples_hz(self) -> list[float]:
         """Multiples that are fitted with the line: none where no step has shown it."""
+        # hum is no sine: transformers and rectifiers make its harmonics
         return [k * self.hz for k in (2, 3, 4, 5, 6, 7)] if self.sigma_hz < PRIOR_SIGMA_HZ else []
 
     @property

@@ -80,6 +80,7 @@ class PushedPlate:
         side = np.column_stack([np.bincount(after, x * read, minlength=m) for x in shown])
         sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2)
         for begin_s in (-TORN_S, *self.torn_s):
+            # where flights were missed, or before the first sample, the plate may have got any kick
             sure[(time_s >= begin_s) & (time_s <= begin_s + TORN_S)] = UNKNOWN_MPS**-2
         step = np.exp(turn * np.diff(time_s))
         own = sure + np.append(np.abs(step) ** 2 * sure[1:], 0.0)
@@ -119,6 +120,7 @@ class ModeMotion:
     def struck(self) -> Complexes:
         """The amplitude by all kicks so far, just after each, (1 + k,)."""
         out, decay = self.kicks.copy(), np.exp(self.turn * np.diff(self.time_s))
+        # a recurrence, not a sum of exponentials over all kicks: those would overflow in a long recording
         for i in range(1, len(out)):
             out[i] += decay[i - 1] * out[i - 1]
         return out

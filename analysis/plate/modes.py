@@ -115,6 +115,7 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
     mask_s
         How long the accelerometer shows more than the plate's motion after an impact.
     """
+    # without its drive the plate's own motion is not known, and over a gap the mode's state is lost
     if "drive" not in recording.channels or len(recording.gaps):
         return None
     width = max(round(recording.rate_hz / RATE_HZ), 1)
@@ -191,6 +192,7 @@ class _Recorded:
         gains by impacts, which the acceleration between them lacks, is its mean.
         """
         known, ratio, impulses = self.known, 0.0, None
+        # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
         basis, upper = np.linalg.qr(self.linear[known])
 
         def drive_part(seen: Floats) -> Floats:
@@ -287,6 +289,7 @@ class _Regression:
         """Mass ratio, not negative, and sizes of the free states."""
         normal, side = columns.T @ columns, columns.T @ self.left
         out = pinv(normal, rcond=1e-12) @ side
+        # no mass is negative: the free states are then fitted without the push
         if out[0] < 0.0:
             out = np.append(0.0, pinv(normal[1:, 1:], rcond=1e-12) @ side[1:])
         return np.asarray(out)
@@ -302,6 +305,7 @@ class _Regression:
         looked = [np.log([LOWEST_HZ * GRID**k, d]) for k in range(count) for d in DAMPINGS]
         loss = -np.array([self._gain_of_push(*np.exp(x)) for x in looked]).reshape(count, -1)
         best = loss.min(axis=1)
+        # local minima: the best of the whole look would be neighbours of one
         inner = [k for k in range(count) if best[k] <= min(best[max(k - 1, 0)], best[min(k + 1, count - 1)])]
         starts = sorted(inner, key=lambda k: best[k])[:STARTS]
         return self.followed([looked[k * len(DAMPINGS) + int(np.argmin(loss[k]))] for k in starts])
@@ -310,6 +314,7 @@ class _Regression:
         """By how much the answer to the push lowers the sum of squares."""
         x = answer(self.push, self.block_s, frequency_hz, damping)[self.known]
         own = self.basis.T @ x
+        # a push that had to act backwards explains nothing
         return max(float(x @ self.left), 0.0) ** 2 / float(x @ x - own @ own)
 
     def followed(self, starts: list[Floats]) -> Floats:
@@ -336,6 +341,7 @@ class _Regression:
         left = self.left - columns @ sizes
         slopes = [(self.columns(*np.exp(x + h * e)) - self.columns(*np.exp(x - h * e))) @ sizes for e in np.eye(2)]
         jacobian = np.column_stack([slopes[0] / (2.0 * h), slopes[1] / (2.0 * h), columns])
+        # columns of one size: frequency, damping and free states differ by many powers of ten
         jacobian /= np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
         size = np.linalg.norm(np.column_stack([*slopes, columns[:, 0]]), axis=0) / [2.0 * h, 2.0 * h, 1.0]
         inverse = pinv(jacobian.T @ jacobian, rcond=1e-10)
@@ -347,6 +353,7 @@ class _Regression:
         found = (inverse @ meat @ inverse)[:3, :3] / np.outer(size, size)
         white = inverse[:3, :3] / np.outer(size, size) * np.mean(left**2)
         to_own = np.array([frequency, damping, 1.0])
+        # of a correlated remainder fewer values are independent, by the ratio of both variances
         correlated = max(float(found[2, 2] / white[2, 2]), 1.0)
         gain = 0.5 * (float(self.left @ self.left) / float(left @ left) - 1.0) * len(left) / correlated
         bound = damping > 0.98 * MOST_DAMPING or (damping > STRONG_DAMPING and frequency > forcing_hz)

@@ -53,6 +53,7 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
         return ()
     step_s = float(np.median(np.diff(slow.time_s)))
     x = np.where(known, slow.mps2 - np.nanmean(slow.mps2), 0.0) * np.hanning(slow.mps2.size)
+    # a tone under the window has half its amplitude times the window's sum
     gain = np.hanning(slow.mps2.size)[known].sum() / 2.0
     spectrum = np.abs(np.fft.rfft(x, PADDING * x.size)) / gain
     f = np.fft.rfftfreq(PADDING * x.size, step_s)
@@ -61,6 +62,7 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
     if band.sum() < 8:
         return ()
     power = np.where(band, spectrum, 0.0) ** 2
+    # powers of noise are exponential: their median is log 2 of their mean
     background = float(np.median(power[band])) / np.log(2.0)
     cells = max(band.sum() / 8.0, 1.0)
     found = []
@@ -250,6 +252,7 @@ class StepPlate:
         own = (rows[:, None] * 2 + np.arange(2)).ravel()
         scale = np.sqrt(np.diag(fit.covariance)[own])
         correlation = fit.covariance[np.ix_(own, own)] / np.outer(scale, scale)
+        # of unit diagonal: amplitudes differ by orders, and a line next to a tone makes it nearly singular
         factor = cholesky(correlation + 1e-9 * np.eye(len(own))) * scale[:, None]
         return np.asarray((factor[::2] + 1j * factor[1::2]).T)
 

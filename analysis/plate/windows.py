@@ -140,6 +140,7 @@ def _solve_windows(tones: StepTones, fits: tuple[ToneFit, ToneFit], sums: SpanSu
     windows, q = sums.used.size, tones.unknowns
     solution, variances, left = np.empty((windows, q, 2)), np.empty((windows, q)), np.add.reduce(sums.power)
     _solve(sums.gram, sums.side, solution, variances, left)
+    # fitted was the residual about the step's own tones
     amplitudes = tones.amplitudes[:, tones.rows[: tones.forcing]].T[None] + solution[:, 1::2] + 1j * solution[:, 2::2]
     spread = np.sqrt(0.5 * (variances[:, 1::2] + variances[:, 2::2]))
     freedom = float(np.add.reduce(sums.used)) - q * windows
@@ -192,6 +193,7 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
         return None
     channel = 1 if has_drive else 0
     multiples = np.array([state.multiples[r] for r in state.rows])
+    # a phase tells the frequency the better, the larger and the faster the tone is
     strongest = int(np.argmax(np.add.reduce(np.abs(chunk.amplitudes[:, :, channel])) * multiples))
     z = chunk.amplitudes[:, strongest, channel]
     sigma = chunk.fits[channel].rms * chunk.spread[:, strongest] / np.maximum(np.abs(z), 1e-300)
@@ -199,6 +201,7 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
     if median(sigma) > 0.3:
         return None
     weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
+    # about the weighted mean of the times slope and constant of a line are uncorrelated
     time_s = chunk.time_s - np.add.reduce(chunk.time_s * weight) / np.add.reduce(weight)
     pull = weight * time_s
     curvature = float(pull @ time_s)

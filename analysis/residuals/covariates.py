@@ -124,6 +124,7 @@ def _plate(plate: PlateSteps, step: Integers, t: Floats) -> tuple[Floats, Floats
     """Displacement, velocity and acceleration of the plate at times of the shape of ``step``."""
     w, z = plate.omega_radps[step], plate.acceleration_mps2[step]
     turned = z * np.exp(1j * w * t[:, None])
+    # a tone z exp(i w t) of the acceleration integrates to z / (i w), and twice to -z / w^2
     return -(turned / w**2).real.sum(axis=1), (turned / (1j * w)).real.sum(axis=1), turned.real.sum(axis=1)
 
 
@@ -139,6 +140,7 @@ def _ends(
     """Launch and impact speed relative to the plate of flights under gravity, from where they began and ended."""
     x0, v0, _ = _plate(plate, step, start)
     x1, v1, _ = _plate(plate, step, start + lasts)
+    # the path over the plate is closed: h(0) = h(T) = 0 gives the launch speed, dh/dt at T the impact speed
     launch = np.where(relaunched, 0.5 * g * lasts + (x1 - x0) / lasts - v0, 0.0)
     return np.maximum(launch, 0.0), np.maximum(g * lasts + v1 - v0 - launch, 0.0)
 

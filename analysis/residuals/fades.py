@@ -60,6 +60,7 @@ class Fades:
         into = np.maximum(np.searchsorted(self.begin_s, time_s, side="right") - 1, 0)
         length_s = self.length_s[into]
         part = np.clip((time_s - self.begin_s[into]) / np.where(length_s > 0.0, length_s, 1.0), 0.0, 1.0)
+        # the weight that the drive itself fades with
         new = np.where(length_s > 0.0, part * part * (3.0 - 2.0 * part), 1.0)
         other = np.where(step == into, into - 1, into)
         share = np.where(step == into, 1.0 - new, np.where(step == into - 1, new, 0.0))

@@ -126,6 +126,7 @@ class ForwardModel:
             parameter = effect(name).effect.parameter(key.removesuffix(TREND))
             column = offsets()[name, parameter.name]
             trend = out[:, column] + value * self._run_part_events
+            # at both ends of a run a drift may lead beyond what the parameter can be
             out[:, column] = np.clip(trend, parameter.low, parameter.high)
         return out
 
@@ -243,6 +244,7 @@ class ForwardModel:
         edge, mark = (self.per_step(values, hook)[ev.measured.step] for hook in ("contact_delay_s", "impact_delay_s"))
         if ev.heard is None:
             return edge, edge
+        # a ball that leaves as it lands was seen when that landing was
         left_heard = ev.measured.relaunched & np.append(False, ev.heard[:-1])
         return np.where(left_heard, mark, edge), np.where(ev.heard, mark, edge)
 

@@ -110,6 +110,7 @@ def _held(number: int, gamma: float, row: _Rows, cycles: float) -> HeldStep:
     n, launch, landing = len(row.before), row.before + row.ahead, row.after + row.ahead
     multiplier, half, phase = math.nan, math.nan, float(np.mean(row.before))
     x, e = launch - launch.mean(), row.part - row.part.mean()
+    # what a launch varies by itself: its part along the correction says nothing of the multiplier
     own = x - e * float(x @ e) / max(float(e @ e), 1e-300)
     # a slope is known where launches spread by twelve of their uncertainties
     if np.std(own) > 12.0 * row.sigma:

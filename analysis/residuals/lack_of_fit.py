@@ -106,6 +106,7 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
     tables = model.covariates(values)
     logs = {name: _log_p_of_covariate(found, x) for name, x in tables.items()}
     first = min(logs, key=lambda name: logs[name])
+    # the best of all covariates, by Bonferroni; in logarithms, as a double cannot hold the smallest
     p_first = math.exp(min(logs[first] + math.log(len(logs)), 0.0))
     between = scatter = 1.0
     if len(found.z):
@@ -114,6 +115,7 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
         scatter = float(chdtrc(len(found.z), float(np.sum(found.z**2)) / (1.0 + SCALE_KNOWN) ** 2))
     serial = _p_serial(found)
     return GoodnessOfFit(
+        # Bonferroni: the best of four tests
         min(1.0, 4.0 * min(p_first, between, scatter, serial)),
         rms_standardised(model, values, u),
         plate_rms_standardised(model, values),
@@ -181,6 +183,7 @@ def innovations(model: ForwardModel, values: Values, u: Uncertainty) -> Innovati
             continue
         event = np.concatenate([rows[model.from_rest[rows]], rows])
         landing = np.arange(len(event)) >= len(event) - len(rows)
+        # in order of time, so that Cholesky's factor makes each innovation new against all before it
         order = np.lexsort((landing, event))
         event, landing = event[order], landing[order]
         total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
@@ -223,6 +226,7 @@ def innovation_covariance(
         by = np.where(landing, carried[1][event, back - 1], carried[0][event, back - 1])
         slope[row[there], event[there] - back - first] -= by[there]
     tones = np.where(landing[:, None], u.landing_by_tone[event], u.opening_by_tone[event])
+    # a landing's error enters its own residual, and those of flights predicted from it
     edge = slope * u.landing_edge_s[edges]
     own = np.where(landing, 0.0, u.opening_edge_s[event]) ** 2 + LEAST_EXCESS_S**2
     together = SHARED_S**2 * (landing[:, None] == landing[None, :])
@@ -254,9 +258,11 @@ def _p_serial(found: Innovations) -> float:
     z, step = found.z[found.landing], found.step[found.landing]
     if len(z) <= 2 * LAGS:
         return 1.0
+    # noise is taken for no less than its known size: a small remainder in a pattern is no lack of fit
     power = max(float(np.mean(z**2)), 1.0)
     q = 0.0
     for lag in range(1, LAGS + 1):
+        # across a step's border events are no neighbours
         together = step[lag:] == step[:-lag]
         if together.any():
             q += float(np.sum((z[lag:] * z[:-lag])[together])) ** 2 / (float(together.sum()) * power**2)

@@ -252,6 +252,7 @@ def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
     forcing = np.zeros((m, MAX_TONES), dtype=bool)
     for i, s in enumerate(fitted):
         tones = s.plate()
+        # to the microradian a second: one frequency computed in two ways differs by rounding
         own = {round(x) for x in 1e6 * s.forcing().omega_radps}
         order = np.argsort([round(x) not in own for x in 1e6 * tones.omega_radps], kind="stable")[:MAX_TONES]
         k = len(order)

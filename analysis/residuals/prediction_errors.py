@@ -98,6 +98,7 @@ def _grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
         for k in np.flatnonzero(ev.steps.forcing.any(axis=0)):
             for unit in (1.0, 1j):
                 z = ev.steps.plate.acceleration_mps2.copy()
+                # both quadratures: amplitude and phase of the tone
                 z[:, k] += sign * unit * ev.steps.sigma_mps2[:, k]
                 out |= _jumps(base, model.predict(values, tones=z, near=base), GRAZING_SIGMAS * usual)
     return np.asarray(out)
@@ -197,6 +198,7 @@ def noise_quantiles_us(
         squares = np.zeros(DRAWS)
         for i in range(len(names)):
             mine = events[place == i]
+            # one draw of a tone's error for the whole step, one of its own for each flight
             together = by_tone[mine] @ rng.standard_normal((by_tone.shape[1], DRAWS))
             squares += np.sum((together + sigma[mine, None] * rng.standard_normal((len(mine), DRAWS))) ** 2, axis=0)
         return 1e6 * float(np.quantile(np.sqrt(squares / len(events)), 1.0 - chance_p))
@@ -228,6 +230,7 @@ def landing_probability(
         mine = rows[step[rows] == s]
         by_tone = u.landing_by_tone[mine]
         covariance = np.diag(u.landing_sigma_s[mine] ** 2) + by_tone @ by_tone.T + SHARED_S**2
+        # a sum of squares of correlated normal errors is one of independent errors with these variances
         variances.append(np.linalg.eigvalsh(covariance))
     noise = (1.0 + SCALE_KNOWN) ** 2 * np.concatenate(variances)
     return chance_of_squares(float(np.sum(missed**2)), noise), _rms_us(missed)
@@ -270,6 +273,7 @@ def given_openings(
     for s in np.unique(step[rows]):
         mine = rows[step[rows] == s]
         seen = np.flatnonzero(model.from_rest & (step == s))
+        # an opening far off is another event, and says nothing of the tones
         seen = seen[np.abs(r.opening_s[seen]) < COMMON_MODE_SIGMAS * np.hypot(u.opening_total_s[seen], SHARED_S)]
         shift, root = _tones_given(r.opening_s[seen], u.opening_sigma_s[seen], u.opening_by_tone[seen])
         tones = u.landing_by_tone[mine]
@@ -292,6 +296,7 @@ def _tones_given(opening_s: Floats, sigma_s: Floats, by_tone: Floats) -> tuple[F
     """
     q = by_tone.shape[1]
     known = np.column_stack([by_tone, np.full(len(opening_s), SHARED_S)]) / np.hypot(sigma_s, LEAST_EXCESS_S)[:, None]
+    # unit prior and measured openings: posterior of a linear model with normal errors
     covariance = inv(np.eye(q + 1) + known.T @ known)
     mean = covariance @ (known.T @ (opening_s / np.hypot(sigma_s, LEAST_EXCESS_S)))
     return mean[:q], cholesky(covariance)[:q]

@@ -27,6 +27,7 @@ def weak_mps(measured: Measured, plate: PlateSteps, flights: Flights, keep: Bool
     velocity = plate.acceleration_mps2[measured.step] / turns
     at = [np.sum((velocity * np.exp(turns * t[:, None])).real, 1) for t in (measured.opening_s, measured.landing_s)]
     strength, duration_s = np.nan_to_num(flights.impact[keep]), measured.landing_s - measured.opening_s
+    # a ball that leaves with the plate's velocity v(0) meets the plate at v(T) with v(T) - v(0) + g T
     impact = at[1] - at[0] + STANDARD_GRAVITY_MPS2 * duration_s
     shown = rest & (impact > WEAK_MPS) & (strength > 0.0)
     if shown.sum() < FEW_CONTACTS:

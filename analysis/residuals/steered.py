@@ -64,6 +64,7 @@ class Launches:
         ratio = self.volts[np.maximum(launch, 0)] / mean[np.clip(step, 0, len(mean) - 1)]
         ratio = np.where((launch < 0) | (step < 0) | ~np.isfinite(ratio), 1.0, ratio)
         omega_radps = 2.0 * np.pi * self.multiple / self.cycle_s
+        # a phase ahead by w t is a drive that comes earlier by t
         return np.abs(ratio) - 1.0, np.angle(ratio) / omega_radps
 
     def of_flights(self, measured: Measured, recording: Recording, number: Integers, takeoff_s: Floats) -> Measured:

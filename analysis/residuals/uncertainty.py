@@ -87,6 +87,7 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
         linear = [by_tones(slopes, z - x.plate.acceleration_mps2, ev.measured.step) for z in moved]
         every = np.array(linear).reshape(len(moved), len(ev), 3)
         bent, changes = second_order(slopes, every), every[..., :2].copy()
+        # at a graze the derivative diverges, and would make any error of a landing infinite
         edges = np.stack([np.clip(by[:, :2], -STEEPEST, STEEPEST) for by in (slopes.landing, slopes.landing_before)])
         faded = np.zeros(len(ev), dtype=np.bool_) if ev.measured.share is None else ev.measured.share > 0.0
         again &= faded | _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
@@ -97,6 +98,7 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     opening, landing = (
         rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s) for i, seen in enumerate(ev.scatters)
     )
+    # rounding errors are common to edges of a step and are carried separately: this is the rest
     independent = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
     var = independent**2 + np.sum(bent**2, axis=0)
     var[:, 1] += _finite(base.ambiguity_s) ** 2
@@ -119,6 +121,7 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
 def kicks_of(model: ForwardModel, values: Values) -> tuple[tuple[float, float], ...]:
     """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
     rows, place = model.inputs(values).rows, columns_of("plate_mode")
+    # a mode that is followed as recorded has a known state at the start of every step
     if model.measured_mode(rows) is not None:
         return ()
     rows = rows.reshape(-1, rows.shape[-1])

@@ -91,6 +91,7 @@ class Whitener:
         tones = np.concatenate([u.opening_by_tone[opening], u.landing_by_tone[landing]])
         # grazes are not linear in the plate's error: a tenth of what a step shares counts as an event's own
         edges = np.hypot(edges, 0.1 * np.linalg.norm(tones, axis=1))
+        # a small error of the contact circuit is common to all openings of a step, another to all landings
         tones = np.column_stack([tones, SHARED_S * first, SHARED_S * ~first])
         order = np.argsort(step, kind="stable")
         bounds = np.concatenate([[0], np.cumsum(np.unique(step, return_counts=True)[1])]).astype(np.int64)
@@ -157,6 +158,7 @@ class Whitener:
         """Whitened residuals, from bare ones."""
         n = len(self.step)
         unit = bare[:n] / self.sd
+        # an outlier says nothing of the errors that its step shares: it counts as far as its cap
         events = self._unshared(unit[:, None], np.clip(unit, -self.cap, self.cap)[:, None])[:, 0]
         return np.concatenate([events, bare[n:] / self.plate_sigma])
 
@@ -260,7 +262,10 @@ def _shared(tones: Floats, bounds: Integers) -> tuple[Floats, Floats, Floats]:
     block = np.repeat(np.arange(len(counts)), counts)
     padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))
     padded[block, place] = tones
+    # covariance of unit residuals is 1 + T T'; its inverse root shrinks each singular direction of T by 1 / sqrt(1 +
+    # s^2)
     vectors, sizes, _ = svd(padded, full_matrices=False)
+    # half the logarithm of its determinant, shared out evenly among the events
     logs = 0.5 * np.sum(np.log1p(sizes**2), axis=1) / counts
     return vectors[block, place], 1.0 / np.sqrt(1.0 + sizes**2) - 1.0, logs[block]
 

@@ -137,7 +137,7 @@ def _response(step: StepPlate, multiple: int, g_mps2: float) -> tuple[complex, f
 def _gain_and_phase(profile: Profile, key: str, responses: list[tuple[complex, float]]) -> list[Measured]:
     """One gain and phase from those of the levels."""
     value = np.array([z for z, _ in responses])
-    # what the tone fit itself leaves
+    # what the tone fit itself leaves: without it a level of little noise would have all the weight
     sigma = np.array([math.hypot(relative, 5e-5) for _, relative in responses])
     mean = complex(np.average(value, weights=sigma**-2.0))
     # the scatter between levels shows what no single fit knows: a gain that depends on the level

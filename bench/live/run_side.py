@@ -93,6 +93,7 @@ class RunSide:
                 self._obey(command)
         now = self._clock.monotonic_s()
         state = (status.state, status.step.index, self._request.pause, self._request.wanted)
+        # twenty states a second at most: a simulation's blocks come far faster than a page shows them
         if now - self._sent_at >= 0.05 or state != self._sent:
             self._sent_at, self._sent = now, state
             self._board.events.put(state_of(status, self._request))

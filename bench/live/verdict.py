@@ -50,6 +50,7 @@ def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any
     zone_grid = np.linspace(low, high, ZONE_GAMMAS)
     # a little wider than the grid, so that neighbouring bars of a zone overlap
     half = 0.52 * (zone_grid[1] - zone_grid[0]) * shown
+    # twenty gammas at a time: between two portions the caller looks at the run
     portions = -(-len(grid) // 20)
     for k in range(portions):
         rows = diagram(ball, grid[k::portions])  # every so many-th: the whole range is there at once, coarsely

@@ -116,6 +116,7 @@ def map_picture(path: Path, job: Job, picture: Path) -> None:
     Grey is chaos, white is rest. A picture of fewer dots than points shows every n-th: a mean of periods says nothing.
     """
     rows, columns = job.shape
+    # more dots than a screen shows would only make the file large
     step = -(-max(rows, columns) // 1600)
     with h5py.File(path, "r") as file:
         period = np.array([_periods(file, i * columns, (i + 1) * columns, step) for i in range(0, rows, step)])

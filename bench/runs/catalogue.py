@@ -115,6 +115,7 @@ class Catalogue(Closing):
                     self._files[file.path] = _plain(entry | {"size": file.size, "mtime_ns": file.mtime_ns})
                 if progress is not None:
                     progress("reading recordings", done / len(changed))
+                # a reading of many recordings that is broken off goes on from here
                 if time.monotonic() - saved > 10.0:
                     self._save()
                     saved = time.monotonic()

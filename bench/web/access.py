@@ -106,6 +106,7 @@ class Guard:
             await self._app(scope, _bounded(receive), confined)
         elif scope["type"] == "websocket":
             await receive()  # the connection's opening
+            # codes from 4000 on are an application's own: 403 as a browser would get it for a page
             await send({"type": "websocket.close", "code": 4403, "reason": "refused"})
         else:
             await answer(scope, receive, confined)

@@ -30,6 +30,7 @@ class Browser:
         # a browser this far behind gets no more of the scope until it has caught up
         if passing and self._queue.qsize() > 100:
             return
+        # a browser that is behind by the whole queue loses messages: the run must not wait for it
         with contextlib.suppress(asyncio.QueueFull):
             self._queue.put_nowait(message)
 

@@ -35,6 +35,7 @@ def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None
     InputError
         When the address cannot be bound.
     """
+    # another server of a second run may have the first ports
     ports = [port] if port is not None else range(PORT, PORT + 20)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     last: OSError | None = None

@@ -33,6 +33,7 @@ class Resampled:
         except ImportError as error:
             raise InputError("another rate needs the package soxr: pip install soxr") from error
         ratio = Fraction(repr(rate_hz)) / Fraction(repr(recording.rate_hz)) if rate_hz > 0 else Fraction(0)
+        # a piece needs a whole turn of the ratio on both sides: of larger numbers, more than 100 000 samples
         if ratio == 0 or max(ratio.numerator, ratio.denominator) > 100_000:
             raise InputError(
                 f"{recording.path}: {recording.rate_hz:g} samples a second cannot be brought to {rate_hz:g}; "

@@ -68,6 +68,7 @@ def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
 def _dead(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     """An accelerometer that shows nothing of the drive."""
     plates = [hold.plate for hold in seen.holds if hold.drive is not None]
+    # a tone within four of its uncertainties may be noise
     above = [np.abs(fit.amplitudes).max() - 4.0 * fit.amplitude_sigma().max() for fit in plates]
     if plates and np.median(above) <= 0.0:
         yield Doubt(
@@ -144,6 +145,7 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         # close together, and take-offs are those nearer to g
         spread, other_spread = _spread(opens), _spread(closes)
         if max(spread, other_spread) > 0.2:
+            # take-offs lie near -g whatever the flight was, landings anywhere: the spreads differ by far
             closings_are_takeoffs = other_spread < 0.4 * spread
         else:
             # in a locked motion both lie close: the take-offs are those nearer to g
@@ -201,6 +203,7 @@ def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         return
     low, high = seen.levels_v
     declared = f"the profile says open_v = {contact.open_v.value:g}, closed_v = {contact.closed_v.value:g}"
+    # a circuit that works changes by its whole swing; hum and crosstalk change it by a few percent
     if high - low < 0.1 * abs(contact.swing_v):
         most_g = max((hold.peak_g for hold in seen.holds), default=0.0)
         # beyond 1.5 g downwards the ball certainly leaves the plate

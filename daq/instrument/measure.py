@@ -165,6 +165,7 @@ def _levels(volts: list[Floats], contact: ContinuityChannel | None) -> tuple[flo
     """Lower and upper level of a contact circuit with direct coupling; None where its voltage never changes."""
     if contact is None or contact.coupling == "ac" or not volts:
         return None
+    # quantiles: spikes at the edges are no levels
     low, high = (float(x) for x in np.quantile(np.concatenate(volts), (0.01, 0.99)))
     return low, high
 

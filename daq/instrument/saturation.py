@@ -68,6 +68,7 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
         found = [sign * pair[side] for pair in pairs]
         held = [
             end for end, top, x in zip(found, tops, stretches, strict=True)
+            # a reading far beyond, in another stretch, shows that this was a turning point of the motion, no end
             if max(tops) <= top + 0.5 * (top - end) and _stay(sign * x >= end) > max(STAYS_S * rate_hz, LEAST_STAY)
         ]  # fmt: skip
         ends.append(sign * min(held, default=math.inf))

@@ -132,6 +132,7 @@ def open_file(path: Path, found: Checked, *, ended: bool = False) -> Any:
             return h5py.File(PatchedFile(path, found.patches), "r")
         if is_being_written(path):
             return h5py.File(as_if_ended(path), "r") if ended else h5py.File(path, "r", swmr=True)
+        # frames follow one another: what is left of them can be read, as if the run had ended there
         if ended and is_cut_short(path) and (frames := _frames_cut_short(path)) is not None:
             return frames
         # each open column holds the chunk that the next read begins in; by default HDF5 would drop the latest chunks,

@@ -38,6 +38,7 @@ def timestamps_ns(start: int, stop: int, rate_hz: float, gaps: Integers) -> Inte
         lost = np.concatenate([[0], np.cumsum(gaps[:, 1])])
         index += lost[np.searchsorted(gaps[:, 0], index, side="right")]
     period_ns = 1e9 / rate_hz
+    # whole nanoseconds need no rounding, as long as a float would hold them exactly
     if period_ns.is_integer() and stop * period_ns < 2.0**52:
         index *= int(period_ns)
         return index
@@ -137,6 +138,7 @@ class Recording(Closing):
         self.steps, self.blocks = read.pop("steps"), read.pop("blocks")
         self.side = read
         if "blocks" in self._lost:
+            # one block stands for all: the gaps are not known then, the samples are
             self.blocks = np.zeros(1, BLOCK_DTYPE)
             self.blocks["n_samples"] = self.n_samples
         self._scales = {n: [float(file[n].attrs["scale_factor"]), float(file[n].attrs["add_offset"])] for n in there}
@@ -202,6 +204,7 @@ class Recording(Closing):
                 f"{setup.forcing.ratio}; correct it, or import the file again"
             )
         channels = setup.channels
+        # a profile cannot add a circuit that was not recorded
         if self.setup.channels.continuity is None:
             channels = channels.model_copy(update={"continuity": None})
         self.setup = setup.model_copy(update={"sampling": self.setup.sampling, "channels": channels})
@@ -265,6 +268,7 @@ class Recording(Closing):
         """Volts ``(stop - start,)`` of a channel."""
         factor, offset = self.scale(channel)
         codes = self.codes(channel, start, stop)
+        # an imported recording holds volts
         if factor == 1.0 and offset == 0.0:
             return codes.astype(np.float64, copy=False)
         volts: Floats = np.multiply(codes, factor, dtype=np.float64)

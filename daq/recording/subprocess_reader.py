@@ -74,6 +74,7 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
             if isinstance(error, InputError):
                 raise
             return Answer(None, f"reading it ended ({error})", said_here[-1])
+    # the same modules, wherever the other process begins
     places = [str(Path(entry or ".").resolve()) for entry in sys.path]
     errors: list[str] = []
     said: queue.SimpleQueue[str | None] = queue.SimpleQueue()

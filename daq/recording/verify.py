@@ -242,6 +242,7 @@ def _look_at_columns(recording: Recording, lost: dict[str, Any], skip: list[str]
             faults.append(f"{name}: {dataset.shape[0]} samples, but timestamp has {n_samples}")
         for first in range(0, n_samples, CHUNK_SAMPLES):
             last = min(first + CHUNK_SAMPLES, n_samples)
+            # announced before it is read: if it kills this process, the next one leaves it out
             label = f"{name} from {first}"
             tell(label)
             try:

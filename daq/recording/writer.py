@@ -253,6 +253,7 @@ def require_space(path: Path, n_samples: int, n_channels: int) -> None:
     InputError
         Naming what is needed and what is free.
     """
+    # two bytes a code in the frames and again in the columns, and eight of each time
     needed = n_samples * (4 * n_channels + 8) + RESERVE_BYTES
     if path.parent.is_dir() and shutil.disk_usage(path.parent).free < needed:
         free = shutil.disk_usage(path.parent).free
@@ -312,6 +313,7 @@ def _columns_of(
             if progress is not None:
                 progress(b)
         writer.check(recording.steps, recording.blocks, recording.side)
+    # an interrupt as well: half a file must not stay
     except BaseException:
         writer.abandon()
         raise

@@ -60,6 +60,7 @@ def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forci
     # a disturbance in a hold looks like a border: the pieces on both sides are one motion
     found = _joined(read, found, rate_hz, forcing)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
+    # an amplifier's hum between steps is steady, too, but by far weaker than any hold
     return [s for s in found if np.abs(s.tones.amplitudes).max() > 2e-3 * loudest]
 
 

@@ -121,6 +121,7 @@ class Problem:
 def driven(plate: PlateSteps, amplitudes: Complexes) -> Complexes:
     """Tones (m, k) less what a plate mode adds to them: the measured ones contain it, only the rest is driven."""
     tones, own = plate.acceleration_mps2, amplitudes.shape[1]
+    # a tone that was not fitted stays none
     driven = np.where(tones[:, :own] == 0.0, 0.0, tones[:, :own] - amplitudes)
     return np.concatenate([driven, tones[:, own:]], axis=1)
 
@@ -209,6 +210,7 @@ def _carried(omega_radps: Floats, tones: Complexes, row: Floats) -> Complexes:
     om, ze, _ = plate_mode(row)
     _, re, im = loaded(0.0, Plate(tones_for_kernel(omega_radps, tones), Mode(0.0, 0.0, om, ze)), row).tones.T
     factor = np.divide(re + 1j * im, tones, out=np.ones_like(tones), where=tones != 0.0)
+    # measured is the driven tone times the factor of the loaded mode: what is added is the rest
     return np.asarray(tones * (1.0 - 1.0 / factor))
 
 

@@ -261,6 +261,7 @@ class Check:
             margin_db = 20.0 * math.log10(range_v / max(reach_v, 1e-9))
             seen = f"{margin_db:.1f} dB below {range_v:g} V {where}"
             remedy = "a larger range_v, a lower gain, or a lower ramp"
+            # 3 dB are left for impacts, which a tone without a ball does not show
             findings.append(Finding(f"margin of {name}", seen, margin_db >= 3.0, remedy))
         return findings
 

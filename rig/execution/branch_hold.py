@@ -265,7 +265,8 @@ class BranchHold:
             point = launch.point
             state = np.array([point.next_landing(float(state[0]), launch.part, launch.ahead), state[1]])
             turn = np.diag([point.multiplier, 1.0])
-            # the offset wanders, and a change of the predicted phase is uncertain by 3 %
+            # the offset wanders slowly; where the programme moves gamma, the predicted phase moves too, right to 3 % of
+            # the move
             drift = math.hypot(3e-5, 0.03 * (after.point.phase - point.phase))
             covariance = turn @ covariance @ turn + np.diag([3e-4**2, drift**2])
         return state, covariance
@@ -287,6 +288,7 @@ class BranchHold:
         begin = max(round(self._place(cycle, point.phase)) - length, sequencer.position)
         if begin >= sequencer.position + ahead:
             return
+        # a launch without a correction is noted as well: landings are predicted through all of them
         launch = Launch(gamma, point)
         steady = sequencer.state in (State.SETTLING, State.HOLDING)
         self.holding = self.holding or (steady and self._foreseen >= 12)  # landings in a row as the filter foresaw
@@ -308,6 +310,7 @@ class BranchHold:
         correction = response * (wanted - point.next_landing(phase, 0.0, 0.0)) / float(response @ response)
         if kicked:
             correction[1] += self._table.kick * (1.0 if self._rng.random() < 0.5 else -1.0)
+        # scaled as a whole: its direction is what moves the landing
         correction *= min(1.0, self._table.authority / max(float(np.linalg.norm(correction)), 1e-300))
         return replace(launch, part=float(correction[0]), ahead=float(correction[1]) / self._weight)
 

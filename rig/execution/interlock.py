@@ -141,6 +141,7 @@ class Interlock:
         """
         codes = block.codes
         self._n_seen += len(codes)
+        # all are asked, as each carries a state on from block to block; the first that has a reason is named
         reasons = (
             self._drive(),
             self._frozen(drive_v, codes),
@@ -251,6 +252,7 @@ class Interlock:
     def _exchanged(self, window: _Window) -> str | None:
         """An input other than the looped-back drive's that reads the drive as it was played."""
         own = window.gain("drive") if self._loops_back else 1.0
+        # a drive that ran dry was not played as asked; an input within 20 % of it is the drive's own
         if window.ran_dry or not abs(own - 1.0) > 0.2:
             return None
         for name in set(self._scales) - {"drive"}:

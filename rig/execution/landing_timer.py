@@ -59,6 +59,7 @@ class LandingTimer:
             self._learn(self._quick(stretches[at]))
             return Landing(float(loud[0]), 0.5)
         mean = self._quick(self._mean)
+        # matched filter: in white noise the largest correlation is the likeliest place
         at = int(np.argmax(stretches @ mean))
         shown = self._quick(stretches[at])
         alike = float(shown @ mean) / max(float(np.linalg.norm(shown) * np.linalg.norm(mean)), 1e-300)
@@ -67,6 +68,7 @@ class LandingTimer:
         if alike < 0.7 or size < 0.25:
             return None
         shift, sigma = self._placed(stretches[at])
+        # the start was the best whole sample: a fit that leaves it has found another ring of the waveform
         if abs(shift) > 2.0:
             return None
         # later landings would not better the mean
@@ -88,6 +90,7 @@ class LandingTimer:
         """By how many samples the mean lies earlier than the landing in ``x`` (n,), and the standard uncertainty."""
         shift, sigma = 0.0, math.inf
         slope = np.fft.irfft(np.fft.rfft(self._mean) * 2j * math.pi * self._turns, len(x))
+        # the start is right to a whole sample: Gauss-Newton converges from there in three steps
         for _ in range(3):
             wave, steep = self._shifted(self._mean, shift), self._shifted(slope, shift)
             terms = np.column_stack([wave, steep, self._slow])
@@ -95,6 +98,7 @@ class LandingTimer:
             left = x - terms @ found
             # Gauss-Newton: the amplitude of the slope over that of the wave is the shift that is left
             shift -= float(found[1] / found[0])
+            # a delay is known as well as the noise over the norm of the waveform's slope (Cramer and Rao's bound)
             sigma = float(np.std(left) / (abs(found[0]) * np.linalg.norm(self._quick(steep))))
         return shift, sigma
 

@@ -99,6 +99,7 @@ class LossAccount:
     def heard(self, block: Block, n_played: int) -> list[Block]:
         """Take in what came back for ``n_played`` samples; gives back the blocks that are settled, to be recorded."""
         if block.place is None and not self.declares:
+            # frames without numbers: those that came short are missing somewhere before the next
             self._short += n_played - len(block.codes)
         if not len(block.codes):
             return []

@@ -123,6 +123,7 @@ def _follow(
         rest += leak * (a - rest)
         first += low * (a - rest - first)
         second += low * (first - second)
+        # leaking integrals: of a true one any offset would grow without bound
         v += second * dt - leak * v
         x += v * dt - leak * x
         peak_a, peak_v, peak_x = max(peak_a, abs(second)), max(peak_v, abs(v)), max(peak_x, abs(x))

@@ -272,6 +272,7 @@ class _Run:
             self._marks.append((step.end_sample if over else step.first_sample + 1, step, (gamma, uncertainty)))
         self._release()
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
+        # a simulation takes the time that it takes
         if trip is None and not self._backend.simulated:
             trip = self._interlock.late(waited_s, len(block.codes))
         if trip is not None:

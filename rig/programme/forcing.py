@@ -18,8 +18,6 @@ from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Floats
 
-# taken within 2^-80 of a turn a sample, far below what a float frequency can say.
-
 
 @dataclass(frozen=True)
 class PhaseClock:
