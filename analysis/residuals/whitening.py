@@ -262,8 +262,8 @@ def _shared(tones: Floats, bounds: Integers) -> tuple[Floats, Floats, Floats]:
     block = np.repeat(np.arange(len(counts)), counts)
     padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))
     padded[block, place] = tones
-    # covariance of unit residuals is 1 + T T'; its inverse root shrinks each singular direction of T by 1 / sqrt(1 +
-    # s^2)
+    # unit residuals have the covariance 1 + T T'; its inverse root shrinks T's singular directions by
+    # 1 / sqrt(1 + s^2)
     vectors, sizes, _ = svd(padded, full_matrices=False)
     # half the logarithm of its determinant, shared out evenly among the events
     logs = 0.5 * np.sum(np.log1p(sizes**2), axis=1) / counts
