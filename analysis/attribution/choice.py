@@ -260,6 +260,7 @@ class Pruning:
 
     def without_idle(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
         """The hypothesis without an earlier effect that the later ones have made idle; ``rounds`` gets a line."""
+        # the last one has just been accepted
         for candidate in best.candidates[:-1]:
             rest = tuple(c for c in best.candidates if c is not candidate)
             x = self.refits.attempted(rest, self._without, best, candidate, rest)
@@ -335,6 +336,7 @@ class Pruning:
                 chosen.append(c)
             else:
                 replaced |= set(c.free)
+                # a drift goes over to the special case's own name of the parameter
                 trends = tuple((n, q + TREND) for (n, q), (m, p) in origins.items() if (m, p + TREND) in c.free)
                 if trends:
                     chosen.append(Candidate((trends[0][0], *c.names[1:]), trends, ({},)))
@@ -342,6 +344,7 @@ class Pruning:
         origins |= {(n, q + TREND): (m, p + TREND) for (n, q), (m, p) in origins.items()}
         known = {k: v for k, v in values.items() if k not in replaced or k in free}
         reduced = {k: values.get(origins.get(k, k), null_value_of(k)) for k in free}
+        # and its own starts: the special case may have its minimum elsewhere
         points = [{**reduced, **point, **known} for point in ({}, *simpler.starts)]
         start = min(points, key=lambda point: self.refits.profile_loss(best.whitener, point))
         return self.refits.converged(tuple(chosen), best.whitener, free, start)
