@@ -19,8 +19,8 @@ from analysis.events.impact_template import ImpactTemplate
 from analysis.events.levels import Levels, measure_levels
 from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
-from analysis.plate.coloured_noise import with_coloured_noise
 from analysis.plate.motion import PlateMotion, StepPlate
+from analysis.plate.tone_noise import with_coloured_noise
 from analysis.signals.high_pass import LEAST_HZ, HighPass
 from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag

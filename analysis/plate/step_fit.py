@@ -16,8 +16,8 @@ from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import with_line_uncertainty
 from analysis.plate.motion import SlowMotion, StepPlate, Windows
-from analysis.plate.rounding import converter_step, with_rounding
 from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, StepState
+from analysis.plate.tone_noise import converter_step, with_rounding
 from analysis.plate.windows import WINDOW_CYCLES
 from daq.instrument.saturation import share_at_an_end
 from daq.loaded_tones import LoadedTones

@@ -14,9 +14,15 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from analysis.linear_algebra import solve
-from analysis.plate.fit_mask import FitIntervals
+from analysis.plate.fit_mask import (
+    FitIntervals,
+    mean_phasor,
+    modulated_projection,
+    shifted_down,
+    signed_frequencies,
+    two_sided,
+)
 from analysis.plate.motion import StepPlate
-from analysis.plate.phasors import mean_phasor, modulated_projection, shifted_down, signed_frequencies, two_sided
 from analysis.residuals.fitted_steps import intervals_of, tones_of, window_spans
 from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
 from analysis.statistics import mad_sigma

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
-from analysis.plate.mode_motion import PushedPlate, without_ringing
-from analysis.plate.modes import PlateMode, identified_mode
 from analysis.plate.motion import StepPlate
+from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
+from analysis.plate.ringing.modes import PlateMode, identified_mode
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import PlateData, plate_data

@@ -13,9 +13,8 @@ from typing import Self
 
 import numpy as np
 
-from analysis.plate.fit_mask import FitIntervals, solved
-from analysis.plate.mode_motion import ModeMotion
-from analysis.plate.phasors import signed_frequencies
+from analysis.plate.fit_mask import FitIntervals, signed_frequencies, solved
+from analysis.plate.ringing.mode_motion import ModeMotion
 from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
 from kernels.arrays import Bools, Complexes, Floats, Integers
@@ -106,7 +105,7 @@ class IntervalSums:
 
 @dataclass(frozen=True)
 class Ringing:
-    """Projection of a plate mode on the fitted tones; an `model.integrator.tone_probe.ToneProbe`.
+    """Projection of a plate mode on the fitted tones; an `model.integrator.problem.ToneProbe`.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ import numpy as np
 
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.loop.close_loop import judge_loop
-from analysis.plate.modes import PlateMode, identified_mode
+from analysis.plate.ringing.modes import PlateMode, identified_mode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from benchmarks.plants.instrument import Instrument

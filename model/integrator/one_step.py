@@ -15,9 +15,19 @@ from model.effects.registry import row
 from model.integrator import predict
 from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
-from model.integrator.problem import Detection, Measured, PlateSteps, active, columns_of, for_kernel, tones_for_kernel
+from model.integrator.problem import (
+    ContinuousProbe,
+    Detection,
+    Measured,
+    PlateSteps,
+    Projected,
+    ToneProbe,
+    active,
+    columns_of,
+    for_kernel,
+    tones_for_kernel,
+)
 from model.integrator.records import Acting, Events, Law, Mode, Plate, Probe, Steps, Visibility
-from model.integrator.tone_probe import ContinuousProbe, Projected, ToneProbe
 
 _T = TypeVar("_T", bound=np.generic)
 

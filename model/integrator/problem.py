@@ -1,10 +1,10 @@
-"""What one-event predictions are made from, and arrays as the integrator's kernels take them."""
+"""What one-event predictions are made from, as the integrator's kernels take it, and how tones were measured."""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,3 +146,57 @@ def tones_for_kernel(omega_radps: Floats, acceleration_mps2: Complexes) -> Float
     out = np.empty((*acceleration_mps2.shape, 3))
     out[..., 0], out[..., 1], out[..., 2] = omega_radps, acceleration_mps2.real, acceleration_mps2.imag
     return out
+
+
+class Projected(Protocol):
+    """What a plate mode adds to the measured tones: see `model.integrator.one_step.Predicted`."""
+
+    @property
+    def mode_amplitudes(self) -> Complexes: ...
+    @property
+    def projection(self) -> Complexes: ...
+    @property
+    def observed_s(self) -> Floats: ...
+
+
+class ToneProbe(Protocol):
+    """The time intervals and frequencies at which plate tones were measured; projects a mode's motion on them.
+
+    Attributes
+    ----------
+    first
+        Where each step's intervals begin in ``span_s``, and where the last ends, (m + 1,).
+    span_s
+        Intervals of time, in order within a step, (r, 2).
+    omega_radps
+        Angular frequencies, (m, l).
+    """
+
+    @property
+    def first(self) -> Integers: ...
+    @property
+    def span_s(self) -> Floats: ...
+    @property
+    def omega_radps(self) -> Floats: ...
+
+    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
+        """Contribution to the plate's tones (m, k), m/s^2, of integrals (r, l) of ``acceleration exp(-i w t)``."""
+        ...
+
+
+@dataclass(frozen=True)
+class ContinuousProbe:
+    """Tones measured all the time, far apart from one another."""
+
+    omega_radps: Floats
+
+    @property
+    def first(self) -> Integers:
+        return np.arange(len(self.omega_radps) + 1)
+
+    @property
+    def span_s(self) -> Floats:
+        return np.tile([-np.inf, np.inf], (len(self.omega_radps), 1))
+
+    def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
+        return np.asarray(2.0 * projection / np.where(observed_s > 0.0, observed_s, 1.0)[:, None])

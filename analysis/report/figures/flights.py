@@ -13,9 +13,8 @@ from analysis.flights.compare import Comparison, ball_on
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
-from analysis.report.figures.branches import draw_unstable
 from analysis.report.figures.measured import Measured
-from analysis.report.figures.zones import draw_zones, zones_over
+from analysis.report.figures.zones_and_branches import draw_unstable, draw_zones, zones_over
 from analysis.report.gamma import gamma_scale
 from analysis.residuals.held import held_steps
 from daq.recording import Recording

@@ -12,7 +12,7 @@ from analysis.attribution.candidates import candidates_of, distinct_starts, tren
 from analysis.attribution.choice import contained_in
 from analysis.attribution.coarse_search import joint_points
 from analysis.attribution.fit import HELD, Fitter
-from analysis.plate.modes import PlateMode
+from analysis.plate.ringing.modes import PlateMode
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId
 

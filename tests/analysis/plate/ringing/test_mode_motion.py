@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.plate.ball_push import Push
-from analysis.plate.mode_motion import ModeMotion, PushedPlate
+from analysis.plate.ringing.ball_push import Push
+from analysis.plate.ringing.mode_motion import ModeMotion, PushedPlate
 
 HZ, DAMPING, RATIO, BLOCK_S = 6.0, 0.05, 0.1, 1e-3
 IMPACT_S, IMPULSE_MPS = np.array([0.1234, 0.2005, 0.3141]), np.array([-0.3, -0.2, -0.25])

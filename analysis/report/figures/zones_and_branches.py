@@ -1,4 +1,8 @@
-"""Forbidden zones over gamma as areas, each followed from gamma to gamma by what it overlaps."""
+"""What theory adds to a bifurcation diagram: forbidden zones as areas, unstable cycles as lines.
+
+Each zone is followed from gamma to gamma by what it overlaps.
+Unstable cycles are what no ramp shows, and what a ball can be held on.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from analysis.report.figures import style
 from analysis.report.figures.style import ZONE
 from kernels.arrays import Floats
+from model.bifurcations.cycle_branches import cycle_branches
 from model.bifurcations.forbidden_zones import forbidden_zones
+from model.orbits.attractor import Ball
+from model.orbits.exact_ball import ExactBall
 from model.tones import Forcing
 
 
@@ -65,3 +73,21 @@ def draw_zones(ax: Any, zones: list[Floats], scale: float, unit: float, label: s
     for i, zone in enumerate(zones):
         g, a, b = zone.T
         ax.fill_between(g * scale, a * unit, b * unit, color=ZONE, lw=0, zorder=0, label=label if i == 0 else None)
+
+
+def draw_unstable(ax: Any, ball: Ball, low: float, high: float, scale: float, unit: float) -> None:
+    """Flight times of the unstable cycles of one and two flights between two gammas, as fine dashed lines.
+
+    ``scale`` and ``unit`` are those of the axes, to a gamma and to a flight time. Nothing is drawn for a ball that the
+    exact kernels do not fly, since its cycles take minutes.
+    """
+    if not isinstance(ball, ExactBall):
+        return
+    label: str | None = "unstable cycle, predicted"
+    for branch in cycle_branches(ball, low, high):
+        unstable = np.where(np.abs(branch.multiplier) > 1.0, 1.0, np.nan)
+        if np.isfinite(unstable).any():
+            y = branch.tau * (unit * unstable)[:, None]
+            lines = ax.plot(branch.gamma * scale, y, "--", lw=0.9, color=style.EVENT, zorder=1)
+            lines[0].set_label(label)
+            label = None

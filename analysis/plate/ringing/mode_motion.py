@@ -14,8 +14,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from analysis.linear_algebra import lstsq, solveh_banded
-from analysis.plate.ball_push import Push
 from analysis.plate.motion import StepPlate
+from analysis.plate.ringing.ball_push import Push
 from kernels.arrays import Bools, Complexes, Floats
 
 KICK_MPS, KICK_PART = 5e-4, 3e-3  # uncertainty of an impact's kick, for a ball of the mode's mass

@@ -26,9 +26,9 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
-from analysis.plate.ball_push import Push, ball_push, filled_after_impacts
-from analysis.plate.in_blocks import LEAD_S, drive_regressors, unmasked, volts_in_blocks
-from analysis.plate.mode_motion import TORN_S, ModeMotion, PushedPlate, turn_of
+from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
+from analysis.plate.ringing.in_blocks import LEAD_S, drive_regressors, unmasked, volts_in_blocks
+from analysis.plate.ringing.mode_motion import TORN_S, ModeMotion, PushedPlate, turn_of
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.plate.modes import PlateMode, answer, identified_mode
+from analysis.plate.ringing.modes import PlateMode, answer, identified_mode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from daq.recording import open_recording
