@@ -152,7 +152,6 @@ def _gammas(profile: Profile, ratio: int) -> list[float]:
     scale = takeoff / own_takeoff
     # from just above take-off to half as far again as the profile's own ramp
     low, high = max(min(own) * scale, 1.1 * takeoff), 1.5 * max(own) * scale
-    # four digits: the block is written into a profile, which a person reads
     return [float(f"{g:.4g}") for g in np.linspace(low, high, 10)]
 
 

@@ -66,7 +66,6 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
                 continue
             try:
                 if entry.is_dir(follow_symlinks=False):
-                    # a folder mounted within itself, which no symbolic link shows, would have no end
                     if depth < 32:
                         yield from _below(Path(entry.path), f"{prefix}{name}/", root, depth + 1)
                     continue

@@ -64,7 +64,6 @@ def make_flights(recording: Path, target: Path) -> Path:
         plate = flights.plate.steps[k] if k < len(flights.plate.steps) else None
         own = classes.get(k)
         chosen = np.flatnonzero((flights.step == k) & flights.good() & ~flights.has(FlightFlag.DOUBLE_HIT))
-        # every n-th: 400 dots of a step show its orbit, more would only lie on one another
         shown = chosen[:: -(-len(chosen) // 400)] if len(chosen) else chosen
         found.append({
             "step": k, "start_s": stamps[k], "length_s": float(step["n_samples"]) / rate_hz,

@@ -105,7 +105,6 @@ class Scope:
                 self._held.close()
                 self._held = None
             self._held = self._held or open_recording(self._file)
-        # an open file cannot be moved or deleted on Windows: after a minute without a look it is closed
         self._later = threading.Timer(60.0, self.close)
         self._later.daemon = True
         self._later.start()

@@ -109,7 +109,6 @@ def health_line(status: Status) -> str:
     achieved = "-"
     if math.isfinite(status.achieved_gamma):  # one digit of the uncertainty: the line has 80 characters
         achieved = f"{status.achieved_gamma:.4g} +- {status.achieved_gamma_uncertainty:.1g} (last hold)"
-    # a flight may last two or three cycles of the forcing: a longer silence is worth a look
     age = status.contact_age_cycles
     contact = "alive" if age <= 3.0 else f"silent for {age:.0f} cycles"
     return f"gamma {status.step.gamma:.4g}, achieved {achieved}; contact {contact}; {status.lost_samples} samples lost"

@@ -197,7 +197,6 @@ class SoundcardBackend:
         block = self.exchange(np.concatenate([quiet, self._table.marker_v * marker, quiet]))
         heard: Floats = np.asarray(block.codes[:, column] * scale, np.float64)
         found = find_marker(heard, marker)
-        # no driver holds a second of sound: after that the marker will not come
         while found is None and len(heard) < 1.0 * self.rate_hz:
             heard = np.concatenate([heard, self.exchange(quiet).codes[:, column] * scale])
             found = find_marker(heard, marker)

@@ -146,6 +146,7 @@ def _peaks_at_one(
     """What gamma = 1 asks: all of it grows with gamma."""
     w = 2.0 * math.pi * frequency_hz
     multiples = np.array([m for m, _ in tones])
+    # gamma = A w^2 / g of the first tone: at 1 its displacement has the size g / w^2
     x: Complexes = np.array([d for _, d in tones], dtype=np.complex128) * g / w**2
     a = -x * (multiples * w) ** 2
     return Peaks(
@@ -179,6 +180,7 @@ def _largest(multiples: Integers, amplitudes: Complexes) -> float:
 
 def _highest(multiples: Integers, amplitudes: Complexes) -> float:
     """Highest value of ``sum Re[z exp(i m phi)]``: a grid fine for the fastest tone, then a parabola at its top."""
+    # 512 points a turn of the fastest tone: the parabola at the top is then right to some 1e-8
     n = 512 * int(multiples.max())
     phi = 2.0 * np.pi * np.arange(n) / n
     y = np.real(np.exp(1j * np.outer(phi, multiples)) @ amplitudes)

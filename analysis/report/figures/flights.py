@@ -126,7 +126,6 @@ def draw_return_maps(shown: Measured, figure: Figure) -> None:
         key=lambda s: (s.measured.kind == "irregular", s.measured.modes, s.measured.flights),
         reverse=True,
     )
-    # six maps fit on a page
     chosen = sorted(ranked[:6], key=lambda s: s.step)
     if not chosen:
         return
