@@ -25,7 +25,7 @@ from analysis.attribution.candidates import Candidate, null_value_of, parameter_
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis
 from analysis.linear_algebra import eigh, pinv
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import robust_loss, robust_weight
+from analysis.residuals.noise.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import LEAST_INFORMATION
 from kernels.arrays import Floats, Integers

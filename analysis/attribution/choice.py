@@ -16,8 +16,8 @@ from analysis.attribution.candidates import Candidate, null_value_of, parameter_
 from analysis.attribution.chance import ChanceGains
 from analysis.attribution.hypothesis import Hypothesis, Refits, Rejected
 from analysis.residuals.lack_of_fit import plate_rms_standardised
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS, Thresholds
 from kernels.arrays import Bools, Floats
 from model.effects.registry import effect

@@ -21,8 +21,8 @@ from scipy.optimize import minimize
 
 from analysis.attribution.candidates import Point, parameter_of
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId
-from analysis.residuals.whitening import Whitener
 from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import effect, registry
 

@@ -17,7 +17,7 @@ from analysis.attribution.choice import LogScoreDifference
 from analysis.attribution.fit import Fitted, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.linear_algebra import pinv
-from analysis.residuals.noise_model import robust_loss, robust_weight
+from analysis.residuals.noise.noise_model import robust_loss, robust_weight
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 from kernels.arrays import Bools, Floats, Integers

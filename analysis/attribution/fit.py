@@ -22,9 +22,9 @@ from scipy.special import chdtri
 from analysis.attribution.candidates import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import robust_loss, robust_weight
+from analysis.residuals.noise.noise_model import robust_loss, robust_weight
+from analysis.residuals.noise.whitening import Whitener, step_losses
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener, step_losses
 from analysis.thresholds import ANOTHER_EVENT_S, CALIBRATION_SIGMAS, NULL_P
 from kernels.arrays import Bools, Floats
 from model.effects.registry import effect

@@ -13,10 +13,10 @@ from analysis.attribution.fit import Fitted, Fitter
 from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
+from analysis.residuals.noise.uncertainty import uncertainty_at
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
-from analysis.residuals.uncertainty import uncertainty_at
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 from kernels.arrays import Floats
 from model.effects.registry import effect

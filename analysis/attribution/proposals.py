@@ -16,8 +16,8 @@ from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.linear_algebra import NotFiniteError
 from analysis.parallel import THREADS
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId, plate_effects
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import DRIFTING_NATS, NEAR_NATS, NEAR_PART, Thresholds
 from model.effects.registry import effect, trend_name
 

@@ -18,9 +18,9 @@ from analysis.attribution.candidates import null_value_of
 from analysis.attribution.chance import Place
 from analysis.attribution.fit import Fitter, of_same_events
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import robust_curvature, robust_weight
+from analysis.residuals.noise.noise_model import robust_curvature, robust_weight
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId, Values
-from analysis.residuals.whitening import Whitener
 from kernels.arrays import Floats
 
 STEP = 0.01  # finite difference of a coordinate

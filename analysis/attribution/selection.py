@@ -22,7 +22,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected
 from analysis.attribution.proposals import Proposals
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.whitening import Whitener
+from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, Thresholds
 
 Progress = Callable[[str, float], None]

@@ -15,7 +15,7 @@ import numpy as np
 
 from analysis.discovery.stack import StackedResiduals
 from analysis.linear_algebra import lstsq
-from analysis.residuals.noise_model import log_odds, robust_loss, robust_weight
+from analysis.residuals.noise.noise_model import log_odds, robust_loss, robust_weight
 from kernels.arrays import Floats
 
 X = TypeVar("X")

@@ -17,7 +17,7 @@ from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
 from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import log_odds, robust_loss
+from analysis.residuals.noise.noise_model import log_odds, robust_loss
 from analysis.residuals.values import Values
 from kernels.arrays import Floats
 

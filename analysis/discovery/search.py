@@ -34,10 +34,10 @@ from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Curve, Term, event_terms, ranges_of
 from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import robust_loss
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.noise_model import robust_loss
+from analysis.residuals.noise.uncertainty import uncertainty_at
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId, Values
-from analysis.residuals.whitening import Whitener
 from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import excess_noise, log_odds, robust_loss
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.noise_model import excess_noise, log_odds, robust_loss
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
 from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
 from kernels.arrays import Bools, Floats, Integers

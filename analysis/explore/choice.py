@@ -24,8 +24,8 @@ from analysis.explore.explanations import Explanation, Weighed
 from analysis.linear_algebra import inv, lstsq
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
 

@@ -23,10 +23,10 @@ from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import observations_from
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import TREND, ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import Thresholds
 from daq.recording import open_recording
 from daq.setup.errors import InputError

@@ -18,9 +18,9 @@ import numpy as np
 from analysis.attribution.chance import Place
 from analysis.attribution.fit import of_same_events
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.uncertainty import EDGE_STEP_S
+from analysis.residuals.noise.uncertainty import EDGE_STEP_S
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import Values
-from analysis.residuals.whitening import Whitener
 from kernels.arrays import Bools, Floats
 
 NAMES = ("openings late beside closings", "closings of brief contacts late")

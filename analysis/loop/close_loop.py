@@ -36,6 +36,7 @@ from analysis.loop.tables import (
 from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
+from analysis.residuals.noise.whitening import step_losses
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.prediction_errors import (
     given_openings,
@@ -45,7 +46,6 @@ from analysis.residuals.prediction_errors import (
     scored_rows,
 )
 from analysis.residuals.values import TREND
-from analysis.residuals.whitening import step_losses
 from analysis.signals.high_pass import LEAST_HZ
 from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful

@@ -16,10 +16,19 @@ from analysis.attribution.candidates import Prior, null_value_of, priors_of
 from analysis.attribution.fit import Fitter
 from analysis.loop.close_loop import FittedLoop
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import GAIN, GATE, PHASE, SECOND, THIRD, PlateData, expected, share_of_first
+from analysis.residuals.plate_data.plate_observables import (
+    GAIN,
+    GATE,
+    PHASE,
+    SECOND,
+    THIRD,
+    PlateData,
+    expected,
+    share_of_first,
+)
 from analysis.residuals.values import TREND, ParameterId, Values
-from analysis.residuals.whitening import Whitener
 from daq.setup.setup import Setup
 from daq.setup.values import STANDARD_GRAVITY_MPS2
 from kernels.arrays import Floats

@@ -179,7 +179,7 @@ class PlateTable:
     Attributes
     ----------
     kind, step
-        Index into `analysis.residuals.plate_observables.KINDS`, and row of the step.
+        Index into `analysis.residuals.plate_data.plate_observables.KINDS`, and row of the step.
     value, sigma
         Measured, with standard deviation, in the unit of the kind.
     before, after

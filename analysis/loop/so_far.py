@@ -23,10 +23,10 @@ from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Refits
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, plate_probability
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import Observations
 from analysis.residuals.prediction_errors import landing_probability, noise_floors_us, scored_rows
 from analysis.residuals.values import TREND, ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, RUN_P
 from model.effects.registry import resolve
 

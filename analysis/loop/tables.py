@@ -25,7 +25,7 @@ from analysis.loop.result import (
     StepTable,
 )
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import TREND, ParameterId, Values
 from daq.recording import open_recording
 from daq.recording.identity import stored_id

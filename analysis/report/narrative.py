@@ -23,7 +23,7 @@ from analysis.report.wording import (
     what_is_left,
 )
 from analysis.residuals.covariates import COVARIATES
-from analysis.residuals.plate_observables import KINDS
+from analysis.residuals.plate_data.plate_observables import KINDS
 from analysis.statistics import mad_sigma
 from model.effects.registry import effect
 

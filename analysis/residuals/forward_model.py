@@ -1,7 +1,8 @@
 """Forward model: parameter values to residuals one event ahead.
 
-The uncertainty of a residual (`analysis.residuals.uncertainty`) is that of the measured numbers (edges of this and the
-earlier flights, the plate's tones), propagated through the prediction; it is never taken from the scatter of residuals.
+The uncertainty of a residual (`analysis.residuals.noise.uncertainty`) is that of the measured numbers (edges of this
+and the earlier flights, the plate's tones), propagated through the prediction; it is never taken from the scatter of
+residuals.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.residuals.covariates import COVARIATES, covariates_of
-from analysis.residuals.measured_mode import MeasuredMode
 from analysis.residuals.memory import Memory
-from analysis.residuals.modulation import AmplitudeModulation
 from analysis.residuals.observations import Observations
-from analysis.residuals.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
-from analysis.residuals.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
+from analysis.residuals.plate_data.measured_mode import MeasuredMode
+from analysis.residuals.plate_data.modulation import AmplitudeModulation
+from analysis.residuals.plate_data.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
+from analysis.residuals.plate_data.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.values import (
     TREND,
     AllValues,

@@ -21,8 +21,8 @@ from scipy.special import chdtrc, fdtrc
 
 from analysis.linear_algebra import cholesky, solve
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope, uncertainty_at
 from analysis.residuals.prediction_errors import near_grazing
-from analysis.residuals.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope, uncertainty_at
 from analysis.residuals.values import Values
 from analysis.thresholds import (
     FARTHEST_SIGMAS,

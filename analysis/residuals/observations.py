@@ -20,11 +20,11 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
 from analysis.plate.ringing.modes import PlateMode, identified_mode
 from analysis.residuals.fades import Fades, pushes
-from analysis.residuals.modulation import AmplitudeModulation
-from analysis.residuals.plate_observables import PlateData, plate_data
+from analysis.residuals.held import Launches
+from analysis.residuals.plate_data.modulation import AmplitudeModulation
+from analysis.residuals.plate_data.plate_observables import PlateData, plate_data
+from analysis.residuals.plate_data.slow_lines import hints_of, other_lines_radps
 from analysis.residuals.shown_impacts import closure_s, weak_mps
-from analysis.residuals.slow_lines import hints_of, other_lines_radps
-from analysis.residuals.steered import Launches
 from daq.recording import Recording, open_recording
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup

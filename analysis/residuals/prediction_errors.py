@@ -14,8 +14,8 @@ import numpy as np
 
 from analysis.linear_algebra import cholesky, inv
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import log_odds, robust_loss
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.noise_model import log_odds, robust_loss
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import ParameterId
 from analysis.statistics import MAD_TO_SIGMA, chance_of_squares
 from analysis.thresholds import (

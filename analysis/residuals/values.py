@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 
-from analysis.residuals.plate_observables import PLATE_HOOKS
+from analysis.residuals.plate_data.plate_observables import PLATE_HOOKS
 from model.effects.base import PLATE_ONLY_HOOKS
 from model.effects.registry import effect, registry
 

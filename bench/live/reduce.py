@@ -15,8 +15,8 @@ from analysis.flights.assemble import flights_of
 from analysis.flights.classify import classify
 from analysis.flights.table import FlightFlag, Flights
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.observations import Observations, observed
-from analysis.residuals.uncertainty import uncertainty_at
 from daq.recording import Recording
 from daq.setup.setup import Setup
 from kernels.arrays import Floats

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from analysis.residuals.plate_observables import MODULATION
+from analysis.residuals.plate_data.plate_observables import MODULATION
 from benchmarks.scoring.truth import AT_RATIO, OTHER_PARAMETERS, expected_covariate, expected_names
 
 Row = dict[str, Any]

@@ -101,8 +101,8 @@ def _unit_landings(p: Predictions) -> Floats:
 
 def size_of(model: Any, values: Any) -> dict[str, float]:
     """Root mean square residual at ``values`` over the uncertainty, noise taken out, by channel; grazes left out."""
+    from analysis.residuals.noise.uncertainty import uncertainty_at
     from analysis.residuals.prediction_errors import near_grazing
-    from analysis.residuals.uncertainty import uncertainty_at
 
     u, r, ev = uncertainty_at(model, values), model.residuals(values), model.observations
     firm, out = ~near_grazing(model, values), {}

@@ -14,7 +14,7 @@ from analysis.attribution.fit import Fitter
 from analysis.loop.design import Design, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import GAIN, PHASE, PlateData
+from analysis.residuals.plate_data.plate_observables import GAIN, PHASE, PlateData
 from analysis.residuals.values import ParameterId
 from daq.channels.accelerometer import AccelerometerChannel
 from daq.channels.registry import Channels

@@ -15,7 +15,7 @@ from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.figures.style import AFTER, BEFORE, FLOOR, clipped_dots
 from analysis.report.gamma import gamma_scale
 from analysis.residuals.covariates import COVARIATES
-from analysis.residuals.plate_observables import GAIN, KINDS, PHASE
+from analysis.residuals.plate_data.plate_observables import GAIN, KINDS, PHASE
 from kernels.arrays import Bools, Floats, Integers
 
 if TYPE_CHECKING:

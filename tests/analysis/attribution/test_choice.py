@@ -15,7 +15,7 @@ from analysis.attribution.choice import Judge, LogScoreDifference, chance_refusa
 from analysis.attribution.fit import Fitted, Fitter, bounded_step
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.whitening import Whitener
+from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN
 from kernels.arrays import Floats
 

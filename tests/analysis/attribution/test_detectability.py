@@ -14,7 +14,7 @@ from analysis.attribution.detectability import Detectability
 from analysis.attribution.fit import Fitter
 from analysis.loop.close_loop import close_loop
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.whitening import Whitener
+from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN
 from benchmarks.analysis.joint import short_runs
 

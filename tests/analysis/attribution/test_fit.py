@@ -13,8 +13,8 @@ from scipy import stats
 from analysis.attribution.candidates import Prior, priors_of
 from analysis.attribution.fit import Fitter, _solve
 from analysis.residuals.forward_model import ForwardModel, Residuals
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import CALIBRATION_SIGMAS
 
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")

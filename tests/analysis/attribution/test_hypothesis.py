@@ -9,8 +9,8 @@ from analysis.attribution.choice import contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits, with_hidden_free
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener
 
 CORNER, LAG = ("accelerometer_high_pass", "corner_hz"), ("accelerometer_lag", "delay_s")
 DRAG = ("quadratic_drag", "k_per_m")

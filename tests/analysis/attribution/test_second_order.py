@@ -17,8 +17,8 @@ from analysis.attribution.second_order import (
     slopes_at,
 )
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise_model import NEVER
-from analysis.residuals.whitening import Whitener
+from analysis.residuals.noise.noise_model import NEVER
+from analysis.residuals.noise.whitening import Whitener
 
 
 class Independent:

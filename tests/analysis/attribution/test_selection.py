@@ -15,8 +15,8 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.selection import SelectionResult, StepwiseSelection, remaining_candidates
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN, MOST_OF_A_STEP_NATS
 
 GAMMAS = (0.5, 1.1, 0.8, 1.3, 0.65, 0.95)

@@ -17,9 +17,9 @@ from analysis.discovery.spline_basis import basis_of, knots_of
 from analysis.discovery.stack import StackedResiduals
 from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, scored_rows
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener
 from model.effects.smooth_force import KNOTS
 
 DEEPEST_M = 8e-3

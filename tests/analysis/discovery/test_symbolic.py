@@ -10,7 +10,7 @@ from analysis.discovery.search import TermSearch
 from analysis.discovery.symbolic import search_forms
 from analysis.discovery.terms import IN_FLIGHT, Curve, ranges_of
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.whitening import Whitener
+from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN
 
 SPRING = 40.0

@@ -10,8 +10,8 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Refits
 from analysis.joint.systematics import NAMES, UNIT_S, Systematics
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import observations_from
-from analysis.residuals.whitening import Whitener
 from benchmarks.analysis.joint import short_runs
 
 LATE_S = 2e-6

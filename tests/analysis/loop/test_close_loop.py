@@ -12,8 +12,8 @@ from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.selection import SelectionResult
 from analysis.loop.close_loop import refuse_far_off, withdraw_unconfirmed
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
-from analysis.residuals.whitening import Whitener
 from analysis.thresholds import FROZEN
 from daq.setup.errors import InputError
 

@@ -9,9 +9,9 @@ from analysis.attribution.candidates import priors_of
 from analysis.attribution.fit import Fitter
 from analysis.loop.design import Design, designs_for, simulate_design
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import Observations, Steps
-from analysis.residuals.plate_observables import GAIN, SECOND, PlateData
-from analysis.residuals.whitening import Whitener
+from analysis.residuals.plate_data.plate_observables import GAIN, SECOND, PlateData
 from daq.channels.accelerometer import AccelerometerChannel
 from daq.channels.registry import Channels
 from daq.setup.setup import Ball, Forcing, Setup

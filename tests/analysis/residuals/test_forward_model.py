@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.uncertainty import kicks_of, uncertainty_at
+from analysis.residuals.noise.uncertainty import kicks_of, uncertainty_at
+from analysis.residuals.noise.whitening import Whitener, step_losses
 from analysis.residuals.values import TREND
-from analysis.residuals.whitening import Whitener, step_losses
 from analysis.thresholds import SHARED_S
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}

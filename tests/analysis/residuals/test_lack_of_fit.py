@@ -12,7 +12,7 @@ from scipy import stats
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit, innovations
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.thresholds import FROZEN
 
 MU = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}

@@ -12,9 +12,9 @@ import pytest
 
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.memory import Memory
-from analysis.residuals.noise_model import EXCESSES_S, excess_noise, log_odds, robust_loss
-from analysis.residuals.plate_observables import expected
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.noise_model import EXCESSES_S, excess_noise, log_odds, robust_loss
+from analysis.residuals.noise.uncertainty import uncertainty_at
+from analysis.residuals.plate_data.plate_observables import expected
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 PLATE = {("drive_gain", "relative"): 0.02, ("phase_lag", "delay_s"): 1e-4, ("drive_gain", "relative@drift"): 0.01}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.prediction_errors import (
     _tones_given,
     given_openings,
@@ -17,7 +18,6 @@ from analysis.residuals.prediction_errors import (
     noise_quantiles_us,
     scored_rows,
 )
-from analysis.residuals.uncertainty import uncertainty_at
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.noise_model import excess_noise
-from analysis.residuals.whitening import StepBlocks
+from analysis.residuals.noise.noise_model import excess_noise
+from analysis.residuals.noise.whitening import StepBlocks
 from analysis.thresholds import LEAST_EXCESS_S
 
 STEPS, EACH, EDGE_S, TONE_S, PERIOD_S = 20, 30, 3e-7, 3e-6, 0.04

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.plate.fit_mask import FitIntervals
-from analysis.residuals.plate_mode import IntervalSums, Ringing, driven
-from analysis.residuals.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
+from analysis.residuals.plate_data.plate_mode import IntervalSums, Ringing, driven
+from analysis.residuals.plate_data.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from kernels.arrays import Floats
 from model.integrator.one_step import Predicted
 from model.integrator.problem import PlateSteps

@@ -16,8 +16,8 @@ from scipy.optimize import minimize_scalar
 
 from analysis.linear_algebra import NotFiniteError, svd
 from analysis.residuals.forward_model import ForwardModel, Residuals
-from analysis.residuals.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.noise.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
 from analysis.statistics import mad_sigma
 from analysis.thresholds import (

@@ -15,8 +15,18 @@ import numpy as np
 
 from analysis.plate.fit_mask import FitIntervals, signed_frequencies, solved
 from analysis.plate.ringing.mode_motion import ModeMotion
-from analysis.residuals.modulation import AmplitudeModulation
-from analysis.residuals.plate_observables import GAIN, GATE, HUM, MODULATION, OFFSET, PHASE, SECOND, THIRD, PlateData
+from analysis.residuals.plate_data.modulation import AmplitudeModulation
+from analysis.residuals.plate_data.plate_observables import (
+    GAIN,
+    GATE,
+    HUM,
+    MODULATION,
+    OFFSET,
+    PHASE,
+    SECOND,
+    THIRD,
+    PlateData,
+)
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.one_step import Predicted
 from model.integrator.problem import PlateSteps

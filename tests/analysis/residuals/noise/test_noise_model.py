@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.noise_model import (
+from analysis.residuals.noise.noise_model import (
     NEVER,
     PlateNoise,
     excess_noise,

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from analysis.residuals.observations import Observations
-from analysis.residuals.plate_mode import Ringing
+from analysis.residuals.plate_data.plate_mode import Ringing
 from kernels.arrays import Complexes, Floats
 
 

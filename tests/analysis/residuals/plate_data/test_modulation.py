@@ -10,10 +10,10 @@ import pytest
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.modulation import AmplitudeModulation
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.observations import Observations, observations_from
-from analysis.residuals.plate_observables import HUM, MODULATION, PlateData
-from analysis.residuals.uncertainty import uncertainty_at
+from analysis.residuals.plate_data.modulation import AmplitudeModulation
+from analysis.residuals.plate_data.plate_observables import HUM, MODULATION, PlateData
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import FROZEN
 from kernels.arrays import Complexes, Floats

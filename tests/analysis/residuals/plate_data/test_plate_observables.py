@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from analysis.residuals.plate_observables import (
+from analysis.residuals.plate_data.plate_observables import (
     CLOCK,
     GAIN,
     HUM,

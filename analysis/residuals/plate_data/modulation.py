@@ -23,8 +23,17 @@ from analysis.plate.fit_mask import (
     two_sided,
 )
 from analysis.plate.motion import StepPlate
-from analysis.residuals.fitted_steps import intervals_of, tones_of, window_spans
-from analysis.residuals.plate_observables import GAIN, HUM, LEAST_WINDOWS, MODULATION, PHASE, SECOND, THIRD, PlateData
+from analysis.residuals.plate_data.fitted_steps import intervals_of, tones_of, window_spans
+from analysis.residuals.plate_data.plate_observables import (
+    GAIN,
+    HUM,
+    LEAST_WINDOWS,
+    MODULATION,
+    PHASE,
+    SECOND,
+    THIRD,
+    PlateData,
+)
 from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import PlateSteps

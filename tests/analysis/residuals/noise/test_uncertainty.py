@@ -11,8 +11,8 @@ import pytest
 from analysis.events.edge_jitter import MIN_STEPS, Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
+from analysis.residuals.noise.uncertainty import rounding_errors
 from analysis.residuals.observations import Observations
-from analysis.residuals.sample_rounding import rounding_errors
 from analysis.thresholds import FROZEN
 
 SAMPLING_S = 5e-5

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.plate.mains_lines import MAINS_HZ, MAX_OFFSET_HZ
 from analysis.plate.motion import StepPlate
-from analysis.residuals.noise_model import PlateNoise
+from analysis.residuals.noise.noise_model import PlateNoise
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import effect

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.motion import StepPlate
-from analysis.residuals.plate_observables import LEAST_WINDOWS
+from analysis.residuals.plate_data.plate_observables import LEAST_WINDOWS
 from kernels.arrays import Complexes, Floats
 
 
