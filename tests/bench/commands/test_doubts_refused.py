@@ -69,4 +69,4 @@ def test_info_import_and_reprocess_say_what_the_instrument_is(inverted: Path) ->
     """Noise, tones and the doubt are said by every command that looks at the recording."""
     for command in ("info", "reprocess"):
         said = bench(command, inverted).output
-        assert "noise 0.3 m/s^2 rms" in said and "a tone at 25.37 Hz" in said and "write sign = -1" in said
+        assert "noise 0.29 m/s^2 rms" in said and "a tone at 25.37 Hz" in said and "write sign = -1" in said

@@ -154,6 +154,6 @@ def test_columns_that_are_not_imported_are_told_in_one_line(raw: Path, tmp_path:
     (line,) = [line for line in result.output.split("\n") if "not imported" in line]
     why = (
         "cube (3 dimensions), log/place (text), map (70 columns, at most 64 are read), remarks (text or lists), "
-        "spectrum (complex numbers), view (kept in another file), wide (rows of 5000 bytes, at most 4096 are read)"
+        "spectrum (complex numbers), view (stored in another file), wide (rows of 5000 bytes, at most 4096 are read)"
     )
     assert line == f"note: not imported: {why}"

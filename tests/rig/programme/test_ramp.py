@@ -66,7 +66,8 @@ def test_peaks_of_one_sine_by_hand(make_profile) -> None:
 )  # fmt: skip
 def test_each_limit_forbids(make_profile, limit: str, name: str) -> None:
     """Each limit, when low, forbids every step by its own name; when high, none."""
-    low = make_profile((limit, f"{name} = 1e-5"))
+    quiet = ("[ramp]", "[backend]\nmarker_v = 1e-6\n[ramp]")  # a louder marker is refused with the profile
+    low = make_profile((limit, f"{name} = 1e-5"), quiet)
     lines = [line for step in plan(low).steps for line in forbidden(low.limits, step, peaks(low, step.gamma))]
     assert len(lines) == 3
     assert all(f"limits.{name} allows 1e-05" in line for line in lines)
