@@ -20,6 +20,7 @@ from typer.core import TyperGroup
 
 from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
 from bench.terminal.defect import DEFECTS, end_with_defect
+from kernels import BLAS_THREADS
 from kernels.errors import InputError
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -151,6 +152,9 @@ def main() -> None:
     from bench.terminal.streams import make_safe
 
     make_safe()
+    for name in BLAS_THREADS:
+        # tables of some hundred rows gain nothing by threads, and these wait for each other on a core each
+        os.environ.setdefault(name, "1")
     if os.environ.get("COLUMNS") == "0":
         del os.environ["COLUMNS"]  # a terminal that does not know its width
     try:

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 __all__ = ["njit"]
 
+BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that say, before numpy is imported, how many threads linear algebra has."""
 LARGEST_BYTES = 1 << 23  # of a stored block: the results and the work arrays of a diagram, a piece of a recording
 
 

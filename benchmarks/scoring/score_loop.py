@@ -15,6 +15,7 @@ is, is measured: see `benchmarks.scoring.tables`.
 from __future__ import annotations
 
 import argparse
+import os
 import socket
 import sys
 import time
@@ -30,6 +31,7 @@ from benchmarks.scoring.tables import show
 from benchmarks.scoring.trial import Job, conditions, run
 from benchmarks.scoring.version import code_version
 from daq.files.whole_file import Journal
+from kernels import BLAS_THREADS
 from model.surveys.workers import outcomes
 
 TELL_EVERY = 50  # trials
@@ -126,6 +128,8 @@ def _same(value: Any, text: str) -> bool:
 def main() -> None:
     """Run what is missing within the time, then print."""
     args = _options()
+    for name in BLAS_THREADS:  # of the workers, as in `bench`
+        os.environ.setdefault(name, "1")
     journal = Journal(args.results)
     if not (args.show or args.against):
         wanted = [

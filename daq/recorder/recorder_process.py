@@ -27,10 +27,10 @@ from daq.recording.writer import ClosedRun, Ending, RecordingWriter
 from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels import BLAS_THREADS
 
 IDLE_S = 0.001
 NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")  # words to the run, which then closes the recording
-_BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Pipe(Protocol):
@@ -214,8 +214,8 @@ def _start_conditions() -> Iterator[None]:
 
     Signals are held back (POSIX), so that none meets the recorder before it knows to ignore them.
     """
-    environment = {name: os.environ.get(name) for name in _BLAS}
-    os.environ.update(dict.fromkeys(_BLAS, "1"))
+    environment = {name: os.environ.get(name) for name in BLAS_THREADS}
+    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
     can_hold = hasattr(signal, "pthread_sigmask")
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _not_for_us()) if can_hold else set()
     try:

@@ -21,6 +21,7 @@ from bench.profiles.find import find_scenario, scenario_names, shipped_folder
 from bench.terminal.console import next_command, print_table, write_json
 from bench.terminal.streams import SafeStream, nearest
 from daq.setup.errors import InputError
+from kernels import BLAS_THREADS
 
 ROOT = Path(__file__).parents[3]
 
@@ -233,3 +234,17 @@ def test_help_by_its_short_name() -> None:
 def test_the_next_command_has_the_files_name_as_a_shell_takes_it() -> None:
     """A name with a blank is quoted."""
     assert "bench close-loop 'my run.h5' " in next_command(Path("my run.h5"))
+
+
+@pytest.mark.parametrize(("said", "threads"), [(None, "1"), ("2", "2")])
+def test_linear_algebra_has_one_thread_unless_more_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch, said: str | None, threads: str
+) -> None:
+    """A command sets the number of threads before numpy is there, and leaves a number that the user has set."""
+    for name in BLAS_THREADS:
+        monkeypatch.delenv(name, raising=False) if said is None else monkeypatch.setenv(name, said)
+    code = "import os, sys\nsys.argv = ['bench', '--help']\nfrom bench.cli import main\n"
+    code += "try: main()\nexcept SystemExit: pass\n"
+    code += "assert 'numpy' not in sys.modules\nsys.exit(os.environ['OPENBLAS_NUM_THREADS'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.strip() == threads
