@@ -83,7 +83,7 @@ def gated(backend: Backend, profile: Profile, table: CardOptions) -> Backend:
             f"profile {profile.name!r}: backend.block_samples = {table.block_samples} leaves {1e3 * block_s:.0f} ms "
             f"between heartbeats of the gate, a cycle has {1e3 * cycle_s:.0f} ms; wanted {most} at most"
         )
-    highest_hz = profile.forcing.frequency_hz * profile.forcing.ratio
+    highest_hz = profile.forcing.frequency_hz * profile.forcing.multiples[-1]
     limits = limits_for(profile.forcing.frequency_hz, highest_hz, table.gate_limit, table.gate_rate_hz)
     return GatedBackend(backend, lambda: _open_port(table.gate_port), limits)
 
