@@ -1,6 +1,6 @@
 """The bench's hardware as the product meets it: plate and ball, a plain device, a card's driver, a serial port.
 
-Each keeps what it really did: every drive sample that reached the plate, every frame that it handed over, with its
+Each records what it really did: every drive sample that reached the plate, every frame that it handed over, with its
 own number. The fourth channel of a frame spells its number, so that a frame cannot pass for another.
 """
 
@@ -19,8 +19,6 @@ from rig.backends.base import BackendError
 CHANNELS = ("continuity", "accelerometer", "drive", "displacement")
 SCALE = volts_per_code(10.0)
 G_PER_VOLT = 2.0
-PERIOD = 128  # frames of a card's callback
-ROWS = 32  # in a serial frame
 
 
 def spelled(numbers: np.ndarray) -> np.ndarray:
@@ -33,7 +31,6 @@ class Ledger:
     """What the hardware really did."""
 
     rate_hz: float
-    begun: float = 0.0  # number of the first sample of the run
     out: list[np.ndarray] = field(default_factory=list)  # drive samples that reached the plate, from number 0 on
     n_out: int = 0
     codes: list[np.ndarray] = field(default_factory=list)  # frames handed over
@@ -58,7 +55,6 @@ class Plate:
         self._at = {fault.kind: fault.at * n_planned for fault in plan_faults}
         self._rng = rng
         self._held = 0
-        self.turned_off = 10**18  # number of samples from which nothing is planned: sensors may do what they like
 
     def codes(self, first: int, drive_v: np.ndarray) -> np.ndarray:
         """Frames ``(n, 4)`` of samples from ``first`` on."""

@@ -69,7 +69,6 @@ class Disk:
         """Empty, sound, and without a past."""
         self.frozen, self.refusals, self.is_aside = False, list[Refusal](), False
         self.on_call: Callable[[int], None] = lambda call: None
-        self.logged, self.calls = "", 0
         for path in self.folder.iterdir():
             path.unlink()
         self.calls = 0
