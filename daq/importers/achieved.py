@@ -106,9 +106,8 @@ def _rings_on(left: Floats, closings: Integers, rate_hz: float) -> bool:
     inside = closings[(closings > lead + width) & (closings + behind + width < len(left))]
     if len(inside) < 4:
         return False
-    before, at, after = (
-        np.median([np.std(left[a : a + width]) for a in inside + shift]) for shift in (-lead - width, 0, behind)
-    )
+    windows = np.lib.stride_tricks.sliding_window_view(left, width)
+    before, at, after = (np.median(windows[inside + shift].std(axis=1)) for shift in (-lead - width, 0, behind))
     # what is left after the mask stands out of what was there before, and is a good part of the ringing
     return bool(after > 5.0 * before and after > 0.2 * at)
 
