@@ -33,10 +33,12 @@ def is_fall(time: Floats, height: Floats) -> int:
 
     A fall goes one way, but for its noise and single strays, and is faster at its end than at its beginning.
     """
-    height = signal.medfilt(height, 3) if len(height) >= _LEAST_SAMPLES else height
+    if len(height) < _LEAST_SAMPLES or np.any(np.diff(time) <= 0.0):
+        return 0
+    height = signal.medfilt(height, 3)
     height[[0, -1]] = height[[1, -2]]  # the filter takes zeros beyond the ends
     span = float(np.ptp(height))
-    if len(height) < _LEAST_SAMPLES or span <= 0.0 or np.any(np.diff(time) <= 0.0):
+    if span <= 0.0:
         return 0
     sign = 1 if height[0] > height[-1] else -1
     down = -sign * (height - height[0])

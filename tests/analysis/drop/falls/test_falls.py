@@ -52,6 +52,15 @@ def test_only_a_fall_counts_as_one() -> None:
     assert is_fall(t, np.abs(np.cos(3.0 * t))) == 0
 
 
+@pytest.mark.parametrize("n", [0, 1, 5])
+def test_too_few_heights_are_no_fall_and_stay_as_they_are(n: int) -> None:
+    """A table of a few rows is judged without a change of its heights, and an empty one too."""
+    time = np.arange(n) / 10.0
+    height = 40.0 - 0.5 * G * time**2
+    before = height.copy()
+    assert is_fall(time, height) == 0 and np.array_equal(height, before)
+
+
 def test_drops_are_grouped_by_ball() -> None:
     """Sheets with numbered drops, and numbered files, are drops of one ball; balls that have a number keep it."""
     t = np.arange(9.0)
@@ -96,7 +105,7 @@ def test_what_is_known_of_spheres_is_no_measurement() -> None:
     assert ball["k_per_m"]["low"] <= 0.0016 <= ball["k_per_m"]["high"] < 0.005
 
 
-def test_a_hand_that_throws_is_told_from_one_that_lets_go() -> None:
+def test_a_throw_is_distinguished_from_a_release_at_rest() -> None:
     """A release with 2 m/s downward is named, one from rest is not."""
     for speed_s in (0.2, 0.0):
         falls = falls_of({"a": 0.02, "b": 0.01}, 0.0, np.random.default_rng(456))
