@@ -149,7 +149,7 @@ class Judge:
     def refuted(self, x: Hypothesis, beside: Hypothesis) -> bool:
         """Whether ``x`` leaves more than noise where another hypothesis does not.
 
-        That refutes it, however much steps differ in how clearly they tell the two apart.
+        That refutes it, however much steps differ in how clearly they distinguish the two.
         """
         ratio = self.limits.noise_like_ratio
         return beside.noise_like(ratio) and not x.noise_like(ratio)
@@ -196,14 +196,14 @@ class Judge:
         """The candidate of lowest held-out loss that passes; of those that tie with it, that of lowest penalised loss.
 
         The penalty counts its parameters and the prior of the calibrations that it moves. A candidate that leaves more
-        than noise, and would need a second cause beside it, comes after those that do not.
+        than noise, and would need a second cause as well, comes after those that do not.
         """
         ranked = sorted(found, key=lambda x: float(x.per_step[self.train].sum()))
         passing = (x for x in ranked if self.refusal(best, x, depth, chance) is None)
         top = next(passing, None)
         if top is None:
             return None
-        after = ranked[ranked.index(top) + 1 :]  # what chance does is drawn for those alone that could be chosen
+        after = ranked[ranked.index(top) + 1 :]  # what chance does is drawn only for those that could be chosen
         close = [top, *(x for x in after if self.tied(top, x) and self.refusal(best, x, depth, chance) is None)]
         if len(close) > 1:
             close = [x for x in close if x.noise_like(self.limits.noise_like_ratio)] or close

@@ -116,7 +116,7 @@ class Fitter:
             Where to begin; missing ones begin at their prior's mean or null value.
         slopes
             Known derivatives of the bare residuals: they save predictions where the point has not moved far. Those of
-            free parameters count for the first step alone.
+            free parameters count for the first step only.
 
         Raises
         ------

@@ -133,7 +133,7 @@ class Proposals:
     def _explained(self, best: Hypothesis, found: Sequence[Hypothesis]) -> bool:
         """Whether a fit from nearby leaves no more than noise, or ``best`` or the best fit passes the verdict's tests.
 
-        Those take longer, and are made of these two alone.
+        Those take longer, and are made of these two only.
         """
         if any(x.noise_like(self.limits.noise_like_ratio) for x in found):
             return True

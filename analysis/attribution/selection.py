@@ -37,7 +37,7 @@ class SelectionResult:
     Attributes
     ----------
     before, best
-        The declared model alone, and the best hypothesis found (the same object where nothing is missing).
+        The declared model, and the best hypothesis found (the same object where nothing is missing).
     ties
         Hypotheses that the data do not distinguish from the best one, the best first.
     tried
@@ -45,7 +45,7 @@ class SelectionResult:
     rounds
         Outcome of each round: names, gain, standard error, accepted or why not.
     rejected
-        Of all that was refused although it gained more than what was accepted beside it, the one of greatest gain.
+        Of all that was refused although it gained more than what was accepted in its place, the one of greatest gain.
     chance
         By round, the best candidate against chance.
     earlier
@@ -95,7 +95,7 @@ class StepwiseSelection:
         self.pruning = Pruning(self.refits, self.judge)
 
     def declared(self) -> Hypothesis:
-        """The declared model alone."""
+        """The declared model with no effect added."""
         return self.refits.converged((), Whitener.of(self.model, {}), (), {})
 
     def run(self) -> SelectionResult:

@@ -75,7 +75,7 @@ class Discovery:
     tied_covariates
         Other covariates that do as well on held-out steps.
     after, noise_floor_us
-        Errors on the reserved steps with the term, and the rms that noise alone leaves of landings there.
+        Errors on the reserved steps with the term, and the rms that noise leaves of landings there.
     of, within_flight
         Name of the covariate for programs, and whether it varies within the flight.
     forms, suggested

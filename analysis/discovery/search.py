@@ -49,7 +49,7 @@ NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
 }
 ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # candidates of the smoothing parameter
 CURVE_FOLDS = 8  # of the cross-validation over steps
-REACH_SIGMAS = 6.0  # clip of standardised landings, and the smallest uncertainty they count with
+REACH_SIGMAS = 6.0  # clip of standardised landings
 
 
 @dataclass(frozen=True)

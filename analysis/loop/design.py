@@ -113,7 +113,7 @@ def rank(fitted: FittedLoop, designs: Sequence[Design]) -> list[Ranked]:
     """
     model, best = fitted.model, fitted.selection.best
     # a design separates at most three tied hypotheses from the best
-    rivals = fitted.selection.ties[1 : 1 + 3]
+    rivals = fitted.selection.ties[1:4]
     if not rivals:
         return []
     out = []

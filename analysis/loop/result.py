@@ -282,7 +282,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors on the held-out steps, and what measurement noise alone leaves of them.
+    """Errors on the held-out steps, and what measurement noise leaves of them.
 
     Attributes
     ----------
@@ -291,7 +291,7 @@ class HeldOutErrors:
     given_openings
         The landings behind ``after``, conditioned on the openings of their steps.
     landing_floor_us, takeoff_floor_us
-        Rms that measurement noise alone leaves of landings and of take-offs, at the final model, on the same flights.
+        Rms that measurement noise leaves of landings and of take-offs, at the final model, on the same flights.
     """
 
     before: Errors

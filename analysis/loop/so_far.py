@@ -59,7 +59,7 @@ class SoFar:
     within
         Whether flights and plate are within noise of the declared model, at the level of this look.
     p, level
-        Probability of so much from noise alone, and that below which this look accuses.
+        Probability of so much from noise, and that below which this look accuses.
     landing_rms_us, floor_us
         Error of the predicted landings, and the noise floor of it, as the closed loop states them.
     flights

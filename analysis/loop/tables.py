@@ -36,6 +36,8 @@ from model.effects.registry import effect, resolve
 
 Effects = Mapping[str, Mapping[str, float]]
 
+Z95 = 1.96  # standard deviations to either end of a 95 % interval
+
 
 def step_table(model: ForwardModel, train: Bools) -> StepTable:
     """Steps of the observations; those outside ``train`` (m,) are held out."""
@@ -119,11 +121,11 @@ def _predicted(first: FirstBifurcation) -> Bifurcation:
     return Bifurcation(first.predicted_type, at, at, float(first.same_type_gamma))
 
 
-Z95 = 1.96  # standard deviations to either end of a 95 % interval
-
-
 def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:
-    """Every parameter that the best hypothesis fits: those of the added effects first, in the order added."""
+    """Every parameter that the best hypothesis fits: those of the added effects first, in the order added.
+
+    The standard deviation of an added one has what ordinary instruments add of it (`Parameter.ordinary`).
+    """
     fitted, values = best.fitted, best.fitted.values
 
     def one(key: ParameterId, added: bool) -> FittedParameter:

@@ -60,7 +60,7 @@ def failed_tests(
         Errors on the held-out steps, and the noise floors of landings and take-offs there.
     limits
     chance_us
-        Root mean squares that noise alone hardly exceeds there, see
+        Root mean squares that noise hardly exceeds there, see
         `analysis.residuals.prediction_errors.noise_quantiles_us`.
     given
         The held-out landings conditioned on the openings of their steps.

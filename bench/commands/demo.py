@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,9 +42,6 @@ def command(
     no profile describes. No device is ever driven. Exits 1 when a part failed: what was made stays, and the same call
     starts anew.
     """
-    import datetime
-    import time
-
     from bench.jobs.loops.unsealed import compared, in_words
     from bench.profiles.find import find_scenario
     from rig.sim.blind_scenarios import instrument_in_words

@@ -26,7 +26,7 @@ from daq.recording.opening import open_checked
 from daq.setup.errors import InputError
 from rig.profile import Profile
 
-AGAIN_S = 0.4  # between two reductions of a growing step: at least that, and so many times what one takes
+AGAIN_S = 0.4  # least time between two reductions of a growing step
 
 
 def start_analyst(profile: Profile, board_name: str, *, pictures: bool) -> tuple[Connection, BaseProcess]:

@@ -121,6 +121,7 @@ class WatchedRun:
             self._begin(event)
         elif kind == "taken":
             event["at"] = time.time()
+            # a browser that opens the page late gets the last 200 commands
             self._taken = [*self._taken[-199:], json.dumps(event)]
             self._tell(event)
         elif kind == "ended":
@@ -140,7 +141,7 @@ class WatchedRun:
         self._accelerometer = channels.index("accelerometer")
         self._mps2 = event["scales"]["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
         largest_m = peaks(profile, max(profile.ramp.gammas())).displacement_m or 1e-3
-        # the largest displacement that the limits allow fills the codes of 16 bits, but for a tenth
+        # 30000 of the 65536 codes span the plate's way at the ramp's largest gamma: the rest is room for more
         self._least_m = 2.0 * largest_m / 30000.0
         self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
         self._bin = max(1, int(np.ceil(self._rate_hz / MOST_BINS_PER_S)))

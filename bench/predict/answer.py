@@ -23,7 +23,7 @@ from model.orbits.attractor import Ball
 
 
 def run(request: Request) -> None:
-    """Answer ``request``; raises `InputError`, and `ValueError` for what the model refuses."""
+    """Answer ``request``; raises `InputError`, also for what the model refuses."""
     if request.files.out is not None or threading.current_thread() is not threading.main_thread():
         _answer(request)
         return

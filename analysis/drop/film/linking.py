@@ -18,7 +18,6 @@ from kernels.arrays import Bools, Floats, Integers
 
 _WINDOW = 7  # samples in which free flight is looked for
 _LONGEST_GAP = 8.0  # frames a track may be lost
-# Distances at which a point may continue a track, in ranges of height:
 _LEAST_BALLISTIC = 6  # windows
 
 
@@ -97,8 +96,7 @@ def ball_of(clock: Floats, x: Floats, y: Floats, where: str, axis_deg: float | N
         if len(own) < _WINDOW or not alike or rival_count < max(0.4 * count, 2 * _LEAST_BALLISTIC):
             continue
         distance_x, distance_y = x[chosen[own]] - x[rival[other]], y[chosen[own]] - y[rival[other]]
-        # Two parts of one block, on both sides of a rod, keep their distance.
-        # two parts of one body stay at one distance, to 3 % of the way
+        # two parts of one block, on both sides of a rod, stay at one distance, to 3 % of the way
         if np.hypot(np.std(distance_x), np.std(distance_y)) >= 0.03 * max(float(np.ptp(y[chosen[own]])), 1e-12):
             raise InputError(
                 f"{where}: two movers: one near x = {np.median(x[chosen]):.0f}, another near "
@@ -124,7 +122,7 @@ def _tilt_of_fall(clock: Floats, x: Floats, y: Floats, acceleration: float) -> f
     """Angle of the fall from the vertical axis: of a straight path, else of the acceleration; 0 where not clear."""
     slope = float(np.polyfit(y, x, 1)[0])
     left = x - slope * y
-    # points within 1 % of its height from a line are a straight path: nothing falls so
+    # points within 1 % of the height from one line are a straight path
     if mad_sigma(left - np.median(left)) < 0.01 * float(np.ptp(y)):
         return float(np.arctan(slope))  # up and down one line: a guided block, or a ball that drifts not at all
     across, down = _parabolas(clock, x), _parabolas(clock, y)

@@ -10,8 +10,7 @@ LONGEST_FLIGHT_S = 3.0
 _RATIOS = np.linspace(0.20, 0.985, 80)
 _WIDTHS = 0.04 + 0.06 * (1.0 - _RATIOS)  # of the logarithm of a ratio from bounce to bounce
 _KINDS = np.arange(3)  # impacts that may be missed in one interval
-# What a chain gains by an impact, in half squares of widths, and what it pays.
-_SKIP_COST = 1.5
+_SKIP_COST = 1.5  # of an event that is left out, in half squares of widths
 
 
 def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
@@ -42,6 +41,7 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
             # With impacts missing, an interval is a geometric series of flights.
             first = interval * (1.0 - _RATIOS) / (1.0 - _RATIOS ** (_KINDS[:, None] + 1))
             last_flight[i, j] = first * _RATIOS ** _KINDS[:, None]
+            # a missed impact costs 3.5 half squares of widths
             entry = -3.5 * _KINDS[:, None] - (skipped[j] - skipped[i + 1])
             best = np.broadcast_to(entry, first.shape).copy()
             link = np.full(first.shape, -1, dtype=np.int64)
@@ -52,6 +52,7 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
                 fits = np.abs(offset) < 3.0 * _WIDTHS  # in widths
                 # after an irregular bounce some of the spin may come back: a flight grows by 10 % at most
                 cut_short = np.where(offset - np.log(1.1 / _RATIOS) < 0.0, -break_cost, -np.inf)
+                # and an impact that fits gains 6 half squares of widths
                 gain = np.where(fits, 6.0 * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]
                 kind = total.argmax(axis=1)

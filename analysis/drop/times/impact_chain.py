@@ -19,9 +19,7 @@ from kernels.arrays import Bools, Floats, Integers
 
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
 _WINDOW = 400  # events that are searched at once
-# Of a rhythm or a recording played in a loop:
-_SAME_S = 1e-3
-# Of two chains at the same time:
+_SAME_S = 1e-3  # by which events of a recording played in a loop differ from its period
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,7 @@ def _windows(times: Floats) -> list[slice]:
         first = int(start)
         while stop - first > _WINDOW:
             out.append(slice(first, first + _WINDOW))
-            first += _WINDOW - 150
+            first += _WINDOW - 150  # windows overlap by so many events
         out.append(slice(first, int(stop)))
     return out
 

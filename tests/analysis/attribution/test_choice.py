@@ -167,7 +167,7 @@ def test_of_those_that_tie_one_that_leaves_noise_comes_first(
     assert judge.choose(best, [leader], 0) is leader
 
 
-def test_chance_is_asked_about_those_alone_that_could_be_chosen(
+def test_chance_is_asked_only_about_those_that_could_be_chosen(
     judge: Judge, explanation: Callable[..., Hypothesis]
 ) -> None:
     """Of a leader, one that ties with it and one far behind, the last is never held against chance."""

@@ -47,7 +47,7 @@ def found_by(loop: ClosedLoop, term: str, of: str, within: bool, form: Form | No
 
 
 def module_of(text: str, folder: Path) -> ModuleType:
-    """The file read as a kept effect."""
+    """The file read as an effect of the user's."""
     (folder / "odd_rod.py").write_text(text, encoding="utf-8")
     return user_effects.load(folder / "odd_rod.py")
 

@@ -1,4 +1,4 @@
-"""Errors that are nobody's input: told as a defect, with the traceback in a file."""
+"""Errors that no input causes: they end as a defect, with the traceback in a file."""
 
 from __future__ import annotations
 
