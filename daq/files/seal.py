@@ -231,10 +231,8 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
                 fixed = _by_parity(path, seal) if fixed is None else fixed
                 right, how = _with(data, row, fixed), "differ, and are computed from the parity"
             if not right:
-                right, how = (
-                    mended(data, n_bytes, int(row["crc32"])),
-                    "one byte differs and is put right by its checksum",
-                )
+                right = mended(data, n_bytes, int(row["crc32"]))
+                how = "one byte differs and is put right by its checksum"
             if is_table:
                 where.append(
                     f"{place} (tables, attributes, indexes) differ from what was written; a second copy has them"

@@ -148,7 +148,6 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             # take-offs lie near -g whatever the flight was, landings anywhere: the spreads differ by far
             closings_are_takeoffs = other_spread < 0.4 * spread
         else:
-            # in a locked motion both lie close: the take-offs are those nearer to g
             from_g, other_from_g = (abs(math.log(max(abs(x), 1e-9))) for x in (at, other))
             closings_are_takeoffs = other_from_g < from_g and at > 0.0
         if at * other < 0.0 and closings_are_takeoffs:

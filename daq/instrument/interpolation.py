@@ -8,8 +8,6 @@ import numpy as np
 
 from kernels.arrays import Floats
 
-LINE_PART = 0.22  # modulation of the noise by linear interpolation, relative, at least; good filters leave less
-LINE_ODDS = 1e-9  # probability that chance gives so strong a line in one channel
 SAMPLES = 1 << 13  # looked at together for lines
 
 

@@ -26,7 +26,6 @@ FELT_BELOW, FELT_ABOVE = 0.08, 0.3  # the same in the accelerometer, where impac
 BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
 DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # after an edge, at which the plate is looked at: either may be late
 RESTS = 0.9  # peak below which it certainly rests
-SHOCK_S = (1e-3, 8e-3)  # before and after an edge of the contact, left out of the noise
 
 
 @dataclass(frozen=True)

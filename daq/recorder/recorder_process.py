@@ -176,7 +176,7 @@ class RecorderProcess(ClosedRun):
         try:
             self._pipe.send(("close", (how, why, expected_samples)))
             self._answer("close", 600.0)
-        except BrokenPipeError as error:
+        except (BrokenPipeError, ConnectionResetError) as error:
             raise self._gone() from error
         finally:
             self._process.join(5.0)

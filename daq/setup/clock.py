@@ -20,7 +20,7 @@ class Waitable(Protocol):
 
 
 class Joinable(Protocol):
-    """What runs beside the caller until it ends."""
+    """What runs in parallel with the caller until it ends."""
 
     def join(self, timeout: float) -> None: ...
 

@@ -170,12 +170,12 @@ class GatedBackend:
         self.stop()
         self._port, self._reader, self._status, self._armed = self._opener(), StatusReader(), None, False
         ends = time.monotonic() + FIRST_S
-        while self._status is None:
-            self._listen()
-            if time.monotonic() > ends:
-                self.stop()
-                raise BackendError(f"gate: silent for {FIRST_S:g} s; is it powered, and is backend.gate_port its port?")
         try:
+            while self._status is None:
+                self._listen()
+                if time.monotonic() > ends:
+                    why = "is it powered, and is backend.gate_port its port?"
+                    raise BackendError(f"gate: silent for {FIRST_S:g} s; {why}")
             self._refuse_closed()
             self._inner.start()
         except BackendError:
@@ -193,7 +193,11 @@ class GatedBackend:
         status = self._status
         if status is not None:
             first = not self._armed or status.state == REST
-            self._port.write(message(ARM if first else BEAT, status.now, self._limits if first else None))
+            beat = message(ARM if first else BEAT, status.now, self._limits if first else None)
+            try:
+                self._port.write(beat)
+            except OSError as error:
+                raise self._went_away(error) from error
             self._armed = True
         return self._inner.exchange(drive_v)
 
@@ -215,9 +219,13 @@ class GatedBackend:
         try:
             status = self._reader.feed(port.read(max(1, port.in_waiting)))
         except OSError as error:
-            raise BackendError(f"gate: went away ({error}); it closes by itself: check its cable") from error
+            raise self._went_away(error) from error
         if status is not None:
             self._status, self._heard_s = status, time.monotonic()
+
+    @staticmethod
+    def _went_away(error: OSError) -> BackendError:
+        return BackendError(f"gate: went away ({error}); it closes by itself: check its cable")
 
     def _refuse_closed(self) -> None:
         status = self._status

@@ -78,9 +78,6 @@ class Point:
         return math.copysign(min(size, 1.0 / size, 0.7), self.multiplier) if size > 0.0 else 0.0
 
 
-SLOWEST = 0.7  # largest part of a deviation left a cycle later: near mu = -1 the least correction would leave all
-
-
 TURN = 2.0 * math.pi
 REACH = 1.0 / 12.0  # of a cycle, to both sides of where a landing is expected: there it is looked for
 FADE = 1.0 / 32.0  # of a cycle, in which a correction is made; it ends at the launch: the flight before hardly feels it

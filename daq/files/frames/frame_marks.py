@@ -177,11 +177,8 @@ def rows_after(data: Any, first_sample: int, lengths: Sequence[int], row_bytes: 
             pattern = struct.pack("<qq", first_sample, n)
             at = data.find(pattern)
             while at >= 0:
-                row, crc = (
-                    data[at : at + row_bytes],
-                    int.from_bytes(data[at + row_bytes : at + row_bytes + 4], "little"),
-                )
-                if len(row) == row_bytes and zlib.crc32(row) == crc:
+                row, after = data[at : at + row_bytes], data[at + row_bytes : at + row_bytes + 4]
+                if len(row) == row_bytes and zlib.crc32(row) == int.from_bytes(after, "little"):
                     break
                 at = data.find(pattern, at + 1)
             if at >= 0:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.disk import mapped
 from daq.files.frames.frame_file import ROW_CRC
 from daq.files.frames.frame_marks import MAGIC, piece_rows, read_marks, rows_after
 from daq.files.seal import text_crc
@@ -223,8 +224,4 @@ def _stacked(rows: Iterable[NDArray[np.void]], dtype: np.dtype[Any]) -> NDArray[
 
 def has_marks(path: Path) -> bool:
     """Whether the file holds the beginning of a mark."""
-    with path.open("rb") as raw:
-        if not raw.seek(0, 2):
-            return False
-        with mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return data.find(MAGIC) >= 0
+    return bool(mapped(path).find(MAGIC) >= 0)

@@ -253,7 +253,7 @@ def test_rows_of_a_run_that_was_cut_off_are_checked(tmp_path: Path, setup: Setup
     with open_recording(recover(path).path) as recording:
         left = np.r_[0:1000, 2000:3000] if table == "frame_blocks" and not marked else np.r_[0:3000]
         np.testing.assert_array_equal(recording.codes("drive"), codes[left, 2])
-        assert len(recording.steps) == 3 if marked else 2
+        assert len(recording.steps) == (3 if marked else 2)
 
 
 @given(
