@@ -40,7 +40,7 @@ class Chain:
     """An instrument, the rate it samples at, and what happens to its file.
 
     ``parts`` are fields of `Instrument` and keys of a scenario's ``[rig]`` alike. ``causes``: names of effects that the
-    instrument itself may be given in a verdict. ``hides``: effects that nobody can see behind it. ``plants`` that have
+    instrument itself may be given in a verdict. ``hides``: effects that do not show behind it. ``plants`` that have
     such an instrument.
     """
 

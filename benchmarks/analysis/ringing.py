@@ -6,7 +6,7 @@
 
 Frequencies are drawn from 1.5 to 12 Hz, damping from .01 to .3, mass ratio from .02 to .3; friction, restitution, c
 and the instrument, too. A line a trial: hidden, found, standard deviations, processor seconds; with ``--loop`` the
-verdict, what it names beside the hidden causes or misses, and at the end how many are right.
+verdict, what it names in addition to the hidden causes or misses, and at the end how many are right.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Closed:
 
     @property
     def right(self) -> bool:
-        """Whether exactly the hidden causes are named; instruments may be named beside them."""
+        """Whether exactly the hidden causes are named; instruments may be named with them."""
         return self.hidden == set(self.names) - INSTRUMENTAL
 
     @property
@@ -102,9 +102,9 @@ def judged(path: Path, run: other_plant.Run) -> Closed:
     loop, _ = judge_loop([path])
     spent_s = time.process_time() - start
     found = {(p.effect, p.parameter): p for p in loop.selection.parameters if p.added}
-    wanted = {(e, q): run.hidden[k] * f for k in run.hidden for e, q, f in OTHER_PARAMETERS.get(k, ())}
-    wanted["table_resonance", "damping"] = run.hidden.get("table_resonance.damping", 0.0)
-    sigmas = [(found[k].value - v) / found[k].sigma for k, v in wanted.items() if k in found]
+    true = {(e, q): run.hidden[k] * f for k in run.hidden for e, q, f in OTHER_PARAMETERS.get(k, ())}
+    true["table_resonance", "damping"] = run.hidden.get("table_resonance.damping", 0.0)
+    sigmas = [(found[k].value - v) / found[k].sigma for k, v in true.items() if k in found]
     hidden = frozenset(OTHER_NAMED[k.split(".")[0]] for k in run.hidden)
     errors = (loop.errors.after.landing_rms_us or 0.0, loop.errors.landing_floor_us)
     return Closed(loop.verdict, loop.selection.names, hidden, *errors, tuple(sigmas), spent_s)

@@ -119,9 +119,9 @@ class Disk:
         if not self.logged:
             return
         image, since = bytearray(self._synced), self._since
-        kept = rng.random(len(since)) < 0.5 if how == "any" else np.arange(len(since)) < rng.integers(len(since) + 1)
-        for (at, data), is_kept in zip(since, kept, strict=True):
-            if not is_kept:
+        stays = rng.random(len(since)) < 0.5 if how == "any" else np.arange(len(since)) < rng.integers(len(since) + 1)
+        for (at, data), is_there in zip(since, stays, strict=True):
+            if not is_there:
                 continue
             if data is None:
                 image[at:] = b""

@@ -181,7 +181,7 @@ class Judge:
                 there = [name for name in CHANNELS if name in recording.channels]
                 codes = np.column_stack([recording.codes(name) for name in there]) if there else np.zeros((0, 4))
                 blocks = recording.blocks
-                # frames after a loss that a card's driver may have told late
+                # frames after a loss that a card's driver may have reported late
                 unsure = np.repeat((blocks["flags"] & BlockFlag.FILLED) != 0, blocks["n_samples"])
                 said = {"there": there, "unsure": unsure & (self._left.plan.device == "card")}
                 return codes, recording.gaps, dict(recording.attrs) | said

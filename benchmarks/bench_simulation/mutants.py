@@ -61,10 +61,10 @@ def mutate(name: str) -> None:
     parent = importlib.import_module(package)
     spec = importlib.util.find_spec(module)
     if module in sys.modules or spec is None or spec.origin is None:
-        raise RuntimeError(f"{module}: is imported already, or cannot be")
+        raise RuntimeError(f"{module}: is imported already, or has no source")
     text = Path(spec.origin).read_text(encoding="utf-8")
     if text.count(right) != 1:
-        raise RuntimeError(f"{module}: wanted once: {right}")
+        raise RuntimeError(f"{module}: not there exactly once: {right}")
     made = importlib.util.module_from_spec(spec)
     sys.modules[module] = made
     exec(compile(text.replace(right, wrong), spec.origin, "exec"), made.__dict__)

@@ -137,7 +137,7 @@ def trial(path: Path, truth: dict[str, Any], whole: str, limit_s: float) -> Coun
         state = verify(path).state
     except InputError:
         state = "refused"
-    except Exception as error:  # noqa: BLE001 (whatever it is, it is counted)
+    except Exception as error:  # noqa: BLE001 (a defect of the product: counted, as are the two below)
         said[f"raised {type(error).__name__}"] += 1
     said["hung"] += time.perf_counter() - began > limit_s
     try:

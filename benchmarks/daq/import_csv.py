@@ -1,4 +1,4 @@
-"""Speed of `bench import` of a text table: the reader before (numpy.loadtxt) beside the one now, and the whole import.
+"""Speed of `bench import` of a text table: numpy.loadtxt, the reader now, and the whole import.
 
 Run: python -m benchmarks.daq.import_csv [MINUTES] [--against PATH]; `--against` names another tree of this software,
 measured on the same file first. Processor seconds of one process, and what a clock on the wall says; ratios are of one
@@ -39,7 +39,7 @@ def table(path: Path, minutes: float) -> None:
 
 
 def loadtxt(path: Path) -> None:
-    """The reader before: numpy.loadtxt over blocks of 4 MiB."""
+    """numpy.loadtxt over blocks of 4 MiB, for comparison."""
     with path.open() as file:
         file.readline()
         while text := file.read(1 << 22) + file.readline():
@@ -73,7 +73,7 @@ def main() -> None:
         small = Path(folder) / "b.csv"
         table(small, 200_000 / RATE_HZ / 60.0)
         for _ in open_source(small).pieces(NAMES):
-            pass  # compile
+            pass  # libraries are loaded and kernels compiled before the clock runs
         import_recording(open_source(small), Path(folder) / "b.h5", setup, "")
 
         def parse() -> None:
@@ -85,7 +85,7 @@ def main() -> None:
 
         cases: list[tuple[str, Callable[[], object]]] = [
             ("bytes read", raw.read_bytes),
-            ("numbers read, numpy.loadtxt (before)", lambda: loadtxt(raw)),
+            ("numbers read, numpy.loadtxt", lambda: loadtxt(raw)),
             ("numbers read, now", parse),
             ("whole import, now", whole),
         ]

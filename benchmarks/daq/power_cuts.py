@@ -37,7 +37,7 @@ from daq.recording.recover import recover
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
-SECTOR, BLOCK, BLOCKS, STEP_BLOCKS = 512, 100, 14, 4
+SECTOR, STEP_BLOCKS = 512, 4
 NAME = "run.h5"
 _CALLS = "openat,pwrite64,write,lseek,read,ftruncate,fsync,rename,renameat,renameat2,unlink"
 _LINE = re.compile(r"^(?:\d+ +)?(\w+)\((.*)\) += (-?\d+)")

@@ -74,7 +74,7 @@ class Instrument:
         return FILTER_SAMPLES / self.rate_hz * self.linear_phase
 
     def accelerometer_v(self, plate_g: Floats, impacts: Floats, rng: np.random.Generator) -> Floats:
-        """Volts at each sample, white noise apart.
+        """Volts at each sample, without white noise.
 
         Parameters
         ----------
@@ -112,11 +112,10 @@ class Instrument:
         return np.asarray(lfilter(*bilinear(above, [1.0, 2.0 * damping * w, w * w], self.rate_hz * self.over), x))
 
     def contact_v(self, flights: Floats, n: int, rng: np.random.Generator) -> Floats:
-        """Volts at each of ``n`` samples, white noise apart; ``flights`` (m, 2) are take-off and landing, s."""
+        """Volts at each of ``n`` samples, without white noise; ``flights`` (m, 2) are take-off and landing, s."""
         opens = flights[:, 0].copy()
         opens[1:] = np.maximum(opens[1:], flights[:-1, 1] + self.held_closed_s)
-        apart = opens < flights[:, 1]
-        gaps = [np.column_stack([opens, flights[:, 1]])[apart]]
+        gaps = [np.column_stack([opens, flights[:, 1]])[opens < flights[:, 1]]]
         until = np.append(opens[1:], np.inf)
         for _ in range(3 if self.chatter_s else 0):
             begins = flights[:, 1] + rng.uniform(0.05, 1.0, len(flights)) * self.chatter_s

@@ -18,12 +18,10 @@ from string import Template
 import numpy as np
 
 from benchmarks.plants.handed_over import imported
-from benchmarks.plants.third_instrument import CARDS, Instrument, drawn
+from benchmarks.plants.third_instrument import CARDS, G, Instrument, drawn
 from kernels import njit
 from kernels.arrays import Floats
 
-G = 9.80665
-BALL_KG = 0.249
 NO_REBOUND_MPS = 3e-3  # a slower rebound does not leave the plate
 FADE_CYCLES = 1.5
 MOST_FLIGHTS_A_SECOND = 600
