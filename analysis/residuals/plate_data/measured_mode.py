@@ -42,5 +42,5 @@ class MeasuredMode:
         for i, motion in enumerate(motions):
             own, seen = of == i, observations.measured
             state[own] = np.hstack([motion.state(t[own]) for t in (seen.opening_s, seen.landing_s)])
-        projection, seconds = ringing.of_motions(motions, observations.steps.recording), ringing.kept.seconds
+        projection, seconds = ringing.of_motions(motions, observations.steps.recording), ringing.intervals.seconds
         return cls(state, ringing.of_tones(projection, seconds), projection, seconds)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from analysis.plate.fit_mask import (
     two_sided,
 )
 from analysis.plate.motion import StepPlate
+from analysis.residuals.plate_data.amplitudes import LEAST, PARTS, RIDGE, TINY, Amplitudes
 from analysis.residuals.plate_data.fitted_steps import intervals_of, tones_of, window_spans
 from analysis.residuals.plate_data.plate_observables import (
     GAIN,
@@ -34,57 +35,31 @@ from analysis.residuals.plate_data.plate_observables import (
     THIRD,
     PlateData,
 )
-from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import PlateSteps
 
-FASTEST = 0.45  # highest frequency over the windows' rate: beyond, it is aliased
-FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
-CHUNK = 64  # windows of the first scan; frequencies calculated together
 DEEPEST = 0.5  # depths to begin with
-RIDGE, TINY = 1e-9, 1e-300
 SMALL = 1e-3  # depth from which slopes are taken
 LEAKING = 0.05  # relative uncertainty of the leakage between tones, from averaging over blocks
-LEAST = 4  # steps or windows that are used at all
-Source = Literal["both", "windows", "gains"]
-SOURCES: tuple[Source, ...] = ("both", "windows", "gains")
-PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gains": slice(0, 1)}
 
 
 @dataclass(frozen=True)
-class AmplitudeModulation:
-    """Amplitude modulation as seen by windows within steps and by the steps' gains.
+class AmplitudeModulation(Amplitudes):
+    """Amplitude modulation as seen by windows within steps and by the steps' gains, and the tones that they belong to.
 
     Attributes
     ----------
-    recording
-        Of each step, (m,).
-    span_s
-        Start and end of each step's fit, (m, 2).
     omega_radps, seen_mps2
         Every fitted tone and its amplitude, the forcing's (or its only one and the second harmonic) first, (m, k).
     tones
         Number of tones of the forcing, (m,).
-    gain, gain_sigma
-        Logarithm of plate over drive in each step, (m,); not finite where there is no drive.
-    window_step, window_span_s, value, sigma
-        Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
-        order of the `MODULATION` rows of the plate data.
     intervals
         Unmasked intervals of the fits of steps and windows.
     """
 
-    recording: Integers
-    span_s: Floats
     omega_radps: Floats
     seen_mps2: Complexes
     tones: Integers
-    gain: Floats
-    gain_sigma: Floats
-    window_step: Integers
-    window_span_s: Floats
-    value: Floats
-    sigma: Floats
     intervals: FitIntervals
 
     @classmethod
@@ -99,10 +74,10 @@ class AmplitudeModulation:
         gain = np.where(known, total / np.where(known, weight, 1.0), np.nan)
         spans = [window_spans(s) for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
         return cls(
-            np.zeros(m, dtype=np.int64), spans_s, *tones_of(fitted),
-            np.array([len(s.forcing_multiples) for s in fitted], dtype=np.int64),
+            np.zeros(m, dtype=np.int64), spans_s,
             gain, np.where(known, np.where(known, weight, 1.0) ** -0.5, np.inf),
             data.step[rows], np.concatenate([np.zeros((0, 2)), *spans]), data.value[rows], data.sigma[rows],
+            *tones_of(fitted), np.array([len(s.forcing_multiples) for s in fitted], dtype=np.int64),
             intervals_of(fitted),
         )  # fmt: skip
 
@@ -138,67 +113,13 @@ class AmplitudeModulation:
         if len(self.value) < LEAST:
             return ()
         found: list[float] = []
-        sources = SOURCES if np.isfinite(self.gain).sum() > LEAST else SOURCES[1:2]
-        for hz in map(self._strongest_hz, sources):
+        with_gains = np.isfinite(self.gain).sum() > LEAST
+        for hz in [self.strongest_hz(source) for source in PARTS if with_gains or source == "windows"]:
             # less than a fifth of a period per recording is one frequency
-            if all(abs(hz - other) * float(self._since_s[1].max()) > 0.2 for other in found):
+            if all(abs(hz - other) * float(self.since_s[1].max()) > 0.2 for other in found):
                 found.append(round(hz, 9))
         depths = [float(np.median(np.abs(self._fit_at(hz).phasor))) for hz in found]
         return tuple((hz, min(max(d, 1e-5), DEEPEST)) for hz, d in zip(found, depths, strict=True))
-
-    @property
-    def _runs(self) -> range:
-        return range(int(self.recording.max(initial=-1)) + 1)
-
-    @cached_property
-    def _since_s(self) -> tuple[Floats, Floats]:
-        """End of each step, and middle of each window, since its recording's first step began, (m,) and (w,)."""
-        begin = np.array([self.span_s[self.recording == r, 0].min() for r in self._runs])[self.recording]
-        return self.span_s[:, 1] - begin, self.window_span_s.mean(axis=1) - begin[self.window_step]
-
-    def _strongest_hz(self, source: Source) -> float:
-        """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
-        since = np.sort(self._since_s[1])
-        fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
-        if source == "gains":  # a faster modulation looks like a slower one from step to step
-            fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
-        # the first scan takes 3000 windows at most; later rounds take more of a long recording, near what was found
-        until = float(since[min(len(since), 3000) - 1])
-        hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
-        best = float(hz[np.argmax(self._power(hz, until, source))]) if len(hz) else fastest
-        while True:
-            near, until = 1.0 / until, min(4 * until, float(since[-1]))
-            hz = np.maximum(best + np.arange(-near, near, 0.2 / (FINENESS * until)), 0.1 / until)
-            best = float(hz[np.argmax(self._power(hz, until, source))])
-            if until >= since[-1]:
-                return best
-
-    def _power(self, hz: Floats, until_s: float, source: Source) -> Floats:
-        """What the best modulation at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
-        out = np.zeros(len(hz))
-        for first in range(0, len(hz), CHUNK):
-            some = slice(first, first + CHUNK)
-            steps = mean_phasor(self.span_s, 2.0 * np.pi * hz[some])
-            windows = mean_phasor(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
-            rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
-            for r in self._runs:
-                normal, side = self._normal(r, rows, means, self.value, self.gain, until_s)
-                part = PARTS[source]
-                normal, side = normal[part].sum(axis=0) + RIDGE * np.eye(2), side[part].sum(axis=0)
-                gained = 0.5 * np.sum(side * solve(normal, side[..., None])[..., 0], axis=-1)
-                out[some] += self._without_scale(r, until_s, gained) if source == "gains" else gained
-        return out
-
-    def _without_scale(self, r: int, until_s: float, gained: Floats) -> Floats:
-        """Gain in likelihood of the steps' gains where their scatter is not known but found from what is left, (f,)."""
-        known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(self.gain)
-        if known.sum() <= LEAST:
-            return gained
-        gain = self.gain[known]
-        weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain) ** 2)
-        total = 0.5 * float(np.sum(weight * (gain - np.average(gain, weights=weight)) ** 2))
-        least = 0.5 * float(np.sum(weight * self.gain_sigma[known] ** 2))
-        return np.asarray(0.5 * len(gain) * np.log((total + least) / np.maximum(total - gained + least, TINY)))
 
     @cached_property
     def _fits(self) -> dict[float, ModulationFit]:
@@ -231,7 +152,7 @@ class AmplitudeModulation:
             up = self.intervals.projected(self._gram, every, own[:, 1:] + w)[:, 1:]
             in_up = self.intervals.in_windows.projected(self._window_gram, own[of], own[of, 1:] + w)[:, 1:]
             down, in_down = shifted_down(up), shifted_down(in_up)
-            fit = ModulationFit(up, down, in_up, in_down, np.zeros(len(self._runs), dtype=np.complex128))
+            fit = ModulationFit(up, down, in_up, in_down, np.zeros(len(self.runs), dtype=np.complex128))
             found = self._fits[hz] = replace(fit, phasor=self._fitted(fit))
         return found
 
@@ -247,8 +168,8 @@ class AmplitudeModulation:
             seen = self._model(fit, phasor)
             value, gain = self.value - seen[0], self.gain - seen[1]
             step = np.zeros(len(phasor), dtype=np.complex128)
-            for r in self._runs:
-                normal, side = self._normal(r, windows, gains, value, gain, np.inf)
+            for r in self.runs:
+                normal, side = self.normal(r, windows, gains, value, gain, np.inf)
                 step[r] = complex(*solve(normal.sum(axis=0)[0] + RIDGE * np.eye(2), side.sum(axis=0)[0]))
             phasor = phasor + step
             phasor = phasor * np.minimum(1.0, DEEPEST / np.maximum(np.abs(phasor), DEEPEST))
@@ -263,24 +184,6 @@ class AmplitudeModulation:
         logs = np.log(np.abs(seen / np.where(true_own == 0.0, 1.0, true_own)) + TINY)
         gain = np.sum(power * logs, axis=1) / np.maximum(power.sum(axis=1), TINY)
         return self._in_windows(self.seen_mps2, true, fit, depth, phase), gain
-
-    def _normal(
-        self, r: int, rows: Floats, means: Floats, value: Floats, gain: Floats, until_s: float
-    ) -> tuple[Floats, Floats]:
-        """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows.
-
-        ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a modulation make of windows and gains.
-        """
-        known = (self.recording == r) & (self._since_s[0] <= until_s) & np.isfinite(gain)
-        windows = (self.recording[self.window_step] == r) & (self._since_s[1] <= until_s)
-        normal, side = np.zeros((2, len(rows), 2, 2)), np.zeros((2, len(rows), 2))
-        normal[1], side[1] = _squares(rows[..., windows], value[windows], self.sigma[windows] ** -2.0)
-        if known.sum() > LEAST:
-            weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain[known]) ** 2)
-            means, gain = means[..., known], gain[known]
-            means = means - (means @ weight / weight.sum())[..., None]  # a common offset is no modulation
-            normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
-        return normal, side
 
     # -- its contribution ----------------------------------------------------------------------------------------------
     def modulated(self, plate: PlateSteps, depth: Floats, hz: float) -> PlateSteps:
@@ -402,14 +305,3 @@ class ModulationFit:
 def _in_both_senses(fitted: Bools) -> Bools:
     """Which turns are fitted, the constant first, from which tones are, (n, 2 k + 1)."""
     return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])
-
-
-def _squares(parts: Floats, value: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Normal equations (f, 2, 2) and right sides (f, 2) of ``value`` (n,) as a sum of two ``parts`` (f, 2, n)."""
-    return (parts * weight) @ parts.transpose(0, 2, 1), (parts * weight) @ value
-
-
-def _scatter(x: Floats) -> float:
-    """Robust standard deviation of what is finite; 0 where there is too little."""
-    x = x[np.isfinite(x)]
-    return mad_sigma(x - np.median(x)) if len(x) >= LEAST else 0.0

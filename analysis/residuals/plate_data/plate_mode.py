@@ -115,14 +115,14 @@ class IntervalSums:
 
 @dataclass(frozen=True)
 class Ringing:
-    """Projection of a plate mode on the fitted tones; an `model.integrator.problem.ToneProbe`.
+    """Projection of a plate mode on the fitted tones; a `model.integrator.problem.ToneProbe`.
 
     Attributes
     ----------
-    kept
+    intervals
         Unmasked intervals of the fits.
     omega_radps
-        Zero and every fitted tone, the forcing's two (or its one and the second harmonic) first, (m, 1 + k).
+        Zero and every fitted tone, the forcing's (or its only one and the second harmonic) first, (m, 1 + k).
     seen_mps2
         The tones as fitted, (m, k); 0 where none was.
     tones
@@ -131,7 +131,7 @@ class Ringing:
         Index of the fitted tone that is each tone of the plate, (m, j).
     """
 
-    kept: FitIntervals
+    intervals: FitIntervals
     omega_radps: Floats
     seen_mps2: Complexes
     tones: Integers
@@ -140,20 +140,20 @@ class Ringing:
     @classmethod
     def of(cls, measured: AmplitudeModulation, plate: PlateSteps) -> Self:
         """From the fits of the steps and the plate made of them."""
-        apart = np.abs(plate.omega_radps[:, :, None] - measured.omega_radps[:, None, :])
+        distance = np.abs(plate.omega_radps[:, :, None] - measured.omega_radps[:, None, :])
         omega = np.column_stack([np.zeros(len(measured.omega_radps)), measured.omega_radps])
-        return cls(measured.intervals, omega, measured.seen_mps2, measured.tones, np.argmin(apart, axis=2))
+        return cls(measured.intervals, omega, measured.seen_mps2, measured.tones, np.argmin(distance, axis=2))
 
     # -- the probe of the integrator -----------------------------------------------------------------------------------
     @cached_property
     def first(self) -> Integers:
         """First interval of each step, and the end of the last, (m + 1,)."""
-        return np.searchsorted(self.kept.step, np.arange(len(self.omega_radps) + 1))
+        return np.searchsorted(self.intervals.step, np.arange(len(self.omega_radps) + 1))
 
     @property
     def span_s(self) -> Floats:
         """The intervals, (r, 2)."""
-        return self.kept.span_s
+        return self.intervals.span_s
 
     def of_tones(self, projection: Complexes, observed_s: Floats) -> Complexes:
         """Contribution of the mode to the fitted tones of the plate, (m, j), m/s^2."""
@@ -213,7 +213,7 @@ class Ringing:
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
         sigma[rows] = np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
-        contact, flight = self._apart(contact_side, rest_side)
+        contact, flight = self._in_both_places(contact_side, rest_side)
         z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
@@ -229,7 +229,7 @@ class Ringing:
         This is a plate driven by a force, whose mass is smaller by c without the ball. Flight times are unchanged: all
         of the relative motion is 1 + c times as large.
         """
-        projection, observed_s = SMALL * self._lifted(gravity_mps2), self.kept.seconds
+        projection, observed_s = SMALL * self._lifted(gravity_mps2), self.intervals.seconds
         tones = self.of_tones(projection, observed_s) * (plate.acceleration_mps2 != 0.0)
         added, _ = self._added(data, plate, tones, projection, observed_s)
         power = np.where(np.isin(data.kind, (SECOND, THIRD, HUM)), 2.0, 1.0)
@@ -237,8 +237,8 @@ class Ringing:
 
     def _lifted(self, gravity_mps2: float) -> Complexes:
         """Projection of ``a_p + g`` in flight and of zero in contact, (r, 1 + k): the ball's load taken away."""
-        step, w = self.kept.step, self.omega_radps[self.kept.step]
-        length, middle = self.kept.seconds[:, None], self.kept.span_s.mean(axis=1)[:, None]
+        step, w = self.intervals.step, self.omega_radps[self.intervals.step]
+        length, middle = self.intervals.seconds[:, None], self.intervals.span_s.mean(axis=1)[:, None]
 
         def turned(rate: Floats) -> Complexes:
             return np.asarray(length * np.sinc(rate * length / (2.0 * np.pi)) * np.exp(1j * rate * middle))
@@ -248,7 +248,7 @@ class Ringing:
             z = np.where(self.tones > j, self.seen_mps2[:, j], 0.0)[step, None]
             own = w[:, j + 1, None]
             out += 0.5 * (z * turned(own - w) + np.conj(z) * turned(-own - w))
-        return np.where(self.kept.contact[:, None], 0.0, out)
+        return np.where(self.intervals.contact[:, None], 0.0, out)
 
     @cached_property
     def _turns(self) -> Floats:
@@ -269,7 +269,7 @@ class Ringing:
     def _gram(self) -> Complexes:
         """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
         fitted = self._fitted(self.seen_mps2 != 0.0)
-        return self.kept.overlaps(self._turns, self._turns) * (fitted[:, :, None] & fitted[:, None, :])
+        return self.intervals.overlaps(self._turns, self._turns) * (fitted[:, :, None] & fitted[:, None, :])
 
     @cached_property
     def _inverse(self) -> Complexes:
@@ -278,9 +278,9 @@ class Ringing:
     @cached_property
     def _places(self) -> tuple[IntervalSums, IntervalSums]:
         """Sums over each step's intervals in contact, and over the rest."""
-        both = (np.flatnonzero(self.kept.contact == place) for place in (True, False))
-        step, m = self.kept.step, len(self._turns)
-        contact, rest = (IntervalSums.of(rows, step[rows], m, self.kept.seconds) for rows in both)
+        both = (np.flatnonzero(self.intervals.contact == place) for place in (True, False))
+        step, m = self.intervals.step, len(self._turns)
+        contact, rest = (IntervalSums.of(rows, step[rows], m, self.intervals.seconds) for rows in both)
         return contact, rest
 
     def _of_places(self, projection: Complexes, observed_s: Floats) -> tuple[Complexes, Complexes]:
@@ -296,11 +296,11 @@ class Ringing:
     @cached_property
     def _gates(self) -> Complexes:
         """Normal equations of the joint fits of contact and flight, (m, 2 p, 2 p)."""
-        extra = self.kept.in_contact.overlaps(self._turns, self._turns)
+        extra = self.intervals.in_contact.overlaps(self._turns, self._turns)
         fitted = np.diagonal(self._gram, axis1=1, axis2=2) != 0.0
-        beside = extra * (fitted[:, :, None] & self._own[:, None, :])
+        coupling = extra * (fitted[:, :, None] & self._own[:, None, :])
         own = extra * (self._own[:, :, None] & self._own[:, None, :])
-        return np.block([[self._gram, beside], [np.conj(beside.transpose(0, 2, 1)), own]])
+        return np.block([[self._gram, coupling], [np.conj(coupling.transpose(0, 2, 1)), own]])
 
     @cached_property
     def _first_tone(self) -> tuple[Complexes, Complexes]:
@@ -308,7 +308,7 @@ class Ringing:
         every = solved(self._gates, np.broadcast_to(np.eye(self._gates.shape[1]), self._gates.shape).astype(complex))
         return 2.0 * (every[:, 1] + every[:, self._turns.shape[1] + 1]), 2.0 * every[:, 1]
 
-    def _apart(self, contact: Complexes, rest: Complexes) -> tuple[Complexes, Complexes]:
+    def _in_both_places(self, contact: Complexes, rest: Complexes) -> tuple[Complexes, Complexes]:
         """The first tone in contact and in flight, (m,) each, from the right sides of the two."""
         sides = np.concatenate([contact + rest, contact * self._own], axis=1)
         there, here = (np.sum(row * sides, axis=1) for row in self._first_tone)
@@ -317,17 +317,17 @@ class Ringing:
     # -- windows ----------------------------------------------------------------------------------------------------
     @cached_property
     def _windows(self) -> tuple[IntervalSums, Integers, Complexes, Complexes]:
-        """Sums over each window; the windows' steps; inverse normal matrices, alone and times the Gram matrix."""
-        rows = np.flatnonzero(self.kept.window >= 0)
-        of = self.kept.window[rows]
-        step = self.kept.step[rows[np.searchsorted(of, np.arange(int(of.max(initial=-1)) + 1))]]
+        """Sums over each window; the windows' steps; inverse normal matrices, and these times the Gram matrix."""
+        rows = np.flatnonzero(self.intervals.window >= 0)
+        of = self.intervals.window[rows]
+        step = self.intervals.step[rows[np.searchsorted(of, np.arange(int(of.max(initial=-1)) + 1))]]
         every = self._turns[step]
         own = self._own[step]
-        windows = self.kept.in_windows
+        windows = self.intervals.in_windows
         gram = windows.overlaps(every, every)
         one = np.eye(every.shape[1], dtype=np.complex128) * own[:, :, None]
         inverse = solved(gram * (own[:, :, None] & own[:, None, :]), one)
-        return IntervalSums.of(rows, of, len(step), self.kept.seconds), step, inverse, inverse @ gram
+        return IntervalSums.of(rows, of, len(step), self.intervals.seconds), step, inverse, inverse @ gram
 
     def _in_windows(self, found: Complexes, projection: Complexes, observed_s: Floats) -> tuple[Floats, Floats]:
         """Relative deviation of the forcing's amplitude in each window and its standard deviation, (w,) each."""

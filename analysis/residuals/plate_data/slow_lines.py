@@ -13,7 +13,7 @@ from analysis.plate.motion import StepPlate
 from kernels.arrays import Floats
 from model.integrator.problem import PlateSteps
 
-SHARED_LINES = 3  # steps that must show a slow line; relative distance of two lines
+SHARED_LINES = 3  # steps that must show a slow line
 
 
 def hints_of(fitted: Sequence[StepPlate]) -> tuple[float, ...]:

@@ -85,15 +85,15 @@ def swells_of(
     swells = AmplitudeModulation(
         np.array(table["recording"], dtype=np.int64),
         np.array(table["span"]),
-        np.tile(2.0 * np.pi * every, (m, 1)),
-        z,
-        np.full(m, 2),
         np.full(m, np.nan),
         np.full(m, np.inf),
         np.array(table["step"], dtype=np.int64),
         np.array(table["window"]),
         value,
         np.full(len(value), 1e-3),
+        np.tile(2.0 * np.pi * every, (m, 1)),
+        z,
+        np.full(m, 2),
         FitIntervals.join(kept, np.arange(m), none),
     )
     tones = np.zeros((m, 8), dtype=np.complex128)

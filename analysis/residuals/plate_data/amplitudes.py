@@ -1,0 +1,133 @@
+"""Amplitude of the forcing within and between steps: least squares of a slow modulation, and its frequency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from analysis.linear_algebra import solve
+from analysis.plate.fit_mask import mean_phasor
+from analysis.statistics import mad_sigma
+from kernels.arrays import Floats, Integers
+
+FASTEST = 0.45  # highest frequency over the windows' rate: beyond, it is aliased
+FINENESS = 5.0  # frequencies tried in the inverse of a recording's length
+CHUNK = 64  # frequencies calculated together
+RIDGE, TINY = 1e-9, 1e-300
+LEAST = 4  # steps or windows that are used at all
+Source = Literal["both", "windows", "gains"]
+PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gains": slice(0, 1)}
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """Amplitude of the forcing in windows within steps, and from step to step in their gains.
+
+    Attributes
+    ----------
+    recording
+        Of each step, (m,).
+    span_s
+        Start and end of each step's fit, (m, 2).
+    gain, gain_sigma
+        Logarithm of plate over drive in each step, (m,); not finite where there is no drive.
+    window_step, window_span_s, value, sigma
+        Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
+        order of the `MODULATION` rows of the plate data.
+    """
+
+    recording: Integers
+    span_s: Floats
+    gain: Floats
+    gain_sigma: Floats
+    window_step: Integers
+    window_span_s: Floats
+    value: Floats
+    sigma: Floats
+
+    @property
+    def runs(self) -> range:
+        """Numbers of the recordings."""
+        return range(int(self.recording.max(initial=-1)) + 1)
+
+    @cached_property
+    def since_s(self) -> tuple[Floats, Floats]:
+        """End of each step, and middle of each window, since its recording's first step began, (m,) and (w,)."""
+        begin = np.array([self.span_s[self.recording == r, 0].min() for r in self.runs])[self.recording]
+        return self.span_s[:, 1] - begin, self.window_span_s.mean(axis=1) - begin[self.window_step]
+
+    def strongest_hz(self, source: Source) -> float:
+        """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
+        since = np.sort(self.since_s[1])
+        fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
+        if source == "gains":  # a faster modulation looks like a slower one from step to step
+            fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
+        # the first scan takes 3000 windows at most; later rounds take more of a long recording, near what was found
+        until = float(since[min(len(since), 3000) - 1])
+        hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))
+        best = float(hz[np.argmax(self._power(hz, until, source))]) if len(hz) else fastest
+        while True:
+            near, until = 1.0 / until, min(4 * until, float(since[-1]))
+            hz = np.maximum(best + np.arange(-near, near, 0.2 / (FINENESS * until)), 0.1 / until)
+            best = float(hz[np.argmax(self._power(hz, until, source))])
+            if until >= since[-1]:
+                return best
+
+    def _power(self, hz: Floats, until_s: float, source: Source) -> Floats:
+        """What the best modulation at each frequency gains in the first ``until_s`` of the recordings, nats, (f,)."""
+        out = np.zeros(len(hz))
+        for first in range(0, len(hz), CHUNK):
+            some = slice(first, first + CHUNK)
+            steps = mean_phasor(self.span_s, 2.0 * np.pi * hz[some])
+            windows = mean_phasor(self.window_span_s, 2.0 * np.pi * hz[some]) - steps[:, self.window_step]
+            rows, means = (np.stack([x.imag, x.real], axis=1) for x in (windows, steps))
+            for r in self.runs:
+                normal, side = self.normal(r, rows, means, self.value, self.gain, until_s)
+                part = PARTS[source]
+                normal, side = normal[part].sum(axis=0) + RIDGE * np.eye(2), side[part].sum(axis=0)
+                gained = 0.5 * np.sum(side * solve(normal, side[..., None])[..., 0], axis=-1)
+                out[some] += self._without_scale(r, until_s, gained) if source == "gains" else gained
+        return out
+
+    def _without_scale(self, r: int, until_s: float, gained: Floats) -> Floats:
+        """Gain in likelihood of the steps' gains where their scatter is not known but found from what is left, (f,)."""
+        known = (self.recording == r) & (self.since_s[0] <= until_s) & np.isfinite(self.gain)
+        if known.sum() <= LEAST:
+            return gained
+        gain = self.gain[known]
+        weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain) ** 2)
+        total = 0.5 * float(np.sum(weight * (gain - np.average(gain, weights=weight)) ** 2))
+        least = 0.5 * float(np.sum(weight * self.gain_sigma[known] ** 2))
+        return np.asarray(0.5 * len(gain) * np.log((total + least) / np.maximum(total - gained + least, TINY)))
+
+    def normal(
+        self, r: int, rows: Floats, means: Floats, value: Floats, gain: Floats, until_s: float
+    ) -> tuple[Floats, Floats]:
+        """Normal equations (2, f, 2, 2) and right sides (2, f, 2) of the steps' gains, then of the windows.
+
+        ``rows`` (f, 2, w) and ``means`` (f, 2, m) are what the two parts of a modulation make of windows and gains.
+        """
+        known = (self.recording == r) & (self.since_s[0] <= until_s) & np.isfinite(gain)
+        windows = (self.recording[self.window_step] == r) & (self.since_s[1] <= until_s)
+        normal, side = np.zeros((2, len(rows), 2, 2)), np.zeros((2, len(rows), 2))
+        normal[1], side[1] = _squares(rows[..., windows], value[windows], self.sigma[windows] ** -2.0)
+        if known.sum() > LEAST:
+            weight = 1.0 / (self.gain_sigma[known] ** 2 + _scatter(gain[known]) ** 2)
+            means, gain = means[..., known], gain[known]
+            means = means - (means @ weight / weight.sum())[..., None]  # a common offset is no modulation
+            normal[0], side[0] = _squares(means, gain - gain @ weight / weight.sum(), weight)
+        return normal, side
+
+
+def _squares(parts: Floats, value: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Normal equations (f, 2, 2) and right sides (f, 2) of ``value`` (n,) as a sum of two ``parts`` (f, 2, n)."""
+    return (parts * weight) @ parts.transpose(0, 2, 1), (parts * weight) @ value
+
+
+def _scatter(x: Floats) -> float:
+    """Robust standard deviation of what is finite; 0 where there is too little."""
+    x = x[np.isfinite(x)]
+    return mad_sigma(x - np.median(x)) if len(x) >= LEAST else 0.0
