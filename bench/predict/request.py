@@ -98,6 +98,8 @@ def ball_for(request: Request) -> Ball:
         raise InputError(f"--sweep wants up or down, not {request.sweep!r}")
     if request.frequency_hz is not None and not (math.isfinite(request.frequency_hz) and request.frequency_hz > 0):
         raise InputError(f"--frequency-hz wants a positive number, not {request.frequency_hz!r}")
+    if not math.isfinite(request.phase_deg):
+        raise InputError(f"--phase-deg wants a number, not {request.phase_deg!r}")
     forcing = forcing_of(request)
     if not forcing.moves:
         raise InputError("the two tones cancel: the plate does not move; change --c or --phase-deg")

@@ -125,6 +125,7 @@ def test_an_adaptive_diagram_has_more_rows(tmp_path):
         (["--gamma", "1", "--effect", "drive_gain.relative=0.1"], "drive or an instrument"),
         (["--gamma", "1", "--sweep", "sideways"], "up or down"),
         (["--gamma", "1", "--phase-deg", "180"], "cancel"),
+        (["--gamma", "1", "--phase-deg", "nan"], "--phase-deg wants a number"),
         (["--gamma-range", "2", "1", "--bifurcations"], "range"),
         (["--gamma-range", "1", "2"], "--out"),
         (["--profile", "simulated", "--figure", "x.png"], "--figure x.png: this call writes no such file"),
