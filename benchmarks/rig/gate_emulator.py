@@ -1,6 +1,6 @@
 """The gate's machine code on an emulated RP2040, with the calls of `tests.fakes.gate.Gate`.
 
-Wants `npm install rp2040js` in a folder of its own, node, and `pip install ziglang`, which has a compiler for the chip.
+Needs node, `npm install rp2040js` in a folder of its own, and `pip install ziglang`, which has a compiler for the chip.
 """
 
 from __future__ import annotations
