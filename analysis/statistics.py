@@ -11,11 +11,21 @@ from scipy.optimize import minimize_scalar
 from kernels.arrays import Floats, Integers
 
 MAD_TO_SIGMA = 1.4826  # standard deviation of normal deviations over their median absolute value
+CORE = 0.98  # part of absolute deviations that `core_sigma` takes
 
 
 def mad_sigma(deviations: npt.ArrayLike) -> float:
     """Standard deviation of normal ``deviations`` (n,) about zero, from their median absolute value."""
     return MAD_TO_SIGMA * float(np.median(np.abs(deviations)))
+
+
+def core_sigma(sizes: Floats, most: float) -> float:
+    """Standard deviation of normal deviations of ``sizes`` (n,), from those up to ``most``, their `CORE` quantile.
+
+    Few outliers do not count, and quantisation biases it less than a median.
+    """
+    # the smallest 98 % of normal deviations have an rms of 0.9346 standard deviations
+    return float(np.sqrt(np.mean(sizes[sizes <= most] ** 2))) / 0.9346
 
 
 def median(values: Floats) -> float:

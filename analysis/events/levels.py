@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from analysis.statistics import CORE, core_sigma
 from kernels import njit
 from kernels.arrays import Floats
 
@@ -129,9 +130,7 @@ def _on_plateaus(
         near = plateau[np.abs(plateau - level) < NEAR_LEVEL * abs(swing)]
         level = float(np.median(near)) if 0 < near.size < plateau.size else level
         deviation = np.abs(near - level)
-        # all but the largest 2 %, of rms 0.9346 for normal noise: robust, and unbiased by quantisation
-        core = deviation[deviation <= np.quantile(deviation, 0.98)] if deviation.size else deviation
-        spreads.append(float(np.sqrt(np.mean(core**2))) / 0.9346 if core.size else 0.0)
+        spreads.append(core_sigma(deviation, float(np.quantile(deviation, CORE))) if deviation.size else 0.0)
         levels.append(level if near.size > 0.5 * plateau.size else declared)
     noise = max([*spreads, step_v / np.sqrt(12.0), 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)

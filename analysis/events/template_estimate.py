@@ -1,4 +1,4 @@
-"""Impact template estimated from the accelerometer alone.
+"""Impact template estimated from the accelerometer.
 
 Strong isolated onsets are aligned and averaged, then aligned again by their average. The contact circuit is not used:
 it may be late, or close only at the end of a chatter. `analysis.events.sensor_offset.calibrate` then measures the delay
@@ -30,6 +30,7 @@ from analysis.events.impact_template import (
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
 from analysis.signals.stream import Piece
+from analysis.statistics import CORE, core_sigma
 from daq.instrument.noise_spectrum import PREDICTED_FROM, NoiseSpectrum, measure_noise
 from daq.instrument.saturation import STANDS, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
@@ -38,6 +39,15 @@ from kernels.arrays import Bools, Floats, Integers
 
 TAIL = 3.0  # standard deviations from which a detector's output counts as its tail
 FALSE_PER_HOUR = 0.1  # impacts that noise may make in an hour of recording
+MASK_S = 4e-3  # mask after an impact in the tone fits made here
+QUIET_SAMPLES = 60  # samples without an onset before an onset
+ONSET_SIGMAS = 6.0  # standard deviations of noise that make an onset
+STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
+NOTICED = 0.05  # of an impact's strength, from which another one nearby changes its waveform
+N_ALIGNMENTS = 2
+MAX_IMPACTS = 400  # strongest impacts used
+N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
+MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
 
 
 def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
@@ -57,8 +67,7 @@ def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
     # fewer outputs show no tail: the filter's noise is taken as it was computed
     if deviation.size < 1024:
         return 1.0, 0.0
-    # all but the largest 2 %, of rms 0.9346 for normal noise: robust, and unbiased by quantisation
-    scale = float(np.sqrt(np.mean(deviation[deviation <= np.quantile(deviation[::8], 0.98)] ** 2))) / 0.9346
+    scale = core_sigma(deviation, float(np.quantile(deviation[::8], CORE)))
     up = quiet[1:-1]
     tops = up[(up > TAIL * scale) & (up >= quiet[:-2]) & (up > quiet[2:])] / scale
     decay, per_hour = 1.0, max(tops.size, 1) / quiet.size * rate_hz * 3600.0
@@ -67,17 +76,6 @@ def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
         # a tail that is heavier by less than three standard errors is taken for that of normal noise
         decay = measured if measured > 1.0 + 3.0 * measured / np.sqrt(tops.size) else 1.0
     return scale, float(np.sqrt(TAIL**2 + 2.0 * decay * np.log(max(per_hour / FALSE_PER_HOUR, 1.0))))
-
-
-MASK_S = 4e-3  # mask after an impact in the tone fits made here
-QUIET_SAMPLES = 60  # samples without an onset before an onset
-ONSET_SIGMAS = 6.0  # standard deviations of noise that make an onset
-STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
-NOTICED = 0.05  # of an impact's strength, from which another one nearby changes its waveform
-N_ALIGNMENTS = 2
-MAX_IMPACTS = 400  # strongest impacts used
-N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
-MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,8 @@ def estimate_template(
         detectors = [_detector(piece, template, rate_hz) for piece in pieces]
         impacts = [d.impacts() for d in detectors]
         places = [own.time_s * rate_hz + piece.pad for own, piece in zip(impacts, pieces, strict=True)]
-        found = [_Found(at, own.strength, at > 0.0) for at, own in zip(places, impacts, strict=True)]
+        every = [np.ones(at.size, dtype=np.bool_) for at in places]
+        found = [_Found(at, own.strength, used) for at, own, used in zip(places, impacts, every, strict=True)]
         if turn < N_ALIGNMENTS - 1:
             # what still rings after the mask would bend the tones
             clean = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
@@ -262,10 +261,10 @@ def _snippets(volts: Floats, fitted: Bools, found: _Found, echo: int) -> tuple[F
     places, strength, used = found
     near = np.abs(places[:, None] - places) <= echo
     np.fill_diagonal(near, False)
-    alone = used & ~np.any(near & (strength > NOTICED * strength[:, None]), axis=1)
+    isolated = used & ~np.any(near & (strength > NOTICED * strength[:, None]), axis=1)
     sample = np.ceil(places).astype(np.int64)
     index = sample[:, None] + np.arange(-LEAD, echo - LEAD)
-    inside = alone & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
+    inside = isolated & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
     index, fractions = index[inside], (sample - places)[inside]
     usable = fitted[index].all(axis=1)
     return volts[index[usable]], fractions[usable]

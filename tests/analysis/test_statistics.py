@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from analysis.statistics import chance_of_squares, mad_sigma, median, nearest
+from analysis.statistics import CORE, chance_of_squares, core_sigma, mad_sigma, median, nearest
 
 
 def test_the_robust_spread_is_the_standard_deviation_despite_outliers() -> None:
@@ -14,6 +14,13 @@ def test_the_robust_spread_is_the_standard_deviation_despite_outliers() -> None:
     deviations = 3.0 * np.random.default_rng(1).standard_normal(4000)
     deviations[:200] = 1e6
     assert mad_sigma(deviations) == pytest.approx(3.0, rel=0.1)
+
+
+def test_the_spread_of_the_core_is_the_standard_deviation_whatever_is_beyond_it() -> None:
+    """Of normal deviations with 0.2 % gross outliers, to a fiftieth."""
+    sizes = np.abs(5.0 * np.random.default_rng(2).standard_normal(40_000))
+    sizes[:80] = 1e6
+    assert core_sigma(sizes, float(np.quantile(sizes, CORE))) == pytest.approx(5.0, rel=0.02)
 
 
 @pytest.mark.parametrize("n", [1, 2, 40])
