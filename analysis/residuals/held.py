@@ -21,6 +21,7 @@ from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import Measured
 
+HELD = 0.95  # part of a step's cycles in which the ball must have landed where it was launched
 NEAR = 1.0 / 8.0  # of a cycle, between a correction and the launch that it belongs to
 
 
@@ -80,9 +81,6 @@ class Launches:
         fading = (measured.other_step is not None) & (self.at(takeoff_s) < 0)
         share = None if measured.share is None else np.where(fading, measured.share, 0.0)
         return replace(measured, part=part, ahead_s=ahead_s, share=share)
-
-
-HELD = 0.95  # part of a step's cycles in which the ball must have landed where it was launched
 
 
 @dataclass(frozen=True)

@@ -198,7 +198,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
     steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)
-    if launches is not None:  # what corrections that alternate make beside the tones is told flight by flight
+    if launches is not None:  # alternating corrections make more tones: each flight's drive holds them
         steps = _of_forcing_only(steps)
     fades = Fades.of(recording)
     measured, scored, keep = _events(flights, rows, fades)
@@ -281,15 +281,15 @@ def _of_forcing_only(steps: Steps) -> Steps:
 
 
 def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, Bools, Bools]:
-    """True flights of steps whose plate is known, with their links; which are scored; which rows were kept."""
+    """True flights of steps whose plate is known, with their links; which are scored; which flights those are."""
     flags = flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
     step = np.clip(flights.step, 0, len(rows) - 1)
     early = fades.before_half(step, flights.landing_s)
     step = np.where(early & (rows[step - 1] >= 0), step - 1, step)
     other, share = fades.others(step, 0.5 * (flights.takeoff_s + flights.landing_s))
-    beside = np.where(other >= 0, rows[other], -1)
-    share = np.where((other >= 0) & (beside < 0), 0.0, share)  # a step whose motion is not known
+    other_row = np.where(other >= 0, rows[other], -1).astype(np.int64)
+    share = np.where((other >= 0) & (other_row < 0), 0.0, share)  # a step whose motion is not known
     row = np.where(inside, rows[step], -1)
     keep = ((flags & NOT_EVENTS) == 0) & (row >= 0)
     opening = flights.plate.true_time_s(flights.takeoff_s[keep])
@@ -303,15 +303,15 @@ def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, B
     tiny = relaunched & (landing - opening < TINY_S)
     scored = linked & ~tiny & ((flags & NOT_SCORED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
     measured = Measured(
-        opening, landing, relaunched, linked, step.astype(np.int64), scored, beside[keep].astype(np.int64), share[keep]
+        opening, landing, relaunched, linked, step.astype(np.int64), scored, other_row[keep], share[keep]
     )
     return measured, scored, keep
 
 
 def _moved(measured: Measured, shift: int) -> Integers:
     """Rows of the other steps in fades, counted on from ``shift``; -1 for none."""
-    beside = np.full(len(measured.step), -1) if measured.other_step is None else measured.other_step
-    return np.where(beside >= 0, beside + shift, -1)
+    other_row = np.full(len(measured.step), -1) if measured.other_step is None else measured.other_step
+    return np.where(other_row >= 0, other_row + shift, -1)
 
 
 def _or(nothing: float, values: Floats | None, measured: Measured) -> Floats:

@@ -41,6 +41,7 @@ BENT = 0.5  # second order over an event's own uncertainty, beyond which it is f
 NEAR_SWITCH = 4.0  # changes within which a ball that leaves at once might rest before, or the reverse
 SHORT_S = 2e-3  # flights that a small change may hide from the contact circuit
 IN_TURN = 3  # flights in a row of which each begins as the last one ends, and a rounded landing is carried on
+HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
 BEFORE = 3  # events before one that is flown anew, on which an elastic ball's prediction leans
 
 
@@ -51,7 +52,7 @@ class Uncertainty:
     ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
     plate tone of the event's step, of the initial state of a plate mode in the step, and of each part of the rounding
     to samples that edges of a step share, its own and that of the landings it is predicted from. ``*_edge_s`` is
-    what is left to each measured edge alone.
+    what no other measured edge shares.
     """
 
     opening_sigma_s: Floats
@@ -127,7 +128,7 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     )
 
 
-def kicks_of(model: ForwardModel, values: Values) -> tuple[tuple[float, float], ...]:
+def kicks_of(model: ForwardModel, values: Values) -> Kicks:
     """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
     rows, place = model.inputs(values).rows, columns_of("plate_mode")
     # a mode that is followed as recorded has a known state at the start of every step
@@ -305,9 +306,6 @@ def _finite(x: Floats) -> Floats:
 def edge_slope(difference: Floats) -> Floats:
     """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
     return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)
-
-
-HARMONICS = 4  # of the sawtooth; the rest, a tenth of its variance, counts as each edge's own
 
 
 def rounding_errors(time_s: Floats, sigma_s: Floats, sampling_s: float, jitter_s: float) -> Floats:

@@ -31,7 +31,7 @@ from analysis.thresholds import (
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
-ENOUGH_EVENTS = 8  # rounds that raise an excess, least scatter and number of events
+ENOUGH_EVENTS = 8  # residuals of a channel from which its excess is found
 
 
 def _capped(x: Floats, cap: Floats) -> Floats:
