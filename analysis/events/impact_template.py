@@ -18,7 +18,7 @@ from analysis.linear_algebra import lstsq
 from daq.instrument.noise_spectrum import NoiseSpectrum
 from kernels.arrays import Bools, Floats, Integers
 
-LEAD, TAIL = 12, 36  # samples (see `thinning`) kept before and after an impact's first sample
+LEAD, TAIL = 12, 36  # samples (see `thinning`) before and after an impact's first sample
 LENGTH = LEAD + TAIL
 ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
 MAX_WIDTH = 8

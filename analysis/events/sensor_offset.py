@@ -174,8 +174,8 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     own = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)
     difference = impacts.time_s[partner] - time_s[closing]
     # a contact that jitters by more than its edges' uncertainties is no reason to believe it where it errs most
-    apart = np.maximum(np.hypot(own, sigma[closing]), offset.spread_s)
-    same = np.abs(difference) < MATCH_SIGMAS * apart
+    scatter = np.maximum(np.hypot(own, sigma[closing]), offset.spread_s)
+    same = np.abs(difference) < MATCH_SIGMAS * scatter
     chosen, own = closing[same], own[same]
     share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
     time_s[chosen] += share * difference[same]

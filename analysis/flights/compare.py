@@ -60,7 +60,7 @@ class StepComparison:
         Fraction of measured flights within one sample of a predicted time, in periodic windows; NaN elsewhere.
     unfit_reason : str
         Reason why a periodic step cannot test the model, empty when it can. ``sensitive``: the uncertainty of gamma
-        alone moves the prediction by `SENSITIVE_SAMPLES` or more (grazing, or a bifurcation nearby). ``unsettled``:
+        moves the prediction by `SENSITIVE_SAMPLES` or more (grazing, or a bifurcation nearby). ``unsettled``:
         the predicted cycle attracts so slowly that the settle time does not reach it.
     bands : tuple of BandTest
         The ideal model's forbidden bands, tested.

@@ -149,8 +149,8 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     steps = resolved_steps(recording)
     ends_v = common_ends([x for piece in looked for x in _by_step(piece, steps)], recording.rate_hz)
     for piece in looked:
-        if (blocks := high_pass_of(recording, high_pass_hz)) is not None:
-            blocks.undo(piece)
+        if (high_pass := high_pass_of(recording, high_pass_hz)) is not None:
+            high_pass.undo(piece)
     noise, template = estimate_template(looked, steps, recording.rate_hz, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
@@ -207,7 +207,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         When there is no accelerometer channel, or the survey refuses the recording.
     """
     channels = _channels(recording)
-    known, blocks = survey(recording, high_pass_hz), high_pass_of(recording, high_pass_hz)
+    known, high_pass = survey(recording, high_pass_hz), high_pass_of(recording, high_pass_hz)
     steps, rate_hz = resolved_steps(recording), recording.rate_hz
     contact = CrossingScan(known.levels or NO_CIRCUIT)
     restorer = LevelRestorer(known.coupling, rate_hz) if known.coupling is not None else None
@@ -215,8 +215,8 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     accumulator = StepAccumulator(recording, steps, known.mask_s, known.ends_v)
     for piece in pieces(recording, channels):
         acceleration_v, drive_v = piece.channels["accelerometer"], piece.channels.get("drive")
-        if blocks is not None:
-            blocks.undo(piece)
+        if high_pass is not None:
+            high_pass.undo(piece)
         fraction, landings = None, [np.zeros(0, np.int64)]
         if known.levels is not None:
             fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
@@ -225,8 +225,8 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         if detector is not None:
             landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
             detector.subtract_impacts(acceleration_v, piece.first, PAD)
-        if blocks is not None:
-            blocks.redo(piece)
+        if high_pass is not None:
+            high_pass.redo(piece)
         trimmed = PlatePiece(
             piece.first,
             piece.trim(acceleration_v),

@@ -172,7 +172,7 @@ def shifted_down(up: Complexes) -> Complexes:
 
 
 def two_sided(z: Complexes) -> Complexes:
-    """Amplitudes of real tones (n, 2) at both signs of their frequencies, (n, 4)."""
+    """Amplitudes of real tones (n, k) at both signs of their frequencies, (n, 2 k)."""
     return np.asarray(np.concatenate([z, np.conj(z)], axis=1) / 2.0)
 
 

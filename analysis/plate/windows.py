@@ -1,7 +1,7 @@
 """Amplitudes within windows of a few cycles, and the slow residual, of one chunk of a step.
 
 Tones are evaluated by rotating phasors in one pass over the block means. Only sums over windows and over slow bins
-are kept.
+are stored.
 """
 
 from __future__ import annotations

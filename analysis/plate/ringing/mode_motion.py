@@ -41,7 +41,7 @@ class PushedPlate:
     answer_mps2, known
         Acceleration in each block less what the drive makes of it, and where no impact hides it, (n,).
     noise_mps2
-        Standard deviation of the former beside the mode.
+        Standard deviation of the former without the mode.
     torn_s
         Begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there.
     """

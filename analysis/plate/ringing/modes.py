@@ -50,7 +50,7 @@ RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width and damping, and of the 
 LAGS = 2  # pieces whose scores are correlated
 FEWEST_IMPACTS = 20
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
-HEAVY = 0.06  # mass ratio from which the motion is taken as recorded: a lighter one is told better by impacts alone
+HEAVY = 0.06  # mass ratio from which the motion is taken as recorded: a lighter one is better known from impacts
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 

@@ -19,14 +19,14 @@ RATE_HZ, CORNER_HZ = 20e3, 3.0
 
 def passed(volts: Floats, change: Callable[[Piece], None] = lambda piece: None) -> Floats:
     """The volts after both filters, piece by piece, ``change`` between them."""
-    blocks, out = HighPass(CORNER_HZ, RATE_HZ), []
+    high_pass, out = HighPass(CORNER_HZ, RATE_HZ), []
     padded = np.concatenate([np.full(PAD, volts[0]), volts, np.full(PAD, volts[-1])]).astype(np.float32)
     for first in range(0, volts.size, PIECE):
         count = min(PIECE, volts.size - first)
         piece = Piece(first, count, {"accelerometer": padded[first : first + count + 2 * PAD].copy()})
-        blocks.undo(piece)
+        high_pass.undo(piece)
         change(piece)
-        blocks.redo(piece)
+        high_pass.redo(piece)
         out.append(piece.own("accelerometer").astype(np.float64))
     return np.concatenate(out)
 
