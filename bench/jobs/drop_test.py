@@ -101,7 +101,7 @@ def check_request(request: Request) -> None:
             raise InputError(f"--{name} {value}: expected a positive number")
     if (request.mass_kg is None) != (request.diameter_m is None):
         raise InputError("--mass and --diameter: give both; together they bound the air drag")
-    if any(height <= 0.0 for height in request.heights_m) or request.height_uncertainty_m <= 0.0:
+    if any(not 0.0 < height < float("inf") for height in (*request.heights_m, request.height_uncertainty_m)):
         raise InputError("--drop-height and --height-uncertainty: expected positive metres")
     if request.heights_m and len(request.heights_m) not in (1, len(request.files)):
         raise InputError(

@@ -102,6 +102,7 @@ def test_the_result_goes_into_a_profile(tmp_path: Path) -> None:
         (["{events}", "--from", "2", "--until", "1"], "nothing is left"),
         (["{path}", "--region", "1,2,3"], "LEFT,TOP,RIGHT,BOTTOM"),
         (["{events}", "--drop-height", "0.2", "--drop-height", "0.3"], "2 heights for 1 files"),
+        (["{events}", "--drop-height", "nan"], "expected positive metres"),
         (["{events}", "{path}"], "one kind at a time"),
         (["{path}", "--scale", "0.1"], "times gravity"),
         (["{song}"], "only WAV is read"),
