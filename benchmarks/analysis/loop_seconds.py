@@ -2,7 +2,7 @@
 
     python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 12] [--against PATH] [--folder KEPT]
 
-It prints the table of `docs/results/closed-loop.md`: of two trees the other one's figures stand first, and verdicts,
+It prints a table of the stages: of two trees the other one's figures stand first, and verdicts,
 names and values of both are compared. Each trial's recording is made once and given to both trees. Kernels are compiled
 before the clock starts, and threads count as they do for the operating system: seconds are those of all cores together.
 """
