@@ -190,13 +190,17 @@ class Ringing:
         """Contribution of a prediction's mode to each datum and its standard deviation, (r,) each."""
         if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))
-        added, part = self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s)
-        return added, inexact * part
+        return self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s, inexact)
 
     def _added(
-        self, data: PlateData, plate: PlateSteps, mode_amplitudes: Complexes, projection: Complexes, observed_s: Floats
+        self,
+        data: PlateData,
+        plate: PlateSteps,
+        mode_amplitudes: Complexes,
+        projection: Complexes,
+        observed_s: Floats,
+        inexact: float,
     ) -> tuple[Floats, Floats]:
-        """Contribution, and that whose part is its standard deviation."""
         out = np.zeros(len(data))
         contact_side, rest_side = self._of_places(projection, observed_s)
         found, step = self._solved(contact_side + rest_side), data.step
@@ -205,21 +209,21 @@ class Ringing:
         size = 2.0 * np.abs(found[step, k])
         out += np.where(np.isin(data.kind, (SECOND, THIRD)), (size / data.scale) ** 2, 0.0)
         out += np.where(data.kind == HUM, size**2, 0.0)
-        sigma = np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
+        sigma = inexact * np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
         ratio = z / driven(z, mode_amplitudes[step[rows], j])
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
-        sigma[rows] = np.abs(ratio - 1.0)
+        sigma[rows] = inexact * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
         contact, flight = self._in_both_places(contact_side, rest_side)
         z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
-        sigma[rows] = np.abs((flight - contact)[step[rows]] / z)
+        sigma[rows] = inexact * np.abs((flight - contact)[step[rows]] / z)
         rows = np.flatnonzero(data.kind == MODULATION)
-        out[rows], sigma[rows] = self._in_windows(found, projection, observed_s)
+        out[rows], sigma[rows] = self._in_windows(found, projection, observed_s, inexact)
         return out, sigma
 
     # -- a plate that the ball loads --------------------------------------------------------------------------------
@@ -231,7 +235,7 @@ class Ringing:
         """
         projection, observed_s = SMALL * self._lifted(gravity_mps2), self.intervals.seconds
         tones = self.of_tones(projection, observed_s) * (plate.acceleration_mps2 != 0.0)
-        added, _ = self._added(data, plate, tones, projection, observed_s)
+        added, _ = self._added(data, plate, tones, projection, observed_s, INEXACT)
         power = np.where(np.isin(data.kind, (SECOND, THIRD, HUM)), 2.0, 1.0)
         return Loading(tones / SMALL, np.where(data.kind == GATE, 0.0, added / SMALL**power), power)
 
@@ -329,7 +333,9 @@ class Ringing:
         inverse = solved(gram * (own[:, :, None] & own[:, None, :]), one)
         return IntervalSums.of(rows, of, len(step), self.intervals.seconds), step, inverse, inverse @ gram
 
-    def _in_windows(self, found: Complexes, projection: Complexes, observed_s: Floats) -> tuple[Floats, Floats]:
+    def _in_windows(
+        self, found: Complexes, projection: Complexes, observed_s: Floats, inexact: float
+    ) -> tuple[Floats, Floats]:
         """Relative deviation of the forcing's amplitude in each window and its standard deviation, (w,) each."""
         sums, step, inverse, of_steps = self._windows
         sides, part = sums.sides(projection, observed_s)
@@ -339,4 +345,4 @@ class Ringing:
         change = 2.0 * np.sum((np.conj(own) * left[:, 1 : self.omega_radps.shape[1]]).real, axis=1)
         value, known = change / np.where(power > 0.0, power, 1.0), part > KNOWN
         usual = float(np.sqrt(np.mean(value[known] ** 2))) if known.any() else 0.0
-        return np.where(known, value, 0.0), np.where(known, np.abs(value), usual / INEXACT)
+        return np.where(known, value, 0.0), np.where(known, inexact * np.abs(value), usual)
