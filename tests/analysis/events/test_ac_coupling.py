@@ -127,7 +127,7 @@ def test_an_edge_too_slow_to_see_is_missed_once_and_declared(opens: bool) -> Non
 
 
 def test_silence_keeps_the_declared_swing_and_finds_nothing() -> None:
-    """Noise alone has no edges: what was declared stands, and no crossing is made up."""
+    """Noise has no edges: what was declared stands, and no crossing is made up."""
     rng = np.random.default_rng(6)
     volts = 0.1 * rng.standard_normal(200_000)
     coupling = measure_coupling([volts], 5.0, RATE)
@@ -199,7 +199,7 @@ def test_after_lost_samples_the_next_landing_is_not_trusted(
     gap_s = at / RATE
     after = torn.landing_s > gap_s
     assert torn.has(FlightFlag.UNSURE)[after][0]
-    later = np.flatnonzero(after & ~torn.has(FlightFlag.ACCELEROMETER))[2:]  # of the contact circuit alone
+    later = np.flatnonzero(after & ~torn.has(FlightFlag.ACCELEROMETER))[2:]  # only of the contact circuit
     true = whole.landing_s[whole.landing_s > gap_s + lost / RATE]
     off = np.abs(torn.landing_s[later][:, None] + lost / RATE - true[None, :]).min(axis=1)
     assert later.size > 10 and off.max() < 5e-5

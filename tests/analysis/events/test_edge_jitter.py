@@ -1,4 +1,4 @@
-"""How well edges repeat, found from the edges alone."""
+"""How well edges repeat, found only from the edges."""
 
 from __future__ import annotations
 

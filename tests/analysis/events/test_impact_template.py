@@ -25,7 +25,7 @@ def test_a_brief_impact_keeps_its_onset_in_the_noise_of_few_landings() -> None:
 
 
 def test_what_goes_on_slowly_under_an_impact_is_no_part_of_it() -> None:
-    """A plate that every landing sets swinging slowly: the waveform holds the ringing alone, none of the swing."""
+    """A plate that every landing sets swinging slowly: the waveform holds only the ringing, none of the swing."""
     rng = np.random.default_rng(6)
     echo = 128
     lag_s = (np.arange(echo) - LEAD + 0.5) / RATE_HZ

@@ -1,4 +1,4 @@
-"""How sharp the accelerometer's times of impacts are, beside the contact circuit."""
+"""How sharp the accelerometer's times of impacts are, compared with the contact circuit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def closings(rounded: bool) -> tuple[np.ndarray, np.ndarray, Edges]:
 
 @pytest.mark.parametrize("rounded", [False, True])
 def test_impacts_at_one_place_between_samples_are_no_sharper_than_samples(rounded: bool) -> None:
-    """An accelerometer that shows an impact by its first sample alone rounds as the contact circuit does: together
+    """An accelerometer that shows an impact only by its first sample rounds as the contact circuit does: together
     they know a landing to the rounding, where one that resolves it knows it to a microsecond or two."""
     exact, impact_s, edges = closings(rounded)
     impacts = Impacts(impact_s, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))

@@ -15,7 +15,7 @@ from model.effects.routing import accelerometer_response, ball_effects, plate_ga
 
 
 def test_each_effect_acts_in_one_place() -> None:
-    """Ball, drive and accelerometer are told apart by what the effects' own files define."""
+    """Ball, drive and accelerometer are distinguished by what the effects' own files define."""
     effects = {
         "coulomb_friction": {"mu_up": 0.1},
         "drive_gain": {"relative": 0.1},

@@ -43,7 +43,7 @@ def test_a_trial_is_the_fit_of_all_blocks_at_that_frequency() -> None:
 
 
 def test_the_residual_is_what_all_other_tones_leave() -> None:
-    """What is left holds the kept tone and the noise alone."""
+    """What is left holds only the chosen tone and the noise."""
     trials = LineTrials(_state(), RATE_HZ)
     fit = trials.fit_at(2, 50.05)
     line = 0.3 * np.cos(2 * np.pi * 50.05 * trials.blocks / RATE_HZ + 1.0)

@@ -1,4 +1,4 @@
-"""Mains lines beside the forcing: followed to their own frequency, and taken for nothing else."""
+"""Mains lines near the forcing: followed to their own frequency, and taken for nothing else."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _with_tones(x: np.ndarray, hz: float) -> ToneFit:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("length_s", [3.0, 12.0])
 def test_no_line_that_could_be_measured_is_called_absent(length_s: float, seed: int) -> None:
-    """Lines of all sizes anywhere within reach: what is called absent moves no line, and noise alone is called so."""
+    """Lines of all sizes anywhere within reach: what is called absent moves no line, and noise is called so."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(length_s * RATE_HZ)) / RATE_HZ
     prior, called = unmeasured_line(50.0), []

@@ -41,7 +41,7 @@ RATE_HZ, WIDTH, TONES_HZ, LEVEL = 1000.0, 20, (25.0, 50.0, 50.9), 2
 
 
 def _state(firsts: tuple[int, ...], blocks: int) -> StepState:
-    """A step in noise, its second harmonic beside a mains line, one block in three masked."""
+    """A step in noise, its second harmonic near a mains line, one block in three masked."""
     rng = np.random.default_rng(11)
     state = StepState(
         0, TONES_HZ[0], (1,), 0, 0, blocks / RATE_HZ, frequency_hz=TONES_HZ[0], multiples=(1, 2), mask_level=LEVEL

@@ -1,4 +1,4 @@
-"""A ball that rebounds: chains of impacts, chatter whose bounces nobody saw, grazes."""
+"""A ball that rebounds: chains of impacts, chatter whose bounces were not seen, grazes."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def test_a_parameter_drifts_within_a_step_too(fly_ramp: Callable[..., ForwardMod
 
 
 def test_impacts_heard_late_leave_the_residuals_they_would_have_in_time(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Landings, and the take-offs at them, shown late by the accelerometer alone: a known delay takes it all back."""
+    """Landings, and the take-offs at them, shown late only by the accelerometer: a known delay takes it all back."""
     model, late_s = fly_ramp(FRICTION, 1), 2e-4
     made = model.observations
     heard = np.arange(len(made)) % 3 > 0

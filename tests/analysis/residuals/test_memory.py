@@ -71,7 +71,7 @@ def test_no_flight_is_flown_for_what_touches_the_plate_alone(fly_ramp: Callable[
 
 
 def test_no_flight_is_flown_for_how_a_light_table_was_driven(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Whether the drive's scale is that of the loaded plate shows in plate data alone; a new frequency is flown."""
+    """Whether the drive's scale is that of the loaded plate shows only in plate data; a new frequency is flown."""
     model = fly_ramp(FRICTION, 1)
     mode = {("table_resonance", "mass_ratio"): 0.02, ("table_resonance", "frequency_hz"): 9.0}
     loaded = {**mode, ("table_resonance", "loaded"): 1.0}

@@ -1,4 +1,4 @@
-"""Errors of held-out steps and the floor beside them."""
+"""Errors of held-out steps and their floor."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_floor_is_what_a_true_model_misses_by(fly_ramp: Callable[..., Forwar
 
 
 def test_only_named_steps_count_and_only_grazes_are_left_out(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Flights of other steps never; of these all but the ones whose landing nobody could have predicted."""
+    """Flights of other steps never; of these all but the ones whose landing could not be predicted."""
     model = fly_ramp(FRICTION, 0)
     steps = np.arange(len(model.observations.steps)) == 4
     rows, out = scored_rows(model, FRICTION, steps)
@@ -65,7 +65,7 @@ def test_a_flight_without_prediction_misses_by_half_a_period(fly_ramp: Callable[
 
 
 def test_few_steps_may_miss_by_more_than_their_floor(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Tones err for a whole step: noise alone exceeds the floor of two steps by more than that of fourteen."""
+    """Tones err for a whole step: noise exceeds the floor of two steps by more than that of fourteen."""
     model = fly_ramp(FRICTION, 0)
     over = []
     for steps in (2, 14):

@@ -13,7 +13,7 @@ STEPS, EACH, EDGE_S, TONE_S, PERIOD_S = 20, 30, 3e-7, 3e-6, 0.04
 
 
 def blocks(scatter_s: float, seed: int) -> StepBlocks:
-    """Landings of twenty steps, each with an error of its own, one of its step, and a scatter nobody stated."""
+    """Landings of twenty steps, each with an error of its own, one of its step, and a scatter that is not stated."""
     rng, n = np.random.default_rng(seed), STEPS * EACH
     together = np.repeat(0.5 * TONE_S * rng.standard_normal(STEPS), EACH)
     bare = together + np.hypot(EDGE_S, scatter_s) * rng.standard_normal(n)
@@ -31,7 +31,7 @@ def test_errors_that_a_step_shares_leave_no_excess(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_scatter_of_its_own_is_found_below_a_larger_shared_error(seed: int) -> None:
-    """A scatter of 1.2 microseconds under shared errors of three, which a look at each event alone cannot see."""
+    """A scatter of 1.2 microseconds under shared errors of three, which a look at single events cannot see."""
     made = blocks(1.2e-6, seed)
     alone, _ = excess_noise(made.bare, np.hypot(EDGE_S, TONE_S) * np.ones(len(made.bare)), made.period_s)
     assert alone == LEAST_EXCESS_S

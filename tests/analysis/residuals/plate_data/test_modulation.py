@@ -26,7 +26,7 @@ FORCING_HZ = 25.37
 DEPTH, HZ, PHASE = 0.06, 2.3, 0.7
 CARRIERS = np.array([16.0 * np.exp(0.4j), 30.0 * np.exp(-1.1j)])
 STEP_S = 20.0 / FORCING_HZ / 20_000  # of the fine grid
-LINE_HZ = 50.0  # a fitted line beside the second tone: the swell leaks into it
+LINE_HZ = 50.0  # a fitted line near the second tone: the swell leaks into it
 OTHERS_HZ = (*(FORCING_HZ * m for m in (3, 4, 5, 6)), LINE_HZ)
 DEEP: tuple[ParameterId, ParameterId] = (("amplitude_modulation", "depth"), ("amplitude_modulation", "frequency_hz"))
 
@@ -113,7 +113,7 @@ def test_the_modulated_tones_are_the_plate_that_swells() -> None:
 
 @pytest.mark.parametrize("masked", [0.0, 0.35])
 def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
-    """The deviation said of each window is the one fitted there, the line beside the second tone and masks included."""
+    """The deviation said of each window is the one fitted there, the line near the second tone and masks included."""
     swells, plate = swells_of((PHASE,), masked=masked)
     m, n = len(swells.tones), len(swells.value)
     kind, step = np.repeat([MODULATION, HUM], [n, m]), np.concatenate([swells.window_step, np.arange(m)])

@@ -56,7 +56,7 @@ def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Floats:
     zero, one = np.zeros(n, dtype=np.int64), np.ones(n)
     data = PlateData(kinds, zero, one, one, omegas, one, np.full(n, 16.0), zero, zero[:, None], one[:, None] + 0j)
     plate = PlateSteps(omega[None, 1:2], seen[:, :1], np.array([1.0 / FORCING_HZ]))
-    n0 = np.zeros(1)  # of the flights: nobody asks
+    n0 = np.zeros(1)  # of the flights: not used
     predicted = Predicted(n0, n0, n0, n0, n0, n0, n0, n0, ear.of_tones(heard, heard_s), heard, heard_s)
     return ear.added(data, plate, predicted)[0]
 
