@@ -56,15 +56,20 @@ def _rested(s: float, pressed: tuple[float, float], last: Chain, bare: Plate, p:
 
 
 @compiled
-def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Floats) -> Chain:
-    """A chain that begins at the opening of an event: the plate goes on ringing from step to step."""
+def begin_chain(
+    event: Event, period: float, last: Chain, plate: Plate, p: Floats, mode: Floats, kick: tuple[float, float]
+) -> Chain:
+    """A chain that begins at the opening of an event, its ``mode`` (4,) measured, or ringing on from step to step."""
     opening = event.opening
     rested = opening - last.t
-    if 0.0 <= rested < LONGEST_PERIODS * period:
+    if not np.isnan(mode[2]):
+        q, qd = mode[0], mode[1]
+    elif 0.0 <= rested < LONGEST_PERIODS * period:
         q, qd = _rested(rested, (event.pressed_mps, event.pressed_at), last, plate, p)
     else:
         q, qd, _ = mode_at_rest(opening, plate.tones, p)
-    return Chain(opening, last.impact, q, qd, False, 0)
+    loose = 1.0 if np.isnan(event.pressed_mps) else 0.2  # a measured push tells most of the mode's motion
+    return Chain(opening, last.impact, q + loose * kick[0], qd + loose * kick[1], False, 0)
 
 
 @compiled
@@ -109,6 +114,17 @@ def _measured(
         out[WAY] = TWO_POINTS
         v0, hit = launch_of(start, landing, near, out[LANDING], with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
+
+
+@inlined
+def _impact(event: Event, v0: float, hit: float, several: bool, rings: bool, out: Floats) -> float:
+    """Impact speed of a measured flight: as flown (``hit``), predicted where it is several flights, or measured."""
+    if several:  # only the prediction knows its end
+        hit, out[WAY] = out[IMPACT], AS_PREDICTED
+    if rings and not np.isnan(event.gained_mps):
+        hit = event.gained_mps - (v0 if event.bounces and event.relaunched else 0.0)
+        out[WAY] = MEASURED  # by the accelerometer's integral over the flight
+    return max(hit, 0.0)
 
 
 @compiled
@@ -172,12 +188,7 @@ def one_ahead(
         passed, chained = 0, last.chained + 1
         if not event.linked:
             chained = 0
-            if measured:
-                last = Chain(event.opening, last.impact, events.mode[i, 0], events.mode[i, 1], False, 0)
-            else:
-                last = begin_chain(event, steps.period[m], last, bare, p)
-            loose = 1.0 if np.isnan(events.pressed_mps[i]) else 0.2  # a measured push tells most of the mode's motion
-            last = Chain(last.t, last.impact, last.q + loose * kick[0], last.qd + loose * kick[1], False, 0)
+            last = begin_chain(event, steps.period[m], last, bare, p, events.mode[i], kick)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(event, last, bare, law, seen, out[i])
         out[i, PASSED] = passed
@@ -187,13 +198,8 @@ def one_ahead(
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
-        if passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < seen.passable_s:
-            # the flight as measured is several: only the prediction knows its end
-            hit, out[i, WAY] = out[i, IMPACT], AS_PREDICTED
-        if ratio != 0.0 and not np.isnan(events.gained_mps[i]):
-            hit = events.gained_mps[i] - (v0 if bounces and events.relaunched[i] else 0.0)
-            out[i, WAY] = MEASURED  # by the accelerometer's integral over the flight
-        hit = max(hit, 0.0)
+        several = passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < seen.passable_s
+        hit = _impact(event, v0, hit, several, ratio != 0.0, out[i])
         out[i, OWN_LAUNCH], out[i, OWN_IMPACT], out[i, OWN_START] = v0, hit, start
         flying = with_state(bare, q, qd)
         if ratio != 0.0 and events.linked[i]:

@@ -141,14 +141,3 @@ def fold_onto(table: Floats, base: Number, phi: Number) -> Number:
     folded = phi - TWO_PI * floor((phi - first) * (1.0 / TWO_PI))
     folded = select(folded < first, folded + TWO_PI, folded)
     return select(folded >= first + TWO_PI, folded - TWO_PI, folded)
-
-
-@inlined
-def branch_at(table: Floats, base: Number, last: Number, phi: Number) -> Number:
-    """`model.flight.branches.branch_of` in a table."""
-    i = 0.0 * phi
-    after = (i + 1.0 < last) & (phi >= gather(table, base + TABLE))
-    while any_of(after):
-        i = select(after, i + 1.0, i)
-        after = after & (i + 1.0 < last) & (phi >= gather(table, base + TABLE * (i + 1.0)))
-    return i
