@@ -153,7 +153,7 @@ def test_the_scatter_of_a_term_does_not_use_the_reserved_steps(
 def test_a_quantity_that_never_varies_carries_no_term(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
-    """Flights of no height, rests that are known of none: terms of other quantities are screened alone."""
+    """Flights of no height, rests that are known of none: terms of other quantities are screened without them."""
     model = fly_ramp({}, 0, gammas=(0.8, 1.1))
     search = search_of(model, fitter_of(model))
     n = len(model.observations)
