@@ -1,6 +1,6 @@
 /* Serial frames of a sampling device: reference encoder in portable C99, without the C library and without a heap.
  *
- * The rule kept here: one pass, one buffer. A frame goes out as it is built; nothing is allocated, nothing blocks.
+ * The rule: one pass, one buffer. A frame goes out as it is built; nothing is allocated, nothing blocks.
  * The format is described in docs/serial-frame.md; the decoder is daq/serial_frames.py. */
 #ifndef SHAKER_FRAME_H
 #define SHAKER_FRAME_H

@@ -5,7 +5,7 @@
  * buffer when the host died are worth nothing. Without one, or beyond a limit, the drive fades to zero, and the gate
  * stays closed until a person presses its button: no message opens it again.
  *
- * The rule kept here: from the last sign of life to a drive of exactly zero two cycles pass at most. A cycle for the
+ * The rule: from the last sign of life to a drive of exactly zero two cycles pass at most. A cycle for the
  * heartbeat to be missed, three quarters of one for the fade, a quarter for what the limit of slew leaves to do. */
 #ifndef SHAKER_GATE_H
 #define SHAKER_GATE_H

@@ -60,7 +60,7 @@ size_t shaker_packet_end(shaker_packet *p)
     return p->at;
 }
 
-static void keep(shaker_unpacker *u, uint8_t byte)
+static void take_in(shaker_unpacker *u, uint8_t byte)
 {
     if (u->n == SHAKER_MESSAGE_BYTES)
         u->bad = 1;
@@ -75,10 +75,10 @@ uint8_t shaker_unpack(shaker_unpacker *u, uint8_t byte)
     if (byte != 0) {
         if (u->left > 0) {
             u->left--;
-            keep(u, byte);
+            take_in(u, byte);
         } else { /* a group begins; the one before ended with a zero that was not sent */
             if (u->code != 0 && u->code != 0xFFu)
-                keep(u, 0);
+                take_in(u, 0);
             u->code = byte;
             u->left = (uint8_t)(byte - 1);
         }

@@ -1,7 +1,7 @@
 /* Packets on a serial line: bytes, their CRC-32, stuffed by COBS and ended by a zero. Portable C99, without the C library,
  * without a heap.
  *
- * The rule kept here: whatever bytes come, a packet is taken whole or not at all. */
+ * The rule: whatever bytes come, a packet is taken whole or not at all. */
 #ifndef SHAKER_PACKET_H
 #define SHAKER_PACKET_H
 

@@ -109,7 +109,7 @@ def measure_noise(
     rate_hz
         Sampling rate.
     frame
-        Samples of a periodogram: more tell lower frequencies.
+        Samples of a periodogram: more show lower frequencies.
 
     Returns
     -------

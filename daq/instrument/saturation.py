@@ -82,7 +82,7 @@ def _stay(at_end: Bools) -> float:
 
 
 def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None = None) -> float:
-    """Share of ``values`` (n,) in stretches of `STANDS_S` or more at an end: of the motion, not of impacts alone.
+    """Share of ``values`` (n,) in stretches of `STANDS_S` or more at an end: of the motion, not only of impacts.
 
     ``ends`` are those of the same sensor in readings that go farther; None: of these values.
     """

@@ -242,7 +242,7 @@ class RecordingWriter(ClosedRun):
                 f"({error}); make room and run: bench recover {where}"
             ) from error
         if where != self.path:
-            raise OSError(f"{self.path}: was removed while it was being written; all of the run is kept in {where}")
+            raise OSError(f"{self.path}: was removed while it was being written; all of the run is in {where}")
 
 
 def require_space(path: Path, n_samples: int, n_channels: int) -> None:

@@ -132,7 +132,7 @@ class CardRing:
             self._suspected.clear()
             return
         self._suspected.append((self.received, missing))
-        # what is missing for six callbacks on end is missing: one late callback alone reads a count too high
+        # what is missing for six callbacks on end is missing: a single late callback reads a count too high
         if len(self._suspected) == 6:
             sure = min(missing for _, missing in self._suspected)
             at, _ = self._suspected.popleft()

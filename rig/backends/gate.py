@@ -101,7 +101,7 @@ def _open_port(name: str) -> GatePort:
 def limits_for(frequency_hz: float, highest_hz: float, part: float, rate_hz: float) -> GateLimits:
     """Limits for a drive of tones up to ``highest_hz`` of at most ``part`` of full scale, at the gate's ``rate_hz``.
 
-    The slew is one and a half times that of the highest tone alone at the largest amplitude.
+    The slew is one and a half times that of the highest tone by itself at the largest amplitude.
     """
     limit = round(part * FULL_SCALE)
     slew = 1.5 * 2.0 * math.pi * highest_hz / rate_hz * limit

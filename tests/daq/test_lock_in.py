@@ -91,7 +91,7 @@ def test_means_of_samples_give_the_amplitudes_of_the_samples():
     np.testing.assert_allclose(lock_in.solve().amplitudes, AMPLITUDES, atol=1e-9)
 
 
-def test_tones_that_cannot_be_told_apart_are_refused():
+def test_tones_that_cannot_be_separated_are_refused():
     """Twice the same frequency, or too few samples, is an error and not a number."""
     x = np.zeros(1000)
     with pytest.raises(ValueError, match="cannot be separated"):
@@ -162,7 +162,7 @@ def test_inverses_are_those_of_the_normal_matrices():
 
 
 def test_tones_that_are_one_are_refused():
-    """Two tones a thousandth of a cycle apart over the values cannot be told apart, and the error says so."""
+    """Two tones a thousandth of a cycle from each other over the values cannot be separated, and the error says so."""
     fit = LockIn(RATE, [25.37, 25.37001])
     fit.add(tones(np.arange(2000)), 0)
     with pytest.raises(ValueError, match="cannot be separated by 2000 values"):

@@ -109,7 +109,7 @@ def test_what_does_not_add_up_is_suspect(tmp_path: Path, setup: Setup) -> None:
 
 @pytest.mark.parametrize("case", ["clean", "lost", "dry", "unplugged", "storm"])
 def test_the_sample_path_does_bounded_work(case: str) -> None:
-    """No block takes over a tenth of its time in counted work, whatever happens; each loss and disturbance is told."""
+    """No block takes over a tenth of its time in counted work, whatever happens; each loss and disturbance is said."""
     seen = sample_path.follow(case, seconds=6.0)
     sample_path.require(seen, case)
     third, half = round(2.0 * sample_path.RATE_HZ), round(3.0 * sample_path.RATE_HZ)
@@ -126,7 +126,7 @@ def test_the_sample_path_does_bounded_work(case: str) -> None:
 
 
 def test_an_answer_that_comes_late_is_the_same() -> None:
-    """Searches beside the run, however slow, declare what searches at once declare, at the same samples."""
+    """Searches in a thread, however slow, declare what searches at once declare, at the same samples."""
 
     class Slow(InThread):
         """Answers when it has been looked at twenty times, however fast its thread is."""

@@ -1,4 +1,4 @@
-"""What no rig can have measured is refused or told: rates, times, volts, exchanged channels, one run twice."""
+"""What no rig can have measured is refused or said: rates, times, volts, exchanged channels, one run twice."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def write_csv(path: Path, columns: Columns, delimiter: str = ",") -> Path:
 
 
 def bring_in(raw: Path, setup: Setup, maps: tuple[str, ...] = (), **options: float) -> ImportSummary:
-    """Import beside the raw file."""
+    """Import next to the raw file."""
     out = raw.with_suffix(".h5")
     return import_recording(open_source(raw), out, setup, "", ImportOptions(parse_map(maps), **options))
 
@@ -80,7 +80,7 @@ def test_a_stated_unit_is_believed(tmp_path: Path, setup: Setup, columns: Column
 
 
 def test_another_rate_and_another_frequency_are_told(tmp_path: Path, setup: Setup, columns: Columns) -> None:
-    """Times stretched by a third are told twice: by the sample rate, and by the frequency of the steps."""
+    """Times stretched by a third are said twice: by the sample rate, and by the frequency of the steps."""
     columns["time_s"] *= 4.0 / 3.0
     said = bring_in(write_csv(tmp_path / "a.csv", columns), setup).remarks
     assert any("1500 samples/s, where profile 'test' says 2000" in s for s in said)
@@ -96,14 +96,14 @@ def test_volts_far_outside_the_range(tmp_path: Path, setup: Setup, columns: Colu
 
 
 def test_volts_a_little_outside_the_range_are_told(tmp_path: Path, setup: Setup, columns: Columns) -> None:
-    """A channel that reads more than its range is imported and told."""
+    """A channel that reads more than its range is imported, and that is said."""
     columns["continuity_v"] *= 3.0
     said = bring_in(write_csv(tmp_path / "a.csv", columns), setup).remarks
     assert any("the continuity reads up to 15.1 V; profile 'test' says range_v = 10" in s for s in said)
 
 
 def test_exchanged_channels_are_told(tmp_path: Path, setup: Setup, columns: Columns) -> None:
-    """Accelerometer and drive the wrong way round: both gammas are told, and that exchanged they would agree."""
+    """Accelerometer and drive the wrong way round: both gammas are said, and that exchanged they would agree."""
     columns["accelerometer_v"], columns["drive_v"] = columns["drive_v"], columns["accelerometer_v"]
     (doubt,) = bring_in(write_csv(tmp_path / "a.csv", columns), setup).instrument.doubts
     assert doubt.kind == "exchanged" and doubt.makes_meaningless
@@ -113,7 +113,7 @@ def test_exchanged_channels_are_told(tmp_path: Path, setup: Setup, columns: Colu
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_dead_accelerometer_is_called_dead(tmp_path: Path, setup: Setup, columns: Columns, known: bool) -> None:
-    """Noise alone is a dead accelerometer, not exchanged contact levels, whether or not the drive's scale is known."""
+    """Noise without motion is a dead accelerometer, not exchanged levels, whether or not the drive's scale is known."""
     columns["accelerometer_v"] = np.random.default_rng(0).normal(0, 1e-3, len(columns["drive_v"]))
     columns["continuity_v"] = 5.0 - columns["continuity_v"]
     if not known:
@@ -123,7 +123,7 @@ def test_a_dead_accelerometer_is_called_dead(tmp_path: Path, setup: Setup, colum
 
 
 def test_many_pauses_are_one_remark(tmp_path: Path, setup: Setup, columns: Columns) -> None:
-    """A hundred pauses are told in one sentence, with their number, their sum, the first and the longest."""
+    """A hundred pauses are said in one sentence, with their number, their sum, the first and the longest."""
     kept = np.ones(len(columns["time_s"]), bool)
     kept[50::60] = kept[51::60] = kept[1252] = False
     said = bring_in(write_csv(tmp_path / "a.csv", {k: v[kept] for k, v in columns.items()}), setup).remarks

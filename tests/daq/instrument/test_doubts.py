@@ -178,7 +178,7 @@ def test_the_accelerometers_end_is_said_where_it_comes_to_it(tmp_path: Path) -> 
 @pytest.mark.parametrize(("c", "stated"), [(1, 2), (1, 3), (2, 1), (2, 3), (3, 1), (3, 2)])
 @pytest.mark.parametrize("drive", [True, False])
 def test_another_ratio_than_the_profile_s(tmp_path: Path, c: int, stated: int, drive: bool) -> None:
-    """Two tones under a profile of one, one under two, and others under others are told with the ratio to write."""
+    """Two tones under a profile of one, one under two, and others under others are said with the ratio to write."""
     volts = dict(_simulated(c, (), False))
     if not drive:
         del volts["drive_v"]
@@ -189,14 +189,14 @@ def test_another_ratio_than_the_profile_s(tmp_path: Path, c: int, stated: int, d
 
 
 def test_an_accelerometer_that_reads_gravity_under_a_profile_that_says_no(tmp_path: Path) -> None:
-    """Just 1 g of bias is told as gravity."""
+    """Just 1 g of bias is named as gravity."""
     profile = other_plant.profile_of(run_of(1))
     (doubt,) = bring_in(dict(_simulated(1, (), True)), profile, tmp_path).instrument.doubts
     assert doubt.kind == "bias" and "write reads_gravity = true" in doubt.cure
 
 
 def test_senses_stand_out_behind_a_late_accelerometer(tmp_path: Path) -> None:
-    """Half a millisecond of delay blurs the take-offs, and senses are told all the same."""
+    """Half a millisecond of delay blurs the take-offs, and senses are found all the same."""
     for spoil, kinds in ((contact_inverted, {"contact_sense"}), (inverted, {"accelerometer_sense"})):
         volts = dict(_simulated(2, ("accelerometer_lag",), False))
         spoil(volts)

@@ -179,7 +179,7 @@ def test_a_file_that_vanishes_takes_them_along(tmp_path: Path, setup: Setup) -> 
     path = tmp_path / "a.h5"
     writer = recorded(path, setup)
     path.unlink()
-    with pytest.raises(OSError, match="all of the run is kept in") as raised:
+    with pytest.raises(OSError, match="all of the run is in") as raised:
         writer.close("complete")
     kept = Path(str(raised.value).rsplit(" ", 1)[1])
     assert same_as_given(kept)

@@ -144,7 +144,7 @@ def test_a_file_that_vanishes(tmp_path: Path, setup: Setup, folder_too: bool) ->
         folder.rmdir()
     with pytest.raises(OSError, match="was removed while"):
         writer.append(Block(3000, CODES))
-    with pytest.raises(OSError, match="all of the run is kept in") as raised:
+    with pytest.raises(OSError, match="all of the run is in") as raised:
         writer.close("failed", "removed")
     kept = Path(str(raised.value).rsplit(" ", 1)[1])
     try:
