@@ -206,9 +206,11 @@ class GatedBackend:
         port, self._port = self._port, None
         if port is not None:
             with contextlib.suppress(OSError):  # without a message it closes, too
-                if self._status is not None:
-                    port.write(message(END, self._status.now))
-                port.close()
+                try:
+                    if self._status is not None:
+                        port.write(message(END, self._status.now))
+                finally:
+                    port.close()
         self._inner.stop()
 
     def _listen(self) -> None:

@@ -163,6 +163,27 @@ def test_a_gate_that_cannot_be_heard_is_an_error(library: Path, monkeypatch: pyt
         backend.exchange(np.zeros(40))
 
 
+def test_a_gate_whose_cable_is_pulled_is_an_error(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A port that fails as the gate is answered, or first heard, is named, and is closed."""
+    rig = Rig(Gate(library))
+    backend = GatedBackend(rig, lambda: rig, LIMITS)
+
+    def gone(_: object) -> bytes:
+        raise OSError("no such device")
+
+    backend.start()
+    monkeypatch.setattr(rig, "write", gone)
+    with pytest.raises(BackendError, match="went away"):
+        backend.exchange(np.zeros(40))
+    backend.stop()
+    assert rig.is_closed
+    rig.is_closed = False
+    monkeypatch.setattr(rig, "read", gone)
+    with pytest.raises(BackendError, match="went away"):
+        backend.start()
+    assert rig.is_closed
+
+
 @pytest.mark.parametrize("limits", [
     GateLimits(8, 100, 100), GateLimits(9000, 100, 100), GateLimits(80, 0, 100), GateLimits(80, 2001, 100),
     GateLimits(80, 40000, 32767),
