@@ -58,5 +58,5 @@ def test_runs_of_another_plant_confirm_the_limit_of_adhesion(tmp_path: Path, par
     clean = close_loop(short_runs(tmp_path / "clean", 1, 560, {})[:1])
     limit = clean.detection.sizes["adhesion.a_mps2"]
     paths = short_runs(tmp_path / "hidden", 3, 561, {"adhesion.pull_g": part * limit / G_MPS2})
-    named = [any("adhesion" in names for names in close_loop([path]).ties) for path in paths]
+    named = [any("adhesion" in names for names in close_loop([path]).selection.ties) for path in paths]
     assert sum(named) >= 2 if seen else not any(named)
