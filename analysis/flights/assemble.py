@@ -1,7 +1,7 @@
 """Assembly of the table of flights from the single pass.
 
 Contact edges bound the flights; impacts in the accelerometer only split the intervals between them. Doubtful flights
-are flagged, not dropped.
+are flagged, not dropped. Events that a person changed are put in here, for all that reads flights. Decision 495.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
 from analysis.events.sensor_offset import calibrate, combine_with_impacts
 from analysis.events.short_contacts import refine_short_contacts
+from analysis.flights.by_hand import changed_edges, changed_impacts, given_by_hand
 from analysis.flights.denied_impacts import denied
 from analysis.flights.scan import Progress, Scan, scan
 from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.plate.motion import PlateMotion
 from analysis.statistics import nearest
 from daq.recording import Recording
+from daq.recording.event_changes import EventChange
+from daq.recording.notebook import event_changes_of
 from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
@@ -52,16 +55,21 @@ def flights_of(recording: Recording, *, progress: Progress | None = None, high_p
     Raises
     ------
     InputError
-        When there is no accelerometer channel.
+        When there is no accelerometer channel, or the file with events changed by hand does not read.
     """
-    return assemble(scan(recording, progress, high_pass_hz), recording.setup, recording.rate_hz, recording.n_samples)
+    changes = event_changes_of(recording)
+    found = scan(recording, progress, high_pass_hz)
+    return assemble(found, recording.setup, recording.rate_hz, recording.n_samples, changes)
 
 
-def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Flights:
-    """Flights and their flags from the result of the pass."""
+def assemble(
+    found: Scan, setup: Setup, rate_hz: float, n_samples: int, changes: tuple[EventChange, ...] = ()
+) -> Flights:
+    """Flights and their flags from the result of the pass, with the events that a person changed."""
     takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(
-        found, setup.g_mps2.value, rate_hz, n_samples
+        found, setup.g_mps2.value, rate_hz, n_samples, changes
     )
+    flags[given_by_hand(takeoff, changes) | given_by_hand(landing, changes)] |= int(FlightFlag.BY_HAND)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
     plate = found.plate
@@ -90,7 +98,7 @@ def assemble(found: Scan, setup: Setup, rate_hz: float, n_samples: int) -> Fligh
     )
 
 
-def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Table:
+def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes: tuple[EventChange, ...]) -> _Table:
     """Intervals in the air by both detectors, and the detectors' quality."""
     levels = found.survey.levels
     if levels is None:
@@ -108,6 +116,8 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Tabl
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
+    edges = changed_edges(edges, changes, starts_open=found.starts_open, rate_hz=rate_hz)
+    impacts = changed_impacts(impacts, changes, rate_hz)
     # within 3 or 4 samples an impact is the edge's own; in time, as a contact's jitter does not shrink with the
     # interval
     intervals, reach_s = _intervals(edges, found.starts_open, end_s), max(1.5e-4, 3.0 / rate_hz)
@@ -115,7 +125,7 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int) -> _Tabl
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, max(2e-4, 4.0 / rate_hz))
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
-    report = EdgeReport(levels, opening, closing, offset, dips, found.survey.mask_s, found.missed.size)
+    report = EdgeReport(levels, opening, closing, offset, dips, found.survey.mask_s, found.missed.size, changes)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
 
 
@@ -156,7 +166,8 @@ def _undenied(
     host = np.searchsorted(takeoff, impacts.time_s - reach_s) - 1
     inside = np.flatnonzero((host >= 0) & (impacts.time_s < landing[np.maximum(host, 0)] - reach_s))
     believed = np.ones(impacts.time_s.size, dtype=np.bool_)
-    believed[inside] = ~denied(found.plate, g_mps2, takeoff, landing, step, impacts.time_s[inside], host[inside])
+    doubtful = denied(found.plate, g_mps2, takeoff, landing, step, impacts.time_s[inside], host[inside])
+    believed[inside] = ~doubtful | np.isnan(impacts.strength[inside])  # a person's has no strength
     columns = {name: getattr(impacts, name)[believed] for name in ("time_s", "uncertainty_s", "strength")}
     return replace(impacts, **columns)
 

@@ -19,6 +19,7 @@ from analysis.events.levels import Levels
 from analysis.events.sensor_offset import SensorOffset
 from analysis.plate.motion import PlateMotion
 from daq.files.whole_file import whole
+from daq.recording.event_changes import EventChange
 from kernels.arrays import Bools, Floats, Integers
 
 
@@ -41,6 +42,8 @@ class FlightFlag(enum.IntFlag):
     """Cut by the start, the end or a change of step."""
     UNSURE = 128
     """A landing may be hidden: the ball should have met the plate in between, or an edge was missed since the last."""
+    BY_HAND = 256
+    """A boundary stands where a person put it."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,8 @@ class EdgeReport:
         How long after an impact the accelerometer shows more than the plate's motion.
     missed : int
         Edges of an AC-coupled circuit that are known to have been missed.
+    by_hand : tuple of EventChange
+        Events that a person changed.
     """
 
     levels: Levels | None
@@ -128,6 +133,7 @@ class EdgeReport:
     dips: int
     ringing_s: float
     missed: int = 0
+    by_hand: tuple[EventChange, ...] = ()
 
 
 COLUMNS = (

@@ -33,6 +33,7 @@ from analysis.report.step_table import step_table
 from analysis.report.wording import plain
 from daq.files.whole_file import whole
 from daq.recording import Recording
+from daq.recording.event_changes import in_words
 from daq.recording.header import header_of
 from daq.recording.notebook import notebook, read_remarks, side_file
 from daq.recording.verify import VerifyReport
@@ -118,7 +119,7 @@ def section_of(run: Run, number: int, progress: Progress | None = None) -> Secti
         source=source_words(recording.path.name, simulated=simulated),
         steps=step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
         notebook=_notebook(recording), file=file_rows(recording, run.state), term_effect=None, level=4,
-        pointed=_flights_behind(shown, number, scale),
+        pointed=_flights_behind(shown, number, scale), by_hand=in_words(run.flights.edges.by_hand),
     )  # fmt: skip
     return Section(recording.path.name, simulated, html, _summary(run, shown, scale), verdict, sentence)
 

@@ -26,6 +26,7 @@ from analysis.residuals.plate_data.plate_observables import PlateData, plate_dat
 from analysis.residuals.plate_data.slow_lines import hints_of, other_lines_radps
 from analysis.residuals.shown_impacts import closure_s, weak_mps
 from daq.recording import Recording, open_recording
+from daq.recording.event_changes import in_words
 from daq.recording.identity import refuse_repeated
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
@@ -233,7 +234,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         setup,
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
-        notes=(*notes, *flights.plate.saturation_warnings()),
+        notes=(*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand)),
         mode=mode,
         pushed=(mode.pushed,) if mode and mode.pushed else (),
         closure_s=closure_s(measured),

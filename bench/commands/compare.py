@@ -56,7 +56,7 @@ def command(
         held = compare(table, opened.setup, effects={} if ideal else None, steps_table=opened.steps)
         if figures is not None:
             draw(opened, table, figures, None if ideal else held)
-        odd = plausibility_warnings(opened, table.plate, instrument_of(opened))
+        odd = plausibility_warnings(opened, table, instrument_of(opened))
         scale = gamma_scale(opened.setup.forcing, held.ratio)
         simulated = bool(opened.attrs.get("simulated"))
     if write_json(comparison_json(held) | {"warnings": odd}, json):

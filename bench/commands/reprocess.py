@@ -46,7 +46,7 @@ def command(
         if figures is not None:
             draw(opened, table, figures)
         instrument = instrument_of(opened)
-        odd = plausibility_warnings(opened, table.plate, instrument)
+        odd = plausibility_warnings(opened, table, instrument)
         simulated = bool(opened.attrs.get("simulated"))
     about = {"recording": recording.name, "simulated": simulated}
     own = None if instrument is None else instrument.as_json()
@@ -106,6 +106,7 @@ IN_WORDS = {
     "SETTLING": "lie in the fade or settling time of a step",
     "CUT": "are cut off by the start, the end or a change of step",
     "UNSURE": "may hide a landing",
+    "BY_HAND": "have a boundary that was set by hand",
 }
 """Words of each flag of a flight, after a number."""
 

@@ -13,6 +13,7 @@ from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
 from bench.terminal.defect import DEFECTS
 from bench.terminal.progress import progress_bar
 from daq.recording import Recording, open_recording
+from daq.recording.event_changes import BY_HAND, in_words
 from daq.recording.verify import verify
 from daq.setup.errors import InputError
 
@@ -105,6 +106,8 @@ def not_of(loop: ClosedLoop, recording: Recording, flights: Flights) -> str:
         return f"it belongs to a recording begun {source.started or 'at an unknown time'}"
     if loop.setup != recording.setup:
         return "it was found with another profile"
+    if {line for line in loop.notes if BY_HAND in line} != set(in_words(flights.edges.by_hand)):
+        return "events of the recording were changed by hand since"
     if not np.isin(loop.flights.takeoff_s, flights.takeoff_s).all():
         return "its flights are not those of the recording"
     return ""

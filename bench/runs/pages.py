@@ -15,6 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
@@ -22,19 +23,23 @@ from starlette.routing import Route
 
 from analysis.loop.verdicts import short_verdict
 from bench.runs.catalogue import Catalogue
+from bench.runs.events import change_of
 from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
 from bench.runs.query import ENDS, WITH_NONE, Query, Row
 from bench.runs.scope import Scope
 from bench.web.section import Place, Section, templates_of
 from daq.files.json_values import json_values
-from daq.recording.notebook import with_note, with_tags
+from daq.recording.event_changes import in_words
+from daq.recording.notebook import Remarks, read_remarks, side_file, with_note, with_tags
 from daq.setup.errors import InputError
 
 NAME = "runs"
 STATIC, TEMPLATES = (Path(__file__).parent / name for name in ("static", "templates"))
 FRESH_S = 1.0  # within which the folder is not looked through again
 MOST_RUNS = 24  # laid over each other
+MOST_EVENTS = 200  # in one stretch of a scope
+Change = Callable[[Remarks], Remarks]
 ID = re.compile(r"[0-9a-f]{12}")
 
 
@@ -51,6 +56,8 @@ def section(place: Place) -> Section:
         Route("/runs/api/{id}/open", pages.open),
         Route("/runs/api/{id}/view", pages.view),
         Route("/runs/api/{id}/flights", pages.flights),
+        Route("/runs/api/{id}/events", pages.events),
+        Route("/runs/api/{id}/events", pages.remark, methods=["POST"]),
         Route("/runs/api/{id}/remarks", pages.remark, methods=["POST"]),
         Route("/runs/{id}", pages.run),
     ]
@@ -160,35 +167,53 @@ class Pages:
         row = self._row(request)
         if row["ended"] == "damaged" and not row["n_samples"]:
             raise HTTPException(422, row["why"])
-        steps = _asked(lambda: self.workshop.flights(row, self.catalogue.file_of(row)))
-        return _json({"state": "working"} if steps is None else {"state": "ready", "steps": steps})
+        made = _asked(lambda: self.workshop.flights(row, self.catalogue.file_of(row)))
+        return _json({"state": "working"} if made is None else {"state": "ready", "steps": made["steps"]})
+
+    def events(self, request: Request) -> Response:
+        """Events of a stretch, at most `MOST_EVENTS`, how many there are, and what was changed by hand."""
+        row, given = self._row(request), request.query_params
+        file = _asked(lambda: self.catalogue.file_of(row))
+        made = _asked(lambda: self.workshop.flights(row, file))
+        if made is None:
+            return _json({"state": "working"})
+        changes = _asked(lambda: read_remarks(side_file(file)).events)
+        ends = _asked(lambda: np.searchsorted(made["events"]["shown_s"], [float(given[k]) for k in ("from_s", "to_s")]))
+        shown = slice(int(ends[0]), min(int(ends[1]), int(ends[0]) + MOST_EVENTS))
+        columns = {name: values[shown] for name, values in made["events"].items()}
+        about = {"state": "ready", "count": int(ends[1] - ends[0]), "changes": len(changes)}
+        return _json(about | {"said": in_words(changes), "events": columns})
 
     def quantities(self, request: Request) -> Response:
         """Calibrations and effects by date, of the runs asked for or of all."""
         return _json({"quantities": self.catalogue.quantities(self._ids(request))})
 
     async def remark(self, request: Request) -> Response:
-        """Tags added or taken away, a note added."""
+        """Tags added or taken away, a note added; or an event changed by hand (`bench.runs.events.change_of`)."""
         from starlette.concurrency import run_in_threadpool
 
+        row, body = self._row(request), await request.body()
         try:
-            answer = json.loads(await request.body())
-            add, remove = (tuple(map(str, answer.get(key, []))) for key in ("add", "remove"))
-            note = str(answer.get("note", ""))
-        except (ValueError, AttributeError, TypeError, RecursionError) as error:
-            raise HTTPException(422, "wanted JSON with add, remove or note") from error
-        return await run_in_threadpool(self._remark, request, add, remove, note)
+            answer = json.loads(body)
+            change = self._event(row, answer) if request.url.path.endswith("/events") else _remark(answer)
+        except InputError as error:
+            raise HTTPException(422, str(error)) from error
+        except (ValueError, AttributeError, KeyError, TypeError, RecursionError) as error:
+            wanted = "add, remove or note; of an event, undo, or kind, was_s and now_shown_s"
+            raise HTTPException(422, f"wanted JSON with {wanted}") from error
+        return await run_in_threadpool(self._changed, row, change)
 
-    def _remark(self, request: Request, add: tuple[str, ...], remove: tuple[str, ...], note: str) -> Response:
-        row = self._row(request)
+    def _event(self, row: Row, answer: Any) -> Change:
+        """The change of an event that a page asks for, in the time of its scope."""
+        scope = self._scopes.get(row["id"])
+        if scope is None:
+            raise HTTPException(409, "open the run first")
+        return change_of(answer, scope.recorded_s)
 
-        def change(now: Any) -> Any:
-            now = with_tags(with_tags(now, remove, remove=True), add)
-            return with_note(now, note) if note else now
-
+    def _changed(self, row: Row, change: Change) -> Response:
         changed = _asked(lambda: self.catalogue.change_remarks(row, change))
         notes = [asdict(note) for note in self.catalogue.notebook(row)]
-        return _json({"tags": list(changed.tags), "notes": notes})
+        return _json({"tags": list(changed.tags), "notes": notes, "said": in_words(changed.events)})
 
     def _row(self, request: Request) -> Row:
         """The run that the address names; 404 where there is none."""
@@ -222,6 +247,18 @@ class Pages:
         made: Scope = _asked(lambda: Scope(path, file))
         self._scopes[row["id"]] = made
         return made
+
+
+def _remark(answer: Any) -> Change:
+    """Tags and notes that a page adds or takes away; raises AttributeError or TypeError for anything else."""
+    add, remove = (tuple(map(str, answer.get(key, []))) for key in ("add", "remove"))
+    note = str(answer.get("note", ""))
+
+    def change(now: Remarks) -> Remarks:
+        now = with_tags(with_tags(now, remove, remove=True), add)
+        return with_note(now, note) if note else now
+
+    return change
 
 
 def _query(request: Request) -> Query:

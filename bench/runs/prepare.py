@@ -19,15 +19,17 @@ from typing import Any
 
 import numpy as np
 
+from bench.runs.events import events_of
 from bench.runs.folder import PLACE
 from bench.runs.query import Row
 from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
 from daq.recording import open_recording
+from daq.recording.notebook import read_remarks, side_file
 from daq.setup.errors import InputError
 
-FLIGHTS_VERSION = 1
+FLIGHTS_VERSION = 2
 
 
 def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Path:
@@ -50,13 +52,14 @@ def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Pa
 
 
 def make_flights(recording: Path, target: Path) -> Path:
-    """Flights and steps of a recording as JSON in the file ``target``."""
+    """Steps, flights and events of a recording as JSON in the file ``target``."""
     from analysis.flights.assemble import flights_of
     from analysis.flights.classify import classify
     from analysis.flights.table import FlightFlag
 
     with open_recording(recording) as opened:
         flights, steps, rate_hz = flights_of(opened), opened.steps, opened.rate_hz
+        events = events_of(flights, opened.gaps, opened.n_samples / rate_hz)
         stamps = [float(opened.timestamps_ns(k, k + 1)[0]) * 1e-9 for k in steps["first_sample"].tolist()]
     found = []
     classes = {own.step: own for own in classify(flights)}
@@ -74,7 +77,7 @@ def make_flights(recording: Path, target: Path) -> Path:
             "double_hits": 0 if own is None else own.double_hits,
             "periods": np.round(flights.duration_s[shown] * step["frequency_hz"], 5).tolist(),
         })  # fmt: skip
-    write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": found})))
+    write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": found, "events": events})))
     return target
 
 
@@ -91,6 +94,7 @@ class Workshop:
         self._lock = threading.Lock()
         self._jobs: dict[str, Future[Path]] = {}
         self._pool: ProcessPoolExecutor | None = None
+        self._latest: tuple[Path, dict[str, Any]] | None = None
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.place = folder / PLACE / "made"
         try:
@@ -125,18 +129,23 @@ class Workshop:
         by_identity = self.place / f"{row['identity']}.pyramid" if whole else None
         return self._made(f"pyramid {by_file.name}", make_pyramid, file, by_identity, by_file)
 
-    def flights(self, row: Row, file: Path) -> list[dict[str, Any]] | None:
-        """Steps of a run with their flights; None while they are being made (raises InputError)."""
+    def flights(self, row: Row, file: Path) -> dict[str, Any] | None:
+        """Steps of a run with their flights, and its events; None while they are being made (raises InputError)."""
         whole = row["identity"] and row["ended"] != "damaged"
-        target = self.place / f"{row['identity'] if whole else _file_key(file)}.flights.json"
+        events = read_remarks(side_file(file)).events
+        changed = f".{hashlib.sha256(repr(events).encode()).hexdigest()[:12]}" if events else ""
+        target = self.place / f"{row['identity'] if whole else _file_key(file)}{changed}.flights.json"
+        latest = self._latest
+        if latest is not None and latest[0] == target:
+            return latest[1]
         with contextlib.suppress(OSError, ValueError, KeyError):
-            found = json.loads(target.read_text(encoding="utf-8"))
+            found: dict[str, Any] = json.loads(target.read_text(encoding="utf-8"))
             if found["version"] == FLIGHTS_VERSION:
-                steps: list[dict[str, Any]] = found["steps"]
-                return steps
+                self._latest = target, found
+                return found
         if self._made(f"flights {target.name}", make_flights, file, target) is None:
             return None
-        return self.flights(row, file) if target.exists() else []
+        return self.flights(row, file) if target.exists() else {"steps": [], "events": {}}
 
     def _made(self, name: str, make: Any, *arguments: Any) -> Path | None:
         """The file that a job of that name has made; the job is begun at the first call."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.runs.events import on_recording
 from daq.pyramid.view import Pyramid
 from daq.recording import Recording, open_recording
 from daq.recording.opening import open_quickly
@@ -40,6 +41,7 @@ class Scope:
         self._later: threading.Timer | None = None
         with self._lock, self._opened() as opened:
             self._setup: Setup = opened.setup
+            self._gaps, self._rate_hz = opened.gaps, opened.rate_hz
             place = opened.timestamps_ns
             self._steps = [
                 {"start_s": float(place(int(s["first_sample"]), int(s["first_sample"]) + 1)[0]) * 1e-9,
@@ -85,6 +87,10 @@ class Scope:
             "channels": channels,
             "lost": seen.lost,
         }
+
+    def recorded_s(self, shown_s: float) -> float:
+        """A time of the scope on the recording's axis, on which lost samples take no time."""
+        return on_recording(shown_s, self._gaps, self._rate_hz)
 
     def close(self) -> None:
         """Let go of the recording."""

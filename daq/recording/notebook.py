@@ -1,7 +1,7 @@
-"""The notebook of a recording: notes from before, during and after the run, and tags.
+"""The notebook of a recording: notes from before, during and after the run, tags, and events changed by hand.
 
-Notes made until the run was over stand in the recording. Later ones, and tags, stand in a small file next to it, so
-that the recording stays as it was sealed.
+Notes made until the run was over stand in the recording. Later ones, tags and changed events stand in a small file next
+to it, so that the recording stays as it was sealed.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from daq.files.whole_file import write_whole
+from daq.recording.event_changes import MOST_CHANGES, EventChange, from_json
 from daq.recording.header import Header
+from daq.recording.identity import stored_id
+from daq.recording.reader import Recording
 from daq.recording.writer import now_utc
 from daq.setup.errors import InputError
 
 ENDING = ".remarks.json"
-FORMAT, VERSION = "shakerbench remarks", 1
+FORMAT, VERSION = "shakerbench remarks", 2
 STALE_S = 5.0  # longest time to change a side file
 LONGEST_TAG, LONGEST_NOTE = 64, 10_000
 
@@ -45,12 +48,13 @@ class Entry:
 
 @dataclass(frozen=True)
 class Remarks:
-    """Later notes and tags of a recording."""
+    """Later notes and tags of a recording, and its events that were changed by hand."""
 
     # of the recording they were written for (`daq.recording.identity.stored_id`); empty: whatever has its name
     identity: str = ""
     tags: tuple[str, ...] = ()  # in order, each once
     notes: tuple[Note, ...] = ()  # in the order they were written
+    events: tuple[EventChange, ...] = ()  # in the order they were made
 
 
 def entries_of(header: Header) -> tuple[Entry, ...]:
@@ -108,7 +112,8 @@ def read_remarks(path: Path) -> Remarks:
             raise ValueError(f"format {stored['format']!r}, version {stored['version']!r}")
         tags = tuple(str(tag) for tag in stored["tags"])
         notes = tuple(Note(str(note["at"]), str(note["text"])) for note in stored["notes"])
-        return Remarks(str(stored["identity"]), tags, notes)
+        events = tuple(map(from_json, stored.get("events", ())))
+        return Remarks(str(stored["identity"]), tags, notes, events)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{path}: wanted the tags and notes of a recording, version {VERSION} ({error}); mend it, or move it away"
@@ -116,10 +121,10 @@ def read_remarks(path: Path) -> Remarks:
 
 
 def write_remarks(path: Path, remarks: Remarks) -> None:
-    """Write the side file, whole or not at all; one without tags and notes is removed (raises InputError)."""
+    """Write the side file, whole or not at all; one with nothing in it is removed (raises InputError)."""
     stored = {"format": FORMAT, "version": VERSION, **asdict(remarks)}
     try:
-        if remarks.tags or remarks.notes:
+        if remarks.tags or remarks.notes or remarks.events:
             write_whole(path, json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
         else:
             path.unlink(missing_ok=True)
@@ -196,6 +201,28 @@ def with_note(remarks: Remarks, text: str) -> Remarks:
     if not text or len(text) > LONGEST_NOTE:
         raise InputError(f"note: wanted 1 to {LONGEST_NOTE} characters, came {len(text)}")
     return replace(remarks, notes=(*remarks.notes, Note(now_utc(), text)))
+
+
+def event_changes_of(recording: Recording) -> tuple[EventChange, ...]:
+    """Events of an open recording that were changed by hand; none of another recording that had its name.
+
+    Raises
+    ------
+    InputError
+        Where its side file does not read.
+    """
+    remarks = read_remarks(side_file(recording.path))
+    own = stored_id(recording) if remarks.events and remarks.identity else ""
+    return () if own and own != remarks.identity else remarks.events
+
+
+def with_event(remarks: Remarks, change: EventChange | None) -> Remarks:
+    """Remarks with one more changed event; for None, without the last one (raises InputError)."""
+    if change is None and not remarks.events:
+        raise InputError("no event was changed by hand: there is nothing to take back")
+    if len(remarks.events) >= MOST_CHANGES and change is not None:
+        raise InputError(f"{MOST_CHANGES} events were changed by hand already; correct the detection instead")
+    return replace(remarks, events=remarks.events[:-1] if change is None else (*remarks.events, change))
 
 
 def without_last_note(remarks: Remarks) -> Remarks:

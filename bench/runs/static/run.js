@@ -2,11 +2,12 @@
 import { ask, asked, day, gammas, make, shown } from "./common.js";
 import { savers } from "/static/web/save.js";
 import { Diagram } from "./diagram.js";
+import { Events } from "./events.js";
 import { RunScope } from "./scope.js";
 
 const id = document.getElementById("run").dataset.id, api = `/runs/api/${id}`;
 const byId = (name) => document.getElementById(name);
-let scope = null, notes = [];
+let scope = null, diagram = null, notes = [];
 
 function problem(words) {
   byId("problem").textContent = words;
@@ -86,6 +87,7 @@ async function openScope() {
     byId("scope").dataset.seen = `${seen.start_s} ${seen.stop_s} ${seen.samples_per_point}`;
   });
   scope.annotate(notes);
+  new Events(scope, api, () => openDiagram());
   savers(document.querySelector(".scope .tools"), "scope", () => [scope.canvas], () => scope.table());
   byId("units").addEventListener("click", () => { scope.si = !scope.si; byId("units").textContent = scope.si ? "volts" : "SI units"; scope.changed(); });
   byId("in").addEventListener("click", () => scope.zoom(0.5));
@@ -97,7 +99,9 @@ async function openDiagram() {
   const state = byId("diagram-state");
   const told = await asked(`${api}/flights`, () => { state.textContent = "finding the flights, once \u2026"; });
   state.textContent = told.steps.some((s) => s.flights) ? "" : "no flights were found";
-  new Diagram(byId("diagram")).add("", told.steps, 0);
+  diagram ??= new Diagram(byId("diagram"));
+  diagram.runs = [];
+  diagram.add("", told.steps, 0);
   document.querySelector("#steps tbody").replaceChildren(...told.steps.map((step) => {
     const row = make("tr", "", { tabindex: "0", title: "show it in the scope" });
     const gamma = step.gamma === null ? "-" : `${step.gamma.toFixed(4)} \u00b1 ${shown(step.gamma_uncertainty, 1)}`;

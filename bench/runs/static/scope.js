@@ -36,6 +36,7 @@ export class RunScope extends Scope {
     try {
       this.seen = await ask(`/runs/api/${this.id}/view?start_s=${a}&stop_s=${b}&width=${width}`);
       this.says(this.seen, "");
+      this.events?.look();
       this.changed();
     } catch (error) {
       this.says(null, error.message);
@@ -78,7 +79,16 @@ export class RunScope extends Scope {
     for (const note of this.notes) {
       if (shown(note.at_s)) labels.push([note.text.length > 28 ? `${note.text.slice(0, 27)}\u2026` : note.text, line(note.at_s) + 5 * axes.unit, true]);
     }
+    this.events?.draw(axes, colours().ink);
     return labels;
+  }
+  grab(t) {
+    const event = this.events?.near(t, (8 * this.axes.unit / this.axes.width) * (this.at[1] - this.at[0]));
+    return event && { move: (at) => { event.moving = at; }, drop: (at) => this.events.drop(event, at) };
+  }
+  mark(at) {
+    super.mark(at);
+    if (this.marked !== null) document.getElementById("event-at").value = this.marked.toFixed(6);
   }
   annotate(notes) {
     this.notes = notes.filter((note) => note.at_s !== null);

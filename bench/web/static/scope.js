@@ -25,6 +25,7 @@ export class Scope {
   under() {} // drawn in every lane below the signals
   over() { return []; } // drawn above them; words and their places (device px), put into the first lane
   keys() { return {}; }
+  grab() { return null; } // what is dragged at a time: `move` and `drop` take its new time
   zero() { return null; } // time that the axis counts from
   range(k, low, high) { const margin = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1; return [low - margin, high + margin]; }
 
@@ -48,19 +49,21 @@ export class Scope {
       if (event.button !== 0) return;
       canvas.focus({ preventScroll: true });
       canvas.setPointerCapture(event.pointerId);
-      down = { x: event.clientX, at: [...this.at], time: this.time(event), moved: false };
+      down = { x: event.clientX, at: [...this.at], time: this.time(event), moved: false, held: this.grab(this.time(event)) };
     });
     canvas.addEventListener("pointermove", (event) => {
       if (!down) { this.point(this.time(event)); return; }
       down.moved ||= Math.abs(event.clientX - down.x) > 3;
       if (!down.moved) return;
+      if (down.held) { down.held.move(this.time(event)); this.changed(); return; }
       if (event.shiftKey) { this.chosen = [down.time, this.time(event)].sort((a, b) => a - b); this.changed(); return; }
       const shift = ((event.clientX - down.x) * this.axes.scale / this.axes.width) * (down.at[1] - down.at[0]);
       this.look([down.at[0] - shift, down.at[1] - shift]);
     });
-    const up = () => {
+    const up = (event) => {
       if (!down) return;
-      if (this.chosen) this.look(this.chosen);
+      if (down.held && down.moved) down.held.drop(this.time(event));
+      else if (this.chosen) this.look(this.chosen);
       else if (!down.moved) this.mark(down.time);
       down = this.chosen = null;
     };

@@ -111,7 +111,7 @@ def test_steps_of_a_saturated_accelerometer_are_told_and_left_out(make, tmp_path
                 writer.mark_step(step)
     with open_recording(tmp_path / "cut.h5") as recording:
         flights = flights_of(recording)
-        (warning,) = (w for w in plausibility_warnings(recording, flights.plate, None) if "saturates" in w)
+        (warning,) = (w for w in plausibility_warnings(recording, flights, None) if "saturates" in w)
         seen = observed(recording, flights)
     assert "the accelerometer saturates in step 2, 3:" in warning
     assert warning in seen.notes

@@ -140,6 +140,25 @@ def test_click_opens_and_zooms_to_a_single_contact(server: str, browser: Any, fo
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+def test_an_event_is_changed_by_hand(server: str, browser: Any, folder: Path) -> None:
+    """By keyboard: the events of a stretch are listed, one is added, and undo takes it back."""
+    browser.goto(f"{server}/runs/{run_id('one/b.h5')}")
+    browser.wait_for_selector("#scope[data-events]", timeout=120_000)
+    before = browser.get_attribute("#scope", "data-events")
+    assert before.endswith(" 0")
+    browser.focus("#by-hand-part summary")
+    browser.keyboard.press("Enter")
+    browser.fill("#event-at", "0.2345")
+    browser.focus("#add-event button")
+    browser.keyboard.press("Enter")
+    until(browser, "document.querySelector('#by-hand').textContent.startsWith('1 event was changed by hand (1 added)')")
+    assert browser.locator("#events tbody tr").count() in range(41) and browser.errors == [] and too_pale(browser) == []
+    browser.click("#undo-event")
+    until(browser, f"document.querySelector('#scope').dataset.events === '{before}'")
+    browser.set_viewport_size({"width": 390, "height": 844})
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+
+
 def test_two_runs_over_each_other(server: str, browser: Any, folder: Path, closed_loop: ClosedLoop) -> None:
     """Marked runs are laid over each other: diagrams, verdicts, and what drifted."""
     for name, value in (("a", 0.12), ("b", 0.14)):
