@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.predict.profile_ramp import ramp_json, with_profile
-from bench.predict.request import Request, gamma_peak_over_gamma
+from bench.predict.request import GivenProfile, Request, gamma_peak_over_gamma
 from model.bifurcations.find import find_bifurcations
 from model.orbits import make_ball as balls
 from model.orbits.attractor import Attractor, Ball
@@ -253,7 +253,8 @@ def predict(profile: str | Path) -> Table:
     >>> predict("simulated").units["mean_flight_time_s"]  # doctest: +SKIP
     's'
     """
-    rows = ramp_json(with_profile(Request(), str(profile)), str(profile))
+    given = GivenProfile(str(profile))
+    rows = ramp_json(with_profile(Request(), given), given)
     names = ("step", "asked_gamma", "gamma", "kind", "period", "flights")
     columns: dict[str, Any] = {name: np.array([row[name] or 0 for row in rows]) for name in names}
     times = [row["flight_time_s"] or [math.nan] for row in rows]

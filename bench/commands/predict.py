@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from bench.outputs import Json, Overwrite
+from daq.setup.errors import InputError
 
 
 def command(
@@ -23,6 +24,9 @@ def command(
     profile: str | None = typer.Option(
         None,
         help="Forcing, frequency and declared effects of a profile; if only that: the motion in its steps.",
+    ),
+    what_if: list[str] = typer.Option(
+        [], help="KEY=number in place of the profile's, such as ball.mass_kg=0.1; repeatable."
     ),
     sweep: str | None = typer.Option(None, help="up or down: carry the state from gamma to gamma, as a bench does."),
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
@@ -52,13 +56,17 @@ def command(
 
     bench predict --profile better.toml
 
+    bench predict --profile better.toml --what-if ball.mass_kg=0.1
+
     bench predict --gamma-range 0.5 4 --grid restitution.e0=0:0.9:100 --keep 1 --workers 2 --out map.h5 --figure map.png
     """
     given = dict(locals())
     from bench.predict.answer import run
-    from bench.predict.request import DiagramOptions, Files, Request
+    from bench.predict.request import DiagramOptions, Files, GivenProfile, Request
 
-    axes = tuple(given.pop("grid"))
+    axes, name, what_if = (given.pop(key) for key in ("grid", "profile", "what_if"))
+    if what_if and name is None:
+        raise InputError("--what-if replaces values of a profile: give --profile with it")
     diagram, files = (
         {name: given.pop(name) for name in names.split()}
         for names in ("steps adaptive keep workers cluster", "json out figure overwrite")
@@ -66,6 +74,7 @@ def command(
     run(
         Request(
             ratio=given.pop("c"), effects=tuple(given.pop("effect")), **given,
-            diagram=DiagramOptions(grid=axes, **diagram), files=Files(**files),
+            profile=None if name is None else GivenProfile(name, tuple(what_if)),
+            diagram=DiagramOptions(grid=tuple(axes), **diagram), files=Files(**files),
         )
     )  # fmt: skip

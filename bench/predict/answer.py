@@ -43,17 +43,18 @@ def _answer(request: Request) -> None:
                 asked = "--bifurcations" if request.bifurcations else "this call"
                 diagram_call = f"--gamma-range FROM TO {option} {path}"
                 raise InputError(f"{option} {path}: {asked} writes no such file; it is for a diagram: {diagram_call}")
+    given = request.profile
     check_outputs(
         File("--out", request.files.out, HDF5, continues=None if request.files.overwrite else _is_diagram),
         File("--figure", request.files.figure, PICTURE), File("--json", request.files.json, JSON),
-        inputs=[request.profile], overwrite=request.files.overwrite,
+        inputs=[None if given is None else given.name], overwrite=request.files.overwrite,
     )  # fmt: skip
-    if request.profile is not None:
+    if given is not None:
         from bench.predict.profile_ramp import print_ramp, ramp_json, with_profile  # pydantic is slow to import
 
-        request = with_profile(request, request.profile)
+        request = with_profile(request, given)
         if request.gamma is None and request.gamma_peak is None and request.gamma_range is None:
-            rows = ramp_json(request, str(request.profile))
+            rows = ramp_json(request, given)
             write_json(rows, request.files.json)
             if request.files.json is None:
                 print_ramp(rows)

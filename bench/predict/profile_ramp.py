@@ -15,7 +15,8 @@ import numpy as np
 
 from bench.predict.diagram import Progress
 from bench.predict.orbit import orbit_json
-from bench.predict.request import Request, ball_for
+from bench.predict.request import GivenProfile, Request, ball_for
+from bench.predict.what_if import what_if
 from bench.profiles.find import load, load_measuring
 from bench.terminal.console import CYCLES, print_lines
 from daq.setup.errors import InputError
@@ -24,15 +25,15 @@ from model.effects.routing import Effects, accelerometer_response, ball_effects,
 from model.orbits.attractor import AT_REST, Attractor, attractor
 
 
-def with_profile(request: Request, name: str) -> Request:
-    """``request`` with what the profile ``name`` says; options given with it come on top.
+def with_profile(request: Request, given: GivenProfile) -> Request:
+    """``request`` with what the profile ``given`` says; options given with it come on top.
 
     Raises
     ------
     InputError
         When there is no such profile, it contradicts an option, or its two tones differ in size.
     """
-    setup = load_measuring(name)[0]
+    name, setup = given.name, what_if(load_measuring(given.name)[0], given.what_if)
     forcing = setup.forcing
     if request.ratio not in (1, forcing.ratio):
         raise InputError(f"{name}: says forcing.ratio = {forcing.ratio}, the call --c {request.ratio}; leave one out")
@@ -87,7 +88,7 @@ def _size(setup: Setup) -> float:
     return tones[0]
 
 
-def ramp_json(request: Request, name: str) -> list[dict[str, Any]]:
+def ramp_json(request: Request, given: GivenProfile) -> list[dict[str, Any]]:
     """The motion in each step of the profile's ramp, in its order, the state carried along.
 
     Raises
@@ -95,7 +96,7 @@ def ramp_json(request: Request, name: str) -> list[dict[str, Any]]:
     InputError
         When the profile has no ramp.
     """
-    profile = load(name)[0]
+    profile = what_if(load(given.name)[0], given.what_if)
     asked = profile.ramp.gammas()
     plate = [plate_gamma(profile, g, controlled=profile.control is not None) for g in asked]
     ball, state, progress = ball_for(request), AT_REST, Progress("steps")

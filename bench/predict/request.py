@@ -39,6 +39,14 @@ class Files:
 
 
 @dataclass(frozen=True)
+class GivenProfile:
+    """A profile's path or name, and values of it that are replaced: ``KEY=NUMBER`` each."""
+
+    name: str
+    what_if: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Request:
     """The options of `bench predict`, as given."""
 
@@ -53,7 +61,7 @@ class Request:
     sweep: str | None = None
     phase_deg: float = 0.0
     narrowest: float | None = None
-    profile: str | None = None
+    profile: GivenProfile | None = None
     g_mps2: float = STANDARD_GRAVITY_MPS2
     diagram: DiagramOptions = DiagramOptions()
     files: Files = Files()

@@ -125,12 +125,17 @@ class ModeMotion:
             out[i] += decay[i - 1] * out[i - 1]
         return out
 
-    def state(self, time_s: Floats) -> Floats:
-        """Displacement and speed (m, 2) at times (m,), just after an impact at one of them."""
+    def state(self, time_s: Floats, *, landings: bool = False) -> Floats:
+        """Displacement and speed (m, 2) at times (m,), just after an impact at one of them.
+
+        At ``landings`` the contact that their blocks show a part of has only begun.
+        """
         block_s, n = self.push.block_s, len(self.push.contact_mps2)
         block = np.clip(np.floor(time_s / block_s).astype(np.int64), 0, n - 1)
         since = self.turn * (time_s - block * block_s)
-        pressed = self.pressed[block] * np.exp(since) + self.push.contact_mps2[block] * np.expm1(since) / self.turn
+        pressed = self.pressed[block] * np.exp(since)
+        if not landings:
+            pressed = pressed + self.push.contact_mps2[block] * np.expm1(since) / self.turn
         z = self.mass_ratio * (pressed + self._struck(time_s))
         return np.column_stack([z.imag / self.turn.imag, self._speed(z)])
 

@@ -70,7 +70,7 @@ class PlateMode:
     gain_nats
         By how much the mode raises the likelihood, the remainder's correlation allowed for.
     pushed
-        What the ball did to the plate, where the mode is sure and heavily struck.
+        What the ball did to the plate, where the mode is sure.
     """
 
     frequency_hz: float
@@ -92,10 +92,15 @@ class PlateMode:
         """Whether no other minimum comes near, so that its values may be taken for measured."""
         return self.gain_nats > SURE_NATS
 
+    @property
+    def known_plate(self) -> PushedPlate | None:
+        """What the ball did to a plate whose motion is taken as recorded; None where that is not."""
+        return self.pushed if self.mass_ratio > HEAVY else None
+
     def motion(self) -> ModeMotion | None:
         """How it moved; None where that is not taken as recorded."""
         known = (self.frequency_hz, self.damping, self.mass_ratio)
-        return None if self.pushed is None else self.pushed.moved(*known)
+        return None if self.known_plate is None else self.known_plate.moved(*known)
 
     def measured(self) -> dict[tuple[str, str], tuple[float, float]]:
         """Values and standard deviations, by effect and parameter."""
@@ -149,8 +154,7 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         record = record.without(int(worst * CLUSTER_S / block_s), ends)
         begun.append(min(ends, len(record.known) - 2))
     mode = None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)
-    recorded = mode is not None and mode.sure and mode.mass_ratio > HEAVY
-    return replace(mode, pushed=whole.pushed(seen, found)) if mode and recorded and found is not None else mode
+    return replace(mode, pushed=whole.pushed(seen, found)) if mode and mode.sure and found is not None else mode
 
 
 @dataclass(frozen=True)

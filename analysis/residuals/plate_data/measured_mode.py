@@ -41,6 +41,7 @@ class MeasuredMode:
         state = np.empty((len(observations), 4))
         for i, motion in enumerate(motions):
             own, seen = of == i, observations.measured
-            state[own] = np.hstack([motion.state(t[own]) for t in (seen.opening_s, seen.landing_s)])
+            opened, landed = seen.opening_s[own], seen.landing_s[own]
+            state[own] = np.hstack([motion.state(opened), motion.state(landed, landings=True)])
         projection, seconds = ringing.of_motions(motions, observations.steps.recording), ringing.intervals.seconds
         return cls(state, ringing.of_tones(projection, seconds), projection, seconds)

@@ -70,3 +70,18 @@ def test_words_of_a_cycle_are_defined_below_the_table(capsys: pytest.CaptureFixt
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].endswith("1-cycle locked, period 1: 39.000") and "1-cycle with reset, period 2: 65.5" in lines[2]
     assert lines[-2].startswith("gamma = A w^2/g") and lines[-1].startswith("n-cycle: ")
+
+
+def test_what_if_replaces_values_and_a_lighter_ball_strikes_the_table_less(tmp_path: Path) -> None:
+    """Half the ball's mass is half its ratio to the table's, twice a damping's rate; what is not there is refused."""
+    declared = (
+        "[declared.table_resonance]\nmass_ratio = {}\nfrequency_hz = 7.5\n[declared.viscous_damping]\nrate_per_s = {}"
+    )
+    light = predicted(tmp_path, with_declared(declared.format(0.02, 6.0)), "--gamma", "1.0")
+    heavy = with_declared(declared.format(0.04, 3.0))
+    mass = f"ball.mass_kg={0.5 * 0.2492}"
+    assert predicted(tmp_path, heavy, "--gamma", "1.0", "--what-if", mass) == light
+    values = ("--what-if", "table_resonance.mass_ratio=0.02", "--what-if", "viscous_damping.rate_per_s=6")
+    assert predicted(tmp_path, heavy, "--gamma", "1.0", *values) == light
+    for change in ("ball.mas_kg=1", "ball.mass_kg=-1", "restitution.e0=0.3", "ball.mass_kg"):
+        assert "--what-if" in str(predicted(tmp_path, heavy, "--gamma", "1.0", "--what-if", change, code=2))

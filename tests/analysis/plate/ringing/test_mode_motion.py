@@ -60,6 +60,17 @@ def test_a_mode_moves_as_its_differential_equation_says(motion: ModeMotion) -> N
     np.testing.assert_allclose(motion.state(at_s), _marched(_pushed(), at_s), rtol=1e-6, atol=1e-9)
 
 
+def test_at_a_landing_the_contact_of_its_block_has_only_begun() -> None:
+    """A ball that stays where it lands presses for the rest of the block: just after the landing there is the kick."""
+    contact, lands_s = np.zeros(400), 0.1006
+    contact[100], contact[101:] = 0.4 * -30.0, -30.0
+    plate = PushedPlate(
+        Push(contact, np.array([lands_s]), np.array([-0.3]), BLOCK_S), np.zeros(400), contact > 0.0, 1.0
+    )
+    state = plate.moved(HZ, DAMPING, RATIO).state(np.array([lands_s]), landings=True)
+    np.testing.assert_allclose(state, [[0.0, -0.3 * RATIO]], atol=1e-12)
+
+
 def test_what_the_speed_gains_in_blocks_leaves_out_the_jumps_of_impacts(motion: ModeMotion) -> None:
     """All gains and all jumps together are the change of the speed."""
     ends = motion.state(np.array([0.0, 0.4]))[:, 1]
