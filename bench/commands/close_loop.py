@@ -139,13 +139,11 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     """Show the verdict and write what is wanted; ``text`` is that of the profile, if not the recordings' own."""
     from analysis.loop.design import ranking_json
     from analysis.loop.verdict_json import loop_json
-    from analysis.report.page import write_report
     from analysis.report.wording import term_effect_in_words
     from bench.jobs.loops.keep_term import keep_term
-    from bench.jobs.loops.keep_verdict import conclude
+    from bench.jobs.loops.keep_verdict import conclude, drawn
     from bench.profiles.improved import write_improved
     from bench.profiles.next_run import possible_runs, write_next
-    from bench.terminal.progress import progress_bar
 
     quiet = wanted.json == "-"
     say = speaker(quiet)
@@ -164,8 +162,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"  a next run worth {run.nats:.0f} nats: {run.design.description}")
 
     def report(folder: Path) -> None:
-        with progress_bar(quiet) as bar:
-            say(f"report: {write_report(loop, folder, progress=bar, term_effect=term_effect)}")
+        say(f"report: {drawn(loop, folder, quiet=quiet, term_effect=term_effect)}")
 
     def improve(path: Path) -> None:
         for line in write_improved(loop, recordings[0], path, text):

@@ -17,7 +17,8 @@ from bench.terminal.orders import TypedLines
 from bench.terminal.run_display import run_display
 from bench.terminal.signals import stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.backends.base import Backend

@@ -35,7 +35,7 @@ def record(path: Path, minutes: float) -> None:
     import numpy as np
 
     from daq.files.tables import Block, step_row
-    from daq.recording import RecordingWriter
+    from daq.recording.writer import RecordingWriter
     from daq.setup.setup import Setup
     from rig.profile import load_profile
     from rig.sim.plant import Plant

@@ -18,7 +18,8 @@ import numpy as np
 
 from benchmarks.daq.recordings import RATE_HZ, SETUP, frames, peak_mb
 from daq.files.tables import Block
-from daq.recording import CHANNELS, RecordingWriter, open_recording
+from daq.recording import CHANNELS, open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 BLOCK = 1024

@@ -22,7 +22,7 @@ from benchmarks.bench_simulation.plan import DEVICE, Fault, Plan, profile_text
 from benchmarks.bench_simulation.recorder import RecorderOnBench
 from benchmarks.bench_simulation.world import Killed, World
 from daq.recorder.recorder_process import RecorderProcess
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.run import run_ramp

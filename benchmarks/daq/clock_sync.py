@@ -20,7 +20,8 @@ import numpy as np
 from analysis.flights.assemble import FlightFlag, flights_of
 from bench.profiles.find import load
 from daq.clocks.clock_sync import ClockTracker, fit_clock, played_s
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
 from rig.profile import parse_profile

@@ -24,8 +24,9 @@ import numpy as np
 
 from daq.files.seal import Seal, read_seal
 from daq.files.tables import CLOCK_DTYPE, Block
-from daq.recording import CHANNELS, Recording, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Recording, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

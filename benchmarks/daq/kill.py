@@ -19,8 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -32,8 +32,9 @@ import numpy as np
 from benchmarks.daq.kill import SETUP, content
 from daq.files.frames.frame_marks import MAGIC, read_marks
 from daq.files.frames.marked_frames import MarkedFrames
-from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -20,7 +20,8 @@ from daq.export.export import export
 from daq.files.tables import Block
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import import_recording
-from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, open_recording, verify
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 RATE_HZ, BLOCK, STEP_S = 20_000, 1024, 5.0

@@ -20,7 +20,8 @@ import numpy as np
 from analysis.flights.scan import plate_of
 from bench.profiles.find import load
 from daq.lock_in import fit_tones
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.amplitude_loop import target_acceleration
 from rig.execution.operator import RunSummary

@@ -19,7 +19,8 @@ from analysis.flights.assemble import flights_of
 from analysis.residuals.held import HeldStep, held_steps
 from bench.jobs.hold_branch import branch_hold, locked_branch
 from bench.profiles.find import load
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 from rig.execution.run import run_ramp
 from rig.profile import BranchTable, ControlTable, Profile, parse_profile

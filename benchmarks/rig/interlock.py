@@ -19,7 +19,8 @@ import numpy as np
 import rig.execution.interlock
 from bench.profiles.find import load
 from daq.files.tables import Block
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from rig.backends.base import Backend
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.operator import Status, StopRequest

@@ -17,7 +17,8 @@ import numpy as np
 from bench.profiles.find import load
 from benchmarks.daq.losses import arguments, drawn_loss
 from daq.files.tables import Block
-from daq.recording import RecordingWriter, open_recording, verify
+from daq.recording import open_recording, verify
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import run_ramp
 from rig.profile import Profile

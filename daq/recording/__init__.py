@@ -1,7 +1,7 @@
-"""Recordings: write one while a run lasts, open one afterwards, and say what state it is in.
+"""Recordings: open one, and say what state it is in; `daq.recording.writer` writes one while a run lasts.
 
-A recording is never overwritten and never half-written. While the run lasts the file holds raw
-frames that survive a kill (`daq.files.frames.frame_writer`); `RecordingWriter.close` writes the column file next to it
+A recording is never overwritten and never half-written. While the run lasts the file holds raw frames that survive a
+kill (`daq.files.frames.frame_writer`); `RecordingWriter.close` writes the column file next to it
 (`daq.files.column_file`), checks it, and renames it into place. `open_recording` reads both alike. The layout is in
 docs/reference/recording-format.md.
 """
@@ -16,7 +16,6 @@ from daq.channels.registry import CHANNELS
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Block, BlockFlag
 from daq.recording.reader import Recording
 from daq.recording.verify import VerifyReport, examine, verify
-from daq.recording.writer import RecordingWriter
 
 __all__ = [
     "BLOCK_DTYPE",
@@ -25,7 +24,6 @@ __all__ = [
     "Block",
     "BlockFlag",
     "Recording",
-    "RecordingWriter",
     "VerifyReport",
     "open_recording",
     "verify",

@@ -16,7 +16,7 @@ import numpy as np
 from daq.clocks.loss_search import InThread
 from daq.files.tables import Block, note_rows
 from daq.recorder.recorder_process import RecorderProcess
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Bools
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked

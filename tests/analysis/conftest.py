@@ -19,7 +19,7 @@ from analysis.residuals.values import ParameterId
 from daq.channels.accelerometer import AccelerometerChannel
 from daq.channels.registry import Channels
 from daq.files.tables import Block, step_row
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Ball, Forcing, Setup
 from kernels.arrays import Bools
 from model.integrator.problem import Measured, PlateSteps

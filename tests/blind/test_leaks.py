@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import run_ramp
 from rig.profile import load_profile, load_setup

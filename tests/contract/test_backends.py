@@ -15,7 +15,7 @@ import pytest
 
 from bench.profiles.find import load
 from daq.files.tables import Block
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from rig.backends.base import Backend, BackendError, Running
 from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.backends.registry import open_backend

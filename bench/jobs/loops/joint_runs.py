@@ -40,7 +40,7 @@ def judge_runs(
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.verdict_json import joint_json
-    from analysis.report.figures.several import write_pictures
+    from bench.jobs.loops.keep_verdict import drawn
     from bench.profiles.find import load_measuring
     from bench.terminal.console import speaker, write_json
     from bench.terminal.joint_display import show
@@ -63,7 +63,7 @@ def judge_runs(
         for path in recordings:
             with open_recording(path) as opened:
                 simulated |= bool(opened.attrs.get("simulated"))
-        picture = write_pictures(found, folder, simulated=simulated)
+        picture = drawn(found, folder, quiet=quiet, simulated=simulated)
         if picture.exists():
             speaker(quiet)(f"picture: {picture}")
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bench.terminal.console import warn
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
+    from analysis.joint.result import JointVerdict
     from analysis.loop.result import ClosedLoop
 
 SAVED = ".loop"
@@ -60,3 +64,35 @@ def conclude(
     if problem := keep_verdict(loop, recordings):
         warn(problem)
     return write_outputs(outputs)
+
+
+def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False, **more: Any) -> Path:
+    """Have a verdict drawn by `bench.jobs.loops.drawing`: what computes a verdict needs none of what draws it.
+
+    Parameters
+    ----------
+    found
+        The verdict.
+    folder
+        Where its pictures go.
+    quiet
+        Without a progress bar.
+    more
+        Further arguments of `write_report`, or of `analysis.report.figures.several.write_pictures`.
+
+    Returns
+    -------
+    Path
+        Of what was written.
+
+    Raises
+    ------
+    InputError
+        When it could not be written.
+    """
+    call = [sys.executable, "-m", "bench.jobs.loops.drawing"]
+    done = subprocess.run(call, input=pickle.dumps((found, folder, quiet, more)), stdout=subprocess.PIPE, check=False)
+    answer = done.stdout.decode("utf-8")
+    if done.returncode:
+        raise InputError(answer or f"{folder}: its process ended with exit status {done.returncode}")
+    return Path(answer)

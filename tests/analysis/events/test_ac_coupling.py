@@ -16,7 +16,8 @@ from analysis.events.levels import Levels
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.signals.stream import PAD, Piece
 from daq.files.tables import Block
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 
 RATE = 20000.0
 

@@ -10,7 +10,8 @@ import pytest
 
 from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from bench.profiles.find import load
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import run_ramp
 from rig.profile import parse_profile

@@ -12,7 +12,8 @@ from scipy.signal import resample_poly
 from analysis.flights.assemble import FlightFlag, Flights, assemble, flights_of
 from analysis.flights.scan import scan
 from daq.files.tables import Block
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 
 GAMMAS = np.linspace(1.2, 2.4, 5)
 FRICTION = {"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}}

@@ -12,7 +12,8 @@ from analysis.plate.accumulator import PlatePiece, _classify, block_width
 from analysis.plate.step_state import CONTACT, FLIGHT, N_MASK_LEVELS, NEITHER
 from daq.files.tables import Block
 from daq.instrument.saturation import NO_ENDS
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 
 RATE_HZ, FREQUENCY_HZ = 20000.0, 25.37
 

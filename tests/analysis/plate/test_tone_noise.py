@@ -10,7 +10,8 @@ import pytest
 from analysis.flights.scan import plate_of
 from analysis.plate.tone_noise import converter_step, rounding_sigma
 from daq.files.tables import Block
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 
 GAMMAS = np.linspace(0.3, 0.8, 12)  # the ball never leaves the plate
 RMS_G = 0.03

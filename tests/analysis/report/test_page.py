@@ -146,7 +146,7 @@ def test_the_verdict_survives_a_failing_output(
 
     monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: (closed_loop, None))
     monkeypatch.setattr("bench.profiles.next_run.possible_runs", lambda *a: [])
-    monkeypatch.setattr(analysis.report.page, "write_report", fails)
+    monkeypatch.setattr("bench.jobs.loops.keep_verdict.drawn", fails)
     verdict, better = tmp_path / "verdict.json", tmp_path / "better.toml"
     call = ["close-loop", str(recording), "--report", str(tmp_path / "report"), "--json", str(verdict)]
     result = CliRunner().invoke(app, [*call, "--improved", str(better)])

@@ -17,7 +17,8 @@ from analysis.residuals.held import held_steps
 from analysis.residuals.observations import observed
 from bench.jobs.hold_branch import branch_hold
 from bench.profiles.find import load
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from rig.execution.run import run_ramp
 from rig.profile import BranchTable, ControlTable
 from rig.sim.scenario import Scenario

@@ -13,7 +13,8 @@ from analysis.residuals.observations import observed
 from analysis.statistics import nearest
 from daq.files.tables import Block
 from daq.instrument.saturation import NO_ENDS, common_ends, share_at_an_end
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 
 N, RATE_HZ = 4096, 20000.0
 

@@ -15,7 +15,7 @@ from analysis.report.figures.recording import FIGURES
 from bench.cli import app
 from bench.commands.reprocess import IN_WORDS
 from daq.files.tables import Block, step_row
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario

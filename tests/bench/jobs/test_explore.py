@@ -22,7 +22,8 @@ from bench.profiles.edit import with_values
 from bench.profiles.find import load
 from bench.profiles.plan import planned
 from bench.terminal.orders import obey
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from rig.execution.operator import NextSteps, StopRequest
 from rig.execution.run import run_ramp

@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.profiles.find import load
 from bench.terminal.run_display import health_line, limits_line, run_display, step_line
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.operator import Status
 from rig.execution.run import run_ramp

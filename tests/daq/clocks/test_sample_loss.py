@@ -11,7 +11,8 @@ from benchmarks.daq import losses, sample_path
 from daq.clocks.loss_search import NOTHING, AtOnce, Found, InThread
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block, BlockFlag
-from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, open_recording, verify
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 RATE_HZ = 20_000.0

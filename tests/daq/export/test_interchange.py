@@ -18,7 +18,8 @@ from daq.files.tables import Block
 from daq.importers.formats.columns import parse_map
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, import_recording
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 
 RATE_HZ, N, LOST, AT = 48000.0, 96_000, 137, 60_000

@@ -11,7 +11,8 @@ from bench.profiles.find import load
 from daq.export.export import export
 from daq.export.resample import Resampled
 from daq.files.tables import Block
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 
 SCALE = 10.0 / 32768.0

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from daq.files.whole_file import whole, write_whole
-from daq.recording import CHANNELS, Block, RecordingWriter
+from daq.recording import CHANNELS, Block
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes, links and limits as POSIX knows them")

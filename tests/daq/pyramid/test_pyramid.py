@@ -11,7 +11,8 @@ from daq.files.tables import Block
 from daq.pyramid import build as build_module
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
 from daq.pyramid.view import Pyramid
-from daq.recording import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Recording, RecordingWriter, open_recording
+from daq.recording import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -17,7 +17,8 @@ import pytest
 from daq.files.tables import STEP_DTYPE, Block
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recorder.shared_ring import FOLDER, NAME, Ring, clear_left_behind
-from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, open_recording, verify
+from daq.recording.writer import RecordingWriter
 from daq.setup.clock import Clock
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

@@ -18,8 +18,9 @@ from benchmarks.daq import kill
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import DiskFile
 from daq.files.frames.frame_file import FrameFile
-from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 N, BLOCK = 2 * CHUNK_SAMPLES + 5000, 3000

@@ -12,7 +12,8 @@ import pytest
 
 from benchmarks.daq import power_cuts
 from daq.files.whole_file import Journal, write_whole
-from daq.recording import CHANNELS, Block, RecordingWriter
+from daq.recording import CHANNELS, Block
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 posix = pytest.mark.skipif(os.name != "posix", reason="folders are synced on POSIX systems only")

@@ -11,7 +11,8 @@ import xarray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq.recording import CHANNELS, Block, BlockFlag, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Block, BlockFlag, open_recording, verify
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -14,8 +14,9 @@ import pytest
 
 from benchmarks.daq import kill
 from daq.files.frames.frame_file import is_being_written, lookup3
-from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
@@ -80,7 +81,8 @@ def test_a_full_disk(tmp_path: Path, limit: int) -> None:
         import resource, signal, sys
         from pathlib import Path
         import numpy as np
-        from daq.recording import CHANNELS, Block, RecordingWriter
+        from daq.recording import CHANNELS, Block
+        from daq.recording.writer import RecordingWriter
         from daq.setup.setup import Setup
         limit, path = int(sys.argv[1]), Path(sys.argv[2])
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -12,8 +12,9 @@ from benchmarks.daq import resync
 from daq.files.frames.frame_file import as_if_ended
 from daq.files.frames.frame_marks import MAGIC
 from daq.files.seal import Seal, read_seal
-from daq.recording import CHANNELS, Block, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE, Block
 from daq.recorder.recorder_process import RecorderProcess
-from daq.recording import CHANNELS, RecordingWriter, open_recording, verify
+from daq.recording import CHANNELS, open_recording, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 
 OPTIONS = {"profile_text": "p", "channels": CHANNELS, "backend": "s", "simulated": True}

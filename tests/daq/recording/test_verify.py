@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from daq.files.frames.frame_marks import MAGIC
-from daq.recording import CHANNELS, Block, RecordingWriter, verify
+from daq.recording import CHANNELS, Block, verify
 from daq.recording.recover import recover
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
-from daq.recording import RecordingWriter, open_recording, verify
+from daq.recording import open_recording, verify
+from daq.recording.writer import RecordingWriter
 from rig.backends.base import BackendError, Running
 from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.execution.run import run_ramp

@@ -20,7 +20,8 @@ from bench.profiles.find import load
 from daq.clocks.clock_sync import played_s
 from daq.clocks.serial_frames import SerialFrame, encode_frame
 from daq.files.tables import Block, BlockFlag, volts_per_code
-from daq.recording import RecordingWriter, open_recording, verify
+from daq.recording import open_recording, verify
+from daq.recording.writer import RecordingWriter
 from rig.backends.base import BackendError, Running, TwoClocked
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
 from rig.execution.run import run_ramp

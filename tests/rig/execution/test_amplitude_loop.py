@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
-from daq.recording import Recording, RecordingWriter, open_recording
+from daq.recording import Recording, open_recording
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.amplitude_loop import achieved_gamma, target_acceleration
 from rig.execution.operator import RunSummary

@@ -10,7 +10,8 @@ import pytest
 
 from bench.profiles.find import load
 from daq.files.tables import Block
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from rig.execution.branch_hold import BranchHold, LockedBranch
 from rig.execution.run import run_ramp

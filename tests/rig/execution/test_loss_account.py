@@ -9,7 +9,8 @@ import pytest
 
 from bench.profiles.find import load
 from daq.files.tables import Block, BlockFlag
-from daq.recording import RecordingWriter, open_recording, verify
+from daq.recording import open_recording, verify
+from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.loss_account import LossAccount
 from rig.execution.run import run_ramp

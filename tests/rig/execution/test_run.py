@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.recording import RecordingWriter, open_recording
+from daq.recording import open_recording
+from daq.recording.writer import RecordingWriter
 from rig.execution.operator import StopRequest
 from rig.execution.run import run_ramp
 from rig.programme.ramp import plan

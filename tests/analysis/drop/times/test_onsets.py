@@ -11,7 +11,7 @@ from analysis.drop.times.impact_chain import drops_of, unheard
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from daq.files.tables import Block
-from daq.recording import RecordingWriter
+from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
