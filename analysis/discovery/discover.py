@@ -15,10 +15,9 @@ import numpy as np
 from analysis.attribution.choice import LogScoreDifference, tied
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.describe import describe
 from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
 from analysis.discovery.symbolic import FittedForm, search_forms
-from analysis.discovery.terms import label
+from analysis.discovery.terms import Curve, label
 from analysis.parallel import THREADS
 from analysis.residuals.covariates import Covariate
 from analysis.residuals.forward_model import ForwardModel
@@ -231,3 +230,47 @@ def _similar_effects(best: RefinedTerm, least: float) -> tuple[tuple[str, float]
             alike = abs(float(ours @ theirs)) / size if size > 0.0 else 0.0
             out[e.name] = max(out.get(e.name, 0.0), alike)
     return tuple(sorted(((k, v) for k, v in out.items() if v > least), key=lambda pair: -pair[1]))
+
+
+POINTS = 61  # at which the curve is evaluated
+MOSTLY = 0.8  # share of the range that the ends of a rise or fall must span; share that happens in a narrow part
+
+
+def describe(curve: Curve) -> str:
+    """One sentence, as "dry friction rises from 0.01 g to 0.1 g between a height of 0 mm and 4.2 mm"."""
+    words, unit, scale = label(curve.term)
+    x = np.linspace(curve.knots[0], curve.knots[-1], POINTS)
+    y = curve.at(x)
+    name = curve.term.words
+    if curve.term.name == "force":
+        y = y if curve.term.columns else -y
+        name = "a downward pull" if abs(np.max(y)) >= abs(np.min(y)) else "an upward push"
+        y = y if name == "a downward pull" else -y
+    span = float(np.ptp(y))
+    if span <= 0.0:
+        return f"{name} is {_number(y[0], curve.term.unit)} whatever the {words}"
+
+    def place(i: int) -> str:
+        return _number(scale * float(x[i]), unit)
+
+    def level(i: int) -> str:
+        return _number(float(y[i]), curve.term.unit)
+
+    top, bottom = int(np.argmax(y)), int(np.argmin(y))
+    if abs(y[-1] - y[0]) >= MOSTLY * span:
+        # the ends of the middle `MOSTLY` of the rise or fall
+        part, rest = (y - y[0]) / (y[-1] - y[0]), 0.5 * (1.0 - MOSTLY)
+        first, last = int(np.argmax(part >= rest)), int(np.argmax(part >= 1.0 - rest))
+        verb = "rises" if y[-1] > y[0] else "falls"
+        text = f"{name} {verb} from {level(0)} to {level(-1)} as {words} goes from {place(0)} to {place(-1)}"
+        narrow = last - first < 0.4 * POINTS
+        return text + (f", mostly between {place(first)} and {place(last)}" if narrow else "")
+    if y[top] - max(y[0], y[-1]) >= min(y[0], y[-1]) - y[bottom]:
+        peak = f"{name} is greatest, {level(top)}, where {words} is about {place(top)}"
+        return f"{peak}, and {level(bottom)} at {place(bottom)}"
+    return f"{name} is least, {level(bottom)}, where {words} is about {place(bottom)}, and {level(top)} at {place(top)}"
+
+
+def _number(value: float, unit: str) -> str:
+    text = f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
+    return text if unit in ("", "1") else f"{text} {unit}"

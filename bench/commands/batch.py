@@ -13,7 +13,7 @@ from bench.terminal.console import EXIT_FAILED, fail, write_json
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
-    from bench.batch.examine import Row
+    from bench.batch import Row
 
 
 def command(
@@ -37,8 +37,7 @@ def command(
 
     Exits 0 when every recording has its row, 1 when some failed, 2 when the call was wrong.
     """
-    from bench.batch.examine import PARTS
-    from bench.batch.run import Batch, find_recordings, run_batch, write_table
+    from bench.batch import PARTS, Batch, find_recordings, run_batch, write_table
     from bench.profiles.find import load_measuring
     from daq.files.whole_file import Journal
 

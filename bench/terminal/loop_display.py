@@ -1,14 +1,24 @@
-"""Terminal display of a closed loop, and the writing of its outputs one by one."""
+"""Terminal display of a closed loop and of runs judged together, and the writing of outputs one by one."""
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 
+from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.result import ClosedLoop
+from analysis.loop.verdicts import short_verdict
 from analysis.report.narrative import why_this_verdict
-from analysis.report.numbers import microseconds
-from analysis.report.wording import form_in_words, moved_calibrations, others_in_words, rejected_in_words, verdict_line
+from analysis.report.numbers import microseconds, plus_minus
+from analysis.report.wording import (
+    form_in_words,
+    moved_calibrations,
+    others_in_words,
+    rejected_in_words,
+    unit_of,
+    verdict_line,
+)
 from daq.setup.errors import InputError
 
 
@@ -60,3 +70,63 @@ def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
             complete = False
             sys.stderr.write(f"error: the {name} could not be written: {error}\n")
     return complete
+
+
+def show_runs(found: JointVerdict) -> None:
+    """Print the verdict, what the runs share, what belongs to each, and the course of the search."""
+    from rich.console import Console
+    from rich.table import Table
+
+    out = Console(highlight=False)
+    names = f": {' + '.join(found.names)}" if found.names else ""
+    out.print(
+        f"\nverdict on {len(found.runs)} runs: {short_verdict(found.verdict)}{names}", style="bold", soft_wrap=True
+    )
+    for run in found.odd:
+        out.print(f"  {run.recording} is not explained ({', '.join(run.failed)})", soft_wrap=True)
+    for x, rest, run in found.of_one_run:
+        own = plus_minus(x.values[rest.place], x.sigmas[rest.place])
+        others = plus_minus(rest.others, rest.others_sigma)
+        words = f"different in one run: {run.recording} has {own}, all others together {others} (unit {x.unit})"
+        out.print(f"  {x.effect}.{x.parameter} is {words}", soft_wrap=True)
+    if len(found.ties) > 1:
+        others = "; ".join(" + ".join(names) for names in found.ties[1:])
+        out.print(f"  the runs cannot tell this from: {others}", soft_wrap=True)
+    table = Table("parameter", "unit", "all runs", "from run to run", "constant, p", "trend a day, p", "")
+    for x in found.parameters:
+        if x.kind == "effect" or any(map(math.isfinite, x.sigmas)):
+            table.add_row(*_row(x))
+    out.print(table)
+    for error in found.systematics:
+        if error.sigma_us < 0.9 * error.prior_us:
+            out.print(
+                f"  {error.name} in all runs: {error.value_us:.1f} +- {error.sigma_us:.1f} us "
+                f"(beforehand 0 +- {error.prior_us:.1f})", soft_wrap=True,
+            )  # fmt: skip
+    runs = Table(
+        "run", "started" if found.dated else "number", "flights", "rms of residuals", "landing (us)", "floor (us)"
+    )
+    for run in found.runs:
+        when = run.started if found.dated else f"{run.days:.0f}"
+        runs.add_row(
+            run.recording, when, str(run.flights), f"{run.ratio:.2f}",
+            microseconds(run.landing_rms_us), microseconds(run.noise_floor_us),
+        )  # fmt: skip
+    out.print(runs)
+    limits = (
+        f"{effect}.{parameter} {size:.2g} {unit_of(effect, parameter)}".rstrip()
+        for (effect, _, parameter), size in ((name.partition("."), size) for name, size in found.detection.items())
+    )
+    if found.detection:
+        out.print(f"  all runs together could not have shown less than: {'; '.join(limits)}", soft_wrap=True)
+    for line in found.rounds:
+        out.print(f"  {line}", soft_wrap=True)
+
+
+def _row(x: OverRuns) -> tuple[str, ...]:
+    test = x.constancy
+    trend = f"{test.slope:.2g}, {test.p_trend:.2g}" if math.isfinite(test.slope_sigma) else "-"
+    return (
+        f"{x.effect}.{x.parameter}", x.unit, plus_minus(x.value, x.sigma), f"{x.spread:.2g}",
+        f"{test.p:.2g}" if test.degrees else "-", trend, "differs" if x.differs else "",
+    )  # fmt: skip

@@ -20,8 +20,7 @@ from typing import Any
 import psutil  # type: ignore[import-untyped]
 
 import shakerbench as sb
-from bench.batch.examine import PARTS, Row, examine
-from bench.batch.run import Batch, run_batch
+from bench.batch import PARTS, Batch, Row, examine, run_batch
 from daq.files.whole_file import Journal
 
 RAMP = {"ramp.gamma": [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0], "ramp.settle_cycles": 6, "ramp.hold_cycles": 12}

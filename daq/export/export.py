@@ -15,12 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.export.columnar import export_netcdf, export_parquet
 from daq.export.facts import Progress, columns, pieces
-from daq.export.matlab import export_matlab
+from daq.export.formats import export_matlab, export_netcdf, export_parquet, export_tdms, export_uff58
 from daq.export.resample import Resampled
-from daq.export.tdms import export_tdms
-from daq.export.uff58 import export_uff58
 from daq.files.whole_file import whole
 from daq.recording.reader import Recording
 from daq.recording.writer import copy_columns

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.continuity import ContinuityChannel
-from daq.instrument.interpolation import interpolation_hz
 from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
 from daq.instrument.saturation import NO_ENDS, STANDS, Ends, common_ends, share_at_an_end
 from daq.lock_in import ToneFit, fit_tones
@@ -251,3 +250,60 @@ def _quiet(rest: Floats, high: Bools | None, rate_hz: float) -> Bools:
             loud[max(int(edge) - before, 0)] += 1.0
             loud[min(int(edge) + after, len(rest))] -= 1.0
     return np.asarray(np.cumsum(loud[:-1]) <= 0.0)
+
+
+LINE_SAMPLES = 1 << 13  # looked at together for lines
+
+
+def interpolation_hz(channels: Sequence[Sequence[Floats]], rate_hz: float) -> float | None:
+    """Beat of two sample rates at which the noise of several channels comes and goes; None where it does not.
+
+    A value interpolated linearly between two others has less noise the farther it is from both, so that the noise
+    varies with the beat of the two rates, in all channels alike.
+
+    Parameters
+    ----------
+    channels
+        Volts of stretches, (n,) each, for each channel.
+    rate_hz
+    """
+    lines = [line for stretches in channels if (line := _line(stretches)) is not None]
+    for line in lines:
+        near = [other for other in lines if abs(other - line) < 3.0 / LINE_SAMPLES]
+        # one channel may hum: two must show the same line
+        if len(near) >= 2:
+            return float(np.mean(near)) * rate_hz
+    return None
+
+
+def _line(stretches: Sequence[Floats]) -> float | None:
+    """Strongest line in the size of the second differences, in units of the rate; None where chance explains it.
+
+    A line in the differences themselves is a tone picked up by the cable, and no trace of interpolation.
+    """
+    sizes, bends = np.zeros(LINE_SAMPLES // 2 + 1), np.zeros(LINE_SAMPLES // 2 + 1)
+    level, count, hann = 0.0, 0, np.hanning(LINE_SAMPLES)
+    for volts in stretches:
+        bend = np.diff(volts, 2)[: (len(volts) - 2) // LINE_SAMPLES * LINE_SAMPLES].reshape(-1, LINE_SAMPLES)
+        size = np.abs(bend)
+        usual = (float(np.median(size)) or float(size.mean())) if size.size else 0.0
+        if usual > 0.0:
+            # impacts and edges are no noise: a second difference counts for three times the usual size at most
+            limit = 3.0 * usual
+            size, bend = np.minimum(size, limit) / usual, np.clip(bend, -limit, limit) / usual
+            level, count = level + float(size.mean(axis=1).sum()), count + len(size)
+            sizes += (np.abs(np.fft.rfft((size - size.mean(axis=1, keepdims=True)) * hann)) ** 2).sum(axis=0)
+            bends += (np.abs(np.fft.rfft(bend * hann)) ** 2).sum(axis=0)
+    if not count:
+        return None
+    first = LINE_SAMPLES // 64  # below, the motion itself comes and goes
+    k = first + int(np.argmax(sizes[first:-2]))
+    modulation = 4.0 * np.sqrt(sizes[k] / count) / LINE_SAMPLES / (level / count)
+    ratio = float(sizes[k] / np.median(sizes[first:]))
+    chance = len(sizes) * np.exp(-count * (ratio - 1.0 - np.log(ratio)))  # Chernoff's bound for a sum of exponentials
+    tones = [
+        float(bends[q - 1 : q + 2].max() / max(float(np.median(bends[q - 32 : q + 33])), 1e-300))
+        for q in (k // 2, (LINE_SAMPLES - k) // 2)
+    ]
+    # good filters modulate by less than 0.22; a line of the motion itself stands in the differences as well
+    return None if modulation < 0.22 or chance > 1e-9 or max(tones) > 20.0 else k / LINE_SAMPLES

@@ -39,12 +39,11 @@ def judge_runs(
         For recordings or a profile that will not do, and files that cannot be read or written.
     """
     from analysis.joint.join_runs import join_runs
-    from analysis.joint.verdict_json import joint_json
+    from analysis.joint.result import joint_json
     from bench.jobs.loops.keep_verdict import drawn
     from bench.profiles.find import load_measuring
     from bench.terminal.console import speaker, write_json
-    from bench.terminal.joint_display import show
-    from bench.terminal.loop_display import write_outputs
+    from bench.terminal.loop_display import show_runs, write_outputs
     from bench.terminal.progress import progress_bar
     from daq.instrument.stored import refuse_doubtful
 
@@ -56,7 +55,7 @@ def judge_runs(
     with progress_bar(quiet) as bar:
         found = join_runs(recordings, setup=setup, journal=journal, progress=bar)
     if not quiet:
-        show(found)
+        show_runs(found)
 
     def draw(folder: Path) -> None:
         simulated = False  # the badge stands on the picture where any recording was

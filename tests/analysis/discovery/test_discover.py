@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.discovery.describe import describe
+from analysis.discovery.discover import describe
 from analysis.discovery.spline_basis import basis_of, hat_functions, knots_of, penalty_of
 from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, Curve, event_term
 from kernels.arrays import Floats

@@ -3,9 +3,8 @@
 import pytest
 
 from analysis.joint.constancy import Constancy, OneRun
-from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
-from analysis.joint.verdict_json import joint_json
-from bench.terminal.joint_display import show
+from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, joint_json
+from bench.terminal.loop_display import show_runs
 
 CONSTANT = Constancy(9.0, 2, 0.01, 0.007, 0.0, float("inf"), 1.0)
 
@@ -29,7 +28,7 @@ def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     found = verdict(OneRun(2, 5e-5, 0.0035))
     told = joint_json(found)["parameters"][0]["one_run"]
     assert told == {"recording": "c.h5", "others": 5e-5, "others_sigma": 0.0035}
-    show(found)
+    show_runs(found)
     out = " ".join(capsys.readouterr().out.split())
     assert "drive_gain.relative is different in one run: c.h5 has 0.01420 +- 0.00020, all others together 0.0" in out
 
@@ -37,13 +36,13 @@ def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
 def test_what_the_runs_share_is_nobodys_alone(capsys: pytest.CaptureFixture[str]) -> None:
     """Without such a run JSON says null, and the terminal nothing."""
     assert joint_json(verdict(None))["parameters"][0]["one_run"] is None
-    show(verdict(None))
+    show_runs(verdict(None))
     assert "different in one run" not in capsys.readouterr().out
 
 
 def test_what_all_runs_could_not_have_shown_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """JSON and terminal state the joint detection limits, with their units."""
     assert joint_json(verdict(None))["detection_limits"] == LIMITS
-    show(verdict(None))
+    show_runs(verdict(None))
     out = " ".join(capsys.readouterr().out.split())
     assert "could not have shown less than: viscous_damping.rate_per_s 0.047 1/s" in out

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import shakerbench as sb
-from bench.batch.run import Batch, find_recordings, run_batch, write_table
+from bench.batch import Batch, find_recordings, run_batch, write_table
 from bench.cli import app
 from daq.files.whole_file import Journal
 from daq.setup.errors import InputError

@@ -5,8 +5,7 @@ import shutil
 import pytest
 
 import shakerbench as sb
-from bench.batch.examine import PARTS
-from bench.batch.run import Batch, run_batch, write_table
+from bench.batch import PARTS, Batch, run_batch, write_table
 from daq.files.whole_file import Journal
 
 RECORDINGS = 6

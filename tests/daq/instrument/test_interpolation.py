@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import resample_poly
 
-from daq.instrument.interpolation import interpolation_hz
+from daq.instrument.measure import interpolation_hz
 
 RATE_HZ = 20000.0
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from analysis.loop import close_loop
 from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict
-from bench.batch.examine import examine
+from bench.batch import examine
 from bench.cli import app
 from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
 from tests.bench.runs.recordings import record
