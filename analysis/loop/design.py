@@ -193,6 +193,8 @@ def simulate_steps(
         plate=data,
         setup=setup,
         modulation=None,
+        pushed=(),
+        heard=None,
         run_part=part[measured.step],
     )
     truth = ForwardModel(made, model.declared)

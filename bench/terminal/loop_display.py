@@ -66,7 +66,7 @@ def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
     for name, write in outputs:
         try:
             write()
-        except (InputError, OSError, ValueError) as error:
+        except (InputError, OSError) as error:
             complete = False
             sys.stderr.write(f"error: the {name} could not be written: {error}\n")
     return complete

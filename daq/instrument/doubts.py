@@ -179,6 +179,14 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             "turn its leads, or write phase_deg = 180 in [drive]",
             False,
         )
+    # 5 ms at 25 Hz: no converter's filter and no amplifier is so late; later still at a higher tone
+    elif phase_deg is not None and abs(phase_deg) > 45.0 * setup.forcing.ratio and not turned:
+        yield Doubt(
+            "drive_phase",
+            f"the plate moves {phase_deg:+.0f} degrees after what [drive] says",
+            f"write phase_deg = {round(setup.drive.phase_deg.value + phase_deg)} there, or find the late channel",
+            True,
+        )
 
 
 def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:

@@ -89,6 +89,15 @@ def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> No
     assert np.nanmedian(np.abs(ideal.landing_s[rows])) > 1e-4
 
 
+def test_a_run_of_which_some_landings_were_only_heard_has_designs() -> None:
+    """What is known of single landings of the run that was made is not carried over to the simulated ones."""
+    seen = replace(seen_observations(), heard=np.array([False, True, False]))
+    model = ForwardModel(seen, {})
+    made = simulate_design(Design("d", "", 1, (0.8, 1.2)), model, FRICTION)
+    assert len(made) != len(seen)
+    ForwardModel(made, {}).residuals(FRICTION)
+
+
 def test_a_rival_loses_on_the_simulation(simulated: ForwardModel) -> None:
     """Viscous damping, fitted to a run simulated under friction, keeps a loss that friction does not have."""
     fitter = Fitter(simulated, priors_of(simulated.observations.setup), np.ones(4, dtype=bool))

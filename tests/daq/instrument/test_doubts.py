@@ -151,6 +151,13 @@ def test_what_contradicts_the_profile_is_a_doubt_with_its_cure(
         refuse_doubtful([summary.path])
 
 
+def test_a_drive_whose_phase_is_wrong_by_far_is_refused_with_the_phase_to_write(tmp_path: Path) -> None:
+    """A quarter of a turn in [drive] that the plate does not have."""
+    stated = other_plant.profile_of(run_of(1)).replace("phase_deg = { value = 0.0,", "phase_deg = { value = 90.0,")
+    (doubt,) = bring_in(dict(_simulated(1, (), False)), stated, tmp_path).instrument.doubts
+    assert doubt.kind == "drive_phase" and doubt.makes_meaningless and "write phase_deg = 0 " in doubt.cure
+
+
 @pytest.mark.parametrize(
     ("spoil", "kind"), [(drive_inverted, "drive_sense"), (resampled, "resampled"), (cut_off, "cut_off")]
 )
