@@ -94,7 +94,7 @@ def load_all(
     if not head:
         raise InputError(f"{path}: the file is empty")
     if (heard := _heard(path, known, progress)) is not None:
-        return _drops(path, *heard, corrections, sound=is_wav(path))
+        return _drops(path, heard, corrections)
     if path.suffix.lower() in _OTHER_SOUND or head[8:11] == b"M4A" or head.startswith(_OTHER_SOUND_STARTS):
         raise InputError(
             f"{path}: sound, but not WAV; only WAV is read (compression smears onsets): record as WAV, or convert it, "
@@ -118,7 +118,7 @@ def events_in(path: Path, corrections: Corrections, known: Known) -> Floats:
     if not path.is_file():
         return np.empty(0)
     if (heard := _heard(path, known)) is not None:
-        times = heard[0].times_s
+        times = heard.times_s
     elif path.suffix.lower() not in FILMS:
         found = [item for _, item in read_tables(read_sheets(path), str(path)).found]
         times = found[0] if len(found) == 1 and not isinstance(found[0], Points) else np.empty(0)
@@ -132,27 +132,23 @@ def _head(path: Path) -> bytes:
         return file.read(16)
 
 
-def _heard(path: Path, known: Known, progress: Progress | None = None) -> tuple[Onsets, float] | None:
-    """Events of a sound or of a contact circuit, and their uncertainty, s; None for a file of another kind."""
+def _heard(path: Path, known: Known, progress: Progress | None = None) -> Onsets | None:
+    """Events of a sound or of a contact circuit; None for a file of another kind."""
     if is_wav(path):
-        onsets, rate_hz = known.made(path, "onsets", lambda: onsets_of_file(path, progress))
-        return onsets, 1.0 / rate_hz
+        return known.made(path, "onsets", lambda: onsets_of_file(path, progress))
     if _head(path).startswith(_HDF5):
-        times, uncertainty_s = known.made(path, "contact", lambda: contact_onsets(path))
-        return unheard(times), uncertainty_s
+        return unheard(known.made(path, "contact", lambda: contact_onsets(path)))
     return None
 
 
-def _drops(
-    path: Path, events: Onsets, uncertainty_s: float, corrections: Corrections, sound: bool = False
-) -> list[Drop]:
+def _drops(path: Path, events: Onsets, corrections: Corrections) -> list[Drop]:
     """Every drop among the events of a file, those that a person added included."""
     added = np.array(corrections.add_s)
     # an impact that a person added is worth three that were only heard
     by_hand = Onsets(added, np.full(len(added), 3.0), np.full(len(added), np.nan))
     heard = events.part(corrections.keeps(events.times_s, _IGNORE_REACH_S))
     used = Onsets(*(np.concatenate(both) for both in zip(heard, by_hand, strict=True)))
-    found = drops_of(used, str(path), uncertainty_s)
+    found = drops_of(used, str(path))
     numbers = [f" ({k + 1} of {len(found)})" if len(found) > 1 else "" for k in range(len(found))]
     impacts = np.concatenate([bounces.impacts_s for bounces in found])
     said = tuple(
@@ -160,7 +156,7 @@ def _drops(
         for when in corrections.add_s
         if np.abs(impacts - when).min() > 1e-9
     )
-    drops = [Drop(path.name + n, bounces, file=path, sound=sound) for n, bounces in zip(numbers, found, strict=True)]
+    drops = [Drop(path.name + n, bounces, sound=is_wav(path)) for n, bounces in zip(numbers, found, strict=True)]
     return [replace(drops[0], remarks=said, events_s=np.sort(used.times_s)), *drops[1:]]
 
 
@@ -220,7 +216,7 @@ def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
             if isinstance(item, Points):
                 paths.append(_path(item, name, corrections))
             else:
-                read = _drops(path, unheard(item), 0.0, corrections)
+                read = _drops(path, unheard(item), corrections)
                 more = [f" {k + 1} of {len(read)}" if len(read) > 1 else "" for k in range(len(read))]
                 drops += [replace(drop, name=name + words) for drop, words in zip(read, more, strict=True)]
         except InputError as error:

@@ -116,27 +116,25 @@ def payload_of(
     }
 
 
-def model_json(candidate: Candidate, to_si: Mapping[str, float], second_s: float) -> dict[str, Any]:
+def model_json(candidate: Candidate, to_si: Mapping[str, float], per: float, unit: str = "ms") -> dict[str, Any]:
     """A fitted model for the JSON.
 
     Parameters
     ----------
     to_si
         Factor of each parameter to SI; a parameter that is missing here cannot be given.
-    second_s
-        The candidate's unit of time, s; NaN where unknown.
+    per, unit
+        Factor of the candidate's errors to ``unit``; NaN where it is not known.
     """
     parameters: dict[str, Interval] = {}
     for name, numbers in candidate.intervals().items():
         if name in to_si:
             entry = interval(*(to_si[name] * number for number in numbers))
             parameters |= {key: entry for key in _KEYS.get(name, (name,))}
-    rms, held_out = (1e3 * (time * second_s) for time in (candidate.rms, candidate.held_out_rms))
-    return {
+    errors = {f"rms_{unit}": per * candidate.rms, f"held_out_rms_{unit}": per * candidate.held_out_rms}
+    return {key: error if np.isfinite(error) else None for key, error in errors.items()} | {
         "name": candidate.model.name,
         "parameters": parameters,
-        "rms_ms": rms if np.isfinite(rms) else None,
-        "held_out_rms_ms": held_out if np.isfinite(held_out) else None,
         "identifiable": candidate.identifiable,
         "zero_excluded": candidate.identifiable and candidate.significant,
     }

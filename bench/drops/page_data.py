@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from analysis.drop.corrections import Corrections
+from analysis.drop.corrections import NOTHING, Corrections
 from analysis.drop.load import Known, Path2D, events_in
 from analysis.drop.times.one_ahead import Drop
-from bench.jobs.drop_test import DropTest, Request
+from bench.jobs.drop_test import MARKS, NUMBERS, DropTest, Request, numbers_of
 from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
 
@@ -115,19 +115,15 @@ def command_line(request: Request) -> str | None:
     """The command that gives the same; None where corrections differ from file to file, which no command can say."""
     if len(set(request.corrected)) > 1:
         return None
-    part = request.corrected[0]
-    gravity = request.gravity_mps2 if request.gravity_mps2 != Request.gravity_mps2 else None
-    named = (
-        ("--fps", request.fps), ("--scale", request.scale_m), ("--ball-size", request.ball_size_m),
-        ("--mass", request.mass_kg), ("--diameter", request.diameter_m), ("--from", part.from_s),
-        ("--until", part.until_s), ("--axis", part.axis_deg), ("--gravity", gravity),
-        *(("--drop-height", value) for value in request.heights_m), *(("--ignore", value) for value in part.ignore_s),
-        *(("--add", value) for value in part.add_s),
-    )  # fmt: skip
     words = ["bench", "drop", *map(str, request.files)]
-    words += [word for name, value in named if value is not None for word in (name, f"{value:.9g}")]
-    if part.region is not None:
-        words += ["--region", ",".join(map(str, part.region))]
+    for names, given, usual in ((NUMBERS, request, Request(())), (MARKS, request.corrected[0], NOTHING)):
+        for name, option in names.items():
+            if (value := getattr(given, name)) != getattr(usual, name):
+                words += [word for number in numbers_of(value) for word in (f"--{option}", f"{number:.9g}")]
+    if request.use_height != Request.use_height:
+        words += ["--use-height", request.use_height]
+    if (region := request.corrected[0].region) is not None:
+        words += ["--region", ",".join(map(str, region))]
     if request.balls is not None:
         words += ["--balls", str(request.balls)]
     return shlex.join(words)

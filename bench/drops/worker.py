@@ -48,7 +48,7 @@ def _measured(request: Any, known: Any, pipe: Connection) -> tuple[Any, ...]:
     try:
         check_request(request)
         done = measure(request, progress, known)
-    except (InputError, ValueError, OSError, MemoryError) as error:
+    except (InputError, OSError, MemoryError) as error:
         return "done", refusal_of(request, str(error) or type(error).__name__, known), None, {}
     pictures = {}  # the track over the film, PNG by number of the file
     with tempfile.TemporaryDirectory() as folder:

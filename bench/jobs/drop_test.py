@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from analysis.drop.times.one_ahead import Drop
 
 AIR_KG_PER_M3 = 1.2
+# what `bench drop` calls each number of a request, and each of its corrections
+NUMBERS = {
+    "fps": "fps", "scale_m": "scale", "ball_size_m": "ball-size", "gravity_mps2": "gravity", "mass_kg": "mass",
+    "diameter_m": "diameter", "heights_m": "drop-height", "height_uncertainty_m": "height-uncertainty",
+    "scale_uncertainty": "scale-uncertainty", "fps_uncertainty": "fps-uncertainty", "seed": "seed",
+}  # fmt: skip
+MARKS = {"from_s": "from", "until_s": "until", "ignore_s": "ignore", "add_s": "add", "axis_deg": "axis"}
 Height = tuple[float, float]
 
 
@@ -92,25 +99,32 @@ def check_request(request: Request) -> None:
         raise InputError(f"--use-height {request.use_height}: expected check or data")
     if request.use_height == "data" and not request.heights_m:
         raise InputError("--use-height data: there is no height to use; say it with --drop-height")
-    positive = {
-        "fps": request.fps, "scale": request.scale_m, "ball-size": request.ball_size_m,
-        "gravity": request.gravity_mps2, "mass": request.mass_kg, "diameter": request.diameter_m,
-    }  # fmt: skip
-    for name, value in positive.items():
+    for name, option in list(NUMBERS.items())[:6]:
+        value = getattr(request, name)
         if value is not None and not 0.0 < value < float("inf"):
-            raise InputError(f"--{name} {value}: expected a positive number")
+            raise InputError(f"--{option} {value}: expected a positive number")
     if (request.mass_kg is None) != (request.diameter_m is None):
         raise InputError("--mass and --diameter: give both; together they bound the air drag")
     if any(not 0.0 < height < float("inf") for height in (*request.heights_m, request.height_uncertainty_m)):
         raise InputError("--drop-height and --height-uncertainty: expected positive metres")
+    if any(not 0.0 <= sigma < 1.0 for sigma in (request.scale_uncertainty, request.fps_uncertainty)):
+        raise InputError("--scale-uncertainty and --fps-uncertainty: expected parts of one, such as 0.01")
     if request.heights_m and len(request.heights_m) not in (1, len(request.files)):
         raise InputError(
             f"--drop-height: {len(request.heights_m)} heights for {len(request.files)} files; give one, or one each"
         )
     for part in request.corrections:
+        for name, option in MARKS.items():
+            if not np.isfinite([value for value in numbers_of(getattr(part, name)) if value is not None]).all():
+                raise InputError(f"--{option}: expected numbers, found one that is none")
         if part.from_s is not None and part.until_s is not None and part.from_s >= part.until_s:
             raise InputError(f"--from {part.from_s} --until {part.until_s}: nothing is left between them")
     _refuse_twice(request.files)
+
+
+def numbers_of(value: Any) -> tuple[Any, ...]:
+    """What an option was given: one value, or several."""
+    return value if isinstance(value, tuple) else (value,)
 
 
 def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
@@ -162,34 +176,27 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
     InputError
         Anything that is no drop test, with the file and what to do.
     """
-    from analysis.drop.load import load_all
-    from analysis.drop.times.one_ahead import Drop
+    from analysis.drop.load import Path2D, load_all
 
+    loaded: list[tuple[int, Any]]
     loaded = [
         (number, item)
         for number, (path, part) in enumerate(zip(request.files, request.corrected, strict=True))
         for item in load_all(path, progress, part, known)
     ]
-    times = [item for _, item in loaded if isinstance(item, Drop)]
-    paths = [item for _, item in loaded if not isinstance(item, Drop)]
-    stated = [request.stated[number] for number, _ in loaded]
-    if times and paths:
+    bounced = [item.name for _, item in loaded if isinstance(item, Path2D) and item.fall is None]
+    falls = [item for _, item in loaded if isinstance(item, Path2D) and item.fall is not None]
+    if 0 < len(bounced) + len(falls) < len(loaded):
         raise InputError("impact times and filmed paths cannot be fitted together; run them one kind at a time")
-    falls = [item.fall is not None for item in paths]
     left_out: list[str] = []
-    if any(falls) and not all(falls):
-        bounced = [item.name for item in paths if item.fall is None]
-        if len(request.files) > 1 or 2 * len(bounced) > len(paths):
+    if bounced and falls:
+        if len(request.files) > 1 or len(bounced) > len(falls):
             raise InputError(f"{bounced[0]}: bounces, and other drops do not; run falls without a bounce by themselves")
         left_out = [f"not read: {name}: no fall without a bounce, as the others are" for name in bounced]
         loaded = [(number, item) for number, item in loaded if item.name not in bounced]
-        paths = [item for item in paths if item.fall is not None]
-    if times:
-        done = DropTest(request, loaded, *_from_times(times, stated, request))
-    elif any(falls):
-        done = DropTest(request, loaded, *_from_falls(paths, [number for number, _ in loaded], request))
-    else:
-        done = DropTest(request, loaded, *_from_paths(paths, stated, request))
+    items, numbers = [item for _, item in loaded], [number for number, _ in loaded]
+    fit_of: Callable[..., Any] = _from_falls if falls else _from_paths if bounced else _from_times
+    done = DropTest(request, loaded, *fit_of(items, numbers, request))
     outcome = done.outcome
     not_read = [words for _, item in loaded for words in item.not_read] + left_out
     outcome.sentences += [words for _, item in loaded for words in item.remarks] + not_read
@@ -220,13 +227,13 @@ def draw(done: DropTest, out: Path) -> None:
     said.append(f"picture: {draw_fit(done.plot, title, target(names[0], 'residuals'))}")
 
 
-def _from_times(drops: list[Drop], stated: list[Height | None], request: Request) -> tuple[Outcome, FitPlot]:
+def _from_times(drops: list[Drop], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Impact times: the models, judged on held-out bounces."""
     from analysis.drop.curves import times_plot
     from analysis.drop.times.model_selection import judge
     from analysis.drop.times.outcome import of_times
 
-    rng = np.random.default_rng(request.seed)
+    rng, stated = np.random.default_rng(request.seed), [request.stated[number] for number in numbers]
     g, without_heights = request.gravity_mps2, None
     verdict = judge(drops, g, rng, request.drag_limits)
     if request.use_height == "data":
@@ -236,7 +243,7 @@ def _from_times(drops: list[Drop], stated: list[Height | None], request: Request
     return of_times(drops, verdict, g, stated, rng, without_heights), times_plot(drops, verdict, g)
 
 
-def _from_falls(paths: list[Path2D], files: list[int], request: Request) -> tuple[Outcome, FitPlot]:
+def _from_falls(paths: list[Path2D], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Falls without a bounce: the causes, judged on the other drops of each ball."""
     from analysis.drop.curves import falls_plot
     from analysis.drop.falls.fall import Fall, with_balls
@@ -263,11 +270,11 @@ def _from_falls(paths: list[Path2D], files: list[int], request: Request) -> tupl
             raise InputError(f"--mass and --diameter: of one ball, and these are {len(names)}; give a table as --balls")
         sizes[names[0]] = (request.mass_kg, request.diameter_m)
     judged = judge_falls(falls, request.gravity_mps2, sizes)
-    return of_falls(judged), falls_plot(judged, files)
+    return of_falls(judged), falls_plot(judged, numbers)
 
 
 def _from_paths(
-    paths: list[Path2D], stated: list[Height | None], request: Request
+    paths: list[Path2D], numbers: list[int], request: Request
 ) -> tuple[Outcome, FitPlot, list[tuple[int, float, bool]]]:
     """Films and tracked positions: flights, restitution, the models; and the impacts in each file's own time."""
     from analysis.drop.curves import camera_plot
@@ -279,12 +286,12 @@ def _from_paths(
     units = _units(paths, request)
     rng = np.random.default_rng(request.seed)
     fit = fit_camera([item.clip for item in paths], rng)
-    height = next((height for height in stated if height is not None), None)
+    height = next((height for number in numbers if (height := request.stated[number]) is not None), None)
     outcome = of_camera([item.name for item in paths], fit, units, rng, height)
     films = [item.tracked for item in paths if item.tracked is not None]
     if films:
         outcome.payload["lost_frames"] = [(film.lost + film.first).tolist() for film in films]
-    shape = next(one.shape for one in fit.candidates if one.model.name == outcome.payload["best"])
+    shape = next(one.model.shape for one in fit.candidates if one.model.name == outcome.payload["best"])
     seen, steps = fit.impacts[shape], [item.frame_s for item in paths]
     impacts = [
         (int(clip), float(frame) * (steps[int(clip)] or 1.0), bool(both))

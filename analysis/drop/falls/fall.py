@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal
 
+from analysis.drop.laws.flight_law import FlightLaw
 from kernels.arrays import Floats
 
 _LARGEST_RISE = 0.05  # of the range: how far a height may go up again in a fall that its noise disturbs
@@ -82,13 +83,7 @@ def fallen_m(since_s: Floats, g_mps2: Floats | float, k_per_m: Floats | float, c
         safe = np.where(small, 1.0, x)
         share = np.where(small, 0.5 - x / 6.0, (safe + np.expm1(-safe)) / safe**2)
         return np.asarray(g_mps2 * since_s**2 * share)
-    size = np.maximum(np.abs(k_per_m), 1e-9)
-    x = np.sqrt(np.maximum(size * g_mps2, 0.0)) * np.abs(since_s)  # a step of a fit may try a gravity below zero
-    slowed = (since_s >= 0.0) == (np.asarray(k_per_m) > 0.0)
-    with np.errstate(over="ignore"):
-        way = np.where(slowed, x + np.log1p(np.exp(-2.0 * x)) - np.log(2.0), -np.log(np.cos(np.minimum(x, 1.5))))
-    # Of the logarithms only rounding is left where the ball is slow: there the first terms of their series.
-    return np.asarray(np.where(x < 1e-2, 0.5 * x**2 * (1.0 - np.where(slowed, 1.0, -1.0) * x**2 / 6.0), way) / size)
+    return np.asarray(FlightLaw(g_mps2, 0.0, k_per_m).drop_m(since_s))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from kernels.arrays import Floats
 COMMON, BALL, DROP = "common", "ball", "drop"
 OWNER = {
     "g_mps2": COMMON, "scale": COMMON, "bend": COMMON, "skew": COMMON, "wind_mps": COMMON,
-    "k_per_m": BALL, "c_per_s": BALL, "own_scale": DROP, "own_bend": DROP, "own_skew": DROP,
+    "k_per_m": BALL, "c_per_s": BALL, "bulk_m": BALL, "own_scale": DROP, "own_bend": DROP, "own_skew": DROP,
     "below_m": DROP, "top_m": DROP, "release_s": DROP,
 }  # fmt: skip
 AXIS, OWN_AXIS = ("scale", "bend", "skew"), ("own_scale", "own_bend", "own_skew")
@@ -24,6 +24,9 @@ AXIS, OWN_AXIS = ("scale", "bend", "skew"), ("own_scale", "own_bend", "own_skew"
 # was calibrated by itself: what is its own axis's has `Noise.axis`.
 PRIORS = {"scale": 0.05, "bend": 0.1, "skew": 0.05, "below_m": 0.2, "wind_mps": 0.5}
 SPHERE = (0.5, 0.3)  # drag coefficient, smooth or rough, before the drag crisis or beyond it, with holes or without
+# The displaced air's mass over the ball's and its drag, m, where neither mass nor size is known: of a sphere four
+# thirds of the diameter over the drag coefficient, 0.1 m for table tennis and 1 m for a beach ball.
+BULK = (0.5, 0.5)
 AIR_KG_PER_M3 = 1.2
 
 Sizes = Mapping[str, tuple[float, float]]  # ball -> mass, kg, and diameter, m
@@ -38,21 +41,16 @@ class Setting:
     g_mps2: float
     sizes: Sizes
 
-    def weight_share(self, ball: str) -> float:
-        """Acceleration of a ball at rest over gravity: buoyancy, and half of the displaced air that moves with it."""
-        air = self._air(ball)
-        return (1.0 - air) / (1.0 + 0.5 * air)
-
     def drag_per_m(self, ball: str) -> float | None:
         """Drag of a ball of known size with a drag coefficient of one, 1/m."""
         if ball not in self.sizes:
             return None
         mass_kg, diameter_m = self.sizes[ball]
-        return 0.125 * AIR_KG_PER_M3 * np.pi * diameter_m**2 / mass_kg / (1.0 + 0.5 * self._air(ball))
+        return 0.125 * AIR_KG_PER_M3 * np.pi * diameter_m**2 / mass_kg / (1.0 + 0.5 * self.air(ball))
 
-    def _air(self, ball: str) -> float:
-        """Mass of the displaced air over that of the ball."""
-        mass_kg, diameter_m = self.sizes.get(ball, (1.0, 0.0))
+    def air(self, ball: str) -> float:
+        """Mass of the displaced air over that of the ball; NaN where its size is not known."""
+        mass_kg, diameter_m = self.sizes.get(ball, (np.nan, np.nan))
         return AIR_KG_PER_M3 * np.pi / 6.0 * diameter_m**3 / mass_kg
 
 
@@ -95,8 +93,10 @@ def heights_m(values: Values, setting: Setting, falls: Sequence[Fall], times_s: 
         own = values.get(name, {})
         return np.repeat([own.get(owner_of(name, fall), usual) for fall in falls], counts)
 
-    g = value("g_mps2", setting.g_mps2) * np.repeat([setting.weight_share(fall.ball) for fall in falls], counts)
     drag, wind = (value("k_per_m"), value("c_per_s")), value("wind_mps")
+    air = np.repeat([setting.air(fall.ball) for fall in falls], counts)
+    air = np.where(np.isnan(air), drag[0] * value("bulk_m"), air)
+    g = value("g_mps2", setting.g_mps2) * ((1.0 - air) / (1.0 + 0.5 * air))  # buoyancy; half the air moves, too
     since, below = np.concatenate(times_s) - value("release_s"), value("below_m")
     before = wind / setting.g_mps2  # at rest in air that moves is as fallen in still air for a while
     fallen = fallen_m(np.maximum(since, 0.0) + before, g, *drag) - fallen_m(before, g, *drag) - wind * since.clip(0.0)
@@ -180,6 +180,8 @@ def _prior(name: str, owner: str, setting: Setting, noise: Noise) -> tuple[float
     """What a parameter usually is, and its standard deviation: infinite where nothing is known."""
     if name == "k_per_m" and (unit := setting.drag_per_m(owner)) is not None:
         return SPHERE[0] * unit, SPHERE[1] * unit
+    if name == "bulk_m":
+        return BULK
     return 0.0, noise.axis if name in OWN_AXIS else PRIORS.get(name, np.inf)
 
 

@@ -13,6 +13,7 @@ from analysis.drop.falls.fall import Fall, axis_of
 from analysis.drop.falls.fit import AXIS, OWN_AXIS, FallFit, Noise, Setting, Sizes, Values, fit_falls, heights_m
 from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.laws.choice import Candidate, Verdict, choose, worth_of
+from analysis.drop.outcome import Interval, around
 from analysis.drop.thresholds import LARGEST_MISFIT, LEVEL_SIGMAS
 from analysis.statistics import mad_sigma
 from kernels.arrays import Floats
@@ -48,13 +49,19 @@ class FallCandidate(Candidate):
     between: list[Floats]
     uncalibrated: list[Floats]
 
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Value and half of the 95 % interval of each parameter that is common to all falls."""
+        fit = self.fit
+        common = [name for name in fit.names if "" in fit.values[name]]
+        return {name: (fit.values[name][""], LEVEL_SIGMAS * fit.sigmas[name][""]) for name in common}
+
     @property
     def significant(self) -> bool:
         """Whether each cause is beyond zero for one ball or drop at least; a drag or a release below zero is none.
 
         A distortion of the axis is judged by the drops not fitted to.
         """
-        for name in (name for name in self.fit.names if name not in (*AXIS, *OWN_AXIS)):
+        for name in (name for name in self.fit.names if name not in (*AXIS, *OWN_AXIS, "bulk_m")):
             away = [(v, LEVEL_SIGMAS * self.fit.sigmas[name][owner]) for owner, v in self.fit.values[name].items()]
             if not any(v > half or (name == "wind_mps" and -v > half) for v, half in away):
                 return False
@@ -89,6 +96,10 @@ class Judged:
         """A parameter with its standard deviation, whatever the drops' own axes are."""
         return _mixed(self.fits, self.odds, name, owner)
 
+    def interval(self, value: float, sigma: float) -> Interval:
+        """A value with its 95 % interval."""
+        return around(value, self.level * sigma)
+
 
 def _mixed(fits: Sequence[FallFit], odds: Floats, name: str, owner: str) -> tuple[float, float]:
     """Mean and standard deviation of a parameter over fits of given odds."""
@@ -110,7 +121,7 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     noise = Noise(axis=_OWN_AXES[-1])
     first = fit_falls(falls, ("k_per_m",), setting, noise)  # from far away a distorted axis may stand for a strong drag
     for _ in range(3):  # residuals are correlated from sample to sample: how much one is worth sets what a prior weighs
-        first = fit_falls(falls, _RICHEST, setting, noise, near=first)
+        first = fit_falls(falls, _with_bulk(_RICHEST, falls, setting), setting, noise, near=first)
         limit = _STRAY * max(mad_sigma(np.concatenate(first.left)), 0.02 * first.sigma_m)
         inside = [np.abs(left) < limit for left in first.left]
         falls = [replace(f, time_s=f.time_s[i], height_m=f.height_m[i]) for f, i in zip(falls, inside, strict=True)]
@@ -142,11 +153,18 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     return Judged(list(falls), setting, noise, replace(verdict, doubts=doubts), fits, odds, gravity, strays)
 
 
+def _with_bulk(names: Sequence[str], falls: Sequence[Fall], setting: Setting) -> tuple[str, ...]:
+    """Parameters with the air that balls of unknown size displace, where their drag is fitted."""
+    is_open = "k_per_m" in names and any(fall.ball not in setting.sizes for fall in falls)
+    return (*names, "bulk_m") if is_open else tuple(names)
+
+
 def _over_axes(
     falls: Sequence[Fall], names: Sequence[str], setting: Setting, noise: Noise, near: FallFit | None
 ) -> tuple[list[FallFit], Floats]:
     """Fits for each size of the drops' own axes, and how likely each is."""
     fits = []
+    names = _with_bulk(names, falls, setting)
     for axis in _OWN_AXES:
         used = names if axis else [name for name in names if name not in OWN_AXIS]
         fits.append(fit_falls(falls, used, setting, replace(noise, axis=axis), near=near))
@@ -163,7 +181,7 @@ def _candidate(
     The score of a drop is the probability of its heights given the other drops, every parameter integrated out: what
     is fitted to the drop itself, its own axis, is so paid for by how much of its prior the drop rules out.
     """
-    names = tuple(n for n in model.parameters if noise.axis or n not in OWN_AXIS)
+    names = _with_bulk([n for n in model.parameters if noise.axis or n not in OWN_AXIS], falls, setting)
     if not set(OWN_AXIS) & set(names):  # what such a law leaves is its noise
         noise = replace(noise, sigma_m=max(fit_falls(falls, names, setting, noise, near=near).sigma_m, 1e-9))
     fit = fit_falls(falls, names, setting, noise, near=near)

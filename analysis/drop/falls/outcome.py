@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from analysis.drop import outcome
-from analysis.drop.falls.fit import AIR_KG_PER_M3, OWN_AXIS, SPHERE, FallFit
-from analysis.drop.falls.judge import FallCandidate, Judged
+from analysis.drop.falls.fit import AIR_KG_PER_M3, OWN_AXIS, SPHERE
+from analysis.drop.falls.judge import Judged
 from analysis.drop.outcome import around, interval, with_interval
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from kernels.arrays import Floats
@@ -29,65 +29,45 @@ _IN_WORDS = {
 
 def of_falls(judged: Judged) -> outcome.Outcome:
     """Result of falls whose law was chosen."""
-    best, verdict, falls = judged.best, judged.verdict, judged.falls
-    payload = outcome.payload_of("falls", [f.name for f in falls], [], verdict, outcome.UNKNOWN)
+    best, verdict, falls, axis = judged.best, judged.verdict, judged.falls, judged.setting.axis
+    fit, is_bent = best.fit, "bend" in best.fit.names
+    # `None` where errors are not in seconds, as those of bounces are
+    models = [outcome.model_json(c, dict.fromkeys(c.fit.names, 1.0), 1.0, "m") for c in verdict.candidates]
     balls = [_ball(judged, ball) for ball in dict.fromkeys(f.ball for f in falls)]
-    is_bent = "bend" in best.fit.names
-    payload |= {
-        "models": [_model(one) for one in verdict.candidates],
+    payload = outcome.payload_of("falls", [f.name for f in falls], [], verdict, outcome.UNKNOWN) | {
+        "models": [one | {"rms_ms": None, "held_out_rms_ms": None} for one in models],
         "balls": balls,
         "drops": [
             {
                 "file": fall.name,
                 "ball": fall.ball,
                 "samples": len(fall.time_s),
-                "release_s": best.fit.values["release_s"][fall.name],
-                "scale": _around(best.fit, "own_scale", fall.name) if "own_scale" in best.fit.names else None,
-                "rms_m": _rms(best.fit.left, [i]),
+                "release_s": fit.values["release_s"][fall.name],
+                "scale": around(
+                    fit.values["own_scale"][fall.name], LEVEL_SIGMAS * fit.sigmas["own_scale"][fall.name]
+                ) if "own_scale" in fit.names else None,
+                "rms_m": _rms(fit.left, [i]),
                 "held_out_rms_m": _rms(best.held_out, [i]),
                 "held_out_uncalibrated_rms_m": _rms(best.uncalibrated, [i]),
             }
             for i, fall in enumerate(falls)
         ],
-        "g_mps2": None if judged.gravity is None else _half(judged, *judged.gravity),
+        "g_mps2": None if judged.gravity is None else judged.interval(*judged.gravity),
         "axis": {
-            "bend": _half(judged, *judged.estimate("bend")) if is_bent else None,
+            "bend": judged.interval(*judged.estimate("bend")) if is_bent else None,
             "own": judged.noise.axis if is_bent else None,
-            "middle_m": judged.setting.axis.middle_m,
-            "reach_m": judged.setting.axis.reach_m,
+            "middle_m": axis.middle_m,
+            "reach_m": axis.reach_m,
         },
         "independent_samples_per_sample": judged.noise.worth,
-    }
+    }  # fmt: skip
     measured = []
     if len(balls) == 1 and not verdict.doubts and balls[0]["drag"] == "measured":
         k = balls[0]["k_per_m"]
-        sigma = outcome.sigma_of(k) or 0.0
+        numbers = round(k["value"], 8), round(outcome.sigma_of(k) or 0.0, 8)
         source = f"falls, {len(falls)} drop(s) ({falls[0].name}), {verdict.best}"
-        measured = [outcome.Measured("quadratic_drag", "k_per_m", round(k["value"], 8), round(sigma, 8), source)]
+        measured = [outcome.Measured("quadratic_drag", "k_per_m", *numbers, source)]
     return outcome.Outcome(payload, _in_words(judged, payload), measured)
-
-
-def _half(judged: Judged, value: float, sigma: float) -> outcome.Interval:
-    return around(value, judged.level * sigma)
-
-
-def _around(fit: FallFit, name: str, owner: str = "") -> outcome.Interval:
-    return around(fit.values[name][owner], LEVEL_SIGMAS * fit.sigmas[name][owner])
-
-
-def _model(one: FallCandidate) -> dict[str, Any]:
-    """A combination of causes for the JSON; what belongs to a ball or a drop is in ``balls`` and ``drops``."""
-    common = [name for name in one.fit.names if "" in one.fit.values[name]]
-    return {
-        "name": one.model.name,
-        "parameters": {name: _around(one.fit, name) for name in common},
-        "rms_m": one.rms,
-        "held_out_rms_m": one.held_out_rms if np.isfinite(one.held_out_rms) else None,
-        "rms_ms": None,
-        "held_out_rms_ms": None,
-        "identifiable": one.identifiable,
-        "zero_excluded": one.significant,
-    }
 
 
 def _ball(judged: Judged, ball: str) -> dict[str, Any]:
@@ -96,16 +76,12 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
     plain, best, setting = judged.verdict.candidates[0], judged.best, judged.setting
     mass_kg, diameter_m = setting.sizes.get(ball, (None, None))
     entry: dict[str, Any] = {
-        "ball": ball,
-        "drops": len(own),
+        "ball": ball, "drops": len(own), "mass_kg": mass_kg, "diameter_m": diameter_m,
         "rms_m": {"before": _rms(plain.fit.left, own), "after": _rms(best.fit.left, own)},
         "held_out_rms_m": {
-            "before": _rms(plain.held_out, own),
-            "after": _rms(best.held_out, own),
-            "after_between": _rms(best.between, own),
-            "after_uncalibrated": _rms(best.uncalibrated, own),
+            "before": _rms(plain.held_out, own), "after": _rms(best.held_out, own),
+            "after_between": _rms(best.between, own), "after_uncalibrated": _rms(best.uncalibrated, own),
         },
-        "mass_kg": mass_kg, "diameter_m": diameter_m,
         "k_per_m": None, "drag": "cannot be told", "terminal_mps": None, "drag_coefficient": None,
     }  # fmt: skip
     if "k_per_m" not in best.fit.names:
@@ -116,11 +92,12 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
     weight, pull = 1.0 / sigma**2, k / sigma**2
     if unit is not None:
         weight, pull = weight - 1.0 / (SPHERE[1] * unit) ** 2, pull - SPHERE[0] / (SPHERE[1] ** 2 * unit)
-    is_measured = len(own) > 1 and weight > 0.0 and pull > judged.level * np.sqrt(weight)
-    entry |= {"k_per_m": _half(judged, k, sigma), "drag": "measured" if is_measured else "cannot be told"}
     low, high = k - judged.level * sigma, k + judged.level * sigma
-    if is_measured and low > 0.0:
-        entry["terminal_mps"] = interval(*(float(np.sqrt(setting.g_mps2 / x)) for x in (k, high, low)))
+    entry["k_per_m"] = judged.interval(k, sigma)
+    if is_measured := len(own) > 1 and weight > 0.0 and pull > judged.level * np.sqrt(weight):
+        entry["drag"] = "measured"
+        if low > 0.0:
+            entry["terminal_mps"] = interval(*(float(np.sqrt(setting.g_mps2 / x)) for x in (k, high, low)))
     if unit is not None and diameter_m is not None:
         entry["drag_coefficient"] = interval(k / unit, max(low, 0.0) / unit, high / unit)
         fast = 2.0 * max(float(np.ptp(judged.falls[i].height_m) / np.ptp(judged.falls[i].time_s)) for i in own)

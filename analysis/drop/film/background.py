@@ -66,10 +66,10 @@ def still_of(film: Film, progress: Progress | None = None) -> Still:
                 )
     chosen = _clean_frames(stack, step, film)
     largest = step.max(axis=(1, 2))
-    # a frame that differs by less than 0.6 levels from the one before is a repeated one
+    # repeated: a frame that differs from the one before by less than 0.6 levels and a tenth of what is usual
     same = largest < np.minimum(0.6, 0.1 * float(np.median(largest)))
     moves = largest > _CHANGED_LEVELS
-    repeated = np.flatnonzero(same[1:-1] & moves[:-2] & moves[2:]) + 2  # equal ones between those that are not
+    repeated = np.flatnonzero(same[1:-1] & moves[:-2] & moves[2:]) + 2  # those between two that differ
     background = _median([frame for number, frame in enumerate(film.frames()) if number in chosen])
     return _still(background, len(stack), repeated.astype(np.int64), film)
 

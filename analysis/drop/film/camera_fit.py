@@ -11,36 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import optimize, stats
 
 from analysis.drop import lack_of_fit
 from analysis.drop.film.flights import Clip, Flight, flights_of
-from analysis.drop.film.restitution import RestitutionFit, fit_restitution
 from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
-from analysis.drop.laws.bounce_law import (
-    CONSTANT,
-    DRAG,
-    FRICTION,
-    FRICTION_DRAG,
-    SPEED,
-    SPEED_DRAG,
-    SPEED_FRICTION,
-    BounceModel,
-)
+from analysis.drop.laws.bounce_law import OF_PATHS, BounceModel
 from analysis.drop.laws.choice import Candidate, worth_of
 from analysis.drop.laws.flight_law import FlightLaw
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
-
-_SHAPE_OF = {
-    CONSTANT: "parabola",
-    SPEED: "parabola",
-    DRAG: "drag",
-    FRICTION: "friction",
-    SPEED_DRAG: "drag",
-    SPEED_FRICTION: "friction",
-    FRICTION_DRAG: "friction+drag",
-}
 
 
 @dataclass(frozen=True)
@@ -53,8 +34,7 @@ class Impacts:
     speed_in: Floats
     speed_out: Floats
     floor: Floats  # (n,) height of the ball at the impact; NaN for an impact after which nothing is known
-    # frame_draws, in_draws, out_draws, floor_draws: (m, n) the same for each draw of the fit
-    frame_draws: Floats
+    # in_draws, out_draws, floor_draws: (m, n) the same for each draw of the fit
     in_draws: Floats
     out_draws: Floats
     floor_draws: Floats
@@ -72,11 +52,37 @@ class Impacts:
 
 
 @dataclass(frozen=True)
+class RestitutionFit:
+    """``e = e0 - e1 u``, or constant."""
+
+    # theta, half_width: (p,) ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval
+    theta: Floats
+    half_width: Floats
+    scatter: float  # standard deviation of the restitution from bounce to bounce, beyond the measuring error
+    # predicted, held_out: (n,) restitution of each bounce from all, and from the other bounces (NaN where there are
+    # too few)
+    predicted: Floats
+    held_out: Floats
+    scores: Floats  # (n,) held-out log likelihood of each bounce; 0 where there are too few to hold any out
+    chi_square: float = 0.0  # of the bounces against nothing but their measuring errors
+    freedom: int = 0  # bounces less parameters
+
+    @property
+    def relative_scatter(self) -> float:
+        """Scatter from bounce to bounce over the restitution."""
+        return self.scatter / max(abs(float(self.theta[0])), 0.02)
+
+    @property
+    def chance(self) -> float:
+        """Probability of a chi-square as large, were the measuring errors all there is (1 without freedom)."""
+        return float(stats.chi2.sf(self.chi_square, self.freedom)) if self.freedom > 0 else 1.0
+
+
+@dataclass(frozen=True)
 class CameraCandidate(Candidate):
     """A shape of flight and a law of restitution; not identifiable where bounces are too few for the law."""
 
     LIMITS = {"e0": (0.0, np.inf), "k_per_m": (0.0, np.inf)}
-    shape: str
     law: RestitutionFit
     # Value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units.
     forces: dict[str, tuple[float, float]]
@@ -133,9 +139,8 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     for name, shape in shapes.items():
         if "f" in SHAPES[name] and shape.law.friction < 0.0:  # rods do not push: nothing gained
             scores[name] = scores["drag" if "k" in SHAPES[name] else "parabola"]
-    candidates = tuple(
-        _candidate(model, shapes[name], values[name], impacts[name], scores[name]) for model, name in _SHAPE_OF.items()
-    )
+    by_shape = {name: (shapes[name], values[name], impacts[name], scores[name]) for name in SHAPES}
+    candidates = tuple(_candidate(model, *by_shape[model.shape]) for model in OF_PATHS)
     moved = [lack_of_fit.of_camera(c, [f for f in flights if f.clip == k]) for k, c in enumerate(clips)]
     said = tuple(f"{clip.name}: {words}" for clip, words in zip(clips, moved, strict=True) if words)
     return CameraFit(flights, shapes, values, impacts, candidates, falls, noise, worth, said)
@@ -207,7 +212,7 @@ def impacts_of(
             rows.append((flight.clip, when, _speed(laws, when - frames[:, i]), unknown, unknown))
     clip = np.array([row[0] for row in rows], dtype=np.int64)
     table = np.array([row[1:] for row in rows]).reshape(-1, 4, len(frames))
-    return Impacts(clip, *table[:, :, 0].T, *table[:, :, 1:].transpose(1, 2, 0)), (fall[0], fall[1:])
+    return Impacts(clip, *table[:, :, 0].T, *table[:, 1:, 1:].transpose(1, 2, 0)), (fall[0], fall[1:])
 
 
 def _speed(laws: FlightLaw, since: Floats) -> Floats:
@@ -233,4 +238,52 @@ def _candidate(model: BounceModel, shape: Shape, values: Floats, found: Impacts,
             column = SHAPES[shape.name].index(key)
             forces[name] = (float(shape.values[column]), LEVEL_SIGMAS * float(values[:, column].std()))
     both, known = np.concatenate([scores, law.scores]), bool(np.isfinite(law.half_width).all())
-    return CameraCandidate(model, both, rms(law.predicted), rms(law.held_out), known, shape.name, law, forces)
+    return CameraCandidate(model, both, rms(law.predicted), rms(law.held_out), known, law, forces)
+
+
+def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: bool) -> RestitutionFit:
+    """Fit ``ratio`` (n,) at impact speeds ``speed`` (n,), each with measuring error ``sigma`` (n,).
+
+    Each bounce has a restitution a little its own, too, estimated from the scatter by moments (DerSimonian and Laird
+    1986).
+    """
+    n = len(ratio)
+    if with_speed and n < 3:
+        constant = fit_restitution(speed, ratio, sigma, with_speed=False)
+        theta, width = np.append(constant.theta, 0.0), np.append(constant.half_width, np.inf)
+        return RestitutionFit(theta, width, constant.scatter, constant.predicted, constant.held_out, constant.scores)
+    basis = np.column_stack([np.ones(n), -speed]) if with_speed else np.ones((n, 1))
+    freedom = n - basis.shape[1]
+    theta, covariance, scatter = _weighted(basis, ratio, sigma)
+    held_out, scores = np.full(n, np.nan), np.zeros(n)
+    if n >= 3 + basis.shape[1] - 1:
+        for i in range(n):
+            others = np.arange(n) != i
+            part, spread, own = _weighted(basis[others], ratio[others], sigma[others])
+            held_out[i] = basis[i] @ part
+            total = sigma[i] ** 2 + max(own, scatter) ** 2 + basis[i] @ spread @ basis[i]
+            scores[i] = stats.t.logpdf(ratio[i], max(freedom - 1, 1), held_out[i], np.sqrt(total))
+    weight = 1.0 / np.maximum(sigma, 1e-9)  # without extra scatter
+    rows = basis * weight[:, None]
+    left = weight * ratio - rows @ np.linalg.lstsq(rows, weight * ratio)[0]
+    wide = float(stats.t.ppf(0.975, freedom)) if freedom >= 1 and scatter > 0.0 else LEVEL_SIGMAS
+    half = wide * np.sqrt(np.diag(covariance))
+    return RestitutionFit(theta, half, scatter, basis @ theta, held_out, scores, float(left @ left), freedom)
+
+
+def _weighted(basis: Floats, ratio: Floats, sigma: Floats) -> tuple[Floats, Floats, float]:
+    """Weighted least squares with a common extra scatter that brings chi-square to its degrees of freedom."""
+    freedom = basis.shape[0] - basis.shape[1]
+    floor = max(1e-6, 1e-3 * float(np.median(sigma)))
+
+    def fitted(scatter: float) -> tuple[Floats, Floats, float]:
+        weight = 1.0 / (sigma**2 + scatter**2 + floor**2)
+        covariance = np.asarray(np.linalg.pinv((basis * weight[:, None]).T @ basis, hermitian=True), dtype=np.float64)
+        theta = covariance @ (basis.T @ (weight * ratio))
+        return theta, covariance, float((weight * (ratio - basis @ theta) ** 2).sum()) - freedom
+
+    scatter = 0.0
+    if freedom > 0 and fitted(0.0)[2] > 0.0:
+        scatter = float(optimize.brentq(lambda s: fitted(s)[2], 0.0, 10.0 * float(np.ptp(ratio)) + floor, xtol=1e-9))
+    theta, covariance, _ = fitted(scatter)
+    return theta, covariance, scatter

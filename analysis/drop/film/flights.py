@@ -154,7 +154,7 @@ def _fall(t: Floats, h: Floats, acceleration: float) -> tuple[Floats, Floats]:
         fit = np.polynomial.Polynomial.fit(s, h[begin:], 2)
         residual = h[begin:] - fit(s)
         released = float(fit.deriv()(s[0])) <= 0.5 * acceleration
-        # a hand that still holds the ball bends the first points by six of their standard deviations
+        # no parabola: by three standard deviations over all, or by six where a hand may still hold the ball
         bent = np.sqrt((residual**2).mean()) > 3.0 * noise or abs(residual[:2]).max() > 6.0 * noise
         if not bent and released:
             first = begin

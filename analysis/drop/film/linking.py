@@ -125,7 +125,7 @@ def _tilt_of_fall(clock: Floats, x: Floats, y: Floats, acceleration: float) -> f
     # points within 1 % of the height from one line are a straight path
     if mad_sigma(left - np.median(left)) < 0.01 * float(np.ptp(y)):
         return float(np.arctan(slope))  # up and down one line: a guided block, or a ball that drifts not at all
-    across, down = _parabolas(clock, x), _parabolas(clock, y)
+    across, down = parabolas(clock, x), parabolas(clock, y)
     free = down.compact & (np.abs(down.bend - acceleration) < 0.3 * abs(acceleration))
     if int(free.sum()) < _LEAST_BALLISTIC:
         return 0.0
@@ -137,7 +137,7 @@ def _tilt_of_fall(clock: Floats, x: Floats, y: Floats, acceleration: float) -> f
 
 @dataclass(frozen=True)
 class _Parabolas:
-    """Parabolas through each window of consecutive samples."""
+    """Parabolas through windows, (n,) each."""
 
     bend: Floats  # second derivative
     span: Floats  # time
@@ -146,7 +146,8 @@ class _Parabolas:
     compact: Bools  # without a gap
 
 
-def _parabolas(clock: Floats, y: Floats) -> _Parabolas:
+def parabolas(clock: Floats, y: Floats) -> _Parabolas:
+    """Parabolas through each window of consecutive samples of ``y`` (n,)."""
     t, h = sliding_window_view(clock, _WINDOW), sliding_window_view(y, _WINDOW)
     span = t[:, -1] - t[:, 0]
     s = (t - t.mean(axis=1, keepdims=True)) / span[:, None]
@@ -193,7 +194,7 @@ def _candidates(
     found = []
     for k, track in enumerate(live):
         span = now - track.clock
-        # the first step of a track may go 4 % of the picture, later ones lie within 1.2 % of the prediction
+        # of the range of all points: a track's first step goes 4 % at most, later ones miss the prediction by 1.2 %
         reach = spread * (0.012 if track.steps else 0.04) * max(1.0, span) ** 0.5
         ahead = track.velocity * span
         falling = ahead + 0.5 * track.bend * span * (span + 1.0)
@@ -212,7 +213,7 @@ def free_fall(clock: Floats, y: Floats, spread: float) -> tuple[int, float]:
     """Number of windows of a track that are free flight, and their common signed acceleration."""
     if len(y) < _WINDOW:
         return 0, 0.0
-    fit = _parabolas(clock, y)
+    fit = parabolas(clock, y)
     moves = fit.compact & (fit.travel > 0.004 * spread) & (fit.residual < 0.06 * fit.travel)
     moves &= np.abs(fit.bend) * fit.span**2 / 8.0 > 1.5 * fit.residual
     if not moves.any():

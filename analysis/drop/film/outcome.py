@@ -101,7 +101,11 @@ class _Film:
 
     def __init__(self, fit: CameraFit, best: CameraCandidate, units: Units) -> None:
         self.fit, self.best, self.units = fit, best, units
-        self.shape, self.draws, self.seen = fit.shapes[best.shape], fit.values[best.shape], fit.impacts[best.shape]
+        self.shape, self.draws, self.seen = (
+            fit.shapes[best.model.shape],
+            fit.values[best.model.shape],
+            fit.impacts[best.model.shape],
+        )
         self.g = float(self.shape.values[0])  # unit / frame^2
         self.timed = units.frame_s is not None  # without a frame rate, nothing in seconds or metres is given
         # Seconds a frame and metres a unit; what is not known is what makes gravity gravity.
@@ -112,7 +116,7 @@ class _Film:
             self.to_si |= {"e1_s_per_m": self.frame_s / self.scale, "k_per_m": 1.0 / self.scale}
         # Relative, of anything in m/s^2: time counts twice.
         self.unit_uncertainty = float(np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty))
-        self.fall = float(np.nanmax(fit.fall_height[best.shape][0], initial=0.0))  # unit
+        self.fall = float(np.nanmax(fit.fall_height[best.model.shape][0], initial=0.0))  # unit
 
     def gravity(self, where: str) -> outcome.Interval | None:
         """Measured gravity where scale and frame rate are known; refused where it is not gravity."""
@@ -214,11 +218,15 @@ class _Film:
 
     def model(self, one: CameraCandidate) -> dict[str, Any]:
         """A model for the JSON."""
-        law, covariance = one.law, self.fit.shapes[one.shape].covariance.tolist()
-        entry: dict[str, Any] = outcome.model_json(one, self.to_si, self.frame_s if self.timed else np.nan) | {
+        law, covariance = one.law, self.fit.shapes[one.model.shape].covariance.tolist()
+        entry: dict[str, Any] = outcome.model_json(one, self.to_si, 1e3 * self.frame_s if self.timed else np.nan) | {
             "restitution_scatter": law.scatter,
             "chi_square": {"value": law.chi_square, "freedom": law.freedom, "chance": law.chance},
-            "covariance": {"of": list(SHAPES[one.shape]), "matrix": covariance, "unit": "the file's unit and frames"},
+            "covariance": {
+                "of": list(SHAPES[one.model.shape]),
+                "matrix": covariance,
+                "unit": "the file's unit and frames",
+            },
         }
         return entry
 
@@ -230,7 +238,7 @@ class _Film:
         g_draws = self.draws[:, 0] / self.g
         shared = units.scale_uncertainty if units.scale_m is not None else 2.0 * units.frame_rate_uncertainty
         out = []
-        falls, draws = self.fit.fall_height[self.best.shape]
+        falls, draws = self.fit.fall_height[self.best.model.shape]
         for value, own in zip(falls, draws.T, strict=True):
             sigma = float(np.std(own / (g_draws if units.scale_m is None else 1.0))) / max(float(value), 1e-12)
             reach, tall = thresholds.LEVEL_SIGMAS * float(np.hypot(sigma, shared)), value * self.scale
@@ -301,14 +309,13 @@ def judge_camera(fit: CameraFit) -> Verdict[CameraCandidate]:
     best = verdict.candidate(verdict.best)
     if not _is_contradicted(best):
         return verdict
-    able = [one for one in fit.candidates if one is not best and one.significant and _holds(one)]
-    holding = next((one for one in able if one.shape == best.shape), None)
+    able = [one for one in fit.candidates if one.significant and _holds(one)]
+    holding = next((one for one in able if one.model.shape == best.model.shape), None)
     if holding is not None:
-        rivals = [one for one in fit.candidates if one.significant and _holds(one) and not gain_of(holding, one)[1]]
-        names = [one.model.name for one in rivals if one is not holding]
-        return Verdict(fit.candidates, (holding.model.name, *names))
+        rivals = [one.model.name for one in able if one is not holding and not gain_of(holding, one)[1]]
+        return Verdict(fit.candidates, (holding.model.name, *rivals))
     names = [one.model.name for one in fit.candidates if one is not best and not _is_contradicted(one)]
-    doubt = lack_of_fit.of_restitutions(*fit.impacts[best.shape].restitution())
+    doubt = lack_of_fit.of_restitutions(*fit.impacts[best.model.shape].restitution())
     return Verdict(fit.candidates, (best.model.name, *names), (doubt,))
 
 
@@ -334,8 +341,6 @@ def refuse_other_motion(fit: CameraFit, where: str) -> None:
         No rebound, one that gains energy, or flights that no law of free flight comes near.
     """
     ratios, sigmas = fit.impacts["parabola"].restitution()
-    if not len(ratios):
-        raise InputError(f"{where}: no impact with a measured speed on both sides; the film must show fall and bounce")
     tall = float(np.median([np.ptp(flight.height) for flight in fit.flights]))
     misfit = min(shape.sigma for shape in fit.shapes.values()) / max(tall, 1e-12)
     if misfit > thresholds.LARGEST_MISFIT:

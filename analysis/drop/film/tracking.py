@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from analysis.drop.corrections import NOTHING, Corrections, Progress
 from analysis.drop.film.background import SEARCH_WIDTH, Picture, Still, still_by_order, still_of, still_without
-from analysis.drop.film.linking import Track, ball_of
+from analysis.drop.film.linking import Track, ball_of, parabolas
 from analysis.drop.film.stabilise import stabilised
 from analysis.drop.film.video import Film, Image, open_film, opencv, part_of, smaller
 from analysis.statistics import mad_sigma
@@ -39,15 +39,12 @@ class Tracked:
     # width_px, tall_px: (n,) size of the moving area of each
     width_px: Floats
     tall_px: Floats
-    background: Image  # (rows, columns, 3)
     composite: Image  # (rows, columns, 3) the ball stamped from every few frames onto the background
     fps: float | None  # as the file states
-    # n_frames, first: frames that were used, and the number of the first in the file
-    n_frames: int
     lost: Integers  # (m,) frames between the track's first and last in which the ball was not found
     remarks: tuple[str, ...] = ()  # what was noticed
     watched: bool = True  # the picture has edges that show whether the camera moved along its columns
-    first: int = 0
+    first: int = 0  # number of the first frame used in the file
 
 
 def track_film(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Tracked:
@@ -70,17 +67,15 @@ def track_film(path: Path, progress: Progress | None = None, corrections: Correc
     if len(still.repeated):
         words = f"{len(still.repeated)} frames show again what the frame before showed; they are left out"
         own = track.clock - np.searchsorted(still.repeated, track.clock, side="right")
-        if jitter_on(own, track.height) < 0.8 * jitter_on(track.clock, track.height):  # which clock is the even one
+        uneven, even = (np.median(parabolas(clock, track.height).residual) for clock in (track.clock, own))
+        if even < 0.8 * uneven:
             share = 1.0 - len(still.repeated) / still.n_frames
             track = replace(track, clock=own, acceleration=track.acceleration / share**2)
             fps = fps * share if fps else None
             words += ", and the others are taken at even intervals"
         remarks = (*remarks, words)
     x, y, width, tall = best.size[:, 1:].T
-    composite = _composite(film, best)
-    background, count = still.background.astype(np.uint8), still.n_frames
-    watched, first = film.watched, film.first
-    return Tracked(track, x, y, width, tall, background, composite, fps, count, lost, remarks, watched, first)
+    return Tracked(track, x, y, width, tall, _composite(film, best), fps, lost, remarks, film.watched, film.first)
 
 
 @dataclass(frozen=True)
@@ -134,14 +129,6 @@ def _attempt(film: Film, still: Still, corrections: Corrections, progress: Progr
     except InputError as error:
         return error
     return _Attempt(still, track, table[track.index])
-
-
-def jitter_on(clock: Floats, height: Floats) -> float:
-    """Median departure of each sample from the parabola through its four neighbours."""
-    near, off = [0, 1, 3, 4], []
-    for times, values in zip(sliding_window_view(clock, 5), sliding_window_view(height, 5), strict=True):
-        off.append(values[2] - np.polyval(np.polyfit(times[near] - times[2], values[near], 2), 0.0))
-    return float(np.median(np.abs(off))) if off else 0.0
 
 
 class _Spot(NamedTuple):

@@ -69,9 +69,7 @@ class Shape:
     def seen_at(self, flight: int, frame: Floats) -> Floats:
         """Height at which the ball of one of the flights is seen at ``frame`` (n,)."""
         height = self.seen[flight].top - self.law.drop_m(frame - self.seen[flight].at)
-        c, d = self.values[-2:]
-        near = np.clip(height, -_BEYOND * self.reach, _BEYOND * self.reach)
-        return np.asarray(height + (c + d * near) * (near**2 - self.reach**2))
+        return _seen_of(height, self.reach, self.values)[0]
 
     @property
     def law(self) -> FlightLaw:
@@ -84,6 +82,15 @@ def law_of(name: str, values: Floats) -> FlightLaw:
     named = dict(zip(SHAPES[name], np.moveaxis(values, -1, 0), strict=True))
     drag = np.maximum(named["k"], 1e-8) if "k" in named else 0.0  # 0 to a parabola's last digit, but still a drag
     return FlightLaw(named["g"], named.get("f", 0.0), drag)
+
+
+def _seen_of(height: Floats, reach: float, values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Where points at ``height`` (n,) are seen, the slope of it by height, and (n, 2) by the distortion's values."""
+    c, d = values[-2:]
+    near = np.clip(height, -_BEYOND * reach, _BEYOND * reach)
+    beyond = near**2 - reach**2
+    bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)
+    return height + (c + d * near) * beyond, bent, np.column_stack([beyond, near * beyond])
 
 
 def noise_of(flights: Sequence[Flight]) -> float:
@@ -162,21 +169,18 @@ def _first_apex(flight: Flight, acceleration: float) -> tuple[float, float]:
 
 def _seen(name: str, values: Floats, apex: tuple[float, float], flight: Flight, noise: float) -> Seen:
     """A flight at its best apex, by Gauss-Newton from ``apex``."""
-    law, (c, d) = law_of(name, values), values[-2:]
+    law = law_of(name, values)
 
     def at_apex(at: float, top: float) -> tuple[Floats, Floats, Floats]:
         """Signed root of Huber's function of the residual, its derivative, and its slopes by the apex."""
         since = flight.frame - at
-        height = top - law.drop_m(since)
-        near = np.clip(height, -_BEYOND * flight.reach, _BEYOND * flight.reach)
-        beyond = near**2 - flight.reach**2
-        residual = (flight.height - height - (c + d * near) * beyond) / noise
+        seen, bent, _ = _seen_of(top - law.drop_m(since), flight.reach, values)
+        residual = (flight.height - seen) / noise
         size = np.abs(residual)
         # Huber's weight from 2.5 standard deviations on
         loose = 2.5 * max(1.0, mad_sigma(size))
         root = np.where(size <= loose, size, np.sqrt(np.maximum(2.0 * loose * size - loose**2, loose**2)))
         factor = np.where(size <= loose, 1.0, loose / root.clip(1e-12))
-        bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)  # of the seen by the true height
         by_apex = np.column_stack([-law.velocity_mps(since), np.ones_like(since)]) * (bent * factor / noise)[:, None]
         return np.sign(residual) * root, factor, by_apex
 
@@ -190,17 +194,14 @@ def _seen(name: str, values: Floats, apex: tuple[float, float], flight: Flight, 
         apex, (root, factor, by_apex) = moved, there
     since = flight.frame - apex[0]
     drop = law.drop_m(since)
-    height = apex[1] - drop
-    near = np.clip(height, -_BEYOND * flight.reach, _BEYOND * flight.reach)
-    beyond = near**2 - flight.reach**2
-    bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)
+    _, bent, by_distortion = _seen_of(apex[1] - drop, flight.reach, values)
     slopes = np.empty((len(since), len(values)))
+    slopes[:, -2:] = by_distortion
     least = {"g": 1e-9, "f": 1e-4, "k": 100.0 / max(float(drop.max()), 1e-12)}  # a drag too small to be seen is 1e-8
     for j, key in enumerate(SHAPES[name][:-2]):
         step = 1e-6 * max(abs(values[j]), least[key])
         moved_values = values + step * (np.arange(len(values)) == j)
         slopes[:, j] = -(law_of(name, moved_values).drop_m(since) - drop) / step * bent
-    slopes[:, -2], slopes[:, -1] = beyond, near * beyond
     slopes *= (factor / noise)[:, None]
     back = np.linalg.pinv(by_apex, rcond=1e-10)
     return Seen(*apex, root, slopes - by_apex @ (back @ slopes), back @ back.T, -back @ slopes)

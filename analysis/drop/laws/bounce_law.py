@@ -34,6 +34,12 @@ class BounceModel:
         """Whether ``other`` is this model with parameters left out."""
         return set(other.parameters) < set(self.parameters)
 
+    @property
+    def shape(self) -> str:
+        """What bends a flight besides gravity."""
+        named = {"mu": "friction", "k_per_m": "drag"}
+        return "+".join(named[name] for name in self.parameters if name in named) or "parabola"
+
     def law(self, theta: Floats, g_mps2: float) -> FlightLaw:
         """Flight law at parameters ``theta`` (p,), or at each of (draws, p)."""
         value = self._named(theta)
@@ -84,3 +90,4 @@ SPEED_DRAG = BounceModel("speed_dependent_restitution+quadratic_drag", ("e0", "e
 SPEED_FRICTION = BounceModel("speed_dependent_restitution+coulomb_friction", ("e0", "e1_s_per_m", "mu"))
 FRICTION_DRAG = BounceModel("coulomb_friction+quadratic_drag", ("e0", "mu", "k_per_m"))
 MODELS = (CONSTANT, SPEED, DRAG, FRICTION, SPEED_DRAG)  # of impact times
+OF_PATHS = (*MODELS, SPEED_FRICTION, FRICTION_DRAG)

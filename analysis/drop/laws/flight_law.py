@@ -24,9 +24,9 @@ class FlightLaw:
     drag_per_m: Numbers = 0.0  # ``k`` of ``-k |v| v``, 1/m
 
     @property
-    def _free(self) -> bool:
-        # k v^2 / g below 1e-9 is a parabola to the last digit that matters
-        return bool(np.max(self.drag_per_m) <= 1e-9)
+    def _k(self) -> Numbers:
+        """The drag; where there is none, so little that what is left is a parabola to its last digits."""
+        return np.where(np.abs(self.drag_per_m) < 1e-12, 1e-12, self.drag_per_m)
 
     @property
     def up_mps2(self) -> Numbers:
@@ -41,43 +41,30 @@ class FlightLaw:
     def apex_m(self, speed_mps: Numbers) -> Numbers:
         """Height reached from take-off at ``speed_mps``."""
         v = np.asarray(speed_mps, dtype=np.float64)
-        ratio = v * v / self.up_mps2
-        return (ratio if self._free else np.log1p(self.drag_per_m * ratio) / self.drag_per_m) / 2.0
+        return np.log1p(self._k * v * v / self.up_mps2) / self._k / 2.0
 
     def landing_speed_mps(self, height_m: Numbers) -> Numbers:
         """Speed after a fall from rest through ``height_m``."""
         h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
-        k = self.drag_per_m
-        if self._free:
-            return np.sqrt(2.0 * self.down_mps2 * h)
-        return np.sqrt(self.down_mps2 / k * -np.expm1(-2.0 * k * h))
+        return np.sqrt(self.down_mps2 / self._k * -np.expm1(-2.0 * self._k * h))
 
     def fall_m(self, speed_mps: Numbers) -> Numbers:
         """Height of a fall from rest that ends at ``speed_mps`` (infinite at the terminal speed and beyond)."""
         v = np.asarray(speed_mps, dtype=np.float64)
-        ratio = v * v / self.down_mps2
-        if self._free:
-            return ratio / 2.0
-        inside = 1.0 - self.drag_per_m * ratio
+        lost = self._k * v * v / self.down_mps2
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(inside > 0.0, -np.log(np.maximum(inside, 1e-300)) / (2.0 * self.drag_per_m), np.inf)
+            return np.where(lost < 1.0, -np.log1p(-lost) / (2.0 * self._k), np.inf)
 
     def rise_s(self, speed_mps: Numbers) -> Numbers:
         """Time from take-off to the apex."""
         v = np.asarray(speed_mps, dtype=np.float64)
-        if self._free:
-            return v / self.up_mps2
-        rate = np.sqrt(self.drag_per_m * self.up_mps2)
-        return np.arctan(v * np.sqrt(self.drag_per_m / self.up_mps2)) / rate
+        return np.arctan(v * np.sqrt(self._k / self.up_mps2)) / np.sqrt(self._k * self.up_mps2)
 
     def fall_s(self, height_m: Numbers) -> Numbers:
         """Time of a fall from rest through ``height_m``."""
         h = np.maximum(np.asarray(height_m, dtype=np.float64), 0.0)
-        k = self.drag_per_m
-        if self._free:
-            return np.sqrt(2.0 * h / self.down_mps2)
-        x = np.expm1(k * h)  # acosh(1 + x) without the cancellation of acosh near 1
-        return np.log1p(x + np.sqrt(x * (x + 2.0))) / np.sqrt(k * self.down_mps2)
+        x = np.expm1(self._k * h)  # acosh(1 + x) without the cancellation of acosh near 1
+        return np.log1p(x + np.sqrt(x * (x + 2.0))) / np.sqrt(self._k * self.down_mps2)
 
     def duration_s(self, speed_mps: Numbers) -> Numbers:
         """Flight time from take-off at ``speed_mps`` to the next landing."""
@@ -91,11 +78,9 @@ class FlightLaw:
         """Take-off speed of a flight of ``duration_s``: Newton on `duration_s`, which grows with the speed."""
         t = np.asarray(duration_s, dtype=np.float64)
         v = t / (1.0 / self.up_mps2 + 1.0 / np.sqrt(self.up_mps2 * self.down_mps2))
-        if self._free:
-            return v
         for _ in range(12):
             u = np.maximum(self.return_speed_mps(v), 1e-12)
-            growth = 1.0 + self.drag_per_m * v * v / self.up_mps2
+            growth = 1.0 + self._k * v * v / self.up_mps2
             slope = (1.0 + v / u) / (self.up_mps2 * growth)
             moved = np.maximum(v + (t - self.duration_s(v)) / slope, 0.5 * v)
             settled = np.all(np.abs(moved - v) <= 1e-12 * v)
@@ -105,24 +90,19 @@ class FlightLaw:
         return v
 
     def drop_m(self, since_apex_s: Numbers) -> Numbers:
-        """Distance below the apex ``since_apex_s`` after it (negative: before it)."""
-        t = np.asarray(since_apex_s, dtype=np.float64)
-        if self._free:
-            along: Numbers = np.where(t < 0.0, self.up_mps2, self.down_mps2)
-            return along * t * t / 2.0
-        k = self.drag_per_m
-        rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)  # tan's pole: no flight gets there
-        fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)
-        below: Numbers = np.where(t < 0.0, -np.log(np.cos(rise)), np.logaddexp(fall, -fall) - np.log(2.0))
-        return below / k
+        """Distance below the apex ``since_apex_s`` after it (negative: before it); the drag may be below zero."""
+        t, k = np.asarray(since_apex_s, dtype=np.float64), self._k
+        along = np.where(t < 0.0, self.up_mps2, self.down_mps2)
+        x = np.sqrt(np.maximum(np.abs(k) * along, 0.0)) * np.abs(t)  # no gravity below zero, as a step of a fit may try
+        # log cosh where the ball is slowed, - log cos where it speeds up (to the pole, where no flight gets), both
+        # without the cancellation near 0
+        slowed = 0.5 * np.log1p(np.sinh(np.minimum(x, 300.0)) ** 2)
+        way: Numbers = np.where((t >= 0.0) == (k > 0.0), slowed, -0.5 * np.log1p(-(np.sin(np.minimum(x, 1.5)) ** 2)))
+        return way / np.abs(k)
 
     def velocity_mps(self, since_apex_s: Numbers) -> Numbers:
         """Upward velocity ``since_apex_s`` after the apex."""
-        t = np.asarray(since_apex_s, dtype=np.float64)
-        if self._free:
-            along: Numbers = np.where(t < 0.0, self.up_mps2, self.down_mps2)
-            return -along * t
-        k = self.drag_per_m
+        t, k = np.asarray(since_apex_s, dtype=np.float64), self._k
         rise = np.minimum(np.sqrt(k * self.up_mps2) * -np.minimum(t, 0.0), 1.5)
         fall = np.sqrt(k * self.down_mps2) * np.maximum(t, 0.0)
         up = np.sqrt(self.up_mps2 / k) * np.tan(rise)

@@ -55,7 +55,7 @@ def why_no_drop(
     tolerance = np.maximum(2.5 * max(spread, _LEAST_SCATTER) * after_s, 2e-3)
     span = float(impacts_s[-1] - impacts_s[0]) + 2.0 * _NEAR_S
     chance = np.sort(1.0 - np.exp(-2.0 * tolerance * count / span))
-    # a chain by chance may start its next flight at any of six events
+    # a chain by chance may begin with any event and any of the six after it
     starts = (float(weight.sum()) + len(impacts_s)) * 6
     expected = float(starts * np.prod(chance[: max(len(chance) - freedom, 0)]))
     if expected > CHANCE_CHAINS:
@@ -108,7 +108,7 @@ def ends_that_stray(impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
     """
     flights = np.diff(impacts_s)
     rows = np.flatnonzero(single[1:] & single[:-1])
-    if len(rows) < 5:  # without which no end is judged by its ratio
+    if len(rows) < 5:  # too few to judge an end by
         return False, False
     before, ratio = flights[rows], np.log(flights[rows + 1] / flights[rows])
     first = rows[0] == 0 and _strays(before, ratio, 0)

@@ -12,11 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.drop.times.chain_search import LONGEST_FLIGHT_S, best_chain
 from analysis.drop.times.chain_tests import ends_that_stray, ends_unlike_in_loudness, why_no_drop
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
 
+LONGEST_FLIGHT_S = 3.0
+_RATIOS = np.linspace(0.20, 0.985, 80)
+_WIDTHS = 0.04 + 0.06 * (1.0 - _RATIOS)  # of the logarithm of a ratio from bounce to bounce
+_KINDS = np.arange(3)[:, None]  # impacts that may be missed in one interval
+# Scores are in nats: half of the square of an offset over its width.
+_FIT_GAIN = 6.0  # of an impact that fits
+_SKIP_COST = 1.5  # of an event of full strength that is left out
+_MISSED_COST = 3.5
+_BREAK_COST = 3.0
+_MOST_GROWTH = 1.1  # of a flight after an irregular bounce, which may give back some of the spin
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
 _WINDOW = 400  # events that are searched at once
 _SAME_S = 1e-3  # by which events of a recording played in a loop differ from its period
@@ -30,7 +39,6 @@ class Bounces:
     missed: Integers  # (n - 1,) impacts missing inside each interval (0: the interval is one flight)
     broken: Bools  # (n,) the bounce at this impact does not follow the pattern and is not used for a model
     false_s: Floats  # (m,) events between the impacts that are none
-    uncertainty_s: float = 0.0  # standard deviation of an impact time as the detector states it; the fit finds its own
 
     @property
     def intervals_s(self) -> Floats:
@@ -71,16 +79,7 @@ def unheard(times_s: Floats) -> Onsets:
     return Onsets(times_s, np.ones(len(times_s)), np.full(len(times_s), np.nan))
 
 
-@dataclass(frozen=True)
-class _Refused:
-    """A chain that is no drop: why, its events, and whether chance makes as good ones."""
-
-    why: str
-    impacts_s: Floats
-    by_chance: bool
-
-
-def drops_of(events: Onsets | Floats, where: str, uncertainty_s: float = 0.0) -> list[Bounces]:
+def drops_of(events: Onsets | Floats, where: str) -> list[Bounces]:
     """All drops among some events, in order of time: a ball may be dropped several times in one recording.
 
     Parameters
@@ -89,8 +88,6 @@ def drops_of(events: Onsets | Floats, where: str, uncertainty_s: float = 0.0) ->
         Events in any order; bare times, s, are of full strength.
     where
         File, for the error text.
-    uncertainty_s
-        Passed on.
 
     Raises
     ------
@@ -103,7 +100,7 @@ def drops_of(events: Onsets | Floats, where: str, uncertainty_s: float = 0.0) ->
     found: list[Bounces] = []
     reasons: list[str] = []
     for window in _windows(times):
-        _search(events.part(window), uncertainty_s, found, reasons)
+        _search(events.part(window), found, reasons)
     drops: list[Bounces] = []  # those that do not overlap; the longest first, and short ones near long ones left out
     for drop in sorted(found, key=lambda b: -len(b.impacts_s)):
         clear = all(drop.impacts_s[-1] < b.impacts_s[0] or drop.impacts_s[0] > b.impacts_s[-1] for b in drops)
@@ -142,52 +139,40 @@ def _windows(times: Floats) -> list[slice]:
     return out
 
 
-def _search(events: Onsets, uncertainty_s: float, found: list[Bounces], reasons: list[str]) -> None:
+def _search(events: Onsets, found: list[Bounces], reasons: list[str]) -> None:
     """Every drop among some events: the best chain, then what lies before and after it."""
-    rest = [(events, 2)]  # chains that are none of a ball's and are set aside to look at what is left
+    rest = [(events, 2)]  # how often a chain that is none of a ball's may be set aside to look at what is left
     best = 0
     while rest:
         part, tries = rest.pop()
-        drop = _one_drop(part, uncertainty_s, events)
-        if isinstance(drop, _Refused):
-            reasons.append(drop.why)
-            if tries and not drop.by_chance:
+        chain, missed, broken = best_chain(part.times_s, part.strength)
+        if all(a or b or cut for a, b, cut in zip(missed, missed[1:], broken[1:], strict=False)):
+            continue
+        drop = _without_strays(part, chain, missed, broken)
+        impacts, n = drop.impacts_s, drop.usable
+        if len(impacts) < 3 or not len(n):
+            continue
+        mine, others = part.loudness[np.isin(part.times_s, impacts)], events.without(impacts)
+        flights = drop.intervals_s
+        why, by_chance = why_no_drop(flights[n - 1], flights[n], mine, impacts, others.times_s, others.strength)
+        if why is not None:
+            reasons.append(why)
+            if tries and not by_chance:
                 # A voice or a rally near a drop: look at what is left without the events at even intervals, or
                 # without the whole chain where it has none.
-                chain = drop.impacts_s
-                even = np.abs(np.diff(np.log(np.diff(chain)))) < 0.02  # of the ratio of two intervals of a rhythm
-                own = np.zeros(len(chain), dtype=bool)
+                even = np.abs(np.diff(np.log(flights))) < 0.02  # of the ratio of two intervals of a rhythm
+                own = np.zeros(len(impacts), dtype=bool)
                 for shift in range(3):  # the three events of two even intervals
                     own[shift : shift + len(even)] |= even
-                rest.append((part.without(chain[own] if own.any() else chain), tries - 1))
-        if not isinstance(drop, Bounces):
+                rest.append((part.without(impacts[own] if own.any() else impacts), tries - 1))
             continue
-        best = max(best, len(drop.impacts_s))
-        if len(drop.impacts_s) < best and len(drop.impacts_s) < max(_LEAST_OF_FURTHER, best // 2):
-            continue
-        found.append(drop)
-        rest += [(part.part(part.times_s < drop.impacts_s[0]), tries)]
-        rest += [(part.part(part.times_s > drop.impacts_s[-1]), tries)]
+        best = max(best, len(impacts))
+        if len(impacts) == best or len(impacts) >= max(_LEAST_OF_FURTHER, best // 2):
+            found.append(drop)
+            rest += [(part.part(side), tries) for side in (part.times_s < impacts[0], part.times_s > impacts[-1])]
 
 
-def _one_drop(events: Onsets, uncertainty_s: float, everything: Onsets) -> Bounces | _Refused | None:
-    """The best chain of some events; why it is no drop among everything heard, where it is none."""
-    chain, missed, broken = best_chain(events.times_s, events.strength)
-    whole = [not a and not b and not cut for a, b, cut in zip(missed, missed[1:], broken[1:], strict=False)]
-    if not any(whole):
-        return None
-    drop = _without_strays(events, chain, missed, broken, uncertainty_s)
-    if len(drop.impacts_s) < 3 or not len(drop.usable):
-        return None
-    mine, others = np.isin(events.times_s, drop.impacts_s), everything.without(drop.impacts_s)
-    before, after = drop.intervals_s[drop.usable - 1], drop.intervals_s[drop.usable]
-    why, by_chance = why_no_drop(before, after, events.loudness[mine], drop.impacts_s, others.times_s, others.strength)
-    return drop if why is None else _Refused(why, drop.impacts_s, by_chance)
-
-
-def _without_strays(
-    heard: Onsets, chain: list[int], missed: list[int], broken: list[bool], uncertainty_s: float
-) -> Bounces:
+def _without_strays(heard: Onsets, chain: list[int], missed: list[int], broken: list[bool]) -> Bounces:
     """The chain as bounces, ends that belong to something else given up."""
     events = heard.times_s
     inside = events[(events > events[chain[0]]) & (events < events[chain[-1]])]
@@ -210,7 +195,6 @@ def _without_strays(
         missed=np.array(missed[first : last - 1], dtype=np.int64),
         broken=np.array([False, *broken[first + 1 : last - 1], False], dtype=np.bool_),
         false_s=np.setdiff1d(np.union1d(inside, events[chain]), used),
-        uncertainty_s=uncertainty_s,
     )
 
 
@@ -233,7 +217,7 @@ def _a_loop(drops: list[Bounces], events: Floats) -> bool:
         ahead = impacts[impacts + period < events[-1] + _SAME_S] + period
         after = np.clip(np.searchsorted(events, ahead), 1, len(events) - 1)
         off = np.minimum(np.abs(events[after] - ahead), np.abs(events[after - 1] - ahead))
-        # a loop: two drops or more come again, with nine in ten events
+        # a loop: ten impacts or more come again, nine in ten of them
         if len(ahead) >= 2 * _LEAST_OF_FURTHER and float(np.mean(off < _SAME_S)) > 0.9:
             return True
     return False
@@ -269,3 +253,77 @@ def _two_at_once(drops: list[Bounces], events: Onsets) -> bool:
     together = min(one[-1], other[-1]) - max(one[0], other[0])
     # the delay of an echo varies by less than 2 ms
     return bool(together > 0.5 * min(np.ptp(one), np.ptp(other)) and float(np.ptp(shifts)) >= 2e-3)
+
+
+def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
+    """The chain of events that shrinks most steadily: a dynamic programme over pairs of events, for all ratios at once.
+
+    Parameters
+    ----------
+    events, strength : (n,) float64
+        Times, s, and how much of an impact each event is.
+    may_break : bool
+        Irregular bounces may interrupt the pattern.
+
+    Returns
+    -------
+    chain, missed, broken
+        Indices of its events, impacts missed in each of its intervals, and the impacts where the pattern breaks.
+    """
+    skipped = np.concatenate(([0.0], np.cumsum(_SKIP_COST * strength)))
+    # by the pair that ends a chain: (kinds, ratios) of scores, of the link to the pair before, of the last flights
+    score: dict[tuple[int, int], Floats] = {}
+    back: dict[tuple[int, int], Integers] = {}
+    last_flight: dict[tuple[int, int], Floats] = {}
+    for j in range(1, len(events)):
+        for i in _within_reach(j, skipped):
+            interval = events[j] - events[i]
+            if not 0.008 <= interval <= LONGEST_FLIGHT_S:
+                continue
+            # With impacts missing, an interval is a geometric series of flights.
+            first = interval * (1.0 - _RATIOS) / (1.0 - _RATIOS ** (_KINDS + 1))
+            last_flight[i, j] = first * _RATIOS**_KINDS
+            entry = -_MISSED_COST * _KINDS - (skipped[j] - skipped[i + 1])
+            best = np.broadcast_to(entry, first.shape).copy()
+            link = np.full(first.shape, -1, dtype=np.int64)
+            for h in (h for h in _within_reach(i, skipped) if (h, i) in score):
+                offset = np.log(first[:, None]) - np.log(_RATIOS * last_flight[h, i][None])
+                fits = np.abs(offset) < 3.0 * _WIDTHS
+                grows = offset - np.log(_MOST_GROWTH / _RATIOS) >= 0.0
+                cut_short = np.where(grows | (not may_break), -np.inf, -_BREAK_COST)
+                gain = np.where(fits, _FIT_GAIN * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
+                total = score[h, i][None] + gain + entry[:, None]
+                kind = total.argmax(axis=1)
+                top, whole = (np.take_along_axis(x, kind[:, None], axis=1)[:, 0] for x in (total, fits))
+                better = top > best
+                best = np.where(better, top, best)
+                link = np.where(better, (h * len(_KINDS) + kind) * 2 + ~whole, link)
+            score[i, j], back[i, j] = best, link
+    return _traced(score, back)
+
+
+def _traced(
+    score: dict[tuple[int, int], Floats], back: dict[tuple[int, int], Integers]
+) -> tuple[list[int], list[int], list[bool]]:
+    """The best chain, from its last pair backward."""
+    if not score:
+        return [], [], []
+    (i, j), table = max(score.items(), key=lambda item: float(item[1].max()))
+    kind, ratio = (int(x) for x in np.unravel_index(int(table.argmax()), table.shape))
+    chain, missed, broken = [j, i], [kind], [False]
+    while (step := int(back[i, j][kind, ratio])) >= 0:
+        rest, is_cut = divmod(step, 2)
+        i, j = rest // len(_KINDS), i
+        kind = rest % len(_KINDS)
+        chain.append(i)
+        missed.append(kind)
+        broken.append(bool(is_cut))
+    return chain[::-1], missed[::-1], [*broken, False][::-1]
+
+
+def _within_reach(j: int, skipped: Floats) -> range:
+    """Events before ``j`` that may be its predecessor: 24 at most, and few that sound like impacts between the two."""
+    low = j - 1
+    while low > 0 and j - low < 24 and skipped[j] - skipped[low] <= _SKIP_COST * 5:
+        low -= 1
+    return range(j - 1, low - 1, -1)

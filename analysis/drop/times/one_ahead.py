@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,6 @@ class Drop:
     bounces: Bounces  # its impacts
     # (value, standard uncertainty) of the stated drop height, where it is to be used as data
     height_m: tuple[float, float] | None = None
-    file: Path | None = None  # where it is from
     sound: bool = False  # whether the file is a sound
     not_read: tuple[str, ...] = ()  # what of the file was not read, with the reason (with the file's first drop)
     remarks: tuple[str, ...] = ()  # what was noticed (with the file's first drop)

@@ -31,8 +31,8 @@ _PREDICTOR = 64  # samples that are looked back
 _BLOCK = 1 << 20  # samples of a contact channel read at once
 
 
-def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets, float]:
-    """Onsets in a WAV file of any length, and its rate in Hz; long files are read in overlapping pieces.
+def onsets_of_file(path: Path, progress: Progress | None = None) -> Onsets:
+    """Onsets in a WAV file of any length; long files are read in overlapping pieces.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets
     if wav.n_samples < 0.05 * rate:  # of a sound that may hold a drop
         raise InputError(f"{path}: {wav.n_samples} samples at {rate:.0f} Hz hold no drop; the file may be cut off")
     if wav.n_samples <= 30.0 * rate:  # of a sound that is read at once
-        return sound_onsets(wav.read(), rate, str(path)), rate
+        return sound_onsets(wav.read(), rate, str(path))
     # a long sound is read in pieces of 20 s, with a second more on both sides
     core, margin = int(20.0 * rate), int(1.0 * rate)
     found: list[Onsets] = []
@@ -58,12 +58,12 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> tuple[Onsets
             continue
         times = piece.times_s + first / rate
         own = (times >= start / rate) & (times < (start + core) / rate)
-        found.append(Onsets(times[own], piece.strength[own], piece.loudness[own]))
+        found.append(piece._replace(times_s=times).part(own))
         if progress is not None:
             progress("listening", min(start + core, wav.n_samples) // int(rate), wav.n_samples // int(rate))
     if not found and refused is not None:
         raise refused
-    return Onsets(*(np.concatenate(parts) for parts in zip(*found, strict=True))), rate
+    return Onsets(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
@@ -189,8 +189,8 @@ def _refine(x: Floats, near: int, rate_hz: float) -> tuple[float, float]:
     return undivided - float(criterion[at]), float(start + at + 1)
 
 
-def contact_onsets(path: Path) -> tuple[Floats, float]:
-    """Times at which the contact circuit of a recording closes, s, and one sample as their uncertainty.
+def contact_onsets(path: Path) -> Floats:
+    """Times at which the contact circuit of a recording closes, s.
 
     Raises
     ------
@@ -211,11 +211,10 @@ def contact_onsets(path: Path) -> tuple[Floats, float]:
             edges = np.flatnonzero(closed & ~np.concatenate(([before], closed[:-1])))
             times.append((edges + start) / recording.rate_hz)
             before = bool(closed[-1])
-        rate = recording.rate_hz
     events = np.concatenate(times)
     if len(events) < 3:
         raise InputError(f"{path}: the contact circuit closes {len(events)} times; a drop test needs three impacts")
-    return events[np.diff(events, prepend=-np.inf) > _LEAST_SPACING_S], 1.0 / rate
+    return events[np.diff(events, prepend=-np.inf) > _LEAST_SPACING_S]
 
 
 def _refuse_driven(recording: Recording) -> None:

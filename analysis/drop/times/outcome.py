@@ -51,7 +51,7 @@ def of_times(
     names, height = [drop.name for drop in drops], outcome.pooled_height(heights)
     payload = outcome.payload_of("times", names, impacts_s, verdict, height)
     si = dict.fromkeys(BOUNDS, 1.0)
-    payload["models"] = [outcome.model_json(one, si, 1.0) | _quality(one) for one in verdict.candidates]
+    payload["models"] = [outcome.model_json(one, si, 1e3) | _quality(one) for one in verdict.candidates]
     payload["drops"] = each
     best = verdict.candidate(verdict.best)
     rows = int(np.isfinite(best.fit.residuals_s).sum())

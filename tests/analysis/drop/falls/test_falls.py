@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.falls.fall import Axis, Fall, fallen_m, is_fall, with_balls
-from analysis.drop.falls.fit import Setting
+from analysis.drop.falls.fit import Setting, heights_m
 from analysis.drop.falls.judge import judge_falls
 from analysis.drop.falls.outcome import of_falls
 from analysis.drop.load import load_all
@@ -67,6 +67,18 @@ def test_drops_are_grouped_by_ball() -> None:
     names = ["b.xlsx (Ball 1, drop 1)", "b.xlsx (Ball 1, drop 2)", "b.xlsx (Ball 2, drop 1)", "b.xlsx (Ball 2, drop 2)"]
     assert [f.ball for f in with_balls([Fall(n, "", t, t) for n in names])] == ["Ball 1", "Ball 1", "Ball 2", "Ball 2"]
     assert [f.ball for f in with_balls([Fall(n, "", t, t) for n in ("golf-1.csv", "golf-2.csv")])] == ["golf", "golf"]
+
+
+def test_a_ball_of_unknown_size_displaces_air_by_its_drag() -> None:
+    """A beach ball falls alike with its mass and size, and with the drag and the bulk that these give."""
+    axis, time = Axis(18.0, 18.0), np.linspace(0.0, 3.0, 20)
+    sized, bare = (Setting(axis, G, sizes) for sizes in ({"beach": (0.1, 0.35)}, {}))
+    drag = 0.5 * (sized.drag_per_m("beach") or 0.0)
+    values = {"k_per_m": {"beach": drag}, "bulk_m": {"beach": sized.air("beach") / drag},
+              "top_m": {"one": 36.0}, "release_s": {"one": 0.0}}  # fmt: skip
+    fall = Fall("one", "beach", time, time)
+    known, open_ = (heights_m(values, setting, [fall], [time]) for setting in (sized, bare))
+    assert np.allclose(known, open_, rtol=0.0, atol=1e-9) and known[-1] > 36.0 - fallen_m(time[-1:], 0.8 * G, drag, 0.0)
 
 
 @pytest.mark.parametrize("own", [0.0, 0.03])
@@ -166,7 +178,7 @@ def test_masses_and_sizes_are_found_by_name(tmp_path: Path) -> None:
     table.write_text("ball,weight (oz),circumference (cm)\nwiffleball1,1,22.8\ngolfball,1.62,13.4\n")
     found = read_balls(table, ["Whiffle Ball 1", "Bowling Ball"])
     assert found == {"Whiffle Ball 1": pytest.approx((0.02835, 0.22 * 22.8 / 22.0 / np.pi), rel=1e-3)}
-    assert Setting(Axis(0.0, 1.0), G, found).weight_share("Whiffle Ball 1") == pytest.approx(0.987, abs=0.002)
+    assert Setting(Axis(0.0, 1.0), G, found).air("Whiffle Ball 1") == pytest.approx(0.0087, abs=0.001)
 
 
 def test_measured_falls_are_read_with_their_own_times(data: Path) -> None:

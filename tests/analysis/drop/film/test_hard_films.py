@@ -98,7 +98,7 @@ def test_part_of_a_film(filmed: tuple[Path, np.ndarray]) -> None:
     """--until and --region leave the rest of the film out."""
     tracked = track_film(filmed[0], corrections=Corrections(until_s=3.0, region=(20, 0, 140, 520)))
     assert tracked.track.clock.max() <= 90
-    assert tracked.background.shape[:2] == (520, 120)
+    assert tracked.composite.shape[:2] == (520, 120)
 
 
 def test_a_rolled_camera_measures_along_the_fall(synthetic: ModuleType) -> None:

@@ -55,7 +55,7 @@ def test_the_path_is_the_flight(law: FlightLaw) -> None:
 
 
 def test_a_vanishing_drag_is_a_parabola() -> None:
-    """Just above and below the switch to the parabola the results agree."""
+    """With next to no drag, and with none, the results agree."""
     thin, none = FlightLaw(9.81, 0.1, 2e-9), FlightLaw(9.81, 0.1, 0.0)
     assert thin.duration_s(2.0) == pytest.approx(float(none.duration_s(2.0)), rel=1e-6)
     assert thin.drop_m(0.3) == pytest.approx(float(none.drop_m(0.3)), rel=1e-6)

@@ -80,7 +80,7 @@ def test_a_long_file_is_read_in_pieces(tmp_path: Path, synthetic: ModuleType) ->
     sound = 2e-3 * np.random.default_rng(3).standard_normal(70 * rate)
     sound[18 * rate : 18 * rate + len(tap)] += tap
     wavfile.write(tmp_path / "long.wav", rate, (sound * 32767 * 0.5).astype(np.int16))
-    onsets, _ = onsets_of_file(tmp_path / "long.wav")
+    onsets = onsets_of_file(tmp_path / "long.wav")
     drops = drops_of(onsets, "long.wav")
     assert len(drops) == 1
     assert drops[0].impacts_s[:6] == pytest.approx(18.0 + impacts[:6], abs=1e-3)
