@@ -45,13 +45,15 @@ class Card:
     def open(self, device: str, rate_hz: float, output: int, n_inputs: int, exchange: Any, woke: Any) -> Card:
         """As `rig.backends.portaudio.open_stream`."""
         self.active, self._n_inputs, self._exchange, self._woke = True, n_inputs, exchange, woke
-        self._began_ns = self._world.now_ns
+        self._began_ns = self._called_ns = self._world.now_ns
         self._at(1)
         return self
 
     def close(self, *, alive: bool) -> None:
-        """Stop calling."""
+        """Stop calling; a card that had stopped by itself holds its last value until now, and then plays nothing."""
         self.active = False
+        if self._world.now_ns - self._called_ns > 2.0 * self._period_ns:
+            self._play(np.zeros(PERIOD))
 
     def _at(self, periods: int) -> None:
         self._calls += periods
@@ -61,7 +63,7 @@ class Card:
         """One period: the plate follows what was played, and the host is called."""
         if not self.active:
             return
-        first = self._ledger.n_out
+        first, self._called_ns = self._ledger.n_out, self._world.now_ns
         due = [fault for at, fault in self._faults if at < first + PERIOD]
         self._faults = self._faults[len(due) :]
         kinds = {fault.kind: fault.n for fault in due}
@@ -200,4 +202,5 @@ def make_card(plan: Plan, profile: Profile, world: World, ledger: Ledger, plate:
     reader = SerialReader("simulation", 4, plan.rate_hz, lambda: device, world)
     ranges_v = dict.fromkeys(("continuity", "accelerometer", "drive", "displacement"), SCALE * 32768.0)
     backend = SoundcardBackend(profile, play_only=True, opener=card.open, clock=world)
-    return SoundcardSerialBackend(backend, reader, ranges_v, marker_v=profile.backend.marker_v), behind
+    frequency_hz = profile.forcing.frequency_hz
+    return SoundcardSerialBackend(backend, reader, ranges_v, profile.backend.marker_v, frequency_hz), behind

@@ -48,6 +48,14 @@ MUTANTS = {
     "last block not read": (
         "daq.files.frames.frame_file", "int(np.flatnonzero(intact)[-1]) + 1 if", "int(np.flatnonzero(intact)[-1]) if",
     ),
+    "end of a pipe not known": (
+        "daq.recorder.recorder_process", "except (EOFError, ConnectionResetError) as error:  #",
+        "except ConnectionResetError as error:  #",
+    ),
+    "a dead recorder not looked for": (
+        "rig.execution.run", "        if self._recording:\n            try:  #",
+        "        if self._recording and pending:\n            try:  #",
+    ),
     "heartbeat not watched": ("rig.execution.interlock", "HEARTBEAT_S = 0.5", "HEARTBEAT_S = 1e9"),
     "stuck sensor not seen": ("rig.execution.interlock", "if self._still < self._cycle:", "if self._still < 10**9:"),
 }  # fmt: skip

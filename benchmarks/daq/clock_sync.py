@@ -60,7 +60,7 @@ def events(ppm: float, ppm_per_minute: float) -> None:
     port = WiredPort(device)
     card = WiredCard(port, RATE_HZ)
     reader = SerialReader("simulated", 3, RATE_HZ, lambda: port)
-    backend = SoundcardSerialBackend(card, reader, dict.fromkeys(device.plant.channels, 10.0), 0.2)
+    backend = SoundcardSerialBackend(card, reader, dict.fromkeys(device.plant.channels, 10.0), 0.2, 25.37)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         writer = RecordingWriter(

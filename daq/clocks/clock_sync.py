@@ -54,6 +54,11 @@ def find_marker(heard_v: Floats, marker: Floats) -> float | None:
     return k + float(0.5 * (before - after) / (before - 2.0 * here + after))
 
 
+def window_samples(rate_hz: float, frequency_hz: float) -> int:
+    """Frames to compare at once: 50 ms, and a quarter of a cycle, since a straight line fits at many lags."""
+    return max(64, round(0.05 * rate_hz), round(0.25 * rate_hz / frequency_hz))
+
+
 class ClockTracker:
     """Follow the lag while a run lasts.
 

@@ -132,7 +132,7 @@ class RecorderProcess(ClosedRun):
         return self.ring.counter("safe_samples")
 
     def append(self, *blocks: Block) -> None:
-        """Hand blocks over; they are safe once `safe_samples` has passed them.
+        """Hand blocks over, if any, and look whether the recorder lives; they are safe once `safe_samples` passed them.
 
         Raises
         ------
@@ -140,9 +140,9 @@ class RecorderProcess(ClosedRun):
             When the recorder had to give up (disk full, file gone), or has not written for as long as the ring holds;
             what it has stays, and what the ring holds is written as soon as it can.
         """
+        if self._pipe.poll():
+            self._answer("error", 0.0)
         for block in (piece for whole in blocks for piece in whole.pieces(self.ring.block_samples)):
-            if self._pipe.poll():
-                self._answer("error", 0.0)
             until = self._clock.monotonic_s() + self._patience_s
             while (
                 self.ring.backlog >= self.ring.slots and self._clock.monotonic_s() < until and self._process.is_alive()

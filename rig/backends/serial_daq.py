@@ -16,7 +16,7 @@ import numpy as np
 import serial
 from numpy.typing import NDArray
 
-from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker
+from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker, window_samples
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
 from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.setup.clock import SYSTEM, Clock, Joinable
@@ -227,13 +227,17 @@ class SoundcardSerialBackend:
         Full scale of each of its channels by name, in the order of its rows; ``drive`` must be one of them.
     marker_v
         Height of the start marker.
+    frequency_hz
+        Of the forcing.
     """
 
     name = "soundcard+serial"
     simulated = False
     scenario_sha256: str | None = None
 
-    def __init__(self, card: Backend, reader: SerialReader, ranges_v: Mapping[str, float], marker_v: float) -> None:
+    def __init__(
+        self, card: Backend, reader: SerialReader, ranges_v: Mapping[str, float], marker_v: float, frequency_hz: float
+    ) -> None:
         if "drive" not in ranges_v:
             raise BackendError("soundcard+serial: the serial device must record the drive, which joins the two clocks")
         self.channels = tuple(ranges_v)
@@ -241,6 +245,7 @@ class SoundcardSerialBackend:
         self.rate_hz = card.rate_hz
         self._card, self._reader, self._marker_v = card, reader, marker_v
         self._drive = self.channels.index("drive")
+        self._window = window_samples(self.rate_hz, frequency_hz)
         self._tracker: ClockTracker | None = None
         self._tail = np.zeros(0)
         self._whole = self._lag = self._played = self._given = 0
@@ -337,8 +342,7 @@ class SoundcardSerialBackend:
         self._whole, self._played, self._given = round(lag), 0, 0
         self._lag = -(self._reader.position + self._whole)  # the next row comes behind the drive by so much, and stays
         self._tail = np.zeros(0)
-        window = max(64, round(0.05 * self.rate_hz))
-        self._tracker = ClockTracker(lag, self._reader.position, window, self.rate_hz)
+        self._tracker = ClockTracker(lag, self._reader.position, self._window, self.rate_hz)
 
     def _no_marker(self, rows_a_sample: float) -> str:
         """Error message where the marker was not found: absent, or stretched."""
@@ -374,4 +378,5 @@ def open_soundcard_serial(profile: Profile, options: OpenOptions) -> SoundcardSe
     ranges_v = {name: channel.range_v for name, channel in profile.channels.recorded().items()}
     rate_hz = profile.sampling.rate_hz
     reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
-    return SoundcardSerialBackend(SoundcardBackend(profile, play_only=True), reader, ranges_v, table.marker_v)
+    card = SoundcardBackend(profile, play_only=True)
+    return SoundcardSerialBackend(card, reader, ranges_v, table.marker_v, profile.forcing.frequency_hz)

@@ -151,6 +151,7 @@ class SoundcardBackend:
         alive, until = self._calls(), self._clock.monotonic_s() + FADE_S + 2.0 * self._table.buffer_s + SILENCE_S
         while alive and self._ring.at < self._ring.written and self._clock.monotonic_s() < until:
             alive = self._calls()
+        alive = alive and self._calls()  # what the last callback took is played until the next
         stream.close(alive=alive)
 
     def _calls(self) -> bool:

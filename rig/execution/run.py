@@ -274,7 +274,7 @@ class _Run:
         trip = self._interlock.inspect(self.account.driven(block, drive), block, self._motion)
         # a simulation takes the time that it takes
         if trip is None and not self._backend.simulated:
-            trip = self._interlock.late(waited_s, len(block.codes))
+            trip = self._interlock.late(waited_s, len(drive))
         if trip is not None:
             self.end("stopped", f"interlock: {trip}")
             self._sequencer.stop(Stop.RAMP_DOWN)
@@ -314,8 +314,8 @@ class _Run:
     def flush(self) -> None:
         """Hand what waits to the recorder; a disk that refuses stops the run, softly."""
         pending, self._pending = self._pending, []
-        if self._recording and pending:
-            try:
+        if self._recording:
+            try:  # without blocks, too: a recorder that is gone is noticed while losses are searched for
                 self._writer.append(*pending)
             except OSError as error:
                 self._disk_failed(error)

@@ -73,7 +73,7 @@ def card_and_serial(folder: Path) -> Made:
     port = WiredPort(device)
     reader = SerialReader("wired", 3, RATE_HZ, lambda: port)
     card = WiredCard(port, RATE_HZ)
-    backend = SoundcardSerialBackend(card, reader, dict.fromkeys(device.plant.channels, 10.0), marker_v=0.2)
+    backend = SoundcardSerialBackend(card, reader, dict.fromkeys(device.plant.channels, 10.0), 0.2, 25.0)
     return backend, lambda: Output(card.last_v, port.played_samples)
 
 

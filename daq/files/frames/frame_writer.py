@@ -133,8 +133,9 @@ class FrameWriter:
             expected += len(block.codes)
         if self.has_vanished():
             raise OSError(f"{self.path}: was removed while it was being written; closing keeps a copy elsewhere")
-        with self._refusals():
-            self._write(blocks)
+        if blocks:
+            with self._refusals():
+                self._write(blocks)
 
     @contextlib.contextmanager
     def _refusals(self) -> Iterator[None]:

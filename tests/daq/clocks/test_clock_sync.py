@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.clocks.clock_sync import ClockTracker, find_marker, fit_clock, played_s, start_marker
+from daq.clocks.clock_sync import ClockTracker, find_marker, fit_clock, played_s, start_marker, window_samples
 from daq.files.tables import CLOCK_DTYPE
 
 RATE = 20000.0
@@ -141,3 +141,16 @@ def test_noise_a_tone_and_an_inverted_marker_are_no_marker() -> None:
     swapped = np.concatenate([np.zeros(3000), -marker, np.zeros(3000)]) + 0.01 * rng.standard_normal(6000 + marker.size)
     for heard in (rng.standard_normal(20_000), tone + 1e-3 * rng.standard_normal(20_000), swapped, marker[:100]):
         assert find_marker(heard, marker) is None
+
+
+def test_the_clock_of_a_slow_drive_is_followed() -> None:
+    """At 0.1 Hz a window is long enough that the drive in it fits at one lag only."""
+    rng, n = np.random.default_rng(5), 200_000
+    played = 0.5 * np.sin(2 * np.pi * 0.1 * np.arange(n) / 2000.0)
+    heard = np.concatenate([np.zeros(40), played[:-40]]) + 2e-4 * rng.standard_normal(n)
+    tracker = ClockTracker(-40.0, 0, window_samples(2000.0, 0.1), 2000.0)
+    for first in range(0, n, 1000):
+        tracker.played(played[first : first + 1000])
+        tracker.heard(first, heard[first : first + 1000])
+        assert tracker.lag(first) == pytest.approx(-40.0, abs=2.0)
+    assert len(tracker.readings) > 5

@@ -123,7 +123,7 @@ def wired(device: SerialDevice, marker_v: float = 0.2) -> tuple[SoundcardSerialB
     port = WiredPort(device)
     card = WiredCard(port, RATE)
     reader = SerialReader("wired", 3, RATE, lambda: port)
-    return SoundcardSerialBackend(card, reader, dict.fromkeys(CHANNELS, 10.0), marker_v), card, port
+    return SoundcardSerialBackend(card, reader, dict.fromkeys(CHANNELS, 10.0), marker_v, 25.0), card, port
 
 
 def device(ppm: float = 80.0, ppm_per_minute: float = 2.0) -> SerialDevice:
@@ -330,7 +330,7 @@ def through(card: PeerCard, name: str) -> SoundcardSerialBackend:
         threading.Timer(0.2, card.exchange, [np.zeros(2000)]).start()
         return port
 
-    return SoundcardSerialBackend(card, SerialReader(name, 3, RATE, opener), dict.fromkeys(CHANNELS, 10.0), 0.2)
+    return SoundcardSerialBackend(card, SerialReader(name, 3, RATE, opener), dict.fromkeys(CHANNELS, 10.0), 0.2, 25.0)
 
 
 def test_a_run_through_a_real_port(peer: tuple[PeerCard, str], tmp_path: Path) -> None:
