@@ -31,6 +31,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--minutes", type=float, default=1.0, help="of the bench's own time, of a ramp")
     parser.add_argument("--plan", help="one plan, as a failure prints it")
     parser.add_argument("--plans", type=Path, help="file of plans, one a line; lines that begin with # are words")
+    parser.add_argument("--only", help="plans with a fault of this kind")
     parser.add_argument("--mutant", choices=sorted(MUTANTS), help="with this error put into the product")
     parser.add_argument("--twice", type=int, default=10, help="every so many seeds is run twice and compared")
     parser.add_argument("--most", type=int, default=10, help="failures after which it ends")
@@ -50,6 +51,8 @@ def main(arguments: list[str]) -> int:
         if given.plan or given.plans:
             lines = [given.plan] if given.plan else given.plans.read_text(encoding="utf-8").splitlines()
             plans = [Plan.from_json(line) for line in lines if not line.startswith("#")]
+        if given.only:
+            plans = (plan for plan in plans if any(fault.kind == given.only for fault in plan.faults))
         simulate(draw(0), disk)  # compiled before the clock runs
         gc.collect()
         gc.freeze()

@@ -66,7 +66,7 @@ class Left:
     began: bool = False
     was_killed: bool = False
     acknowledged: int = 0  # samples
-    power: str = ""
+    power_failed: bool = False
     was_removed: bool = False
     copies: list[tuple[str, Path, int]] = field(default_factory=list)  # seen meanwhile: how, where, acknowledged then
     said: list[str] = field(default_factory=list)  # what broke while it ran
@@ -201,9 +201,9 @@ class Bench:
                 self.left.raised.__context__ = self.left.raised.__cause__ = None
             gc.collect()
         self.disk.on_call = lambda call: None
-        if self.left.power and was_frozen:
+        if self.left.power_failed and was_frozen:
             self.left.acknowledged = self._synced
-            self.disk.cut_power(self.left.power, self._rng)
+            self.disk.cut_power(self._rng)
         self.disk.frozen = False
         self.disk.refusals = []
         self.disk.logged = ""
@@ -220,7 +220,7 @@ class Bench:
         elif kind in ("killed", "power"):
             if kind == "power":
                 self.disk.logged = "run.h5"
-                self.left.power = "beginning" if fault.n % 2 else "any"
+                self.left.power_failed = True
 
             def on_call(n: int) -> None:
                 if n >= call and not self.disk.frozen:

@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.daq.torn_writes import Write, lose_power
+
 WRITE, TRUNCATE, SYNC, RENAME, UNLINK, OPEN, READ = range(7)
 PRETEND = -1000
 ERRORS = {"full": errno.ENOSPC, "unwritable": errno.EIO, "interrupted": errno.EINTR}
@@ -73,7 +75,7 @@ class Disk:
             path.unlink()
         self.calls = 0
         self.logged = ""  # the file of which writes since its last sync are noted
-        self._synced, self._since = b"", list[tuple[int, bytes | None]]()
+        self._synced, self._since = b"", list[Write]()
         self.free(1 << 32)
 
     def free(self, n_bytes: int) -> None:
@@ -112,20 +114,13 @@ class Disk:
         if call == SYNC:
             self._synced, self._since = (self.folder / self.logged).read_bytes(), []
         else:
-            self._since.append((at, ctypes.string_at(data or 0, n) if call == WRITE else None))
+            self._since.append(Write(at, ctypes.string_at(data or 0, n) if call == WRITE else None))
 
-    def cut_power(self, how: str, rng: np.random.Generator) -> None:
+    def cut_power(self, rng: np.random.Generator) -> None:
         """Leave of the file that is logged, if one still is, what was synced, and a part of what came since."""
         if not self.logged:
             return
-        image, since = bytearray(self._synced), self._since
-        stays = rng.random(len(since)) < 0.5 if how == "any" else np.arange(len(since)) < rng.integers(len(since) + 1)
-        for (at, data), is_there in zip(since, stays, strict=True):
-            if not is_there:
-                continue
-            if data is None:
-                image[at:] = b""
-            image.extend(bytes(max(at + len(data or b"") - len(image), 0)))
-            image[at : at + len(data or b"")] = data or b""
+        image = bytearray(self._synced)
+        lose_power(image, self._since, rng)
         self.frozen = False
         (self.folder / self.logged).write_bytes(bytes(image))

@@ -37,7 +37,7 @@ def simulate(plan: Plan, disk: Disk) -> tuple[list[str], str, float]:
     found.sensors()
     found.end()
     # HDF5 may hang or crash of a file whose tables are damaged: another process reads it, as for a user
-    with contextlib.nullcontext() if left.power == "any" else read_here():
+    with contextlib.nullcontext() if left.power_failed else read_here():
         found.file()
         found.copies()
     found.flipped()
@@ -137,7 +137,7 @@ class Judge:
     def _readable(self, path: Path, acknowledged: int, *, whole: bool, is_damaged: bool = False) -> str:
         """What `verify` says, having compared with the truth what is read and what is recovered."""
         name = path.name
-        unsure = is_damaged or self._left.power != ""
+        unsure = is_damaged or self._left.power_failed
         try:
             report = verify(path)
         except InputError as error:

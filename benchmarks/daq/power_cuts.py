@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.daq.kill import SETUP, content
+from benchmarks.daq.torn_writes import Write, apply, lose_power
 from daq.files.frames.frame_marks import MAGIC, read_marks
 from daq.files.frames.marked_frames import MarkedFrames
 from daq.recording import CHANNELS, Block, open_recording, verify
@@ -38,7 +39,7 @@ from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 
-SECTOR, STEP_BLOCKS = 512, 4
+STEP_BLOCKS = 4
 NAME = "run.h5"
 _CALLS = "openat,pwrite64,write,lseek,read,ftruncate,fsync,rename,renameat,renameat2,unlink"
 _LINE = re.compile(r"^(?:\d+ +)?(\w+)\((.*)\) += (-?\d+)")
@@ -151,7 +152,7 @@ class Disk:
 
     folder: str
     files: dict[str, bytearray] = field(default_factory=dict)  # by the name under which they were made
-    waiting: dict[str, list[Call]] = field(default_factory=dict)
+    waiting: dict[str, list[Write]] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)  # name to file
     later: list[Call] = field(default_factory=list)  # names that were made or changed since the folder was synced
     said: dict[str, int] = field(default_factory=dict)
@@ -177,7 +178,7 @@ class Disk:
             if file is None:
                 return
             if call.what != "sync":
-                self.waiting[file].append(call)
+                self.waiting[file].append(Write(call.at, call.data if call.what == "write" else None))
                 return
             for waiting in self.waiting[file]:
                 apply(self.files[file], waiting)
@@ -197,28 +198,9 @@ class Disk:
         file = names.get(f"{self.folder}/{NAME}")
         if file is None:
             return None
-        data, waiting = bytearray(self.files[file]), self.waiting[file]
-        way = int(rng.integers(3))  # a prefix, the last of it torn; any writes, whole; any sectors of any writes
-        last = int(rng.integers(len(waiting) + 1))
-        part = float(rng.random())
-        for i, call in enumerate(waiting[: last + 1] if way == 0 else waiting):
-            if (way == 0 and i < last) or (way == 1 and rng.random() < part) or call.what == "cut":
-                apply(data, call)
-            elif way != 1:
-                for a in range(0, len(call.data), SECTOR):
-                    if rng.random() < part:
-                        apply(data, Call("write", "", call.at + a, call.data[a : a + SECTOR]))
+        data = bytearray(self.files[file])
+        lose_power(data, self.waiting[file], rng)
         return bytes(data)
-
-
-def apply(data: bytearray, call: Call) -> None:
-    """Do a write, or cut the file to a length."""
-    end = call.at + len(call.data)
-    if len(data) < end:
-        data.extend(bytes(end - len(data)))
-    if call.what == "cut":
-        del data[call.at :]
-    data[call.at : end] = call.data
 
 
 def fault_by_marks(image: bytes, run: Shape, n_steps: int, n: int) -> str:
