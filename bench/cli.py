@@ -47,6 +47,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "note": ("bench.commands.note", "Add a note to a recording."),
     "verify": ("bench.commands.verify", "Check whether a recording is complete, stopped, incomplete or damaged."),
     "recover": ("bench.commands.recover", "Rebuild a verified recording from one that was cut off or is damaged."),
+    "mcp": ("bench.commands.mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
     "virtual": ("bench.commands.virtual", "The simulated plant as a process of its own, behind a real driver."),
     "paper": ("bench.commands.paper", "The seed paper, figure by figure, each number with the effect that moves it."),
     "demo": ("bench.commands.demo", "The main job on a simulated rig, end to end."),

@@ -57,6 +57,7 @@ def section(place: Place) -> Section:
         Route("/runs/api/{id}/view", pages.view),
         Route("/runs/api/{id}/flights", pages.flights),
         Route("/runs/api/{id}/events", pages.events),
+        Route("/runs/api/{id}/why", pages.why),
         Route("/runs/api/{id}/events", pages.remark, methods=["POST"]),
         Route("/runs/api/{id}/remarks", pages.remark, methods=["POST"]),
         Route("/runs/{id}", pages.run),
@@ -183,6 +184,22 @@ class Pages:
         columns = {name: values[shown] for name, values in made["events"].items()}
         about = {"state": "ready", "count": int(ends[1] - ends[0]), "changes": len(changes)}
         return _json(about | {"said": in_words(changes), "events": columns})
+
+    def why(self, request: Request) -> Response:
+        """Rivals and steps behind the latest verdict on a run, or the flights of the ``step`` that is named."""
+        row = self._row(request)
+        loop = next(iter(self.catalogue.loops(row["identity"])), None)
+        if loop is None:
+            raise HTTPException(404, "no closed loop of this run is saved; bench close-loop RECORDING makes one")
+        files = _asked(lambda: (self.catalogue.file_of(row), self.catalogue.file_of(loop)))
+        found = _asked(lambda: self.workshop.evidence(row, *files))
+        if found is None:
+            return _json({"state": "working"})
+        if "step" not in request.query_params:
+            return _json({"state": "ready", "rivals": found["rivals"], "steps": found["steps"]})
+        asked = request.query_params["step"]
+        rows = [i for i, step in enumerate(found["flights"]["step"]) if str(step) == asked]
+        return _json({"state": "ready", **{name: [x[i] for i in rows] for name, x in found["flights"].items()}})
 
     def quantities(self, request: Request) -> Response:
         """Calibrations and effects by date, of the runs asked for or of all."""

@@ -19,17 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from bench.runs.events import events_of
+from bench.runs.events import events_of, on_scope
 from bench.runs.folder import PLACE
 from bench.runs.query import Row
 from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
 from daq.recording import open_recording
+from daq.recording.identity import stored_id
 from daq.recording.notebook import read_remarks, side_file
 from daq.setup.errors import InputError
 
-FLIGHTS_VERSION = 2
+FLIGHTS_VERSION = 3
 
 
 def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Path:
@@ -58,8 +59,8 @@ def make_flights(recording: Path, target: Path) -> Path:
     from analysis.flights.table import FlightFlag
 
     with open_recording(recording) as opened:
-        flights, steps, rate_hz = flights_of(opened), opened.steps, opened.rate_hz
-        events = events_of(flights, opened.gaps, opened.n_samples / rate_hz)
+        flights, steps, rate_hz, gaps = flights_of(opened), opened.steps, opened.rate_hz, opened.gaps
+        events = events_of(flights, gaps, opened.n_samples / rate_hz)
         stamps = [float(opened.timestamps_ns(k, k + 1)[0]) * 1e-9 for k in steps["first_sample"].tolist()]
     found = []
     classes = {own.step: own for own in classify(flights)}
@@ -76,8 +77,20 @@ def make_flights(recording: Path, target: Path) -> Path:
             "motion": "-" if own is None else own.label, "flights": len(chosen),
             "double_hits": 0 if own is None else own.double_hits,
             "periods": np.round(flights.duration_s[shown] * step["frequency_hz"], 5).tolist(),
+            "shown_s": np.round(on_scope(flights.takeoff_s[shown], gaps, rate_hz), 6).tolist(),
         })  # fmt: skip
     write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": found, "events": events})))
+    return target
+
+
+def make_evidence(recording: Path, loop: Path, target: Path) -> Path:
+    """What a saved closed loop says of a recording, flight by flight, as JSON in the file ``target``."""
+    from analysis.loop.storage import load_verdict
+    from bench.runs.evidence import evidence
+
+    with open_recording(recording) as opened:
+        found = evidence(load_verdict(loop), stored_id(opened), opened.gaps, opened.rate_hz)
+    write_whole(target, json.dumps(json_values(found)))
     return target
 
 
@@ -94,7 +107,7 @@ class Workshop:
         self._lock = threading.Lock()
         self._jobs: dict[str, Future[Path]] = {}
         self._pool: ProcessPoolExecutor | None = None
-        self._latest: tuple[Path, dict[str, Any]] | None = None
+        self._latest: dict[str, tuple[Path, dict[str, Any]]] = {}
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.place = folder / PLACE / "made"
         try:
@@ -135,17 +148,26 @@ class Workshop:
         events = read_remarks(side_file(file)).events
         changed = f".{hashlib.sha256(repr(events).encode()).hexdigest()[:12]}" if events else ""
         target = self.place / f"{row['identity'] if whole else _file_key(file)}{changed}.flights.json"
-        latest = self._latest
-        if latest is not None and latest[0] == target:
-            return latest[1]
         with contextlib.suppress(OSError, ValueError, KeyError):
-            found: dict[str, Any] = json.loads(target.read_text(encoding="utf-8"))
+            found = self._read("flights", target)
             if found["version"] == FLIGHTS_VERSION:
-                self._latest = target, found
                 return found
         if self._made(f"flights {target.name}", make_flights, file, target) is None:
             return None
         return self.flights(row, file) if target.exists() else {"steps": [], "events": {}}
+
+    def evidence(self, row: Row, file: Path, loop: Path) -> dict[str, Any] | None:
+        """What a saved closed loop says of a run; None while it is being looked up (raises InputError)."""
+        target = self.place / f"{row['identity']}.{_file_key(loop)}.why.json"
+        made = target if target.exists() else self._made(f"why {target.name}", make_evidence, file, loop, target)
+        return None if made is None else self._read("why", target)
+
+    def _read(self, kind: str, target: Path) -> dict[str, Any]:
+        """The JSON of a file; the last one of each kind stays in memory."""
+        latest = self._latest.get(kind)
+        if latest is None or latest[0] != target:
+            latest = self._latest[kind] = target, json.loads(target.read_text(encoding="utf-8"))
+        return latest[1]
 
     def _made(self, name: str, make: Any, *arguments: Any) -> Path | None:
         """The file that a job of that name has made; the job is begun at the first call."""

@@ -18,7 +18,8 @@ async function runs() {
     line.append(make("td", run.notes, { class: "lines" }));
     return line;
   }));
-  const diagram = new Diagram(byId("diagram")), state = byId("diagram-state");
+  const open = (run, at) => { location.href = `/runs/${ids[run.colour]}?at=${at}`; };
+  const diagram = new Diagram(byId("diagram"), open), state = byId("diagram-state");
   const failed = [];
   for (const [k, { run }] of told.entries()) {
     try {

@@ -3,11 +3,17 @@ import { Axes, colours } from "/static/web/plot.js";
 import { savers } from "/static/web/save.js";
 
 export class Diagram {
-  constructor(canvas) {
+  // `chosen` is called with the run and the time (s) of a flight whose dot is clicked
+  constructor(canvas, chosen) {
     this.axes = new Axes(canvas, { x: "gamma = A\u03c9\u00b2/g (dimensionless)", y: "flight time (periods)" });
     this.runs = [];
     new ResizeObserver(() => { this.axes.fit(); this.paint(); }).observe(canvas.parentElement);
     addEventListener("themechange", () => this.paint());
+    canvas.title = "click a flight to see its samples";
+    canvas.addEventListener("click", (event) => {
+      const found = this.nearest(this.axes.at(event));
+      if (found) chosen(found.run, found.at);
+    });
     savers(canvas.closest("section").querySelector("h2"), "diagram", () => [canvas], () => this.table());
   }
 
@@ -15,6 +21,20 @@ export class Diagram {
     const rows = [["run", "step", "gamma set", "gamma measured", "flight time (periods)"]];
     for (const { name, steps } of this.runs) for (const step of steps) for (const y of step.periods) rows.push([name, step.step, step.commanded, step.gamma, y]);
     return rows;
+  }
+
+  // The flight whose dot is nearest to a place, within a fortieth of the axes.
+  nearest([x, y]) {
+    const { xlim, ylim } = this.axes;
+    let found = null, least = 0.025 ** 2;
+    for (const run of this.runs) for (const step of run.steps) {
+      const aside = (((step.gamma ?? step.commanded) - x) / (xlim[1] - xlim[0])) ** 2;
+      if (aside < least) step.periods.forEach((period, i) => {
+        const d = aside + ((period - y) / (ylim[1] - ylim[0])) ** 2;
+        if (d < least) { least = d; found = { run, at: step.shown_s[i] }; }
+      });
+    }
+    return found;
   }
 
   // One run: its steps with flights, its name, the number of its colour.

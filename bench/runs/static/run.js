@@ -4,10 +4,11 @@ import { savers } from "/static/web/save.js";
 import { Diagram } from "./diagram.js";
 import { Events } from "./events.js";
 import { RunScope } from "./scope.js";
+import { Why } from "./why.js";
 
 const id = document.getElementById("run").dataset.id, api = `/runs/api/${id}`;
 const byId = (name) => document.getElementById(name);
-let scope = null, diagram = null, notes = [];
+let scope = null, diagram = null, why = null, notes = [];
 
 function problem(words) {
   byId("problem").textContent = words;
@@ -29,8 +30,17 @@ function facts(run) {
 
 function verdicts(loops) {
   const us = (x) => (x === null ? "-" : `${shown(x, 3)} \u00b5s`);
-  const said = loops.map((loop) => make("p", `${loop.summary}\nlandings: ${us(loop.before_us)} before, ${us(loop.after_us)} after; `
-    + `noise alone ${us(loop.floor_us)}${loop.together > 1 ? `; with ${loop.together - 1} other recording(s)` : ""} (${loop.path})`));
+  const said = loops.map((loop, i) => {
+    const line = make("p"), rest = `; noise alone ${us(loop.floor_us)}${loop.together > 1 ? `; with ${loop.together - 1} other recording(s)` : ""} (${loop.path})`;
+    // the latest one opens its evidence
+    const number = (text, what) => {
+      const one = make(i ? "span" : "button", text, i ? {} : { type: "button", class: "why", title: "why? rivals, steps, residuals, edges, samples" });
+      if (!i) one.addEventListener("click", () => why?.open(what));
+      return one;
+    };
+    line.append(number(loop.summary, "rivals"), "\nlandings: ", number(us(loop.before_us), "steps"), " before, ", number(us(loop.after_us), "steps"), " after", rest);
+    return line;
+  });
   byId("verdict").replaceChildren(...(said.length ? said
     : [make("p", "None yet. bench close-loop RECORDING gives one.", { class: "faint" })]));
 }
@@ -88,6 +98,9 @@ async function openScope() {
   });
   scope.annotate(notes);
   new Events(scope, api, () => openDiagram());
+  why = new Why(scope, api);
+  const at = Number(new URLSearchParams(location.search).get("at") ?? NaN);
+  if (isFinite(at)) scope.look([at - 0.01, at + 0.09]);
   savers(document.querySelector(".scope .tools"), "scope", () => [scope.canvas], () => scope.table());
   byId("units").addEventListener("click", () => { scope.si = !scope.si; byId("units").textContent = scope.si ? "volts" : "SI units"; scope.changed(); });
   byId("in").addEventListener("click", () => scope.zoom(0.5));
@@ -99,7 +112,7 @@ async function openDiagram() {
   const state = byId("diagram-state");
   const told = await asked(`${api}/flights`, () => { state.textContent = "finding the flights, once \u2026"; });
   state.textContent = told.steps.some((s) => s.flights) ? "" : "no flights were found";
-  diagram ??= new Diagram(byId("diagram"));
+  diagram ??= new Diagram(byId("diagram"), (run, at) => { scope?.look([at - 0.01, at + 0.09]); byId("scope").scrollIntoView({ block: "center" }); });
   diagram.runs = [];
   diagram.add("", told.steps, 0);
   document.querySelector("#steps tbody").replaceChildren(...told.steps.map((step) => {

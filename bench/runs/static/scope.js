@@ -80,6 +80,7 @@ export class RunScope extends Scope {
       if (shown(note.at_s)) labels.push([note.text.length > 28 ? `${note.text.slice(0, 27)}\u2026` : note.text, line(note.at_s) + 5 * axes.unit, true]);
     }
     this.events?.draw(axes, colours().ink);
+    this.why?.draw(axes);
     return labels;
   }
   grab(t) {

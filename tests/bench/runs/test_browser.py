@@ -159,6 +159,28 @@ def test_an_event_is_changed_by_hand(server: str, browser: Any, folder: Path) ->
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+def test_a_number_of_the_verdict_leads_to_its_samples(
+    server: str, browser: Any, folder: Path, closed_loop: ClosedLoop
+) -> None:
+    """By clicks: the verdict's error, a step, one flight; its edges are in words and its samples in the scope."""
+    run = folder / "one" / "a.h5"
+    keep_verdict(verdict_on(closed_loop, run), [run])
+    browser.goto(f"{server}/runs/{run_id('one/a.h5')}")
+    browser.wait_for_selector("#scope[data-seen]", timeout=120_000)
+    browser.click("#verdict button:has-text('52')")
+    browser.wait_for_selector("#why-part[data-done=steps]", timeout=60_000)
+    assert "coulomb_friction" in browser.locator("#rivals").inner_text()
+    browser.click("#why-steps button:has-text('step 0')")
+    browser.click("#why-flights tbody tr:nth-child(4) button")
+    browser.wait_for_selector("#edges[data-flight]")
+    assert "landing measured 0.180000 s; declared 0.1799" in browser.locator("#edges").inner_text()
+    until(browser, "parseFloat(document.querySelector('#scope').dataset.seen) > 0.14")
+    browser.uncheck("#layer-declared")
+    assert browser.errors == [] and too_pale(browser) == []
+    browser.set_viewport_size({"width": 390, "height": 844})
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+
+
 def test_two_runs_over_each_other(server: str, browser: Any, folder: Path, closed_loop: ClosedLoop) -> None:
     """Marked runs are laid over each other: diagrams, verdicts, and what drifted."""
     for name, value in (("a", 0.12), ("b", 0.14)):

@@ -1,0 +1,243 @@
+"""The agent's door: plan, check, ramp, explore, close the loop, read the catalogue.
+
+Each tool is a `bench` command or calls the function behind one, so that an agent meets the same limits as a person. An
+agent names profiles, scenarios and recordings of the runs' folder, or shipped ones; it may change the keys of [ramp]
+and [forcing] only. The simulated rig is free; anything else needs a person who arms it (`bench.jobs.arming`).
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from bench.jobs.arming import take
+from bench.profiles.edit import with_values
+from bench.profiles.find import find_profile, find_scenario, load, scenario_names, shipped_names
+from bench.profiles.plan import planned, refusal
+from daq.setup.errors import InputError
+from rig.profile import Profile, parse_profile
+
+LONGEST_S = 3600.0  # of rig time, in one call
+MOST_VALUES = 1000  # numbers in one list
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+FREE = re.compile(r"(ramp|forcing)\.[a-z_]{1,40}")
+
+Values = dict[str, Any]
+Answer = dict[str, Any]
+Command = Callable[[Sequence[str], Path], Answer]
+
+
+def bench_command(arguments: Sequence[str], folder: Path) -> Answer:
+    """The JSON that a `bench` command answers with, run in ``folder``; raises InputError with its refusal."""
+    call = [sys.executable, "-m", "bench", *arguments, "--json", "-"]
+    done = subprocess.run(call, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    try:
+        answer: Answer = json.loads(done.stdout)
+    except ValueError:
+        said = done.stderr.strip() or f"ended with status {done.returncode} and said nothing"
+        raise InputError(f"bench {arguments[0]}: {said[-2000:]}") from None
+    return answer if done.returncode == 0 else answer | {"status": done.returncode, "said": done.stderr.strip()[-2000:]}
+
+
+class Door:
+    """The tools of an agent, on one folder of runs; every refusal is an InputError with a sentence.
+
+    Parameters
+    ----------
+    folder
+        The runs' folder; no call reads or writes outside it, but for what is shipped.
+    command
+        Runs a `bench` command.
+    """
+
+    def __init__(self, folder: Path, command: Command = bench_command) -> None:
+        if not folder.is_dir():
+            raise InputError(f"--runs {folder}: no such folder; create it first, or name another")
+        self.folder, self._command = folder.resolve(), command
+
+    TOOLS = ("profiles", "catalogue", "plan", "check", "ramp", "explore", "close_loop")
+
+    def ask(self, tool: str, arguments: dict[str, Any]) -> Answer:
+        """A tool by its name; raises InputError for arguments that it does not have, too."""
+        if tool not in self.TOOLS:
+            raise InputError(f"{tool!r}: no such tool; there are {', '.join(self.TOOLS)}")
+        method = getattr(self, tool)
+        try:
+            bound = inspect.signature(method).bind(**arguments)
+        except TypeError as error:
+            raise InputError(f"{tool}: {error}; it takes {', '.join(inspect.signature(method).parameters)}") from error
+        answer: Answer = method(*bound.args, **bound.kwargs)
+        return answer
+
+    def profiles(self) -> Answer:
+        """Profiles and scenarios that the other tools take: shipped ones, and those in the runs' folder."""
+        own = sorted(path.name for path in self.folder.glob("*.toml"))
+        return {"shipped": shipped_names(), "own": own, "scenarios": scenario_names()}
+
+    def catalogue(self, text: str = "", limit: int = 20) -> Answer:
+        """Recordings with their verdicts, the newest first; each word of ``text`` must occur in a row."""
+        from bench.runs.catalogue import Catalogue
+        from bench.runs.query import Query
+
+        with Catalogue(self.folder) as catalogue:
+            catalogue.update()
+            rows = catalogue.runs(Query(text=_text(text, "text"), limit=_whole(limit, "limit", 1, 1000)))
+        return {"runs": rows}
+
+    def plan(self, profile: str, values: Values | None = None) -> Answer:
+        """Every step of a ramp with its peaks of drive and plate; ``values`` are keys of [ramp] and [forcing]."""
+        checked, _, _ = self._profile(profile, values)
+        programme, rows, faults = _planned(checked)
+        steps = [asdict(step) | asdict(asked) for step, asked in rows]
+        return {"seconds": programme.n_samples / programme.rate_hz, "steps": steps, "forbidden": faults}
+
+    def check(self, profile: str, scenario: str = "") -> Answer:
+        """Whether a rig is wired as its profile says; hardware must be armed by a person."""
+        file = self._allowed(profile, None)
+        return self._command(["check", str(file), *self._hidden(scenario)], self.folder)
+
+    def ramp(
+        self, profile: str, name: str, values: Values | None = None, scenario: str = "", seed: int = 0, note: str = ""
+    ) -> Answer:
+        """Drive and record a ramp as ``name``.h5; free on the simulated rig, hardware must be armed by a person."""
+        options = [*self._hidden(scenario), "--seed", str(_whole(seed, "seed", 0, 2**31))]
+        if note := _text(note, "note"):
+            options += [f"--note={note}"]
+        out = self._new(name, ".h5")
+        file = self._allowed(profile, values)
+        return self._command(["ramp", str(file), "--out", str(out), *options], self.folder)
+
+    def explore(self, profile: str, name: str, scenario: str = "", seed: int = 0, budget_s: float = 60.0) -> Answer:
+        """Let the rig choose its own steps, into the folder ``name``; hardware must be armed by a person."""
+        options = [*self._hidden(scenario), "--seed", str(_whole(seed, "seed", 0, 2**31))]
+        options += ["--budget", repr(_number(budget_s, "budget_s", 1.0, LONGEST_S))]
+        out = self._new(name, "")
+        file = self._allowed(profile, None)
+        return self._command(["explore", str(file), "--out", str(out), *options], self.folder)
+
+    def close_loop(self, recordings: list[str]) -> Answer:
+        """The verdict on recordings of one rig: what the declared model misses, by name, size and error."""
+        if not isinstance(recordings, list) or not 1 <= len(recordings) <= 24:
+            raise InputError("recordings: wanted a list of 1 to 24 names from the catalogue")
+        return self._command(["close-loop", *(str(self._inside(name, ".h5")) for name in recordings)], self.folder)
+
+    def _allowed(self, profile: str, values: Values | None) -> Path:
+        """The file of a profile that may be driven now: within its limits, and simulated or armed by a person."""
+        checked, text, base = self._profile(profile, values)
+        programme, _, faults = _planned(checked)
+        if faults:
+            raise InputError(refusal(profile, faults))
+        if programme.n_samples / programme.rate_hz > LONGEST_S:
+            raise InputError(f"{profile}: the ramp lasts longer than {LONGEST_S:g} s; wanted fewer or shorter steps")
+        made = self.folder / ".shakerbench" / "agent.toml"
+        made.parent.mkdir(exist_ok=True)
+        made.write_text(text, encoding="utf-8")
+        if checked.backend.kind != "simulated":
+            take(self.folder, base, profile)
+        return made
+
+    def _profile(self, profile: str, values: Values | None) -> tuple[Profile, str, str]:
+        """A profile with ``values`` set, its text, and the text as it was; its limits and its rig never change."""
+        shipped = isinstance(profile, str) and profile in shipped_names()
+        file = find_profile(profile) if shipped else self._inside(profile, ".toml")
+        declared, base = load(file)
+        if values is not None and not isinstance(values, dict):
+            raise InputError("values: wanted keys of [ramp] and [forcing] with their values, as {'ramp.gamma': [0.9]}")
+        for key, value in (values or {}).items():
+            if not isinstance(key, str) or not FREE.fullmatch(key):
+                raise InputError(f"values: {key!r} may not be changed; wanted keys of [ramp] and [forcing] only")
+            _plain(key, value)
+        try:
+            text = with_values(base, values, profile) if values else base
+            checked = parse_profile(text, profile)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise InputError(f"{profile}: {error}") from error
+        if len(checked.ramp.gammas()) > 2 * MOST_VALUES:
+            raise InputError(f"{profile}: wanted at most {2 * MOST_VALUES} steps in one ramp")
+        if (checked.limits, checked.backend, checked.channels) != (
+            declared.limits,
+            declared.backend,
+            declared.channels,
+        ):
+            raise InputError(f"{profile}: limits, back end and channels may not be changed; set keys of [ramp] only")
+        return checked, text, base
+
+    def _inside(self, name: Any, ending: str) -> Path:
+        """A file of the runs' folder by its path below it, links followed."""
+        refused = InputError(
+            f"{str(name)[:200]!r}: wanted the name of a {ending} file in the runs' folder; none is there"
+        )
+        if not isinstance(name, str) or not name.endswith(ending) or not name.isprintable() or len(name) > 1000:
+            raise refused
+        try:
+            path = (self.folder / name).resolve(strict=True)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise refused from error
+        if not path.is_relative_to(self.folder) or not path.is_file():
+            raise refused
+        return path
+
+    def _new(self, name: Any, ending: str) -> Path:
+        """Where a new recording or folder goes."""
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            raise InputError(
+                f"{str(name)[:80]!r}: wanted a name of 1 to 64 letters, digits, - and _ for what is recorded"
+            )
+        path = self.folder / f"{name}{ending}"
+        if path.exists():
+            raise InputError(f"{path.name}: exists already and is never overwritten; choose another name")
+        return path
+
+    def _hidden(self, scenario: Any) -> list[str]:
+        """The option of a scenario, by the name of a shipped one; none for no scenario."""
+        if scenario == "":
+            return []
+        if scenario not in scenario_names():
+            raise InputError(f"{str(scenario)[:80]!r}: no such scenario; there are {', '.join(scenario_names())}")
+        return ["--scenario", str(find_scenario(scenario))]
+
+
+def _planned(profile: Profile) -> Any:
+    """`planned`, whose refusals of numbers without meaning are InputErrors."""
+    try:
+        return planned(profile)
+    except (ValueError, OverflowError, MemoryError, ZeroDivisionError) as error:
+        raise InputError(f"{profile.name}: cannot be planned ({error}); wanted usual numbers in [ramp]") from error
+
+
+def _plain(key: str, value: Any) -> None:
+    """Refuse what is neither a finite number, a short word, nor a list or table of such."""
+    inner = value if isinstance(value, list) else list(value.values()) if isinstance(value, dict) else [value]
+    if isinstance(value, dict) and not all(isinstance(k, str) and k.isidentifier() for k in value):
+        raise InputError(f"values: {key}: wanted a table with plain keys")
+    for one in inner:
+        is_number = isinstance(one, (int, float)) and math.isfinite(one) and abs(one) <= 1e6
+        is_word = isinstance(one, str) and NAME.fullmatch(one)
+        if len(inner) > MOST_VALUES or not (is_number or is_word):
+            raise InputError(f"values: {key}: wanted numbers up to 1e6, at most {MOST_VALUES} of them, or a word")
+
+
+def _number(value: Any, name: str, least: float, most: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
+        raise InputError(f"{name}: wanted a number from {least:g} to {most:g}, found {str(value)[:80]!r}")
+    return float(value)
+
+
+def _whole(value: Any, name: str, least: int, most: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+        raise InputError(f"{name}: wanted a whole number from {least} to {most}, found {str(value)[:80]!r}")
+    return value
+
+
+def _text(value: Any, name: str) -> str:
+    if not isinstance(value, str) or len(value) > 1000 or not all(c.isprintable() for c in value):
+        raise InputError(f"{name}: wanted a text of at most 1000 printable characters")
+    return value
