@@ -36,6 +36,18 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
         scale += tuple(_bias(seen, setup))
     found += scale
     found += tuple(_cut_off(seen, setup))
+    growths = np.array([hold.growth for hold in seen.holds])
+    # of one sign in nearly all holds, upwards or downwards: neither noise nor a slow modulation
+    if len(growths) >= 6 and abs(np.median(growths)) > 5e-3 and abs(np.mean(np.sign(growths))) > 0.8:
+        found += (
+            Doubt(
+                "sweep",
+                f"the amplitude is swept: it changes by {np.median(growths):+.1%} within a hold (median), and "
+                "the model has it constant",
+                "drive in steps, each held for some cycles; flights and their diagram are right all the same",
+                True,
+            ),
+        )
     if seen.interpolation_hz is not None:
         found += (
             Doubt(

@@ -9,7 +9,7 @@ from typing import Any, Self
 STORED = "instrument_json"  # root attribute of a recording
 DOUBT_KINDS = (
     "accelerometer_sense", "contact_sense", "drive_sense", "drive_phase", "exchanged", "tones", "bias", "scale", "dead",
-    "contact", "resampled", "cut_off",
+    "contact", "resampled", "cut_off", "sweep",
 )  # fmt: skip
 
 

@@ -46,6 +46,8 @@ class Hold:
         Part of the time that the contact is at its higher level; NaN without one.
     rises_g, falls_g
         The plate's acceleration at `DELAYS_S` after the contact's voltage rises or falls, after standing still, (n, 7).
+    growth
+        Relative growth of the strongest tone from the hold's begin to its end.
     """
 
     frequency_hz: float
@@ -57,6 +59,7 @@ class Hold:
     high: float = np.nan
     rises_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))
     falls_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))
+    growth: float = 0.0
 
     def gammas(self, setup: Setup) -> tuple[float, float, float]:
         """Gamma by the drive (NaN: unknown), gamma at the plate, and the latter's uncertainty."""
@@ -185,10 +188,15 @@ def _hold(
     motion = np.asarray((plate.amplitudes[:, None] * np.exp(turns)).real.sum(axis=0))
     acceleration = motion / volts_per_g(setup)
     edges = () if high is None else _at_edges(high, acceleration, rate_hz, hz)
+    half = round(int(0.5 * n * hz / rate_hz) * rate_hz / hz)  # whole cycles
+    shown = volts["drive" if driven else "accelerometer"] * np.exp(-turns[int(np.argmax(np.abs(plate.amplitudes)))])
+    begin, end = abs(shown[:half].sum()), abs(shown[n - half :].sum())
     hold = Hold(
         hz, tuple(found), plate, fit_tones(volts["drive"], first, rate_hz, own + others) if driven else None,
         float(np.abs(acceleration).max()), {role: _between(x) for role, x in volts.items()},
         np.nan if high is None else float(high.mean()), *edges,
+        # the middles of the two halves are half a hold apart
+        growth=float(4.0 * (end - begin) / max(begin + end, 1e-300)),
     )  # fmt: skip
     return hold, volts["accelerometer"] - plate.offset - motion
 

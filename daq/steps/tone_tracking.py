@@ -160,10 +160,12 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
     covered = sum(b - a for (a, b), s in zip(parts, steady, strict=True) if s)
     # where little holds still, that is chance, and the whole a sweep
     if covered < 0.3 * track.loud.sum() and track.loud.sum() >= LEAST_SWEEP:
-        # a sweep that never rests is taken in equal pieces of its loud part
-        loud = np.flatnonzero(track.loud)
-        cuts = range(int(loud[0]), int(loud[-1]) + 2, 20)
-        parts = list(pairwise(cuts)) or [(int(loud[0]), int(loud[-1]) + 1)]
+        # a sweep that never rests is taken in equal pieces of its loud part, holds that drift in pieces between jumps
+        first, last = (int(k) for k in np.flatnonzero(track.loud)[[0, -1]])
+        change = np.abs(np.diff(track.amplitude[first : last + 1, track.main]))
+        jumps = first + 1 + np.flatnonzero(change > 8.0 * np.median(change))
+        borders = [first, *jumps.tolist(), last + 1]
+        parts = [(k, min(k + 20, b)) for a, b in pairwise(borders) for k in range(a, b, 20)]
         steady = np.array([b - a >= SHORTEST_WINDOWS for a, b in parts])
     found: list[SteadySegment] = []
     fade_from = None
@@ -315,9 +317,10 @@ def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> Bools:
     mean = np.array([amplitude[a:b].mean(axis=0) for a, b in parts])
     moving = np.zeros(len(parts), bool)
     for i, (a, b) in enumerate(parts):
-        before, after = max(i - 1, 0), min(i + 1, len(parts) - 1)
+        before, after = i - 1, i + 1
         x = np.arange(a, b) - middle[i]
-        if before == after or not x.any() or b - a > LEAST_SWEEP:
+        # the first and the last part have no path through them
+        if before < 0 or after == len(parts) or not x.any() or b - a > LEAST_SWEEP:
             continue
         own = x @ amplitude[a:b] / (x @ x)
         path = (mean[after] - mean[before]) / (middle[after] - middle[before])

@@ -151,6 +151,19 @@ def test_what_contradicts_the_profile_is_a_doubt_with_its_cure(
         refuse_doubtful([summary.path])
 
 
+def test_an_amplitude_that_is_swept_is_no_ramp_of_steps(tmp_path: Path) -> None:
+    """Amplitudes that grow by 1.5 % within each of the holds are refused, with what to do."""
+    volts = dict(_simulated(1, (), False))
+    steps = bring_in(dict(volts), other_plant.profile_of(run_of(1)), tmp_path).steps
+    for a, n in zip(steps["first_sample"], steps["n_samples"], strict=True):
+        for name in ("drive_v", "accelerometer_v"):
+            volts[name] = volts[name].copy()
+            volts[name][a : a + n] *= np.linspace(0.99, 1.01, n)
+    (tmp_path / "swept").mkdir()
+    (doubt,) = bring_in(volts, other_plant.profile_of(run_of(1)), tmp_path / "swept").instrument.doubts
+    assert doubt.kind == "sweep" and doubt.makes_meaningless and "drive in steps" in doubt.cure
+
+
 def test_a_drive_whose_phase_is_wrong_by_far_is_refused_with_the_phase_to_write(tmp_path: Path) -> None:
     """A quarter of a turn in [drive] that the plate does not have."""
     stated = other_plant.profile_of(run_of(1)).replace("phase_deg = { value = 0.0,", "phase_deg = { value = 90.0,")

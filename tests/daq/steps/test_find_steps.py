@@ -40,6 +40,17 @@ def test_levels_and_edges(ramp: Ramp, ratio: int, fade: int) -> None:
         assert abs(step.frequency_hz / frequency - 1) < 5 * step.frequency_sigma_hz / frequency + 1e-5
 
 
+@pytest.mark.parametrize("growth", [0.001, 0.02])
+def test_holds_whose_amplitude_drifts_keep_their_borders(growth: float) -> None:
+    """Whether they drift by a thousandth or by two per cent, six levels are six steps, the last one too."""
+    n = round(14 * RATE_HZ / 25.0)
+    envelope = np.concatenate([level * np.linspace(1.0 - growth / 2.0, 1.0 + growth / 2.0, n) for level in LEVELS])
+    x = envelope * np.sin(2.0 * np.pi * 25.0 * np.arange(len(envelope)) / RATE_HZ)
+    found = steps_in(x, Forcing(frequency_hz=25.0))
+    assert [s.stop for s in found] == pytest.approx(n * np.arange(1, 7), abs=1.5 * RATE_HZ / 25.0)
+    assert [abs(s.tones.amplitudes[0]) for s in found] == pytest.approx(LEVELS, rel=growth)
+
+
 def test_frequency_steps_large_and_small(ramp: Ramp) -> None:
     """Steps that change frequency, by a factor of two or by two parts in a thousand, are told apart and measured."""
     frequencies = [20.0, 40.0, 31.3, 31.36, 25.0, 24.5]
