@@ -187,14 +187,15 @@ def _hold(
     turns = 2j * np.pi * np.outer(plate.frequencies_hz / rate_hz, np.arange(first, first + n))
     motion = np.asarray((plate.amplitudes[:, None] * np.exp(turns)).real.sum(axis=0))
     acceleration = motion / volts_per_g(setup)
-    edges = () if high is None else _at_edges(high, acceleration, rate_hz, hz)
+    none = np.zeros((0, len(DELAYS_S)))
+    rises, falls = (none, none) if high is None else _at_edges(high, acceleration, rate_hz, hz)
     half = round(int(0.5 * n * hz / rate_hz) * rate_hz / hz)  # whole cycles
     shown = volts["drive" if driven else "accelerometer"] * np.exp(-turns[int(np.argmax(np.abs(plate.amplitudes)))])
     begin, end = abs(shown[:half].sum()), abs(shown[n - half :].sum())
     hold = Hold(
         hz, tuple(found), plate, fit_tones(volts["drive"], first, rate_hz, own + others) if driven else None,
         float(np.abs(acceleration).max()), {role: _between(x) for role, x in volts.items()},
-        np.nan if high is None else float(high.mean()), *edges,
+        np.nan if high is None else float(high.mean()), rises, falls,
         # the middles of the two halves are half a hold apart
         growth=float(4.0 * (end - begin) / max(begin + end, 1e-300)),
     )  # fmt: skip
