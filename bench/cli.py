@@ -115,7 +115,7 @@ class LazyGroup(TyperGroup):
 
 
 app = typer.Typer(
-    cls=LazyGroup, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
+    cls=LazyGroup, invoke_without_command=True, rich_markup_mode=None, pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )  # fmt: skip
 
@@ -140,12 +140,20 @@ def _use_effects(folder: str | None) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Show the version."),
     effects: str | None = typer.Option(
         None, "--effects", metavar="FOLDER", callback=_use_effects, help="Folder of effects in place of the user's own."
     ),
 ) -> None:
-    """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it."""
+    """A completely inelastic ball on a shaken plate: drive it, record it, predict it, explain it.
+
+    Without a command: the page in a browser, from the card to the cause, in this folder.
+    """
+    if context.invoked_subcommand is None:
+        from bench.commands.live import open_page
+
+        open_page(Path(), None)
 
 
 def main() -> None:

@@ -87,10 +87,10 @@ class RampTable(Frozen):
 class Limits(Frozen):
     """What must not be exceeded, each as a peak from rest."""
 
-    drive_v: float = Field(gt=0)
-    plate_mps2: float = Field(gt=0)
-    displacement_m: float = Field(gt=0)
-    velocity_mps: float | None = Field(default=None, gt=0)
+    drive_v: float = Field(gt=0, description="drive at the output")
+    plate_mps2: float = Field(gt=0, description="plate acceleration")
+    displacement_m: float = Field(gt=0, description="plate displacement")
+    velocity_mps: float | None = Field(default=None, gt=0, description="plate velocity; left out: no limit")
     contact_cycles: int = Field(
         default=20, ge=0, description="longest time without a contact, or a flight where one must be; 0: unwatched"
     )

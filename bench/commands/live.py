@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import webbrowser
 from pathlib import Path
 
 import typer
@@ -25,16 +26,23 @@ def command(
 
     Exits 0 when stopped, 2 when the call was wrong.
     """
+    if not runs.is_dir():
+        raise InputError(f"--runs {runs}: no such folder; create it first, or name another")
+    open_page(runs, profile, host, port)
+
+
+def open_page(runs: Path, profile: str | None, host: str = "127.0.0.1", port: int | None = None) -> None:
+    """Serve the desk until Ctrl-C and open it in a browser where a person looks on; as `command` in all else."""
     from bench.live.processes import sections
+    from bench.profiles.find import find_profile
 
     def say(url: str) -> None:
         print_lines(f"open {url} in a browser; Ctrl-C ends the page")
         sys.stdout.flush()
+        if sys.stdout.isatty():
+            webbrowser.open(url)
 
-    if not runs.is_dir():
-        raise InputError(f"--runs {runs}: no such folder; create it first, or name another")
-    modules = sections()
-    from bench.live.pages import offered_profiles  # needs the packages that `sections` asks for
-
-    offered = offered_profiles(runs, profile)
-    serve_pages(modules, runs, say, host=host, port=port, options={"live": {"offered": offered}})
+    if profile is not None:
+        find_profile(profile)
+    modules = sections(starts=True)
+    serve_pages(modules, runs, say, host=host, port=port, options={"gates": {"offered": profile}})

@@ -121,13 +121,13 @@ class Board:
         """By which the other side attaches."""
         return self._memory.name
 
-    def close(self) -> None:
-        """Let go of the memory; its maker also frees it."""
+    def close(self, *, leave: bool = False) -> None:
+        """Let go of the memory; its maker also frees it, but for ``leave``: then it goes with the last process."""
         self.events.release()
         self.commands.release()
         with contextlib.suppress(BufferError):  # a view of it is still being read; freed with the process
             self._memory.close()
-        if self._owner:
+        if self._owner and not leave:
             self._owner = False
             with contextlib.suppress(FileNotFoundError):  # already gone
                 self._memory.unlink()

@@ -6,11 +6,9 @@ import asyncio
 import contextlib
 import json
 import multiprocessing
-import re
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +17,11 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from bench.live.board import LONGEST_NOTE, Board, Message
-from bench.live.processes import AskedRun, run_check, run_profile
+from bench.live.processes import AskedRun, run_profile
 from bench.live.scope_data import MinMax, PlateHeight
 from bench.live.watched_run import WatchedRun
-from bench.profiles.find import find_profile, load, scenario_names, shipped_names
-from bench.terminal.orders import free_keys
+from bench.live.watchers import Watchers
+from bench.profiles.find import load
 from bench.web.browsers import Browser, Hub, socket_route
 from bench.web.section import Place, Section, templates_of
 from daq.setup.errors import InputError
@@ -37,24 +35,59 @@ class Desk:
 
     Parameters
     ----------
-    folder
-        Of the runs.
-    offered
-        Profiles that may be started, by name or path; none where the page only watches.
     watched
-        Profile and board of a run that is under way; None where runs are started from the page.
+        Profile and board of a run in a terminal; None where runs are started from the page.
     """
 
-    def __init__(self, folder: Path, offered: Sequence[str], watched: tuple[Profile, str] | None) -> None:
+    def __init__(self, watched: tuple[Profile, str] | None) -> None:
         self.hub = Hub()
         self.watch: WatchedRun | None = None
-        self._folder, self._offered, self._watched = folder, list(offered), watched
-        self._passed: set[str] = set()  # profiles whose check was green
+        self._watched = watched
         self._run: Any = None
-        self._check: Any = None
-        self._check_pipe: Any = None
-        self._checked = ""
-        self._findings: Message | None = None
+        self.watchers = Watchers(self.hub, self._greet)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run that was started from the page is under way."""
+        if self._run is not None:
+            return bool(self._run.is_alive())
+        return self.watch is not None and not self.watch.is_silent
+
+    def outcome_of(self, out: str) -> Message | None:
+        """How the run into the recording ``out`` ended; None where that is not known."""
+        watch = self.watch
+        return None if watch is None or watch.out not in ("", out) else watch.ended
+
+    def start(self, profile: Path, scenario: str | None, asked: AskedRun) -> Message:
+        """Start a ramp in a process of its own, which outlives this one.
+
+        Returns
+        -------
+        dict
+            What `attach` needs to find the run again: ``board``, ``profile`` and ``out``.
+
+        Raises
+        ------
+        InputError
+            When the profile cannot be read.
+        """
+        known, _ = load(profile)
+        if self.watch is not None:
+            self.watch.close()
+        board = Board()
+        self._run = multiprocessing.get_context("spawn").Process(
+            target=run_profile, args=(str(profile), board.name, scenario, asked), name="run"
+        )
+        self._run.start()
+        self.hub.tell({"kind": "started", "profile": known.name, "out": asked.out.name})
+        self.watch = WatchedRun(known, board, self.hub.tell)
+        return {"board": board.name, "profile": str(profile), "out": asked.out.name}
+
+    def attach(self, run: Message) -> None:
+        """Watch a run that another server has started; one that is over or gone is not watched."""
+        with contextlib.suppress(OSError, InputError):
+            self.watch = WatchedRun(load(run["profile"])[0], Board(run["board"]), self.hub.tell)
+            self.watch.command({"do": "announce"})
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -70,8 +103,9 @@ class Desk:
             yield
         finally:
             ticking.cancel()
+            self.watchers.close()
             if self.watch is not None:
-                self.watch.close()
+                self.watch.close(leave=self.busy)
 
     async def _tick_for_ever(self) -> None:
         due = time.monotonic()
@@ -81,7 +115,6 @@ class Desk:
             if self.watch is not None:
                 self.watch.tick()
                 self._follow(self.watch)
-            self._look_at_check()
             due = max(due + 0.05, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
 
@@ -98,21 +131,16 @@ class Desk:
 
     async def talk(self, browser: Browser) -> None:
         """Serve one browser until it is gone."""
-        await self.hub.serve(browser, self._greet, self._obey)
+        await self.hub.serve(browser, self._greet, self.obey)
 
     async def _greet(self, browser: Browser) -> None:
-        offer = {"kind": "offer", "profiles": self._offered, "scenarios": scenario_names()}
-        browser.send(json.dumps(offer | {"can_start": self._can_start}))
-        if self._findings is not None:
-            browser.send(json.dumps(self._findings))
+        browser.send(json.dumps({"kind": "offer", "in_terminal": self._watched is not None}))
+        if not browser.reads_only:
+            browser.send(json.dumps({"kind": "shared", "url": self.watchers.url}))
         for message in self.watch.history() if self.watch is not None else []:
             browser.send(message)
 
-    @property
-    def _can_start(self) -> bool:
-        return self._watched is None and (self._run is None or not self._run.is_alive())
-
-    def _obey(self, browser: Browser, said: Message) -> None:
+    def obey(self, browser: Browser, said: Message) -> None:
         """Do what a browser asks: anyone may stop the run at once; all else is for the browser with the controls."""
         wanted, lease, name = said.get("do"), self.hub.lease, browser.name
         if wanted == "ask":
@@ -128,123 +156,43 @@ class Desk:
         else:
             if not lease.may(name):
                 _refuse(browser, "another browser holds the controls")
+            elif wanted == "share":
+                self._share(on=said.get("on") is True)
             elif wanted in COMMANDS and self.watch is not None:
                 self.watch.command({"do": wanted, "text": str(said.get("text", ""))[:LONGEST_NOTE]})
-            elif wanted == "check":
-                self._start_check(str(said.get("profile", "")), str(said.get("scenario", "")))
-            elif wanted == "start":
-                self._start_run(browser, said)
             return
         self.hub.tell_lease()
 
-    def _start_check(self, profile: str, scenario: str) -> None:
-        """`bench check` of an offered profile, in a process of its own."""
-        busy = self._check is not None and self._check.is_alive()
-        if busy or not self._can_start or profile not in self._offered:
-            return
-        context = multiprocessing.get_context("spawn")
-        self._check_pipe, theirs = context.Pipe(duplex=False)
-        self._checked = f"{profile}|{scenario}"
-        self._passed.discard(self._checked)
-        asked = (theirs, profile, _known_scenario(scenario))
-        self._check = context.Process(target=run_check, args=asked, name="check", daemon=True)
-        self._check.start()
-        theirs.close()
-        self.hub.tell({"kind": "checking", "key": self._checked})
-
-    def _look_at_check(self) -> None:
-        """Tell the outcome of a check once it is there."""
-        if self._check_pipe is None or not self._check_pipe.poll():
-            return
-        try:
-            found = self._check_pipe.recv()
-        except EOFError:
-            found = {"error": "the check ended with an error of its own; see the terminal", "findings": []}
-        self._check_pipe = None
-        passed = not found["error"] and all(one["passed"] is not False for one in found["findings"])
-        if passed:
-            self._passed.add(self._checked)
-        self._findings = {"kind": "checked", "key": self._checked, "passed": passed, **found}
-        self.hub.tell(self._findings)
-
-    def _start_run(self, browser: Browser, said: Message) -> None:
-        """Start a ramp whose check was green, in a process of its own that outlives this one."""
-        profile, scenario = str(said.get("profile", "")), str(said.get("scenario", ""))
-        if not self._can_start or f"{profile}|{scenario}" not in self._passed:
-            _refuse(browser, "a run starts once the check of its profile is green")
-            return
-        try:
-            known, _ = load(profile)
-            asked = asked_of(said, self._folder, Path(profile).stem)
-        except InputError as error:
-            _refuse(browser, str(error))
-            return
-        if self.watch is not None:
-            self.watch.close()
-        board = Board()
-        self._run = multiprocessing.get_context("spawn").Process(
-            target=run_profile, args=(profile, board.name, _known_scenario(scenario), asked), name="run"
-        )
-        self._run.start()
-        self.hub.tell({"kind": "started", "profile": profile, "out": asked.out.name})
-        self.watch = WatchedRun(known, board, self.hub.tell)
-
-
-def _known_scenario(name: str) -> str | None:
-    return name if name in scenario_names() else None
+    def _share(self, *, on: bool) -> None:
+        """Open or close the door for watchers, and say where it is to those who are not."""
+        if on:
+            self.watchers.open()
+        else:
+            self.watchers.close()
+        for browser in self.hub.browsers:
+            if not browser.reads_only:
+                browser.send(json.dumps({"kind": "shared", "url": self.watchers.url}))
 
 
 def _refuse(browser: Browser, why: str) -> None:
     browser.send(json.dumps({"kind": "refused", "why": why, "at": time.time()}))
 
 
-def asked_of(said: Message, folder: Path, stem: str) -> AskedRun:
-    """What the page asks of a run before it starts: name, note, keys and seed; the name is dated where none is given.
-
-    Raises
-    ------
-    InputError
-        For a name that is taken, or none of a file, keys that are none, and a seed that is no number.
-    """
-    name = str(said.get("name", "")).strip().removesuffix(".h5") or f"{stem}-{datetime.now():%Y%m%d-%H%M%S}"
-    if not re.fullmatch(r"[\w.+ -]{1,100}", name) or name.startswith("."):
-        raise InputError(f"name {name!r}: wanted at most 100 letters, digits and . _ + -, as run-12")
-    out = folder / f"{name}.h5"
-    if out.exists():
-        raise InputError(f"name {name}: {out.name} is there, and a recording is never overwritten; take another name")
-    seed = str(said.get("seed", "")).strip() or "0"
-    if not seed.isdecimal() or len(seed) > 9:
-        raise InputError(f"seed {seed!r}: wanted a whole number, as 7")
-    keys = free_keys([one.strip() for one in re.split(r"[,\n]", str(said.get("keys", ""))) if one.strip()])
-    note = str(said.get("note", "")).strip()[:LONGEST_NOTE]
-    return AskedRun(out, note or None, keys, int(seed))
-
-
-def offered_profiles(folder: Path, wanted: str | None) -> list[str]:
-    """Profiles that a page offers: the one asked for, those of the runs' folder, and the shipped ones.
-
-    Raises
-    ------
-    InputError
-        Where there is no such profile.
-    """
-    if wanted is not None:
-        find_profile(wanted)
-    own = sorted(str(path) for path in folder.glob("*.toml"))
-    return list(dict.fromkeys([*([wanted] if wanted else []), *own, *shipped_names()]))
-
-
 HERE = Path(__file__).parent
 
 
+def desk_of(place: Place) -> Desk:
+    """The desk of a place, which other sections start runs on; ``place.options["live"]["watched"]`` as of `Desk`."""
+    desk: Desk = place.shared.setdefault("live", Desk(place.options.get("live", {}).get("watched")))
+    return desk
+
+
 def section(place: Place) -> Section:
-    """The section; ``place.options["live"]`` has ``offered`` and ``watched`` of `bench.live.pages.Desk`."""
-    options = place.options.get("live", {})
-    desk = Desk(place.folder, options.get("offered", ()), options.get("watched"))
-    templates = templates_of(HERE / "templates")
+    """The section that watches a run."""
+    desk, templates = desk_of(place), templates_of(HERE / "templates")
 
     async def show(request: Request) -> Response:
-        return templates.TemplateResponse(request, "live.html")
+        return templates.TemplateResponse(request, "live.html", {"watching": False})
 
     routes = [Route("/live", show), socket_route("/live/socket", desk.talk)]
     return Section("live", "Live", "/live", routes, HERE / "static", desk.running)

@@ -6,28 +6,41 @@ None of them depends on another one once it is under way.
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import multiprocessing
-from dataclasses import asdict, dataclass, field
+import re
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench.live.board import Board
+from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.run_side import RunSide
+from bench.terminal.orders import free_keys
 from bench.terminal.signals import leave_keys_to_the_parent
 from bench.web.packages import require_packages
 from daq.setup.errors import InputError
-from rig.backends.base import BackendError
-from rig.profile import Profile
+from rig.execution.operator import NextSteps, StopRequest
+from rig.profile import Profile, parse_profile
 
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section")
+GATES = "bench.gates.section"  # where runs are started from the page
 LINGER_S = 3.0  # in which browsers get the last word of a run
 
 
-def sections() -> tuple[str, ...]:
-    """Modules of the desk's sections that there are; raises `InputError` without the packages of the page."""
+def sections(*, starts: bool = False) -> tuple[str, ...]:
+    """Modules of the desk's sections that there are, with the six gates where the page ``starts`` runs.
+
+    Raises
+    ------
+    InputError
+        Without the packages of the page.
+    """
     require_packages()
-    return tuple(name for name in SECTIONS if importlib.util.find_spec(name.rpartition(".")[0]) is not None)
+    names = (GATES, *SECTIONS) if starts else SECTIONS
+    return tuple(name for name in names if importlib.util.find_spec(name.rpartition(".")[0]) is not None)
 
 
 class PageProcess:
@@ -101,20 +114,6 @@ def _serve_run(
     serve(listening, access, modules, place, on_ready=lambda: answer(access.url, ""), own_signals=False)
 
 
-def run_check(pipe: Connection, profile: str, scenario: str | None) -> None:
-    """`bench check`; sends its findings, or why there are none."""
-    from bench.jobs.run_ramp import check_rig, open_rig
-
-    answer: dict[str, Any] = {"error": "", "findings": []}
-    try:
-        rig = open_rig(profile, "check", Path(scenario) if scenario else None, 0)
-        answer["findings"] = [asdict(finding) for finding in check_rig(*rig)]
-    except (InputError, BackendError, OSError) as error:
-        answer["error"] = str(error)
-    pipe.send(answer)
-    pipe.close()
-
-
 @dataclass(frozen=True)
 class AskedRun:
     """What a person gives a run before it starts: its file, a note, free keys, and the seed of a simulated rig."""
@@ -125,24 +124,86 @@ class AskedRun:
     seed: int = 0
 
 
-def run_profile(profile: str, board_name: str, scenario: str | None, asked: AskedRun) -> None:
-    """`bench ramp`, watched: the process of a run that was started from the page."""
-    from bench.jobs.run_ramp import make_backend, record
-    from bench.profiles.find import load
-    from bench.profiles.plan import refuse_forbidden
+def asked_of(said: Message, folder: Path, stem: str) -> AskedRun:
+    """What the page asks of a run before it starts: name, note, keys and seed; the name is dated where none is given.
 
-    board = Board(board_name)
+    Raises
+    ------
+    InputError
+        For a name that is taken, or none of a file, keys that are none, and a seed that is no number.
+    """
+    name = str(said.get("name", "")).strip().removesuffix(".h5") or f"{stem}-{datetime.now():%Y%m%d-%H%M%S}"
+    if not re.fullmatch(r"[\w.+ -]{1,100}", name) or name.startswith("."):
+        raise InputError(f"name {name!r}: wanted at most 100 letters, digits and . _ + -, as run-12")
+    out = folder / f"{name}.h5"
+    if out.exists():
+        raise InputError(f"name {name}: {out.name} is there, and a recording is never overwritten; take another name")
+    seed = str(said.get("seed", "")).strip() or "0"
+    if not seed.isdecimal() or len(seed) > 9:
+        raise InputError(f"seed {seed!r}: wanted a whole number, as 7")
+    keys = free_keys([one.strip() for one in re.split(r"[,\n]", str(said.get("keys", ""))) if one.strip()])
+    note = str(said.get("note", "")).strip()[:LONGEST_NOTE]
+    return AskedRun(out, note or None, keys, int(seed))
+
+
+def run_profile(profile: str, board_name: str, scenario: str | None, asked: AskedRun) -> None:
+    """`bench ramp`, watched: the process of a run that was started from the page.
+
+    Where a person chooses the next steps, they are driven as a run of their own, with the same limits and interlock,
+    and so on; each has a board, which the page of the run before is shown.
+    """
+    from bench.profiles.edit import with_values
+    from bench.profiles.find import load
+
+    board, first = Board(board_name), asked.out
     side = RunSide(board)
     try:
         checked, text = load(profile)
-        refuse_forbidden(profile, checked)
-        seed = asked.seed if checked.backend.kind == "simulated" else 0
-        backend = make_backend(checked, scenario=Path(scenario) if scenario else None, seed=seed, real_time=True)
-        record(
-            checked, text, backend, asked.out, note=asked.note, extra=asked.keys or None, quiet=True, paced=True,
-            onlooker=side,
-        )  # fmt: skip
+        with TemporaryDirectory() as folder:
+            for number in itertools.count(2):
+                steps = _drive(checked, text, side, scenario, asked)
+                if steps is None or not steps.gammas:
+                    break
+                text = with_values(text, {"ramp.gamma": list(steps.gammas), "ramp.order": None}, profile)
+                checked = parse_profile(text, profile)
+                keys = {**asked.keys, "continues": first.name, "chosen_because": f"chosen by a person, {steps.why}"}
+                asked = replace(asked, out=_free_name(first, number), keys=keys)
+                path = Path(folder) / f"{number}.toml"
+                path.write_text(text, encoding="utf-8")
+                before, board = board, Board()
+                side = RunSide(board)
+                words = f"{', '.join(f'{gamma:g}' for gamma in steps.gammas)} {steps.why}".strip()
+                before.events.put({"kind": "next", "board": board.name, "profile": str(path), "why": words[:480]})
     except (InputError, OSError) as error:
         side.end(None, str(error))
     finally:
         board.close()
+
+
+def _drive(checked: Profile, text: str, side: RunSide, scenario: str | None, asked: AskedRun) -> NextSteps | None:
+    """One run; the steps that a person chose to follow it, or None."""
+    from bench.jobs.run_ramp import make_backend, record
+    from bench.profiles.plan import refuse_forbidden
+
+    def check(steps: NextSteps) -> None:
+        if steps.ratio not in (None, checked.forcing.ratio):
+            raise InputError(f"c = {steps.ratio}: the rig was checked with c = {checked.forcing.ratio}; check it anew")
+        ramp = checked.ramp.model_copy(update={"gamma": steps.gammas, "order": None})
+        refuse_forbidden("these steps", checked.model_copy(update={"ramp": ramp}))
+
+    refuse_forbidden(asked.out.name, checked)
+    seed = asked.seed if checked.backend.kind == "simulated" else 0
+    backend = make_backend(checked, scenario=Path(scenario) if scenario else None, seed=seed, real_time=True)
+    request = StopRequest(check)
+    record(
+        checked, text, backend, asked.out, note=asked.note, extra=asked.keys or None, quiet=True, paced=True,
+        onlooker=side, request=request,
+    )  # fmt: skip
+    return request.then
+
+
+def _free_name(first: Path, number: int) -> Path:
+    """A recording's name after that of the run that it follows."""
+    while (path := first.with_name(f"{first.stem}-{number}.h5")).exists():
+        number += 1
+    return path

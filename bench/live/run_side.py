@@ -63,6 +63,7 @@ class RunSide:
         self._progress: Callable[[Status], None] = lambda status: None
         self._sent_at = -math.inf
         self._sent: tuple[object, ...] = ()
+        self._announced: Message = {}
 
     def recorder(self, path: Path, setup: Setup, **options: Any) -> RecorderProcess:
         """The recorder of a run that is watched."""
@@ -74,7 +75,7 @@ class RunSide:
         """Announce the run and where its frames are; returns what is called after each block, ``progress`` included."""
         self._request, self._progress = request, progress
         ring = recorder.ring
-        self._board.events.put({
+        self._announced = {
             "kind": "run",
             "out": str(recorder.path.absolute()),
             "backend": backend.name,
@@ -83,7 +84,8 @@ class RunSide:
             "scales": {name: list(scale) for name, scale in backend.scales.items()},
             "ring": [ring.slots, ring.block_samples, ring.channels, ring.name],
             "leads": request.leads,
-        })  # fmt: skip
+        }
+        self._board.events.put(self._announced)
         return self._after_block
 
     def _after_block(self, status: Status) -> None:
@@ -112,6 +114,9 @@ class RunSide:
     def _obey(self, command: Message) -> None:
         """Do what the page asks; what is not known is passed over."""
         wanted, text, request = command.get("do"), str(command.get("text", "")), self._request
+        if wanted == "announce":  # a page that came late: what was said first may be overwritten
+            self._board.events.put(self._announced)
+            return
         if wanted in STOPS:
             request.ask(*STOPS[wanted])
         elif wanted == "pause":

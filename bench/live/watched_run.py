@@ -24,6 +24,8 @@ from rig.programme.sequencer import STILL
 
 LIMIT_UNITS = {"drive_v": "V", "plate_mps2": "m/s\u00b2", "velocity_mps": "m/s", "displacement_m": "m"}
 STANDING = tuple(state.value for state in STILL)
+SILENT_S = 20.0  # a run says something twenty times a second
+FOLLOWS_S = 2.0  # after which nothing follows a run that ended
 Tell = Callable[..., None]
 
 
@@ -41,18 +43,24 @@ class WatchedRun:
     ----------
     successor
         Board, profile (path) and reason of the run that follows; None before it was announced.
+    ended
+        How the run ended (``how``, ``why``, ``n_samples``); None while it is under way.
+    out
+        Name of the recording; empty before the run has begun.
     """
 
     def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:
         self.profile, self.board, self._tell = profile, board, tell
         self.successor: Message | None = None
+        self.ended: Message | None = None
+        self.out = ""
+        self._heard_at = time.monotonic()
         self._latest: dict[str, str] = {}  # the last message of each kind
         self._models: list[str] = []
         self._steps: dict[int, tuple[bytes, str]] = {}
         self._taken: list[str] = []
         self._stands = False  # the drive was cut or is over: the plate's displacement is not known any more
         self._ring: RingReader | None = None
-        self._out = ""  # name of the recording
         self._factor = gamma_scale(profile.forcing, profile.forcing.ratio).factor
         self._next_sample = -1
         self._shifted = 0  # samples lost so far
@@ -60,6 +68,11 @@ class WatchedRun:
         self._spectrum_at = 0.0
         self._pipe, self._analyst = start_analyst(profile, board.name, pictures=True)
         self._say(self._plan())
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the run has said nothing for so long that its process must be gone, or has ended without another."""
+        return time.monotonic() - self._heard_at > (SILENT_S if self.ended is None else FOLLOWS_S)
 
     def command(self, command: Message) -> None:
         """Pass a command to the run."""
@@ -75,19 +88,20 @@ class WatchedRun:
     def tick(self) -> None:
         """Take in what is new and tell it."""
         for event in self.board.events.read()[0]:
+            self._heard_at = time.monotonic()
             self._take_in(event)
         if self._ring is not None and (blocks := self._ring.read()):
             self._send_scope(blocks)
         self._read_analyst()
 
-    def close(self) -> None:
-        """Let go of shared memory and the analyst."""
+    def close(self, *, leave: bool = False) -> None:
+        """Let go of shared memory and the analyst; ``leave``: the run goes on, and another page may watch it."""
         self._analyst.terminate()
         self._analyst.join(2.0)
         self._pipe.close()
         if self._ring is not None:
             self._ring.close()
-        self.board.close()
+        self.board.close(leave=leave)
 
     def _say(self, message: Message) -> None:
         """Tell a message and keep it for browsers that come later."""
@@ -125,7 +139,8 @@ class WatchedRun:
             self._taken = [*self._taken[-199:], json.dumps(event)]
             self._tell(event)
         elif kind == "ended":
-            self._say(event | {"at": time.time(), "out": self._out if event["n_samples"] else None})
+            self.ended = event
+            self._say(event | {"at": time.time(), "out": self.out if event["n_samples"] else None})
         elif kind == "next":
             self.successor = event
         elif kind == "state":
@@ -135,7 +150,7 @@ class WatchedRun:
     def _begin(self, event: Message) -> None:
         """The run tells where its frames are."""
         profile, channels = self.profile, event["channels"]
-        self._out = event["out"].replace("\\", "/").rsplit("/", 1)[-1]
+        self.out = event["out"].replace("\\", "/").rsplit("/", 1)[-1]
         self._channels = list(channels)
         self._rate_hz = profile.sampling.rate_hz
         self._accelerometer = channels.index("accelerometer")
@@ -146,7 +161,7 @@ class WatchedRun:
         self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
         self._bin = max(1, int(np.ceil(self._rate_hz / MOST_BINS_PER_S)))
         self._extremes = MinMax(self._bin, len(channels) + 1)
-        self._say({**event, "out": self._out, "traces": self._traces(event), "at": time.time()})
+        self._say({**event, "out": self.out, "traces": self._traces(event), "at": time.time()})
         with contextlib.suppress(OSError):  # over before it was looked at
             self._ring = RingReader(*event["ring"])
 

@@ -53,7 +53,8 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
     text
         TOML.
     values
-        Numbers, strings, dates, lists and tables by dotted key, ``ramp.gamma``; tables that are missing are made.
+        Numbers, strings, dates, lists and tables by dotted key, ``ramp.gamma``; tables that are missing are made. None
+        takes a key away.
     where
         Name of the text, for messages.
 
@@ -71,7 +72,9 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
         table: MutableMapping[str, Any] = document
         for depth, name in enumerate(tables):
             table = _table(table, name, where, holds_tables=depth + 1 < len(tables))
-        if isinstance(value, Mapping):
+        if value is None:
+            table.pop(key, None)
+        elif isinstance(value, Mapping):
             table[key] = tomlkit.inline_table()
             table[key].update(value)
         else:
@@ -80,6 +83,8 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
         for name in tables:
             plain = plain.setdefault(name, {})
         plain[key] = value
+        if value is None:
+            del plain[key]
     edited = tomlkit.dumps(document)
     if tomllib.loads(edited) != wanted:
         raise InputError(f"{where}: {', '.join(values)} cannot be set in this text; write each table once and in a row")

@@ -15,18 +15,25 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 GONE_S = 6.0  # the controls wait for a browser that loads the page again
 SILENT_S = 15.0  # after which a holder that does not answer loses the controls to the one that asked
+READER_S = 0.5  # between two states of a run for those who only read
 NAME, NO_NAME = re.compile(r"[0-9a-f]{16,64}"), 4400  # of a browser; why a socket is closed without one
 
 
 class Browser:
-    """One open page; ``name`` is its own choice and survives a reload."""
+    """One open page; ``name`` is its own choice and survives a reload.
+
+    ``words_only``: it draws no scope. ``reads_only``: it belongs to someone who may look and do nothing else.
+    """
 
     def __init__(self, socket: WebSocket, name: str) -> None:
         self.socket, self.name = socket, name
+        self.words_only = self.reads_only = False
         self._queue: asyncio.Queue[str | bytes] = asyncio.Queue(400)
 
     def send(self, message: str | bytes, *, passing: bool = False) -> None:
         """Queue a message; one that is ``passing`` (a piece of the scope) is left out for a browser that is behind."""
+        if self.words_only and isinstance(message, bytes):
+            return
         # a browser this far behind gets no more of the scope until it has caught up
         if passing and self._queue.qsize() > 100:
             return
@@ -109,10 +116,13 @@ class Hub:
     def __init__(self) -> None:
         self.browsers: list[Browser] = []
         self.lease = Lease()
+        self._thin_until = 0.0
 
     def enter(self, browser: Browser) -> None:
         """A browser opens the page; the first one gets the controls."""
         self.browsers.append(browser)
+        if browser.reads_only:
+            return
         self.lease.came(browser.name)
         if self.lease.holder is None:
             self.lease.ask(browser.name, time.monotonic())
@@ -121,6 +131,8 @@ class Hub:
     def leave(self, browser: Browser) -> None:
         """A browser is gone."""
         self.browsers.remove(browser)
+        if browser.reads_only:
+            return
         if all(other.name != browser.name for other in self.browsers):
             self.lease.left(browser.name, time.monotonic())
         self.tell_lease()
@@ -137,7 +149,7 @@ class Hub:
             while (message := await browser.socket.receive())["type"] != "websocket.disconnect":
                 with contextlib.suppress(ValueError, RecursionError):
                     said = json.loads(message.get("text") or "")  # a binary frame has no text
-                    if isinstance(said, dict):
+                    if isinstance(said, dict) and not browser.reads_only:
                         obey(browser, said)
         finally:
             delivering.cancel()
@@ -145,19 +157,25 @@ class Hub:
 
     def tell_lease(self) -> None:
         """Tell every browser whether it holds the controls."""
-        lease = self.lease
-        for one in self.browsers:
+        lease, active = self.lease, [one for one in self.browsers if not one.reads_only]
+        for one in active:
             one.send(json.dumps({
                 "kind": "lease", "mine": lease.may(one.name), "free": lease.holder is None,
                 "asked": lease.asked_by is not None, "asked_by_me": lease.asked_by == one.name,
-                "browsers": len(self.browsers),
+                "browsers": len(active),
             }))  # fmt: skip
 
     def tell(self, message: Mapping[str, Any] | bytes, *, passing: bool = False) -> None:
-        """Tell all browsers."""
-        packed = message if isinstance(message, bytes) else json.dumps(message)
+        """Tell all browsers; those that read only get no passing message, and the run's state twice a second."""
+        packed, thinned = (message, passing) if isinstance(message, bytes) else (json.dumps(message), passing)
+        if not isinstance(message, bytes) and message.get("kind") == "state":
+            now = time.monotonic()
+            thinned = now < self._thin_until
+            if not thinned:
+                self._thin_until = now + READER_S
         for one in self.browsers:
-            one.send(packed, passing=passing)
+            if not (one.reads_only and thinned):
+                one.send(packed, passing=passing)
 
 
 def socket_route(path: str, talk: Greet) -> WebSocketRoute:

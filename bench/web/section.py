@@ -25,10 +25,13 @@ class Place:
         The runs' folder, absolute; no request reaches a file outside it.
     options
         Plain values for single sections, keyed by the section's name.
+    shared
+        What one section makes and another one needs, by the maker's name.
     """
 
     folder: Path
     options: Mapping[str, Any] = field(default_factory=dict)
+    shared: dict[str, Any] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True)

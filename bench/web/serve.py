@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import uvicorn
+from starlette.applications import Starlette
 
 from bench.web.access import LOOPBACK, Access, is_loopback
 from bench.web.application import make_app
@@ -77,26 +78,26 @@ def serve(
     own_signals
         Whether Ctrl-C and SIGTERM end the server.
     """
-    config = uvicorn.Config(
-        make_app(access, [importlib.import_module(name).section(place) for name in modules]),
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        date_header=False,
-        lifespan="on",
-        ws="websockets-sansio",
-        ws_max_size=65536,
-        ws_per_message_deflate=False,  # increments are small and the machine has better to do
-        timeout_graceful_shutdown=1,
-    )
-    _Server(config, on_ready, own_signals).run([listening])
+    app = make_app(access, [importlib.import_module(name).section(place) for name in modules])
+    Server(app, on_ready, own_signals=own_signals).run([listening])
 
 
-class _Server(uvicorn.Server):
-    """A server that tells when it is ready."""
+class Server(uvicorn.Server):
+    """A server of one application; parameters as of `serve`."""
 
-    def __init__(self, config: uvicorn.Config, on_ready: Callable[[], None] | None, own_signals: bool) -> None:
-        super().__init__(config)
+    def __init__(self, app: Starlette, on_ready: Callable[[], None] | None = None, *, own_signals: bool = True) -> None:
+        super().__init__(uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            date_header=False,
+            lifespan="on",
+            ws="websockets-sansio",
+            ws_max_size=65536,
+            ws_per_message_deflate=False,  # increments are small and the machine has better to do
+            timeout_graceful_shutdown=1,
+        ))  # fmt: skip
         self._on_ready, self._own_signals = on_ready, own_signals
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:

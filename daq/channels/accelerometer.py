@@ -27,10 +27,10 @@ class AccelerometerChannel(Channel):
     calibrated_by: ClassVar[str] = "accelerometer"
 
     sensitivity: PositiveQuantity
-    unit: Literal["V/g", "mV/g", "V/(m/s^2)", "mV/(m/s^2)"]
+    unit: Literal["V/g", "mV/g", "V/(m/s^2)", "mV/(m/s^2)"] = Field(description="of sensitivity")
     offset_v: Quantity | None = Field(default=None, description="reading at zero; left out: unknown")
-    reads_gravity: bool = False
-    sign: Literal[-1, 1] = 1
+    reads_gravity: bool = Field(default=False, description="whether it reads g at rest")
+    sign: Literal[-1, 1] = Field(default=1, description="-1: it reads less when the plate is accelerated up")
 
     @property
     def volts_per_mps2(self) -> float:

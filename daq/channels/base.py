@@ -27,10 +27,10 @@ class Channel(Frozen):
     calibrated_by: ClassVar[str] = ""
     """Kind of ``bench calibrate`` that measures it; empty: none does."""
 
-    terminal: str = ""
-    coupling: Literal["dc", "ac"] = "dc"
-    range_v: float = Field(default=10.0, gt=0)
-    serial_number: str = ""
+    terminal: str = Field(default="", description="the plug, in your words")
+    coupling: Literal["dc", "ac"] = Field(default="dc", description="ac: capacitors in the input")
+    range_v: float = Field(default=10.0, gt=0, description="volts at full scale of the input")
+    serial_number: str = Field(default="", description="of the sensor")
 
     def scale(self) -> Scale | None:
         """Scale to SI; None where the channel does not say it by itself."""

@@ -20,7 +20,7 @@ FAR_OUTSIDE = 10.0  # multiple of a channel's range beyond which a reading is no
 class Sampling(Frozen):
     """Sampling of all channels."""
 
-    rate_hz: float = Field(default=20000.0, gt=0)
+    rate_hz: float = Field(default=20000.0, gt=0, description="samples a second, of every channel")
 
     @property
     def stated(self) -> bool:
@@ -31,10 +31,10 @@ class Sampling(Frozen):
 class Forcing(Frozen):
     """Plate displacement ``A [b1 sin(wt + p1) + b2 sin(c wt + p2)]``; the defaults are the paper's superposition."""
 
-    frequency_hz: float = Field(gt=0)
+    frequency_hz: float = Field(gt=0, description="of the first tone")
     ratio: int = Field(default=1, ge=1, description="c, the second tone's multiple of the first")
     amplitude: tuple[float, float] = Field(default=(1.0, 1.0), description="b1, b2: displacement relative to A")
-    phase_deg: tuple[float, float] = (0.0, 0.0)
+    phase_deg: tuple[float, float] = Field(default=(0.0, 0.0), description="p1, p2")
 
     @model_validator(mode="after")
     def _moves(self) -> Self:
@@ -97,14 +97,14 @@ class Drive(Frozen):
 class Ball(Frozen):
     """The block on its rod."""
 
-    mass_kg: float = Field(gt=0)
+    mass_kg: float = Field(gt=0, description="of what moves: the block and what is fixed to it")
 
 
 class Setup(Frozen):
     """The measuring part of a rig profile, resolved."""
 
-    name: str
-    description: str = ""
+    name: str = Field(description="of the rig, in recordings and reports")
+    description: str = Field(default="", description="in your words")
     g_mps2: PositiveQuantity = quantity(STANDARD_GRAVITY_MPS2, 1e-3)
     sampling: Sampling = Sampling()
     forcing: Forcing

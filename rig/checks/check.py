@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ QUIET_PEAK = 0.3  # of g: the ball stays down
 FLIGHT_PEAK = 1.6  # of g: the ball takes off
 FADE_CYCLES, SETTLE_CYCLES, HOLD_CYCLES = 8, 8, 20
 SCALE_OFF = 0.05  # by which the accelerometer may be off, at least
+MOVES = {"tap": "accelerometer", "lift": "continuity"}  # the input that answers what a hand does
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Check:
     def run(self) -> list[Finding]:
         """Start the rig, look, and let it go; raises `BackendError` where it does not answer."""
         with Running(self._backend):
-            rest = self._play(np.zeros(round(0.5 * self._profile.sampling.rate_hz)))
+            rest = self._rest(0.5)
             findings, delay = self._loopback()
             tone, quiet = self._tone(QUIET_PEAK, delay)
             findings += self._motion(tone, quiet, delay)
@@ -69,6 +71,62 @@ class Check:
             findings += self._noise(rest)
             findings += self._margins(quiet)
         return findings
+
+    def card(self) -> list[Finding]:
+        """What each input carries at rest, and the loop-back; raises `BackendError`."""
+        with Running(self._backend):
+            rest = self._rest(0.5)
+            return [*self._loopback()[0], *self._noise(rest)]
+
+    def wiring(self) -> list[Finding]:
+        """Exchanged inputs and senses, by a quiet tone and a short flight; no scale is judged. As `run` in all else."""
+        with Running(self._backend):
+            rest = self._rest(0.5)
+            findings, delay = self._loopback()
+            tone, quiet = self._tone(QUIET_PEAK, delay)
+            findings += [one for one in self._motion(tone, quiet, delay) if not one.what.endswith("sensitivity")]
+            return [*findings, *self._contact(rest)]
+
+    def moved(self, move: str, now: Callable[[], object], seconds: float = 4.0) -> Finding:
+        """Which input answers what a hand does; nothing is driven.
+
+        Parameters
+        ----------
+        move
+            One of `MOVES`.
+        now
+            Called once the rig was heard at rest: the person begins.
+        seconds
+            For which it is listened to.
+
+        Raises
+        ------
+        BackendError
+            Where the device does not answer.
+        """
+        with Running(self._backend):
+            rest = self._rest(0.5)
+            now()
+            heard = self._rest(seconds)
+        wanted, contact = MOVES[move], self._profile.channels.continuity
+        moved_v = {name: float(np.max(np.abs(volts - np.median(rest[name])))) for name, volts in heard.items()}
+        # 12 standard deviations: noise alone reaches 5 in some 1e5 samples; the ball's circuit has to open
+        least_v = {name: 12.0 * float(np.std(volts)) for name, volts in rest.items()}
+        if move == "lift" and contact is not None:
+            least_v = dict.fromkeys(rest, 0.5 * abs(contact.swing_v))
+        seen = ", ".join(f"{name} by {volts:.3g} V" for name, volts in moved_v.items())
+        if moved_v.get(wanted, 0.0) > least_v.get(wanted, 0.0):
+            return Finding(f"{move}: {wanted}", seen, True)
+        other = next((name for name in moved_v if name != "drive" and moved_v[name] > least_v[name]), None)
+        if other is None:
+            remedy = "nothing answered: is the sensor plugged in? Move it again"
+            return Finding(f"{move}: {wanted}", seen, False, remedy)
+        seen = f"the {other} input reads what the {wanted} input should"
+        return Finding("inputs", seen, False, "change their plugs, or their numbers (terminals) in the profile")
+
+    def _rest(self, seconds: float) -> dict[str, Floats]:
+        """Volts of every channel while nothing is driven."""
+        return self._play(np.zeros(round(seconds * self._profile.sampling.rate_hz)))
 
     def _play(self, drive_v: Floats) -> dict[str, Floats]:
         """Volts of every channel while ``drive_v`` is played."""

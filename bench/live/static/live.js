@@ -1,5 +1,6 @@
 // The live page: one websocket in, canvases and words out. No drawing happens unless something changed.
 import { showLease, socketAddress } from "/static/web/controls.js";
+import { alarm } from "/static/web/alarm.js";
 import { savers } from "/static/web/save.js";
 import { LiveScope } from "./scope.js";
 import { Diagram, ReturnMap, Residuals, Spectrum } from "./pictures.js";
@@ -18,6 +19,7 @@ const scope = new LiveScope($("scope"));
 const diagram = new Diagram($("diagram")), map = new ReturnMap($("map"));
 const residuals = new Residuals($("residual")), spectrum = new Spectrum($("spectrum"));
 const pictures = [scope, diagram, map, residuals, spectrum];
+let shared = "";
 let socket = null, plan = null, run = null, mine = false, running = false, pausing = false, offer = null, last = null, present = -1;
 export const counts = { updates: 0, draws: 0, flights: 0, since: performance.now() };
 window.deskCounts = counts; // for measurements
@@ -43,13 +45,7 @@ function reset() {
 }
 
 const handlers = {
-  offer(m) {
-    offer = m;
-    fill($("profile"), m.profiles, m.profiles.map((p) => p.split(/[\\/]/).pop()));
-    const hidden = m.scenarios.filter((s) => s !== "ideal");
-    fill($("scenario"), ["", ...hidden], ["ideal", ...hidden]);
-    findings();
-  },
+  offer(m) { offer = m; buttons(); },
   plan(m) {
     plan = m;
     diagram.plan(m); map.plan(m); residuals.plan(m);
@@ -59,7 +55,7 @@ const handlers = {
     $("tones").tBodies[0].replaceChildren();
     $("cycle").textContent = "";
   },
-  started(m) { reset(); $("given").open = false; run = null; running = true; $("state-run").hidden = true; log(m.why ? `next: ${m.why}` : `run started: ${m.out}`); buttons(); },
+  started(m) { reset(); run = null; running = true; $("state-run").hidden = true; log(m.why ? `next: ${m.why}` : `run started: ${m.out}`); buttons(); },
   run(m) {
     run = m; running = true;
     $("simulated").hidden = !m.simulated;
@@ -69,63 +65,38 @@ const handlers = {
   },
   state(m) { state(m); },
   ended(m) {
-    running = false;
     $("state-word").textContent = m.how;
     $("state-word").className = m.how === "complete" ? "good" : "bad";
     $("state-left").textContent = m.why || "";
     log(`${m.how}${m.why ? `: ${m.why}` : ""}; ${m.n_samples} samples kept`, "", m.at);
-    if (m.out && offer && offer.profiles.length) { // a page beside a run in a terminal ends with it
+    if (m.out && offer && !offer.in_terminal) { // a page beside a run in a terminal ends with it
       log(`judge it: bench close-loop ${/\s/.test(m.out) ? `"${m.out}"` : m.out}`, "", m.at);
       $("state-run").href = `/runs/file?path=${encodeURIComponent(m.out)}`;
       $("state-run").hidden = false;
     }
+    if (m.how === "failed" && Date.now() / 1e3 - m.at < 5) alarm(m.why);
+    running = false;
     if (last) margins({ ...last, limits: {}, contact_age_cycles: NaN });
-    if (offer) offer.can_start = true;
     buttons();
   },
   model(m) { diagram.model(m); },
   reduced(m) { reduced(m); },
   verdict(m) { verdict(m); },
   taken(m) { log({ finish: "finishing this step", ramp_down: "ramping down", now: "stopped now", pause: "pausing after this step", go_on: "going on", note: `note: ${m.text}`, next: `finishing this step; next: ${m.text || "another choice"}`, refused: m.text }[m.do] ?? m.do, m.do === "refused" ? "bad" : "", m.at); },
+  shared(m) {
+    shared = m.url;
+    $("share").setAttribute("aria-pressed", String(Boolean(shared)));
+    $("link").textContent = shared;
+    $("link").hidden = !shared;
+  },
   lease(m) {
     mine = showLease(m, $);
     buttons();
   },
-  checking(m) { checked.delete(m.key); checking = m.key; findings(); },
-  checked(m) { checked.set(m.key, m); checking = ""; findings(); },
   refused(m) { log(m.why, "bad", m.at); },
 };
 
-// What was found of the profile and the scenario that are chosen now, and of no other.
-const checked = new Map();
-let checking = "";
-const chosen = () => `${$("profile").value}|${$("scenario").value}`;
-function findings() {
-  const m = checked.get(chosen());
-  if (checking === chosen()) $("findings").replaceChildren(el("div", `checking ${$("profile").value.split(/[\\/]/).pop()} ...`));
-  else if (!m) $("findings").replaceChildren();
-  else {
-    const rows = m.findings.map((f) => {
-      const row = el("div");
-      const mark = f.passed === true ? ["pass", "good"] : f.passed === false ? ["FAIL", "bad"] : ["?", "warn"];
-      row.append(el("b", mark[0], mark[1]), el("span", ` ${f.what}: ${f.seen}${f.passed === true ? "" : ` \u2192 ${f.remedy}`}`));
-      return row;
-    });
-    if (m.error) rows.unshift(el("div", m.error, "bad"));
-    const all = el("details"), head = el("summary", m.passed ? "check is green" : "check is not green: no start", m.passed ? "good" : "bad");
-    all.open = !m.passed;
-    all.append(head, ...rows);
-    $("findings").replaceChildren(all);
-  }
-  buttons();
-}
-
 function words(m) { (handlers[m.kind] ?? (() => {}))(m); }
-
-function fill(select, values, names) {
-  if (select.options.length === values.length) return;
-  select.replaceChildren(...values.map((v, i) => { const o = el("option", names[i]); o.value = v; return o; }));
-}
 
 function binary(buffer) {
   const view = new DataView(buffer), kind = view.getUint8(0);
@@ -239,23 +210,29 @@ function buttons() {
   $("note-form").querySelector("button").disabled = !may;
   $("next-form").hidden = !(run && run.leads);
   for (const one of $("next-form").elements) one.disabled = !may;
+  $("share").disabled = !mine;
+  for (const id of ["mark", "repeat"]) $(id).disabled = !may;
+  $("repeat").hidden = !(run && run.leads);
   $("pause").firstChild.textContent = pausing ? "go on " : "pause after step ";
-  const canStart = offer && offer.can_start && !running && offer.profiles.length > 0;
-  $("start").hidden = !canStart;
-  $("margins-box").hidden = canStart;
-  $("check").disabled = !mine;
-  $("go").disabled = !(mine && checked.get(chosen())?.passed);
+  $("start").hidden = !offer || offer.in_terminal || running;
+  $("margins-box").hidden = !$("start").hidden;
 }
 
+const numbered = () => [...$("log").children].filter((one) => /note: mark \d+$/.test(one.textContent)).length + 1;
+$("mark").addEventListener("click", () => send({ do: "note", text: `mark ${numbered()}` }));
+$("repeat").addEventListener("click", () => { if (last) send({ do: "next", text: `${last.gamma}: the step repeated` }); });
+$("share").addEventListener("click", () => send({ do: "share", on: !shared }));
+$("lecture").addEventListener("click", () => lecture(!document.body.classList.contains("lecture")));
+// Large words and the diagram, to be read from ten metres; the address keeps it.
+function lecture(on) {
+  document.body.classList.toggle("lecture", on);
+  $("lecture").setAttribute("aria-pressed", String(on));
+  history.replaceState(null, "", on ? "#lecture" : location.pathname);
+}
+if (location.hash === "#lecture") lecture(true);
 for (const id of ["now", "ramp_down", "finish"]) $(id).addEventListener("click", () => send({ do: id }));
 $("pause").addEventListener("click", () => send({ do: pausing ? "go_on" : "pause" }));
 for (const id of ["ask", "hand_over", "keep"]) $(id).addEventListener("click", () => send({ do: id }));
-$("check").addEventListener("click", () => send({ do: "check", profile: $("profile").value, scenario: $("scenario").value }));
-$("go").addEventListener("click", () => send({
-  do: "start", profile: $("profile").value, scenario: $("scenario").value,
-  name: $("run-name").value, note: $("run-note").value, keys: $("run-keys").value, seed: $("run-seed").value,
-}));
-for (const id of ["profile", "scenario"]) $(id).addEventListener("change", findings);
 $("note-form").addEventListener("submit", (event) => {
   event.preventDefault();
   const text = $("note").value.trim();
@@ -277,7 +254,7 @@ addEventListener("keydown", (event) => {
     return;
   }
   if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target instanceof HTMLSelectElement) return;
-  const id = { r: "ramp_down", f: "finish", p: "pause", z: "freeze" }[event.key];
+  const id = { r: "ramp_down", f: "finish", p: "pause", z: "freeze", k: "mark" }[event.key];
   if (id && !$(id).disabled) $(id).click();
   if (event.key === "n" && !$("note").disabled) { event.preventDefault(); $("note").focus(); }
 });

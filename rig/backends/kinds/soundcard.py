@@ -15,10 +15,10 @@ from rig.backends.kinds.base import BackendKind, BackendOptions
 class InputTable(Frozen):
     """Which input of a card each channel is wired to, counted from 1."""
 
-    continuity: int = Field(default=1, ge=1)
-    accelerometer: int = Field(default=2, ge=1)
-    drive: int = Field(default=3, ge=1)
-    displacement: int = Field(default=4, ge=1)
+    continuity: int = Field(default=1, ge=1, description="input of the contact circuit")
+    accelerometer: int = Field(default=2, ge=1, description="input of the accelerometer")
+    drive: int = Field(default=3, ge=1, description="input of the looped-back drive")
+    displacement: int = Field(default=4, ge=1, description="input of the displacement sensor")
 
     def wired(self, channels: Channels) -> dict[str, int]:
         """Input of each channel that the profile records, in the order of a frame."""

@@ -22,6 +22,7 @@ from analysis.flights.assemble import flights_of
 from bench.profiles.find import shipped_folder
 from daq.recording import open_recording, verify
 from tests.bench.contrast import too_pale
+from tests.bench.gates.passed import passed
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
@@ -72,33 +73,32 @@ def wait_for(page: Any, selector: str, text: str) -> None:
     page.locator(selector, has_text=re.compile(text)).wait_for(timeout=1e3 * PATIENCE_S)
 
 
-def opened(chromium: Any, url: str) -> Any:
+def opened(chromium: Any, address: str) -> Any:
     """A browser of its own with the page open."""
     page = chromium.new_context(viewport={"width": 1280, "height": 800}).new_page()
     page.faults = []
     page.on("pageerror", lambda error: page.faults.append(str(error)))
-    page.goto(f"{url}live")
+    page.goto(address)
     return page
 
 
 def test_run_is_started_watched_noted_paused_and_stopped(
     chromium: Any, bench: Any, profile: Path, tmp_path: Path
 ) -> None:
-    """Check, start, a note, a pause and going on; whoever sees the page stops it; the log outlives a reload."""
-    _, url = bench("live", profile, "--runs", tmp_path)
-    page, other = opened(chromium, url), opened(chromium, url)
+    """A start, a note, a pause and going on; whoever sees the page stops it; the log outlives a reload."""
+    passed(tmp_path, profile.name)
+    _, url = bench("live", "--runs", tmp_path)
+    page, other = opened(chromium, f"{url}gates"), opened(chromium, f"{url}live")
     wait_for(page, "#lease-word", "you hold the controls")
     wait_for(other, "#lease-word", "another browser holds")
-    assert page.locator("#go").is_disabled()  # before the check
-    page.click("#check")
-    wait_for(page, "#findings", "check is green")
-    page.select_option("#scenario", "friction")
-    assert page.locator("#findings").inner_text() == "" and page.locator("#go").is_disabled()  # it was of another rig
-    page.select_option("#scenario", "")
-    page.click("#given summary")
-    for name, text in (("name", "first"), ("note", "before"), ("keys", "knob=3, ball=B2"), ("seed", "7")):
-        page.fill(f"#run-{name}", text)
+    assert page.locator("#go").is_disabled()  # before it was said that hands are off
+    page.fill("#run-name", "first")
+    page.fill("#run-note", "before")
+    page.check("#hands")
     page.click("#go")
+    page.click("#watch")
+    page.wait_for_url("**/live")
+    wait_for(page, "#lease-word", "you hold the controls")
     wait_for(page, "#state-step", r"\(last 5\)")
     assert page.locator("#simulated").is_visible() and "SIMULATED" in page.locator("#simulated").inner_text()
     assert other.locator("#now").is_enabled() and other.locator("#ramp_down").is_disabled()
@@ -132,7 +132,6 @@ def test_run_is_started_watched_noted_paused_and_stopped(
     assert verify(recorded).state == "stopped"
     with open_recording(recorded) as recording:
         assert recording.attrs["why"].startswith("page: stopped now") and recording.attrs["note"] == "before"
-        assert recording.attrs["extra"] == {"knob": 3.0, "ball": "B2"}
         first, second = recording.steps[step : step + 2]
         assert second["first_sample"] > first["first_sample"] + first["n_samples"]  # the pause
         found = flights_of(recording)
@@ -154,7 +153,7 @@ def test_run_is_started_watched_noted_paused_and_stopped(
 def test_page_fits_screens_of_every_size(chromium: Any, bench: Any, profile: Path, tmp_path: Path) -> None:
     """On a phone, a laptop and a 4K screen nothing lies beyond the right edge; plots are saved; words are legible."""
     process, url = bench("live", profile, "--runs", tmp_path)
-    page = opened(chromium, url)
+    page = opened(chromium, f"{url}live")
     wait_for(page, "#connection", "^connected$")
     for width, height in ((390, 844), (1280, 800), (3840, 2160)):
         page.set_viewport_size({"width": width, "height": height})
@@ -183,7 +182,7 @@ def test_each_button_stops(chromium: Any, bench: Any, profile: Path, tmp_path: P
     """Each button of a page beside `bench ramp` ends the run as it says, and the recording is whole."""
     out = tmp_path / "run.h5"
     process, url = bench("ramp", profile, "--out", out, "--live")
-    page = opened(chromium, url)
+    page = opened(chromium, f"{url}live")
     wait_for(page, "#lease-word", "you hold")
     page.click(button, timeout=1e3 * PATIENCE_S)
     process.communicate(timeout=PATIENCE_S)
@@ -197,7 +196,7 @@ def test_own_steps_are_next_on_the_same_page(chromium: Any, bench: Any, profile:
     """Blocks of `bench explore` on one page: held, refused beyond the limits, replaced by own steps, and stopped."""
     out = tmp_path / "found"
     process, url = bench("explore", profile, "--out", out, "--live", "--hold", "20")
-    page = opened(chromium, url)
+    page = opened(chromium, f"{url}live")
     wait_for(page, "#lease-word", "you hold")
     wait_for(page, "#state-step", r"\(last 3\)")
     page.keyboard.press("p")

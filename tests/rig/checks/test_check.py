@@ -116,3 +116,38 @@ def test_what_a_limit_forbids_is_not_driven() -> None:
     """Where the limits do not let the ball fly, the contact circuit is said to be not judged."""
     found = findings(Crooked(), ("plate_mps2 = 120.0", "plate_mps2 = 12.0"))
     assert found["contact circuit"].passed is None and "limits.plate_mps2" in found["contact circuit"].seen
+
+
+class Touched(Crooked):
+    """The simulated rig, touched while nothing is driven: volts added to channels from the first second on."""
+
+    def __init__(self, **volts: float) -> None:
+        super().__init__()
+        self._volts, self._heard = volts, 0
+
+    def exchange(self, drive_v: np.ndarray) -> Block:
+        """Its frames, with what the hand does."""
+        codes = super().exchange(drive_v).codes.copy()
+        self._heard += len(codes)
+        if self._heard > self.rate_hz:
+            for name, volts in self._volts.items():
+                codes[: len(codes) // 2, self.channels.index(name)] += round(volts / self.scales[name][0])
+        return Block(0, codes)
+
+
+@pytest.mark.parametrize(
+    ("move", "volts", "passed", "seen"),
+    [
+        ("tap", {"accelerometer": 0.2}, True, "accelerometer by 0.2"),
+        ("tap", {"continuity": 0.2}, False, "the continuity input reads what the accelerometer input should"),
+        ("tap", {}, False, "accelerometer by 0.0"), ("lift", {"continuity": 5.0}, True, "continuity by 5"),
+        ("lift", {"accelerometer": 5.0}, False, "the accelerometer input reads what the continuity input should"),
+        ("lift", {"accelerometer": 0.5}, False, "accelerometer by 0.5"),
+    ],
+)  # fmt: skip
+def test_a_hand_shows_which_terminal_is_what(move: str, volts: dict[str, float], passed: bool, seen: str) -> None:
+    """A tap answers at the accelerometer and a lifted ball at the contact; exchanged plugs and none are named."""
+    said: list[bool] = []
+    found = Check(load("simulated")[0], Touched(**volts)).moved(move, lambda: said.append(True), 1.5)
+    assert found.passed is passed and seen in found.seen and said == [True]
+    assert passed or found.remedy

@@ -1,0 +1,394 @@
+"""The six gates in the page's process: one state that all browsers see and the holder of the controls changes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import multiprocessing
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bench.gates.inputs import GATES, inputs_of
+from bench.gates.state import Message, Result, State, load_state, save_state
+from bench.gates.view import scales_of, view_of
+from bench.gates.work import Job, work
+from bench.live.pages import Desk
+from bench.live.processes import asked_of
+from bench.live.watched_run import SILENT_S
+from bench.profiles.edit import with_values
+from bench.profiles.find import find_profile, scenario_names, shipped_names
+from bench.profiles.new import new_profile, with_preset
+from bench.web.browsers import Browser
+from daq.files.whole_file import write_whole
+from daq.recording import verify
+from daq.setup.errors import InputError
+from daq.setup.strict_toml import read_toml_text
+from rig.profile import Profile, parse_profile
+
+TICK_S = 0.1
+
+
+class Gates:
+    """The six gates of one rig.
+
+    Parameters
+    ----------
+    folder
+        Of the runs; profiles that the page edits and its state are there.
+    live
+        Shows runs, and starts them.
+    offered
+        A profile's path or name to begin with; None leaves the choice to the person.
+    """
+
+    def __init__(self, folder: Path, live: Desk, offered: str | None) -> None:
+        self.folder, self.live = folder, live
+        self.state, self._offered = load_state(folder), offered
+        self.profile: Profile | None = None
+        self.fault = ""  # why there is no profile
+        self.job: Message | None = None  # what is being done: gate, kind, words, whether it waits for an answer
+        self._pipe: Any = None
+        self._process: Any = None
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Look after jobs and runs while the server runs."""
+        if self._offered is not None and not self.state.profile:
+            self._choose({"like": self._offered})
+        self._read_profile()
+        if self.state.run is not None:  # of a server that died
+            self.live.attach(self.state.run)
+        ticking = asyncio.create_task(self._tick_for_ever())
+        try:
+            yield
+        finally:
+            ticking.cancel()
+            if self._process is not None:
+                self._process.terminate()
+
+    async def _tick_for_ever(self) -> None:
+        while True:
+            self._look_at_job()
+            self._look_at_run()
+            await asyncio.sleep(TICK_S)
+
+    async def talk(self, browser: Browser) -> None:
+        """Serve one browser until it is gone."""
+        browser.words_only = True
+        await self.live.hub.serve(browser, self._greet, self._obey)
+
+    async def _greet(self, browser: Browser) -> None:
+        browser.send(json.dumps(view_of(self)))
+
+    def tell(self) -> None:
+        """Show the state to every browser."""
+        self.live.hub.tell(view_of(self))
+
+    def _obey(self, browser: Browser, said: Message) -> None:
+        """Do what a browser asks: the lease and stops are the live page's, all else is for who holds the controls."""
+        commands: dict[str, Callable[[Message], None]] = {
+            "choose": self._choose, "job": self._start_job, "answer": self._answer, "accept": self._accept,
+            "set": self._set, "undo": self._undo, "preset": self._preset, "start": self._start_run,
+            "again": self._again, "exchange": self._exchange, "turn": self._turn, "later": self._later,
+        }  # fmt: skip
+        command = commands.get(str(said.get("do")))
+        if command is None:
+            if said.get("do") == "now":
+                self._end_job("stopped by hand")
+            self.live.obey(browser, said)
+            return
+        refusal = ""
+        if not self.live.hub.lease.may(browser.name):
+            refusal = "another browser holds the controls"
+        else:
+            try:
+                command(said)
+            except (InputError, OSError) as error:
+                refusal = str(error)
+        if refusal:
+            browser.send(json.dumps({"kind": "refused", "why": refusal}))
+        self.tell()
+
+    # the profile
+
+    @property
+    def path(self) -> Path:
+        """The profile's file."""
+        return self.folder / self.state.profile
+
+    def profiles(self) -> list[str]:
+        """Names of the profiles in the folder."""
+        return sorted(path.name for path in self.folder.glob("*.toml"))
+
+    @property
+    def rig(self) -> Message:
+        """What a simulated rig hides, and its seed; empty for a device."""
+        if self.profile is None or self.profile.backend.kind != "simulated":
+            return {}
+        return {"scenario": self.state.scenario, "seed": self.state.seed}
+
+    def is_green(self, gate: str) -> bool:
+        """Whether a gate was passed with exactly the present inputs, and so were those before it."""
+        result = self.state.results.get(gate)
+        if result is None or not result.passed or self.profile is None:
+            return False
+        before = GATES[: GATES.index(gate)]
+        if gate == "verdict":
+            ramp = self.state.results.get("ramp")
+            return ramp is not None and result.file == ramp.file and self.is_green("ramp")
+        present = inputs_of(gate, self.profile, self.rig, self.state.device)
+        return result.inputs == present and (not before or self.is_green(before[-1]))
+
+    def _keep(self, state: State) -> None:
+        """Take over a state, once it is on the disk."""
+        save_state(self.folder, state)
+        self.state = state
+
+    def _read_profile(self) -> None:
+        self.profile, self.fault = None, ""
+        if not self.state.profile:
+            return
+        try:
+            self.profile = parse_profile(read_toml_text(self.path), self.state.profile)
+        except (InputError, OSError) as error:
+            self.fault = str(error)
+
+    def _choose(self, said: Message) -> None:
+        """Take a profile of the folder, or make one like a shipped one, a file or a recording's."""
+        self._refuse_busy()
+        scenario, seed = str(said.get("scenario", "")), said.get("seed", 0)
+        if scenario not in ("", *scenario_names()) or not isinstance(seed, int) or not 0 <= seed < 10**9:
+            raise InputError("the simulated rig: expected one of its scenarios, and a whole number as its seed")
+        like, name = str(said.get("like", "")), str(said.get("profile", ""))
+        if like:
+            shipped = like in shipped_names()
+            given = find_profile(like).resolve()
+            name = given.name if not shipped and given.parent == self.folder else f"my-{given.stem}.toml"
+            if not (self.folder / name).exists():
+                write_whole(self.folder / name, new_profile(Path(name).stem, like))
+        if name not in self.profiles():
+            raise InputError(f"{name or 'no name'}: no such profile in {self.folder}; choose one of the list")
+        undo = self.state.undo if name == self.state.profile else ()
+        self._keep(replace(self.state, profile=name, scenario=scenario, seed=seed, undo=undo, queue=(), rounds=()))
+        self._read_profile()
+
+    def _write(self, text: str, undo: tuple[str, ...] | None = None) -> None:
+        """Replace the profile by one that is checked; what it was can be had again by undo."""
+        parse_profile(text, self.state.profile)
+        before = read_toml_text(self.path)
+        write_whole(self.path, text)
+        self._keep(self.state.edited(before) if undo is None else replace(self.state, undo=undo))
+        self._read_profile()
+
+    def _change(self, values: Message) -> None:
+        self._refuse_busy()
+        self._write(with_values(read_toml_text(self.path), values, self.state.profile))
+
+    def _set(self, said: Message) -> None:
+        """A key of the profile, as the person typed it."""
+        from bench.profiles.fields import value_of
+
+        key = str(said.get("key", ""))
+        self._change({key: value_of(key, str(said.get("text", "")))})
+
+    def _undo(self, said: Message) -> None:
+        self._refuse_busy()
+        if self.state.undo:
+            self._write(self.state.undo[-1], self.state.undo[:-1])
+
+    def _preset(self, said: Message) -> None:
+        self._refuse_busy()
+        self._write(with_preset(read_toml_text(self.path), str(said.get("name", "")), self.state.profile))
+
+    def _exchange(self, said: Message) -> None:
+        """Exchange the input numbers of the contact circuit and the accelerometer."""
+        inputs = getattr(self._known().backend, "inputs", None)
+        if inputs is None:
+            raise InputError("backend.inputs: this back end has no numbered inputs; exchange the plugs")
+        pair = {"continuity": inputs.accelerometer, "accelerometer": inputs.continuity}
+        self._change({f"backend.inputs.{name}": number for name, number in pair.items()})
+
+    def _turn(self, said: Message) -> None:
+        """Turn the accelerometer's sign."""
+        self._change({"channels.accelerometer.sign": -self._known().channels.accelerometer.sign})
+
+    def _known(self) -> Profile:
+        if self.profile is None:
+            raise InputError(self.fault or "choose a profile first")
+        return self.profile
+
+    # jobs of the gates
+
+    def _refuse_busy(self) -> None:
+        if self.job is not None or self.live.busy:
+            raise InputError("something is under way; wait for its end, or stop it")
+
+    def _refuse_closed(self, gate: str) -> None:
+        """Refuse a gate while something else is under way, or one before it is not green."""
+        self._refuse_busy()
+        self._known()
+        for before in GATES[: GATES.index(gate)]:
+            if not self.is_green(before):
+                raise InputError(f"{gate}: closed until {before} is green")
+
+    def _start_job(self, said: Message) -> None:
+        """Do what a gate does, in a process of its own."""
+        gate, kind = str(said.get("gate", "")), str(said.get("kind", ""))
+        kinds = {"wiring": ("drive", "tap", "lift"), "calibrate": ("accelerometer", "drive", "contact")}
+        if gate not in GATES or gate == "ramp" or kind not in kinds.get(gate, ("",)):
+            raise InputError(f"{gate} {kind}: no such work")
+        self._refuse_closed(gate)
+        recording = improved = None
+        if gate == "verdict":
+            recording = self.folder / self.state.results["ramp"].file
+            earlier = sum(one["recording"] != recording.name for one in self.state.rounds)
+            stem = self.path.stem.partition("-improved")[0]
+            improved = self.folder / f"{stem}-improved-{earlier + 1}.toml"
+        rig = self.rig
+        job = Job(gate, kind, self.path, rig.get("scenario") or None, rig.get("seed", 0), recording, improved)
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=work, args=(theirs, job), name=gate, daemon=True)
+        self._process.start()
+        theirs.close()
+        self.job = {"gate": gate, "kind": kind, "words": "", "asks": False}
+
+    def _answer(self, said: Message) -> None:
+        """A person has done what was asked."""
+        if self.job is not None and self.job["asks"]:
+            self.job |= {"asks": False, "words": ""}
+            with contextlib.suppress(OSError):
+                self._pipe.send(True)
+
+    def _end_job(self, why: str) -> None:
+        if self.job is not None and self._process is not None:
+            self._process.terminate()
+            self._conclude({"error": why})
+
+    def _look_at_job(self) -> None:
+        """Take in what the process of a job says."""
+        if self.job is None:
+            return
+        try:
+            while self.job is not None and self._pipe.poll():
+                what, answer = self._pipe.recv()
+                if what == "done":
+                    self._conclude(answer)
+                else:
+                    self.job |= {"words": answer, "asks": what == "ask"}
+                    self.tell()
+        except (EOFError, OSError):
+            self._conclude({"error": "it ended with an error of its own; see the terminal"})
+
+    def _conclude(self, answer: Message) -> None:
+        """The outcome of a job becomes the result of its gate."""
+        job, self.job = self.job or {}, None
+        self._read_profile()  # a calibration has changed it
+        gate, state = job["gate"], self.state
+        if self.profile is None:
+            self.tell()
+            return
+        rows = list(answer.get("rows", []))
+        if answer.get("error"):
+            rows.append({"what": job["kind"] or gate, "seen": answer["error"], "passed": False, "remedy": ""})
+        if gate == "card" and "device" in answer:
+            state = replace(state, device=answer["device"])
+        inputs = {} if gate == "verdict" else inputs_of(gate, self.profile, self.rig, state.device)
+        passed = all(row["passed"] is not False for row in rows)
+        if gate == "wiring" and job["kind"] != "drive":  # both moves have to be answered, by the same wires
+            before = state.results.get("wiring")
+            rows = [*(before.rows if before is not None and before.inputs == inputs else ()), *rows]
+            rows = list({row["what"]: row for row in rows}.values())
+            done = {row["what"].partition(":")[0] for row in rows if row["passed"]}
+            passed = {"tap", "lift"} <= done and all(row["passed"] is not False for row in rows)
+        if gate == "calibrate":
+            passed = False  # until a person takes them
+        result = Result(passed, inputs, _now(), tuple(rows))
+        if gate == "verdict" and "round" in answer:
+            result = replace(result, file=answer["round"]["recording"])
+            others = [one for one in state.rounds if one["recording"] != result.file]
+            state = replace(state, rounds=(*others, answer["round"]))
+        self._keep(state.passed(gate, result))
+        self.tell()
+
+    def _accept(self, said: Message) -> None:
+        """The person takes the scales as they are; old or missing ones only when that is said."""
+        self._refuse_closed("calibrate")
+        profile = self._known()
+        rows = scales_of(profile)
+        doubtful = [row["key"] for row in rows if row["state"] != "good"]
+        if doubtful and said.get("anyway") is not True:
+            raise InputError(
+                f"{', '.join(doubtful)}: not calibrated, or long ago; calibrate, or say that you take them"
+            )
+        inputs = inputs_of("calibrate", profile, self.rig, self.state.device)
+        self._keep(self.state.passed("calibrate", Result(True, inputs, _now())))
+
+    # runs
+
+    def _start_run(self, said: Message) -> None:
+        """Drive the ramp that the page shows."""
+        self._refuse_closed("ramp")
+        if said.get("hands_off") is not True:
+            raise InputError("say first that all hands are off the plate")
+        self._drive(said)
+
+    def _drive(self, said: Message) -> None:
+        seed = self.state.seed + len(self.state.rounds)  # a second run has other noise
+        asked = asked_of(said | {"seed": str(seed)}, self.folder, Path(self.state.profile).stem)
+        inputs = inputs_of("ramp", self._known(), self.rig, self.state.device)
+        run = self.live.start(self.path, self.rig.get("scenario") or None, asked)
+        self._keep(replace(self.state, run=run | {"inputs": inputs}))
+
+    def _later(self, said: Message) -> None:
+        """Put the ramp into the queue once more, or empty the queue."""
+        times = said.get("times")
+        if times == 0:
+            self._keep(replace(self.state, queue=()))
+        elif self.state.run is None or len(self.state.queue) >= 20:
+            raise InputError("the queue takes up to twenty repetitions of a ramp that is being driven")
+        else:
+            self._keep(replace(self.state, queue=(*self.state.queue, {"note": str(said.get("note", ""))[:200]})))
+
+    def _look_at_run(self) -> None:
+        """The end of a run is the result of the ramp's gate; the next of the queue follows one that was complete."""
+        if self.state.run is None or self.live.busy:
+            return
+        run, ended = self.state.run, self.live.outcome_of(self.state.run["out"])
+        out = self.folder / run["out"]
+        if ended is None:  # the page was away at the end, or steps chosen by hand have followed
+            how = verify(out).state if out.is_file() else "failed"
+            if how == "incomplete" and time.time() - out.stat().st_mtime < SILENT_S:
+                return  # it goes on, and cannot be watched
+            ended = {"how": how, "why": "" if how == "complete" else f"{out.name} is {how}"}
+        kept = out.is_file()
+        passed = kept and ended["how"] in ("complete", "stopped")
+        row = {"what": "ramp", "seen": f"{ended['how']} {ended['why']}".strip(), "passed": passed, "remedy": ""}
+        result = Result(passed, run["inputs"], _now(), (row,), out.name if kept else "")
+        queue = self.state.queue if ended["how"] == "complete" else ()
+        self._keep(replace(self.state.passed("ramp", result), run=None, queue=queue[1:]))
+        if queue and self.is_green("ramp"):
+            with contextlib.suppress(InputError, OSError):
+                self._drive(queue[0])
+        self.tell()
+
+    def _again(self, said: Message) -> None:
+        """Take the improved profile of the last verdict, to drive it."""
+        self._refuse_busy()
+        if not self.state.rounds:
+            raise InputError("no verdict yet")
+        name = str(self.state.rounds[-1]["improved"])
+        if not (self.folder / name).is_file():
+            raise InputError(f"{name}: no such profile in {self.folder}; close the loop again")
+        self._keep(replace(self.state, profile=name, undo=()))
+        self._read_profile()
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

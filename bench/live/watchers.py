@@ -1,0 +1,111 @@
+"""Watchers by link: a server of its own with the live page and nothing that changes anything. Off unless asked for."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from bench.web.access import Guard
+from bench.web.application import STATIC
+from bench.web.browsers import Browser, Hub, socket_route
+from bench.web.section import templates_of
+from bench.web.serve import Server, bind
+
+HERE = Path(__file__).parent
+MOST = 40  # watchers at a time
+MOST_PER_S = 30  # requests of one address: a page needs a dozen
+Greet = Callable[[Browser], Awaitable[None]]
+
+
+class Watchers:
+    """The second server, while it is open.
+
+    Parameters
+    ----------
+    hub, greet
+        Browsers of the page, and what each gets when it opens the page.
+
+    Attributes
+    ----------
+    url
+        The link with its token; empty while it is closed.
+    """
+
+    def __init__(self, hub: Hub, greet: Greet) -> None:
+        self.url = ""
+        self._hub, self._greet = hub, greet
+        self._server: Server | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def open(self, host: str = "0.0.0.0") -> None:
+        """Begin to serve, at a new port with a new token; raises `InputError` where that cannot be."""
+        if self._server is not None:
+            return
+        listening, access = bind(host, 0)
+        static = [Mount("/static/web", StaticFiles(directory=STATIC)), Mount("/static/live", _files())]
+        routes = [Route("/", self._show), *static, socket_route("/live/socket", self._talk)]
+        app = Starlette(routes=routes, middleware=[Middleware(_Slow), Middleware(Guard, access=access)])
+        app.state.sections = ()
+        self._server, self.url = Server(app, own_signals=False), access.url
+        self._task = asyncio.create_task(self._server.serve([listening]))
+
+    def close(self) -> None:
+        """End the server; links that were given out lead nowhere."""
+        if self._server is not None:
+            self._server.should_exit = True
+        self._server, self.url = None, ""
+
+    async def _show(self, request: Request) -> Response:
+        return templates_of(HERE / "templates").TemplateResponse(request, "live.html", {"watching": True})
+
+    async def _talk(self, browser: Browser) -> None:
+        """Serve one watcher until it is gone, or turn it away where there are too many."""
+        browser.reads_only = True
+        if sum(one.reads_only for one in self._hub.browsers) >= MOST:
+            await browser.socket.close(4429, "too many watchers")
+            return
+        await self._hub.serve(browser, self._greet, _pass_over)
+
+
+class _Slow:
+    """ASGI middleware: refuse an address that asks too often."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app, self._second = app, 0
+        self._asked: dict[str, int] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Count and pass on, or answer 429."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        second, address = int(time.monotonic()), str((scope.get("client") or ("",))[0])
+        if second != self._second:
+            self._second, self._asked = second, {}
+        self._asked[address] = self._asked.get(address, 0) + 1
+        if self._asked[address] <= MOST_PER_S:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 4429, "reason": "too often"})
+        else:
+            await PlainTextResponse("429: too often; wait a second", 429)(scope, receive, send)
+
+
+def _files() -> StaticFiles:
+    return StaticFiles(directory=HERE / "static")
+
+
+def _pass_over(browser: Browser, said: dict[str, Any]) -> None:
+    """A watcher says nothing that counts."""
