@@ -19,7 +19,7 @@ from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
 from analysis.plate.ringing.modes import PlateMode, identified_mode
-from analysis.plate.ringing.true_to_drive import ringing_in_words
+from analysis.plate.ringing.true_to_drive import remarks
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.held import Launches
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
@@ -239,7 +239,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
             *notes,
             *flights.plate.saturation_warnings(),
             *in_words(flights.edges.by_hand),
-            *_ringing(mode, fitted, spans / recording.rate_hz),
+            *remarks(mode, fitted, recording.rate_hz),
         ),
         mode=mode,
         pushed=(mode.known_plate,) if mode and mode.known_plate else (),
@@ -249,15 +249,6 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
         heard=flights.heard()[keep],
     )
-
-
-def _ringing(mode: PlateMode | None, fitted: Sequence[StepPlate], span_s: Floats) -> tuple[str, ...]:
-    """A sentence about a mode that is sure, in steps with their begins and ends (m, 2)."""
-    if mode is None or mode.pushed is None or not fitted:
-        return ()
-    speeds = (np.abs(tones.acceleration / tones.omega_radps) for tones in (s.forcing() for s in fitted))
-    drive_mps = np.array([np.sqrt(0.5 * np.sum(speed**2)) for speed in speeds])
-    return (ringing_in_words(mode, np.array([s.gamma for s in fitted]), span_s, drive_mps),)
 
 
 def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:

@@ -6,6 +6,7 @@ goes on.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -24,7 +25,7 @@ from daq.setup.setup import Setup
 from rig.backends.base import Backend
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
-from rig.checks.check import Check, Finding
+from rig.checks.check import TAP_S, Check, Finding
 from rig.execution.branch_hold import BranchHold
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.priority import before_other_work
@@ -67,11 +68,16 @@ def open_rig(name: str | Path, purpose: str, scenario: Path | None, seed: int) -
     return profile, make_backend(profile, scenario=scenario, seed=seed)
 
 
-def check_rig(profile: Profile, backend: Backend) -> list[Finding]:
-    """The findings of `bench check`; raises `InputError`, `BackendError`."""
+def check_rig(profile: Profile, backend: Backend, *, tap: bool = False) -> list[Finding]:
+    """The findings of `bench check`, with a ``tap`` of the table; raises `InputError`, `BackendError`."""
     if not backend.simulated:
         warm_up(profile)
-    return Check(profile, backend).run()
+    return Check(profile, backend, ask_tap if tap else None).run()
+
+
+def ask_tap() -> None:
+    """Ask for a tap, on standard error."""
+    print(f"hit the resting table once now, within {TAP_S / 2.0:g} s", file=sys.stderr, flush=True)
 
 
 def record(

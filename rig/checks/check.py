@@ -19,6 +19,7 @@ from daq.instrument.stored import examine
 from daq.lock_in import fit_tones
 from kernels.arrays import Floats
 from rig.backends.base import Backend, Running
+from rig.checks.tap import mode_of_tap
 from rig.profile import Profile
 from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, synthesise
 from rig.programme.ramp import forbidden, peaks, plan
@@ -27,6 +28,7 @@ from rig.programme.sequencer import largest_block
 QUIET_PEAK = 0.3  # of g: the ball stays down
 FLIGHT_PEAK = 1.6  # of g: the ball takes off
 FADE_CYCLES, SETTLE_CYCLES, HOLD_CYCLES = 8, 8, 20
+TAP_S = 10.0  # in which the table is hit
 SCALE_OFF = 0.05  # by which the accelerometer may be off, at least
 MOVES = {"tap": "accelerometer", "lift": "continuity"}  # the input that answers what a hand does
 
@@ -50,10 +52,12 @@ class Check:
         Description of the rig.
     backend
         Not yet started.
+    ask_tap
+        Called when the table is to be hit; without it there is no tap.
     """
 
-    def __init__(self, profile: Profile, backend: Backend) -> None:
-        self._profile, self._backend = profile, backend
+    def __init__(self, profile: Profile, backend: Backend, ask_tap: Callable[[], None] | None = None) -> None:
+        self._profile, self._backend, self._ask_tap = profile, backend, ask_tap
         self._clock = PhaseClock.of(profile.forcing.frequency_hz, profile.sampling.rate_hz)
         self._block = largest_block(self._clock, profile.backend.block_samples)
         self._per_g = peaks(profile, 1.0).gamma_peak
@@ -70,6 +74,9 @@ class Check:
             findings += [*self._contact(rest), *self._instrument]
             findings += self._noise(rest)
             findings += self._margins(quiet)
+            if self._ask_tap is not None:
+                self._ask_tap()
+                findings.append(self._tapped())
         return findings
 
     def card(self) -> list[Finding]:
@@ -289,6 +296,17 @@ class Check:
         gaps = np.zeros((0, 2), np.int64)
         found = examine(read, n, profile.sampling.rate_hz, step, gaps, profile.setup())
         return [Finding("instrument", line, True) for line in found.in_words()]
+
+    def _tapped(self) -> Finding:
+        """The table's slow mode, which the ball's impacts will feed where it lies below the forcing."""
+        rate_hz, forcing_hz = self._profile.sampling.rate_hz, self._profile.forcing.frequency_hz
+        found = mode_of_tap(self._play(np.zeros(round(TAP_S * rate_hz)))["accelerometer"], rate_hz)
+        if found is None:
+            remedy = "hit the resting table once, within the first seconds, so that it rings"
+            return Finding("table's mode", f"no tap that rings was seen within {TAP_S:g} s", None, remedy)
+        seen = f"{found[0]:.3g} Hz, damping {found[1]:.2g} of critical"
+        remedy = "below the forcing the ball's impacts feed it: a heavier or more damped table, a lighter ball"
+        return Finding("table's mode", seen, True if found[0] > forcing_hz else None, remedy)
 
     def _noise(self, rest: dict[str, Floats]) -> list[Finding]:
         """Noise of each channel at rest."""

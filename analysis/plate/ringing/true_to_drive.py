@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.modes import PlateMode
 from kernels.arrays import Floats
 
@@ -66,3 +68,13 @@ def ringing_in_words(mode: PlateMode, gamma: Floats, span_s: Floats, drive_mps: 
     )
     since = f"; the plate is not true to its drive (to {100.0 * UNTRUE:g} %) from gamma {gamma[first]:.3g} on"
     return f"{words}{since}; under the same impacts {', '.join(cures)}"
+
+
+def remarks(mode: PlateMode | None, steps: Sequence[StepPlate], rate_hz: float) -> tuple[str, ...]:
+    """The sentence about a mode that is sure, of steps of a recording; none about another."""
+    if mode is None or mode.pushed is None or not steps:
+        return ()
+    tones = [s.forcing() for s in steps]
+    drive_mps = np.sqrt([0.5 * np.sum(np.abs(z.acceleration / z.omega_radps) ** 2) for z in tones])
+    span_s = np.array([(s.first_sample, s.last_sample) for s in steps]) / rate_hz
+    return (ringing_in_words(mode, np.array([s.gamma for s in steps]), span_s, drive_mps),)

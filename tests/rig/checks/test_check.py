@@ -151,3 +151,35 @@ def test_a_hand_shows_which_terminal_is_what(move: str, volts: dict[str, float],
     found = Check(load("simulated")[0], Touched(**volts)).moved(move, lambda: said.append(True), 1.5)
     assert found.passed is passed and seen in found.seen and said == [True]
     assert passed or found.remedy
+
+
+class Tapped(Crooked):
+    """The simulated rig whose table rings from when it is struck on."""
+
+    def __init__(self, hz: float) -> None:
+        super().__init__()
+        self._hz, self._since = hz, -1
+
+    def strike(self) -> None:
+        """Hit the table."""
+        self._since = 0
+
+    def exchange(self, drive_v: np.ndarray) -> Block:
+        """Frames with the ringing."""
+        block = super().exchange(drive_v)
+        if self._since < 0 or not self._hz:
+            return block
+        time_s = (self._since + np.arange(len(block.codes))) / self.rate_hz
+        self._since += len(block.codes)
+        ringing = 3000.0 * np.exp(-2.0 * time_s) * np.sin(2.0 * np.pi * self._hz * time_s)
+        codes = block.codes.astype(float)
+        codes[:, self.channels.index("accelerometer")] += ringing
+        return Block(0, codes.astype(np.int16))
+
+
+@pytest.mark.parametrize(("hz", "said"), [(8.0, "Hz, damping 0.04"), (0.0, "no tap")])
+def test_a_table_that_rings_below_the_forcing_is_a_question(hz: float, said: str) -> None:
+    """A tap is asked for: what rings at 8 Hz is named, with a remedy; without a hit, that none was seen."""
+    rig = Tapped(hz)
+    found = {finding.what: finding for finding in Check(load("simulated")[0], rig, rig.strike).run()}["table's mode"]
+    assert said in found.seen and found.passed is None and found.remedy
