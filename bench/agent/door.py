@@ -82,6 +82,10 @@ class Door:
         own = sorted(path.name for path in self.folder.glob("*.toml"))
         return {"shipped": shipped_names(), "own": own, "scenarios": scenario_names()}
 
+    def text_of(self, profile: str) -> str:
+        """The text of a profile that an agent may name, as it is armed."""
+        return self._profile(profile, None)[2]
+
     def catalogue(self, text: str = "", limit: int = 20) -> Answer:
         """Recordings with their verdicts, the newest first; each word of ``text`` must occur in a row."""
         from bench.runs.catalogue import Catalogue

@@ -10,6 +10,7 @@ import hashlib
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
@@ -18,14 +19,25 @@ FILE = Path(".shakerbench", "armed.json")
 LASTS_S = 600.0
 
 
-def arm(folder: Path, profile_text: str) -> None:
+def arm(folder: Path, profile_text: str, name: str) -> None:
     """Allow one run of exactly this profile below ``folder``, for `LASTS_S` (raises InputError)."""
     path = folder / FILE
     try:
         path.parent.mkdir(exist_ok=True)
-        write_whole(path, json.dumps({"profile_sha256": _digest(profile_text), "until": time.time() + LASTS_S}) + "\n")
+        told = {"profile": name, "profile_sha256": _digest(profile_text), "until": time.time() + LASTS_S}
+        write_whole(path, json.dumps(told) + "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error}); make the runs' folder writable") from error
+
+
+def armed(folder: Path) -> dict[str, Any]:
+    """The profile that is armed below ``folder`` and the seconds left; None and 0 where none is."""
+    try:
+        found = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        name, left_s = str(found["profile"]), float(found["until"]) - time.time()
+    except (OSError, ValueError, KeyError, TypeError):
+        name, left_s = "", 0.0
+    return {"profile": name, "left_s": left_s} if 0.0 < left_s <= LASTS_S else {"profile": None, "left_s": 0.0}
 
 
 def disarm(folder: Path) -> None:
@@ -43,7 +55,7 @@ def take(folder: Path, profile_text: str, name: str) -> None:
     """
     try:
         found = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        is_armed = found["profile_sha256"] == _digest(profile_text) and 0.0 < found["until"] - time.time() <= LASTS_S
+        is_armed = found["profile_sha256"] == _digest(profile_text) and armed(folder)["profile"] is not None
     except (OSError, ValueError, KeyError, TypeError):
         is_armed = False
     if not is_armed:

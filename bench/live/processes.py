@@ -25,7 +25,7 @@ from daq.setup.errors import InputError
 from rig.execution.operator import NextSteps, StopRequest
 from rig.profile import Profile, parse_profile
 
-SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section")
+SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section", "bench.agent.section")
 GATES = "bench.gates.section"  # where runs are started from the page
 LINGER_S = 3.0  # in which browsers get the last word of a run
 

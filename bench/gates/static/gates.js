@@ -120,7 +120,7 @@ function labelled(words, field, tick = false) {
 }
 function choice(id, values, names, value) {
   const one = make("select", undefined, { id });
-  one.append(...values.map((v, i) => { const o = make("option", names[i]); o.value = v; return o; }));
+  one.append(...values.map((v, i) => { const o = make("option", names[i]); o.value = v; o.translate = names[i] !== v; return o; }));
   one.value = value;
   one.disabled = !mine || busy();
   return one;

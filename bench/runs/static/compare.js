@@ -10,12 +10,12 @@ const byId = (name) => document.getElementById(name);
 async function runs() {
   const told = await Promise.all(ids.map((id) => ask(`/runs/api/${id}`)));
   byId("verdicts").tBodies[0].replaceChildren(...told.map(({ run }, k) => {
-    const line = make("tr"), key = make("td"), name = make("td");
+    const line = make("tr"), key = make("td"), name = make("td", "", { translate: "no" });
     key.append(make("span", "", { class: `key k${k % 7}` }));
     name.append(make("a", run.path, { href: `/runs/${run.id}` }));
-    line.append(key, name, make("td", day(run.date)), make("td", run.loop?.summary ?? "-"));
+    line.append(key, name, make("td", day(run.date)), make("td", run.loop?.summary ?? "-", { translate: "no" }));
     for (const value of [run.loop?.before_us, run.loop?.after_us, run.loop?.floor_us]) line.append(make("td", shown(value, 3), { class: "number" }));
-    line.append(make("td", run.notes, { class: "lines" }));
+    line.append(make("td", run.notes, { class: "lines", translate: "no" }));
     return line;
   }));
   const open = (run, at) => { location.href = `/runs/${ids[run.colour]}?at=${at}`; };
@@ -23,7 +23,7 @@ async function runs() {
   const failed = [];
   for (const [k, { run }] of told.entries()) {
     try {
-      const { steps } = await asked(`/runs/api/${run.id}/flights`, () => { state.textContent = `finding the flights of ${run.path}, once \u2026`; });
+      const { steps } = await asked(`/runs/api/${run.id}/flights`, () => { state.textContent = "finding the flights, once \u2026"; });
       diagram.add(run.path, steps, k);
     } catch (error) {
       failed.push(`${run.path}: ${error.message}`);

@@ -31,14 +31,16 @@ function facts(run) {
 function verdicts(loops) {
   const us = (x) => (x === null ? "-" : `${shown(x, 3)} \u00b5s`);
   const said = loops.map((loop, i) => {
-    const line = make("p"), rest = `; noise alone ${us(loop.floor_us)}${loop.together > 1 ? `; with ${loop.together - 1} other recording(s)` : ""} (${loop.path})`;
+    const line = make("p"), rest = [`; noise alone ${us(loop.floor_us)}`, loop.together > 1 ? `; with ${loop.together - 1} other recording(s)` : "", make("span", ` (${loop.path})`, { translate: "no" })];
     // the latest one opens its evidence
     const number = (text, what) => {
       const one = make(i ? "span" : "button", text, i ? {} : { type: "button", class: "why", title: "why? rivals, steps, residuals, edges, samples" });
       if (!i) one.addEventListener("click", () => why?.open(what));
       return one;
     };
-    line.append(number(loop.summary, "rivals"), "\nlandings: ", number(us(loop.before_us), "steps"), " before, ", number(us(loop.after_us), "steps"), " after", rest);
+    const summary = number(loop.summary, "rivals");
+    summary.translate = false;
+    line.append(summary, "\n", "landings: ", number(us(loop.before_us), "steps"), " before, ", number(us(loop.after_us), "steps"), " after", ...rest);
     return line;
   });
   byId("verdict").replaceChildren(...(said.length ? said

@@ -33,7 +33,7 @@ function query() {
 function row(run) {
   const line = make("tr", "", { tabindex: "0" });
   line.dataset.id = run.id;
-  const box = make("input", "", { type: "checkbox", "aria-label": `mark ${run.path}` });
+  const box = make("input", "", { type: "checkbox", "aria-label": run.path, translate: "no" });
   box.checked = marked.has(run.id);
   box.addEventListener("change", () => {
     if (box.checked) marked.add(run.id); else marked.delete(run.id);
@@ -42,17 +42,18 @@ function row(run) {
   const first = make("td");
   first.append(box);
   line.append(first, make("td", day(run.date), { class: "tight" }));
-  const name = make("td");
+  const name = make("td", "", { translate: "no" });
   name.append(make("a", run.path, { href: `/runs/${run.id}` }));
   line.append(name);
-  const profile = make("td", run.profile ?? "-");
+  const profile = make("td");
+  profile.append(make("span", run.profile ?? "-", { translate: "no" }));
   if (run.simulated) profile.append(" ", make("span", "(simulated)", { class: "faint" }));
   line.append(profile, make("td", run.c ?? "-", { class: "number" }), make("td", gammas(run), { class: "number" }));
   line.append(make("td", run.steps, { class: "number" }), make("td", run.lost_samples ?? "-", { class: "number" }));
   const ended = make("td", run.ended, run.ended === "complete" ? {} : { class: run.ended === "stopped" ? "warn" : "bad" });
-  if (run.why) ended.append(make("div", run.why, { class: "faint" }));
-  line.append(ended, make("td", run.loop?.summary ?? "-"), make("td", run.notes, { class: "lines" }));
-  const tags = make("td");
+  if (run.why) ended.append(make("div", run.why, { class: "faint", translate: "no" }));
+  line.append(ended, make("td", run.loop?.summary ?? "-", { translate: "no" }), make("td", run.notes, { class: "lines", translate: "no" }));
+  const tags = make("td", "", { translate: "no" });
   for (const tag of run.tags) tags.append(make("span", tag, { class: "tag" }));
   if (run.remarks_problem) tags.append(make("span", run.remarks_problem, { class: "bad" }));
   line.append(tags);

@@ -18,6 +18,7 @@ function fill(table, rows, open = null) {
         button.addEventListener("click", () => open(i));
         cell.append(button);
       } else cell.textContent = text;
+      cell.translate = k > 0 || table.id !== "rivals"; // a rival's name is data
       line.append(cell);
     });
     return line;
@@ -81,7 +82,7 @@ export class Why {
         this.flight.marks.push([m, at + own - measured]);
         return `${m} ${own.toFixed(6)} s (residual ${us(left)} \u00b5s)`;
       });
-      lines.push(`${edge} measured ${measured.toFixed(6)} s; ${said.join("; ")}`);
+      lines.push([`${edge} measured ${measured.toFixed(6)} s`, ...said].join(" \u00b7 "));
     }
     byId("edges").replaceChildren(...lines.map((line) => make("li", line)));
     byId("edges").dataset.flight = t;

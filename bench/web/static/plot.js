@@ -47,7 +47,7 @@ export function number(value, step) {
   if (value === 0) return "0";
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   if (Math.abs(value) >= 1e5 || digits > 6) return value.toExponential(1).replace("-", "\u2212");
-  return value.toFixed(Math.min(digits, 8)).replace("-", "\u2212");
+  return globalThis.desk.digits(value.toFixed(Math.min(digits, 8)).replace("-", "\u2212"));
 }
 
 export class Axes {
@@ -119,13 +119,13 @@ export class Axes {
     pen.textAlign = "right"; pen.textBaseline = "middle";
     for (const y of yt.at) pen.fillText(words(y, yt.step), this.left - 4 * s, this.py(y));
     pen.textAlign = "center"; pen.textBaseline = "alphabetic";
-    pen.fillText(o.x, this.left + this.width / 2, this.canvas.height - 4 * s);
-    if (o.title) { pen.textAlign = "left"; pen.fillStyle = c.faint; pen.fillText(o.title, this.left, this.top - 5 * s); }
+    pen.fillText(globalThis.desk.say(o.x), this.left + this.width / 2, this.canvas.height - 4 * s);
+    if (o.title) { pen.textAlign = "left"; pen.fillStyle = c.faint; pen.fillText(globalThis.desk.say(o.title), this.left, this.top - 5 * s); }
     pen.fillStyle = c.ink; pen.textAlign = "center";
     pen.save();
     pen.translate(font, this.top + this.height / 2);
     pen.rotate(-Math.PI / 2);
-    pen.fillText(o.y, 0, 0);
+    pen.fillText(globalThis.desk.say(o.y), 0, 0);
     pen.restore();
   }
 

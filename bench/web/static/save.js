@@ -1,4 +1,4 @@
-// "picture" and "data": what every plot can be saved as. PNG of the canvas as it is drawn, CSV of the numbers behind it.
+// "picture", "data" and "table": what every plot can be saved and read as. PNG of the canvas as it is drawn, CSV of the numbers behind it.
 function download(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -34,10 +34,26 @@ export function savers(place, name, canvases, table) {
     button.addEventListener("click", act);
     box.append(button);
   };
-  add("picture", `save ${name} as a picture (PNG)`, () => joined(canvases()).toBlob((blob) => download(blob, `${name}.png`)));
-  if (table) add("data", `save the numbers of ${name} (CSV)`, () => {
+  add("picture", "save as a picture (PNG)", () => joined(canvases()).toBlob((blob) => download(blob, `${name}.png`)));
+  if (table) add("data", "save the numbers (CSV)", () => {
     const lines = table().map((row) => row.map(cell).join(","));
     download(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);
   });
+  if (table) add("table", "show the numbers as a table", () => toggle(canvases()[0], table));
   place.append(box);
+}
+
+// The numbers of a plot as a table below it, the first of them; the file has all.
+const MOST_ROWS = 500;
+function toggle(canvas, table) {
+  const under = canvas.parentElement.classList.contains("picture") ? canvas.parentElement : canvas;
+  if (under.nextElementSibling?.classList.contains("numbers")) { under.nextElementSibling.remove(); return; }
+  const around = document.createElement("div"), whole = around.appendChild(document.createElement("table"));
+  around.className = "numbers";
+  around.tabIndex = 0;
+  table().slice(0, MOST_ROWS + 1).forEach((row, i) => {
+    const line = whole.insertRow();
+    for (const value of row) line.appendChild(document.createElement(i ? "td" : "th")).textContent = typeof value === "number" ? Number(value.toPrecision(7)) : value ?? "";
+  });
+  under.after(around);
 }

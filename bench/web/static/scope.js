@@ -3,7 +3,7 @@
 import { Axes, colours } from "./plot.js";
 
 const COLOURS = ["c0", "c1", "c4", "c3", "c5", "c6"];
-const minus = (text) => text.replace("-", "\u2212");
+const minus = (text) => globalThis.desk.digits(text.replace("-", "\u2212"));
 
 export class Scope {
   constructor(canvas) {
@@ -152,7 +152,8 @@ export class Scope {
   }
 
   // Words on a patch of paper, legible over any curve.
-  words(words, x, y) {
+  words(text, x, y) {
+    const words = globalThis.desk.say(text);
     const axes = this.axes, pen = axes.pen, c = colours(), room = 3 * axes.unit;
     pen.fillStyle = c.paper;
     pen.fillRect(x - room, y, pen.measureText(words).width + 2 * room, (axes.font + 4) * axes.scale);

@@ -12,11 +12,16 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from starlette.testclient import TestClient
 
 from bench.agent.door import LONGEST_S, Door
+from bench.agent.section import section
 from bench.jobs.arming import FILE, arm, take
 from bench.profiles.find import find_profile, load
 from bench.profiles.plan import planned
+from bench.web.access import Access
+from bench.web.application import make_app
+from bench.web.section import Place
 from daq.setup.errors import InputError
 
 
@@ -103,19 +108,36 @@ def test_hardware_runs_once_after_a_person_armed_exactly_this_profile(tmp_path: 
     for _ in range(2):
         with pytest.raises(InputError, match="no person has armed it"):
             door.ramp("card.toml", "run")
-    arm(tmp_path, load(card)[1])
+    arm(tmp_path, load(card)[1], "card.toml")
     with pytest.raises(InputError, match="limits forbid"):
         door.ramp("card.toml", "run", {"ramp.gamma": [900.0]})
     door.ramp("card.toml", "run", {"ramp.gamma": [0.5]})
     assert [arguments[0] for arguments in started] == ["ramp"]
     with pytest.raises(InputError, match="no person has armed it"):
         door.check("card.toml")
-    arm(tmp_path, load(card)[1] + "\n# changed since")
+    arm(tmp_path, load(card)[1] + "\n# changed since", "card.toml")
     with pytest.raises(InputError, match="no person has armed it"):
         door.check("card.toml")
     (tmp_path / FILE).write_text((tmp_path / FILE).read_text().replace(": 1", ": 9"))  # a time of another age
     with pytest.raises(InputError, match="no person has armed it"):
         take(tmp_path, load(card)[1] + "\n# changed since", "card")
+
+
+def test_a_person_arms_and_disarms_on_the_page(tmp_path: Path) -> None:
+    """The page arms the chosen profile and says so; a name that is none is refused; another site arms nothing."""
+    own = {"origin": "http://127.0.0.1:8625"}
+    app = make_app(Access("127.0.0.1", 8625), [section(Place(tmp_path.resolve()))])
+    with TestClient(app, base_url=own["origin"]) as page:
+        assert "soundcard" in page.get("/agent").text
+        assert page.post("/agent/armed", json={"profile": "soundcard"}, headers=own).json()["profile"] == "soundcard"
+        take(tmp_path, load("soundcard")[1], "soundcard")
+        assert page.get("/agent/armed").json()["profile"] is None
+        for wrong in ({"profile": "../x.toml"}, {}, [1]):
+            assert page.post("/agent/armed", json=wrong, headers=own).status_code == 422
+        page.post("/agent/armed", json={"profile": "soundcard"}, headers={"origin": "http://evil.test"})
+        assert page.get("/agent/armed").json()["profile"] is None
+        page.post("/agent/armed", json={"profile": "soundcard"}, headers=own)
+        assert page.post("/agent/armed", json={"profile": None}, headers=own).json()["profile"] is None
 
 
 @pytest.mark.slow

@@ -173,7 +173,7 @@ def test_a_number_of_the_verdict_leads_to_its_samples(
     browser.click("#why-steps button:has-text('step 0')")
     browser.click("#why-flights tbody tr:nth-child(4) button")
     browser.wait_for_selector("#edges[data-flight]")
-    assert "landing measured 0.180000 s; declared 0.1799" in browser.locator("#edges").inner_text()
+    assert "landing measured 0.180000 s · declared 0.1799" in browser.locator("#edges").inner_text()
     until(browser, "parseFloat(document.querySelector('#scope').dataset.seen) > 0.14")
     browser.uncheck("#layer-declared")
     assert browser.errors == [] and too_pale(browser) == []
