@@ -224,14 +224,20 @@ def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     declared = f"the profile says open_v = {contact.open_v.value:g}, closed_v = {contact.closed_v.value:g}"
     # a circuit that works changes by its whole swing; hum and crosstalk change it by a few percent
     if high - low < 0.1 * abs(contact.swing_v):
-        most_g = max((hold.peak_g for hold in seen.holds), default=0.0)
+        peaks_g = [hold.peak_g for hold in seen.holds]
+        is_open = abs(low + high - 2.0 * contact.open_v.value) < abs(low + high - 2.0 * contact.closed_v.value)
         # beyond 1.5 g downwards the ball certainly leaves the plate
-        if most_g > 1.5:
+        if max(peaks_g, default=0.0) > 1.5:
+            # a ball that is launched wherever it lands closes no circuit; one that rests between flights would
+            launched = is_open and min(peaks_g) > 1.5
             yield Doubt(
                 "contact",
-                f"the contact circuit stays between {low:.3g} and {high:.3g} V while the plate reaches {most_g:.2g} g",
-                f"no flight can be seen: look for a broken wire, or another column ({declared})",
-                True,
+                f"the contact circuit stays between {low:.3g} and {high:.3g} V while the plate reaches "
+                f"{max(peaks_g):.2g} g",
+                "landings are those that the accelerometer shows; look for a broken wire if the ball rests on the plate"
+                if launched
+                else f"no flight can be seen: look for a broken wire, or another column ({declared})",
+                not launched,
             )
         return
     resting = [hold.high for hold in seen.holds if hold.peak_g < RESTS and "continuity" in hold.middle]

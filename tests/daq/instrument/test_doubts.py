@@ -151,6 +151,20 @@ def test_what_contradicts_the_profile_is_a_doubt_with_its_cure(
         refuse_doubtful([summary.path])
 
 
+@pytest.mark.parametrize(
+    ("level_v", "gammas", "refused"), [(5.0, (1.8, 2.2), False), (5.0, (0.4, 2.2), True), (0.0, (1.8, 2.2), True)]
+)
+def test_a_contact_that_never_closes_may_be_a_ball_that_is_launched_where_it_lands(
+    tmp_path: Path, level_v: float, gammas: tuple[float, ...], refused: bool
+) -> None:
+    """An open circuit is refused where some step lets the ball rest, a closed one everywhere."""
+    run = replace(run_of(1), gammas=gammas)
+    volts = handed_over(run)
+    volts["continuity_v"] = np.full_like(volts["continuity_v"], level_v)
+    doubts = bring_in(volts, other_plant.profile_of(run), tmp_path).instrument.doubts
+    assert [(doubt.kind, doubt.makes_meaningless) for doubt in doubts] == [("contact", refused)]
+
+
 def test_an_amplitude_that_is_swept_is_no_ramp_of_steps(tmp_path: Path) -> None:
     """Amplitudes that grow by 1.5 % within each of the holds are refused, with what to do."""
     volts = dict(_simulated(1, (), False))
