@@ -63,8 +63,9 @@ class Amplitudes:
         """Frequency of the largest gain in likelihood; a long recording is scanned from its first part outwards."""
         since = np.sort(self.since_s[1])
         fastest = FASTEST / max(float(np.median(np.diff(self.window_span_s, axis=1))), 1e-9)
-        if source == "gains":  # a faster modulation looks like a slower one from step to step
-            fastest = FASTEST / max(float(np.median(np.abs(np.diff(self.span_s[:, 0])))), 1e-9)
+        between_s = np.diff(self.span_s[:, 0])[np.diff(self.recording) == 0]
+        if source == "gains" and len(between_s):  # a faster modulation looks like a slower one from step to step
+            fastest = FASTEST / max(float(np.median(between_s)), 1e-9)
         # the first scan takes 3000 windows at most; later rounds take more of a long recording, near what was found
         until = float(since[min(len(since), 3000) - 1])
         hz = np.arange(0.5 / until, fastest, 1.0 / (FINENESS * until))

@@ -137,6 +137,13 @@ def test_each_recording_has_its_own_phase() -> None:
     assert swells.phases(HZ)[[0, -1]] == pytest.approx(phases, abs=0.03)
 
 
+def test_recordings_of_one_step_each_are_scanned_no_finer_than_windows_show() -> None:
+    """Ten files that all begin at the same time after their start, as those of one step do: the swell is found."""
+    swells, _ = swells_of((PHASE,) * 10, spans=1)
+    swells = replace(swells, gain=np.zeros(10), gain_sigma=np.full(10, 1e-3))
+    assert any(hz == pytest.approx(HZ, rel=0.1) for hz, _ in swells.hints())
+
+
 def test_a_swell_slower_than_a_step_is_found_in_the_gains() -> None:
     """With a period of many steps, the steps' gains against the drive hold what no window can show."""
     swells, _ = swells_of((PHASE,), spans=14)
