@@ -147,9 +147,13 @@ def _starts(observations: Observations, e: Effect, variant: Sequence[str]) -> li
     grids = [q.start_grid or (q.null_value,) for q in parameters]
     if set(variant) in map(set, e.tied.values()):
         return [dict.fromkeys(keys, v) for v in (parameters[0].null_value, *grids[0])]
-    known = {} if observations.mode is None else observations.mode.measured()
-    grids = [(known[k][0],) if k in known else g for k, g in zip(keys, grids, strict=True)]
-    starts = [dict(zip(keys, point, strict=True)) for point in itertools.product(*grids)]
+    mode = observations.mode
+    known = {} if mode is None else mode.measured()
+    seen = [(known[k][0],) if k in known else g for k, g in zip(keys, grids, strict=True)]
+    points = [*itertools.product(*seen)]
+    if mode is not None and not mode.sure and seen != grids:  # another minimum may be the right one
+        points += itertools.product(*grids)
+    starts = [dict(zip(keys, point, strict=True)) for point in points]
     if not any(q.is_shape for q in parameters):
         starts.insert(0, {k: q.null_value for k, q in zip(keys, parameters, strict=True)})
     return starts

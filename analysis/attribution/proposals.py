@@ -91,7 +91,8 @@ class Proposals:
         with ThreadPoolExecutor(THREADS) as pool:
             fitted = list(pool.map(one, options))
             found = [x for x in fitted if x is not None]
-            if not self._explained(best, found):
+            # a mode that recorded volts show is where it is: no flight has to look for it
+            if not self.fitter.identified and not self._explained(best, found):
                 modes = [c for c, x in zip(options, fitted, strict=True) if x is not None and is_plate_mode(c)]
                 found += [x for x in pool.map(farther, modes) if x is not None]
             if far and not self._settled(found):

@@ -64,12 +64,18 @@ def test_a_spring_and_a_magnet_may_act_together(fly_ramp: Callable[..., ForwardM
 def test_an_identified_mode_is_where_a_resonance_begins_and_a_datum_of_its_fit(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:
-    """A mode of 6.66 Hz, known to 0.05 Hz, is the only start, and stays known when its frequency is free."""
+    """A mode of 6.66 Hz, known to 0.05 Hz, is the only start, and stays known when its frequency is free.
+
+    One of small gain is a start among others.
+    """
     model = fly_ramp({}, 0, gammas=(0.4, 0.8))
     mode = PlateMode(6.66, 0.04, 0.03, np.diag(np.square([0.05, 0.004, 0.001])), 0.1, 0.3, 1e4)
     seen = ForwardModel(replace(model.observations, mode=mode), {})
     resonance = next(c for c in candidates_of(seen) if c.names == ("table_resonance",))
     assert [start[HZ] for start in resonance.starts] == [6.66]
+    unsure = ForwardModel(replace(model.observations, mode=replace(mode, gain_nats=20.0)), {})
+    resonance = next(c for c in candidates_of(unsure) if c.names == ("table_resonance",))
+    assert {3.0, 6.66} < {start[HZ] for start in resonance.starts}
     mean, inverse = fitter_of(seen).prior_rows([HZ], frozenset({HZ}))
     scale = fitter_of(seen).scale(HZ)
     assert (mean[0] * scale, scale / inverse[0]) == pytest.approx((6.66, HELD * 0.05))
