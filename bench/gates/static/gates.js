@@ -199,7 +199,7 @@ function rows(name, gate) {
   $("rows").hidden = !shown.length;
   $("rows").tBodies[0].replaceChildren(...shown.map(([passed, what, seen]) => {
     const row = make("tr"), [word, colour] = mark(passed);
-    row.append(make("td", word, { class: colour }), make("td", what), make("td", seen));
+    row.append(make("td", word, { class: colour }), make("td", what), make("td", seen, { translate: "no" }));
     return row;
   }));
 }
@@ -227,7 +227,7 @@ function rounds(name) {
   const effects = (one) => one.effects.map((e) => make("div", `${e.name}: ${Object.entries(e.parameters).map(([p, v]) => `${p} = ${v.value.toPrecision(3)}`).join(", ")}`));
   $("rounds").tHead.replaceChildren(line("run", (one) => make("a", one.recording, { href: `/runs/file?path=${encodeURIComponent(one.recording)}` })));
   $("rounds").tBodies[0].replaceChildren(
-    line("finding", (one) => one.headline), line("missing effects", (one) => (one.effects.length ? effects(one) : "none")),
+    line("finding", (one) => make("span", one.headline, { translate: "no" })), line("missing effects", (one) => (one.effects.length ? effects(one) : "none")),
     line("landings missed by, before", (one) => us(one.before)), line("after", (one) => us(one.after)),
     line("noise alone", (one) => us(one.floor_us)), line("improved profile", (one) => [make("div", one.improved), ...one.lines.map((words) => make("div", words))]),
   );

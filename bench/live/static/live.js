@@ -49,7 +49,7 @@ const handlers = {
   plan(m) {
     plan = m;
     diagram.plan(m); map.plan(m); residuals.plan(m);
-    document.title = `${m.profile} - live - shakerbench`;
+    document.title = `live: ${m.profile} - shakerbench`;
     $("verdict-title").textContent = "Verdict so far";
     $("verdict").replaceChildren(el("span", "after the first step with flights", "faint"));
     $("tones").tBodies[0].replaceChildren();

@@ -17,10 +17,9 @@
     const own = key(text), [, before, after] = /^(\s*)[^]*?(\s*)$/.exec(text);
     if (!(own in words) && own.includes(" \u00b7 ")) return text.split(/(\s*\u00b7\s*)/).map(say).join("");
     const start = own in words ? null : starts.find((one) => own.startsWith(one));
-    if (start) return digits(`${pseudo ? "\u27e6" : ""}${words[`${start}*`].replace("*", text.trim().slice(start.length))}`);
-    if (!(own in words)) { if (!NAME.test(own)) missing.add(own); return digits(text); }
+    if (!start && !(own in words)) { if (!NAME.test(own)) missing.add(own); return digits(text); }
     const numbers = text.match(NUMBER) ?? [];
-    const said = (pseudo ? `\u27e6${own}\u27e7` : words[own]).replace(/#/g, () => numbers.shift() ?? "");
+    const said = (pseudo ? `\u27e6${own}\u27e7` : start ? words[`${start}*`].replace("*", own.slice(start.length)) : words[own]).replace(/#/g, () => numbers.shift() ?? "");
     return before + digits(said) + after;
   }
 
