@@ -102,7 +102,7 @@ function status() {
   if (job) $("doing").textContent = job.words || `${TITLES[job.gate].slice(3)}${job.kind ? `: ${job.kind}` : ""} \u2026`;
   if (run) {
     const s = runState, left = s && view.plan?.duration_s ? (s.left_samples / s.n_samples) * view.plan.duration_s : null;
-    $("doing").textContent = s ? `driving ${run.out}: step ${s.step + 1} of ${s.n_steps}, ${s.state}${left === null || !isFinite(left) ? "" : `, ${Math.ceil(left)} s left`}${view.queue ? `; ${view.queue} more to follow` : ""}` : `driving ${run.out} \u2026`;
+    $("doing").textContent = s ? `driving ${run.out}: step ${s.step + 1} of ${s.n_steps}, ${s.state}${left === null || !isFinite(left) ? "" : `, ${Math.ceil(left)} s left`}${view.queue ? `; ${view.queue} more to follow` : ""}` : `starting ${run.out} \u2026`;
     if (s) $("part").value = Math.min(1, s.sample / Math.max(1, s.n_samples));
   }
 }

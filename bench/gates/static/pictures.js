@@ -32,7 +32,7 @@ export function rigPicture(gate, view) {
   const box = (x, y, width, height) => all.append(svg("rect", { x, y, width, height, rx: 4, class: "thing" }));
   const say = (x, y, words, name = "") => all.append(svg("text", { x, y, class: name }, words));
   box(4, 150, 168, 120);
-  box(218, 216, 94, 40); say(224, 241, gate === "card" ? "amplifier: off" : "amplifier");
+  box(218, 216, 94, 40); say(224, 241, gate === "card" ? "amplifier off" : "amplifier");
   box(346, 206, 84, 70); say(364, 246, "shaker");
   box(381, 178, 10, 28); box(328, 168, 116, 10); box(422, 178, 18, 16);
   box(368, 136, 34, 32); all.append(svg("path", { d: "M385 136 V70", class: "wire" })); say(392, 90, "rod"); say(374, 156, "ball");
