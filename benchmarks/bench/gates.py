@@ -1,9 +1,11 @@
-"""The six gates in a real Chromium, from an empty folder: ``python -m benchmarks.bench.gates through | walks | watchers``.
+"""The six gates in a real Chromium, from an empty folder.
 
-``through``: the simulated rig (or, with ``--like soundcard``, the virtual card behind JACK) to the named cause and once
-more with the improved profile, without a terminal: clicks, wall, processor time, and a picture of each gate in ``--pictures``.
-``walks``: random clicks, entries, reloads, and deaths of the server; counts dead ends, errors in the console, and runs
-that the page did not show. ``watchers``: processor time of the server with and without thirty watchers.
+    python -m benchmarks.bench.gates through [--like soundcard] [--pictures FOLDER]
+    python -m benchmarks.bench.gates walks [--walks 100] [--seed 1]
+
+``through``: the simulated rig (or a virtual card behind JACK) to the named cause and once more with the improved
+profile, without a terminal: clicks, wall, processor time, and a picture of each gate. ``walks``: random clicks,
+entries, reloads, and deaths of the server; counts dead ends, errors in the console, and runs that were not shown.
 """
 
 from __future__ import annotations
@@ -40,8 +42,7 @@ class Server:
         """Start it and wait for its address."""
         call = [sys.executable, "-m", "bench", "live", "--runs", str(self.folder), "--port", str(self.port)]
         self.process = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
+        for line in self.process.stdout or ():
             if found := re.search(r"http://127\.0\.0\.1:(\d+)/", line):
                 self.port, self.url = int(found.group(1)), found.group()
                 return
