@@ -90,13 +90,10 @@ class DropDesk:
 
     def _offered(self) -> list[str]:
         """Files below the folder that may hold a drop, without hidden ones."""
-        found = []
-        for path in sorted(self._folder.rglob("*")):
-            inside = path.relative_to(self._folder)
-            hidden = any(part.startswith(".") for part in inside.parts)
-            if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
-                found.append(inside.as_posix())
-        return found[:500]  # in the list of a folder
+        files = [path for path in sorted(self._folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()]
+        inside = [path.relative_to(self._folder) for path in files]
+        shown = [path.as_posix() for path in inside if not any(part.startswith(".") for part in path.parts)]
+        return shown[:500]
 
     def _form(self) -> Message:
         """The request as the form shows it."""

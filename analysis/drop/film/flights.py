@@ -126,8 +126,8 @@ def jitter(height: Floats) -> float:
 
 
 def _end_of_last(clip: Clip, start: int) -> tuple[int, bool]:
-    """End of the last resolved flight (a sample), and whether it lands there: the first turn upward after its apex, the
-    time a fall from there takes, or the end of the track.
+    """End of the last resolved flight (a sample), and whether it lands there: the first turn upward after its apex, a
+    fifth more than the time a fall from there takes, or the end of the track.
     """
     t, h = clip.frame, clip.height
     top = start + 1

@@ -76,16 +76,13 @@ def of_camera(
         "fit": quality,
         "flights": [
             {
-                "file": flight.clip,
-                "order": flight.order,
-                "first_frame": float(flight.frame[0]),
-                "last_frame": float(flight.frame[-1]),
-                "samples": len(flight.frame),
+                "file": flight.clip, "order": flight.order, "samples": len(flight.frame),
+                "first_frame": float(flight.frame[0]), "last_frame": float(flight.frame[-1]),
                 "apex_s" if film.timed else "apex_frame": float(apex) * seconds,
             }
             for flight, apex in flights
         ],
-    }
+    }  # fmt: skip
     words = _in_words(payload, units, len(names)) + slow
     check = outcome.against_stated(payload["drop_height_m"], stated) if stated is not None else {}
     if stated is not None and "sigmas_off" in check:

@@ -118,7 +118,7 @@ def fit_shape(
     """
     span, reach = max(float(np.ptp(f.height)) for f in flights), flights[0].reach
     whole = float(max(f.height.max() for f in flights) - min(f.height.min() for f in flights))
-    # the scale changes by 2 % from bottom to top where the camera is tilted, and a lens bends by 0.5 % half way
+    # one standard deviation: a tilted camera changes the scale by 2 % from bottom to top, a lens by 0.5 % in the middle
     widths = {"c": 0.01 / whole, "d": 0.02 / whole**2}
     prior = np.array([unit / widths[key] ** 2 if key in widths else 0.0 for key in SHAPES[name]])
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span, "c": 0.0, "d": 0.0}

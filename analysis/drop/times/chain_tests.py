@@ -14,7 +14,7 @@ from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Floats
 
 _LEAST_SCATTER = 0.01  # of the logarithm of a ratio
-_SOME = 3
+_SOME = 3  # events outside the chain, and ratios in it, from which on chance may have made it
 _NEAR_S = 5.0
 _LEAST_OFF = 3e-3  # of the ratio: a ball is no better than that
 _LOUD_POWER = 1.3
