@@ -18,8 +18,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from bench.terminal.console import EXIT_FAILED, EXIT_USAGE, fail
-from bench.terminal.defect import DEFECTS, end_with_defect
+from bench.terminal.console import DEFECTS, EXIT_FAILED, EXIT_USAGE, end_with_defect, fail
 from kernels import BLAS_THREADS
 from kernels.errors import InputError
 

@@ -11,10 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.discovery.descent import Penalty, Problem, descend, normal_equations
-from analysis.discovery.spline_basis import basis_of, hat_functions
-from analysis.discovery.stack import StackedResiduals
-from analysis.discovery.terms import EVENT_GRIDS, FIRST_KNOTS, AugmentedModel, Curve, Term, event_term
+from analysis.discovery.descent import Penalty, Problem, StackedResiduals, descend, normal_equations
+from analysis.discovery.terms import (
+    EVENT_GRIDS,
+    FIRST_KNOTS,
+    AugmentedModel,
+    Curve,
+    Term,
+    basis_of,
+    event_term,
+    hat_functions,
+)
 from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import log_odds, robust_loss

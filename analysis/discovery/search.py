@@ -15,7 +15,7 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.coarse_search import subsample
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.descent import newton_step
+from analysis.discovery.descent import StackedResiduals, newton_step
 from analysis.discovery.penalised_fit import (
     SHARP,
     TAILS,
@@ -29,9 +29,17 @@ from analysis.discovery.penalised_fit import (
     residual_table,
     screen_covariate,
 )
-from analysis.discovery.spline_basis import basis_of, knots_of
-from analysis.discovery.stack import StackedResiduals
-from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, AugmentedModel, Curve, Term, event_terms, ranges_of
+from analysis.discovery.terms import (
+    EVENT_GRIDS,
+    IN_FLIGHT,
+    AugmentedModel,
+    Curve,
+    Term,
+    basis_of,
+    event_terms,
+    knots_of,
+    ranges_of,
+)
 from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import robust_loss

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.discovery.discover import Discovery
-from analysis.discovery.forms import SIZES, quantity_unit
-from analysis.discovery.symbolic import FittedForm
+from analysis.discovery.symbolic import SIZES, FittedForm, quantity_unit
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.residuals.prediction_errors import Errors
 from daq.setup.errors import InputError

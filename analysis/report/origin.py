@@ -14,7 +14,7 @@ from daq.files.tables import BlockFlag
 from daq.instrument.stored import instrument_of
 from daq.recording import Recording
 from daq.recording.verify import VerifyReport
-from daq.setup.calibration_age import quantities
+from daq.setup.setup import quantities
 
 LISTED = 12  # gaps and remarks in one row
 

@@ -87,8 +87,8 @@ def command(
 def _check_recordings(recordings: list[Path]) -> None:
     """Refuse a file that is missing; warn of scales whose calibration was old when the recordings were made."""
     from daq.recording import open_recording
-    from daq.setup.calibration_age import warnings_at_start
     from daq.setup.errors import require_file
+    from daq.setup.setup import warnings_at_start
 
     for path in recordings:
         require_file(path)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from bench.outputs import Folder, Scenario, check_outputs
-from bench.terminal.console import EXIT_FAILED, fail, write_json
-from bench.terminal.defect import DEFECTS
+from bench.terminal.console import DEFECTS, EXIT_FAILED, fail, write_json
 from bench.terminal.progress import progress_bar
 from daq.setup.errors import InputError
 

@@ -58,7 +58,7 @@ def command(
     from bench.profiles.find import load
     from bench.profiles.plan import refuse_forbidden
     from bench.terminal.orders import free_keys
-    from daq.setup.calibration_age import calibration_warnings
+    from daq.setup.setup import calibration_warnings
 
     check_outputs(
         File("--out", out, outputs.HDF5, lasting=True), File("--json", json, outputs.JSON),

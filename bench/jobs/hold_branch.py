@@ -6,7 +6,7 @@ import cmath
 import math
 
 from daq.setup.errors import InputError
-from model.bifurcations.cycle_branches import CycleBranch, cycle_branches
+from model.bifurcations.continuation import CycleBranch, cycle_branches
 from model.effects.routing import ball_effects
 from model.orbits.make_ball import make_ball
 from model.tones import Forcing

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
-from bench.terminal.defect import DEFECTS
+from bench.terminal.console import DEFECTS
 from bench.terminal.progress import progress_bar
 from daq.recording import Recording, open_recording
 from daq.recording.event_changes import BY_HAND, in_words

@@ -13,12 +13,11 @@ import h5py
 
 from bench.outputs import HDF5, JSON, PICTURE, File, check_outputs
 from bench.predict.diagram import diagram
-from bench.predict.orbit import orbit
-from bench.predict.request import Request, ball_for, forcing_of, gamma_peak_over_gamma, parse_effects
+from bench.predict.request import Request, ball_for, forcing_of, gamma_peak_over_gamma, orbit, parse_effects
 from bench.terminal.console import write_json
 from daq.setup.errors import InputError
-from model.bifurcations.cycle_branches import cycle_branches
-from model.bifurcations.find import find_bifurcations
+from model.bifurcations.continuation import cycle_branches
+from model.bifurcations.sweep import find_bifurcations
 from model.orbits.attractor import Ball
 
 

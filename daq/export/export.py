@@ -15,8 +15,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.export.facts import Progress, columns, pieces
-from daq.export.formats import export_matlab, export_netcdf, export_parquet, export_tdms, export_uff58
+from daq.export.formats import (
+    Progress,
+    columns,
+    export_matlab,
+    export_netcdf,
+    export_parquet,
+    export_tdms,
+    export_uff58,
+    pieces,
+)
 from daq.export.resample import Resampled
 from daq.files.whole_file import whole
 from daq.recording.reader import Recording

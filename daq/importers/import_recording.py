@@ -32,7 +32,7 @@ from daq.importers.formats.columns import (
     assign,
     reasons,
 )
-from daq.importers.intake import Intake, Progress, take_in
+from daq.importers.intake import Intake, Progress, Scratch, take_in
 from daq.importers.lost_rows import lost_rows
 from daq.importers.plausibility import (
     range_warnings,
@@ -41,7 +41,6 @@ from daq.importers.plausibility import (
     refuse_other_unit,
     remarks,
 )
-from daq.importers.scratch import Scratch
 from daq.importers.timebase import Timebase, timebase_of
 from daq.instrument.instrument import STORED, Instrument
 from daq.instrument.stored import examine

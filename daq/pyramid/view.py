@@ -11,8 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.pyramid.build import empty_extremes
-from daq.pyramid.layout import read_layout
+from daq.pyramid.build import empty_extremes, read_layout
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from kernels import njit

@@ -1,18 +1,21 @@
-"""Setup of a measurement: channels, scales, coupling, the ball, declared effects, local g.
+"""Setup of a measurement: channels, scales, coupling, ball, declared effects, local g, and the age of its calibrations.
 
 Stored, resolved, in every recording, so that the analysis needs no rig. Every number that scales a measurement is a
-`Quantity` that can carry its uncertainty, date and source; nothing is guessed.
+`Quantity` that can carry its uncertainty, date and source; nothing is guessed. A calibration that is missing or expired
+is a warning that changes nothing: a recording is judged by the day it was made, a run by today.
 """
 
 from __future__ import annotations
 
+import datetime
 import math
+from collections.abc import Iterator
 from typing import Self
 
 from pydantic import Field, model_validator
 
 from daq.channels.registry import Channels
-from daq.setup.values import STANDARD_GRAVITY_MPS2, Frozen, PositiveQuantity, Quantity, quantity
+from daq.setup.values import STANDARD_GRAVITY_MPS2, Frozen, PositiveQuantity, Quantity, QuantityTable, quantity
 
 FAR_OUTSIDE = 10.0  # multiple of a channel's range beyond which a reading is no measurement
 
@@ -119,3 +122,52 @@ class Setup(Frozen):
     def declared_values(self) -> dict[str, dict[str, float]]:
         """Declared effects as plain numbers, for `model.effects`."""
         return {name: {key: q.value for key, q in table.items()} for name, table in self.declared.items()}
+
+
+def quantities(setup: Setup) -> Iterator[tuple[str, str, QuantityTable | None]]:
+    """Quantities that can be calibrated: ``(kind of bench calibrate or empty, dotted key, quantity or None)``."""
+    channels, drive = setup.channels.recorded(), setup.drive
+    rows = {
+        name: [(channel.calibrated_by, f"channels.{name}.{key}", q) for key, q in channel.calibrations().items()]
+        for name, channel in channels.items()
+    }
+    yield from rows.pop("accelerometer")
+    yield "drive", "drive.g_per_volt", drive.g_per_volt
+    yield "drive", "drive.phase_deg", drive.phase_deg
+    if drive.second is not None:
+        yield "drive", "drive.second.g_per_volt", drive.second.g_per_volt
+        yield "drive", "drive.second.phase_deg", drive.second.phase_deg
+    for others in rows.values():
+        yield from others
+
+
+def calibration_warnings(setup: Setup, on: datetime.date) -> list[str]:
+    """One sentence for each kind of calibration that is missing or too old on the day ``on``."""
+    missing: dict[str, list[str]] = {}
+    expired: dict[str, list[str]] = {}
+    for kind, key, scale in quantities(setup):
+        if scale is None or scale.date is None:
+            missing.setdefault(kind, []).append(key)
+        elif (on - scale.date).days > setup.calibration_days:
+            expired.setdefault(kind, []).append(f"{key} ({scale.date})")
+    late = f"calibrated more than {setup.calibration_days} days before"
+    return [
+        f"{words}: {', '.join(keys)}; "
+        + (f"bench calibrate {kind} --into PROFILE" if kind else "write value, date and source into the profile")
+        for words, found in (("never calibrated", missing), (late, expired))
+        for kind, keys in found.items()
+    ]
+
+
+def warnings_at_start(setup: Setup, started: str) -> list[str]:
+    """`calibration_warnings` on the day a recording was begun.
+
+    Parameters
+    ----------
+    setup
+        The recording's setup.
+    started
+        Its attribute ``started``, ISO 8601; empty where the file lacks it, then today counts.
+    """
+    today = datetime.datetime.now(datetime.UTC).date()
+    return calibration_warnings(setup, datetime.date.fromisoformat(started[:10]) if started else today)

@@ -1,7 +1,8 @@
-"""Bifurcations as a bench meets them: gamma is stepped, the attractor is found, and a change is bisected.
+"""Bifurcations of any ball in order: by the map's own equations where there are some, else as a bench meets them.
 
-The state is carried from step to step (a sweep, with its hysteresis) or each step starts from rest;
-where the change is a period doubling it is then solved for by its own equation.
+A bench steps gamma, finds the attractor, and bisects a change. The state is carried from step to step (a sweep, with
+its hysteresis) or each step starts from rest; where the change is a period doubling it is then solved for by its own
+equation. Decision 10.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from model.bifurcations.continuation import doubling_near
-from model.bifurcations.events import LONGEST, Bifurcation, Side, check_range
+from model.bifurcations.events import LONGEST, NARROWEST, Bifurcation, Side, bifurcations, check_range
 from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
+from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
@@ -156,3 +158,28 @@ def _side(found: Attractor) -> Side:
     if _irregular(found):
         return Side()
     return Side(found.period, found.flights, found.resets)
+
+
+BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
+
+
+def find_bifurcations(
+    ball: Ball, low: float, high: float, *, narrowest: float | None = None, sweep: str | None = None
+) -> list[Bifurcation]:
+    """Bifurcations between ``low`` and ``high`` of the attractor reached from rest, or carried along by ``sweep``.
+
+    Parameters
+    ----------
+    narrowest
+        Width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution `BOUNCING`. A sweep and
+        an integrated ball are looked at step by step instead (`model.bifurcations.sweep`).
+
+    Raises
+    ------
+    ValueError
+        If the range is empty, negative or not finite.
+    """
+    if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
+        finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
+        return bifurcations(ball, low, high, narrowest=finest)
+    return observed_bifurcations(ball, low, high, sweep=sweep)

@@ -13,7 +13,7 @@ import numpy as np
 from analysis.report.figures import style
 from analysis.report.figures.style import ZONE
 from kernels.arrays import Floats
-from model.bifurcations.cycle_branches import cycle_branches
+from model.bifurcations.continuation import cycle_branches
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.orbits.attractor import Ball
 from model.orbits.exact_ball import ExactBall

@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 
 from analysis.discovery.discover import describe
-from analysis.discovery.spline_basis import basis_of, hat_functions, knots_of, penalty_of
-from analysis.discovery.terms import EVENT_GRIDS, IN_FLIGHT, Curve, event_term
+from analysis.discovery.terms import (
+    EVENT_GRIDS,
+    IN_FLIGHT,
+    Curve,
+    basis_of,
+    event_term,
+    hat_functions,
+    knots_of,
+    penalty_of,
+)
 from kernels.arrays import Floats
 
 

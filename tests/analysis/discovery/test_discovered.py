@@ -10,12 +10,11 @@ import pytest
 
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.discovery.descent import StackedResiduals
 from analysis.discovery.discover import discover
 from analysis.discovery.penalised_fit import best_start, fit_in_flight
 from analysis.discovery.search import SCREENING_TAILS, TermSearch
-from analysis.discovery.spline_basis import basis_of, knots_of
-from analysis.discovery.stack import StackedResiduals
-from analysis.discovery.terms import IN_FLIGHT, Curve, event_term, ranges_of
+from analysis.discovery.terms import IN_FLIGHT, Curve, basis_of, event_term, knots_of, ranges_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, scored_rows

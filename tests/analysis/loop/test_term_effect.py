@@ -11,8 +11,7 @@ import pytest
 
 from analysis.attribution.choice import LogScoreDifference
 from analysis.discovery.discover import Band, Discovery
-from analysis.discovery.forms import FORMS, Form, forms_for
-from analysis.discovery.symbolic import FittedForm
+from analysis.discovery.symbolic import FORMS, FittedForm, Form, forms_for
 from analysis.discovery.terms import IN_FLIGHT, event_terms
 from analysis.loop.result import ClosedLoop
 from analysis.loop.term_effect import check_new, effect_source

@@ -17,8 +17,8 @@ from bench.jobs.calibrate import contact, drive
 from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import Measured, write_into
 from bench.profiles.find import load, shipped_folder
-from daq.setup.calibration_age import calibration_warnings
 from daq.setup.errors import InputError
+from daq.setup.setup import calibration_warnings
 from rig.backends.simulated import SimulatedBackend
 from rig.profile import Profile
 from rig.sim.scenario import Scenario

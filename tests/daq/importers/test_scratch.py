@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.importers.scratch import Scratch
+from daq.importers.intake import Scratch
 
 
 def test_columns_come_back_and_nothing_stays(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def record(path: Path, lengths: list[int], lost: list[int], seed: int = 0) -> np
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pieces so small that buckets and stretches run over their ends."""
     monkeypatch.setattr(build_module, "PIECE", 1000)
-    monkeypatch.setattr("daq.pyramid.layout.TOP_BUCKETS", 4)
+    monkeypatch.setattr("daq.pyramid.build.TOP_BUCKETS", 4)
 
 
 def opened(path: Path) -> Pyramid:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from model.bifurcations.cycle_branches import cycle_branches
+from model.bifurcations.continuation import cycle_branches
 from model.orbits.attractor import State
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
