@@ -35,7 +35,7 @@ from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import FROZEN, LEADING_P, Thresholds
 from daq.files.whole_file import Journal
 from daq.recording import open_recording
-from daq.recording.identity import refuse_repeated
+from daq.recording.header import refuse_repeated
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup

@@ -201,7 +201,7 @@ class PlateTable:
 class Source:
     """Provenance of one recording, as its file states it.
 
-    ``identity`` is `daq.recording.identity.stored_id`, by which the verdict is found again next to the recording;
+    ``identity`` is `daq.recording.header.stored_id`, by which the verdict is found again next to the recording;
     ``path`` is where the recording lay.
     """
 

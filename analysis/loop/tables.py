@@ -28,7 +28,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import TREND, ParameterId, Values
 from daq.recording import open_recording
-from daq.recording.identity import stored_id
+from daq.recording.header import stored_id
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Bools

@@ -28,7 +28,7 @@ from analysis.residuals.plate_data.slow_lines import hints_of, other_lines_radps
 from analysis.residuals.shown_impacts import closure_s, weak_mps
 from daq.recording import Recording, open_recording
 from daq.recording.event_changes import in_words
-from daq.recording.identity import refuse_repeated
+from daq.recording.header import refuse_repeated
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import Measured, PlateSteps

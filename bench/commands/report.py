@@ -29,7 +29,7 @@ def command(
     from analysis.report.run_page import write_page
     from bench.jobs.print_pdf import print_pdf, refuse_without_printer
     from bench.jobs.report import report
-    from daq.recording.identity import refuse_repeated
+    from daq.recording.header import refuse_repeated
 
     check_outputs(
         File("--out", out, HTML), File("--pdf", pdf, PDF), File("--json", json, JSON),

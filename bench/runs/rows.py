@@ -17,7 +17,7 @@ def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
     id, path
         Short name in addresses, and the file's path below the folder.
     identity
-        `daq.recording.identity.stored_id`.
+        `daq.recording.header.stored_id`.
     date
         Start of the run (UTC), or when it was imported.
     profile, c, frequency_hz

@@ -45,7 +45,8 @@ from daq.importers.timebase import Timebase, timebase_of
 from daq.instrument.instrument import STORED, Instrument
 from daq.instrument.stored import examine
 from daq.recording.reader import timestamps_ns
-from daq.recording.writer import now_utc, root_attributes
+from daq.recording.writer import root_attributes
+from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table

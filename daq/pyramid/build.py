@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.recording import Recording
-from daq.recording.identity import stored_id
+from daq.recording.header import stored_id
 from kernels import njit
 from kernels.arrays import Integers
 

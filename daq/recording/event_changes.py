@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from daq.recording.writer import now_utc
+from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 
 Kind = Literal["takeoff", "landing", "impact"]

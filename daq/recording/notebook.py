@@ -17,10 +17,9 @@ from pathlib import Path
 
 from daq.files.whole_file import write_whole
 from daq.recording.event_changes import MOST_CHANGES, EventChange, from_json
-from daq.recording.header import Header
-from daq.recording.identity import stored_id
+from daq.recording.header import Header, stored_id
 from daq.recording.reader import Recording
-from daq.recording.writer import now_utc
+from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 
 ENDING = ".remarks.json"
@@ -50,7 +49,7 @@ class Entry:
 class Remarks:
     """Later notes and tags of a recording, and its events that were changed by hand."""
 
-    # of the recording they were written for (`daq.recording.identity.stored_id`); empty: whatever has its name
+    # of the recording they were written for (`daq.recording.header.stored_id`); empty: whatever has its name
     identity: str = ""
     tags: tuple[str, ...] = ()  # in order, each once
     notes: tuple[Note, ...] = ()  # in the order they were written

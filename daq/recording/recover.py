@@ -10,7 +10,8 @@ from pathlib import Path
 
 from daq.recording.opening import UNCHECKED
 from daq.recording.verify import examine
-from daq.recording.writer import copy_columns, now_utc
+from daq.recording.writer import copy_columns
+from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 
 

@@ -6,7 +6,6 @@ written, read back and found right; one rename then puts it in their place. Deci
 
 from __future__ import annotations
 
-import datetime
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -25,19 +24,13 @@ from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording.live_columns import LiveColumns
 from daq.recording.opening import open_checked
 from daq.recording.reader import Recording
-from daq.setup.clock import SYSTEM, Clock
+from daq.setup.clock import SYSTEM, Clock, now_utc
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
 
 RESERVE_BYTES = 8_000_000
 Ending = Literal["complete", "stopped", "failed"]
-
-
-def now_utc(clock: Clock = SYSTEM) -> str:
-    """The wall clock as ISO 8601 in UTC."""
-    now = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC) + datetime.timedelta(microseconds=clock.unix_ns() // 1000)
-    return now.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"
 
 
 def root_attributes(

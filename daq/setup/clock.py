@@ -6,6 +6,7 @@ What measures or waits is given a `Clock`; the default is the machine's. Decisio
 from __future__ import annotations
 
 import collections
+import datetime
 import threading
 import time
 from collections.abc import Iterator
@@ -61,3 +62,9 @@ class Clock:
 
 
 SYSTEM = Clock()
+
+
+def now_utc(clock: Clock = SYSTEM) -> str:
+    """The wall clock as ISO 8601 in UTC."""
+    now = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC) + datetime.timedelta(microseconds=clock.unix_ns() // 1000)
+    return now.isoformat(timespec="microseconds").removesuffix("+00:00") + "Z"

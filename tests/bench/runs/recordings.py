@@ -10,7 +10,7 @@ import numpy as np
 from analysis.loop.result import AddedEffect, Calibration, ClosedLoop
 from daq.files.tables import Block
 from daq.recording import CHANNELS, open_recording
-from daq.recording.identity import stored_id
+from daq.recording.header import stored_id
 from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
 from tests.loops import changed

@@ -18,7 +18,7 @@ from bench.runs import catalogue as catalogue_module
 from bench.runs.catalogue import VERSION, Catalogue
 from bench.runs.query import Query
 from daq.recording import open_recording, verify
-from daq.recording.identity import content_id, stored_id
+from daq.recording.header import content_id, stored_id
 from daq.recording.notebook import side_file, with_note, with_tags
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import record, verdict_on

@@ -16,7 +16,7 @@ from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
 from daq.importers.text.csv import CsvSource
 from daq.recording import open_recording
-from daq.recording.identity import refuse_repeated
+from daq.recording.header import refuse_repeated
 from daq.setup.errors import InputError
 from daq.setup.setup import Forcing, Setup
 from daq.setup.strict_toml import load_toml
