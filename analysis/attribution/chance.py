@@ -244,7 +244,7 @@ def fitted_gain(best: Hypothesis, x: Hypothesis) -> float:
 
 def _fitted_loss(x: Hypothesis) -> float:
     whitener, fitted = x.whitener, x.fitted
-    logs = np.concatenate([whitener.log_sigma, whitener.plate_log])
+    logs = np.concatenate([whitener.weights.log, whitener.plate_log])
     loss = robust_loss(whitener.white_all(fitted.raw), whitener.odds) + logs
     return float(np.sum(loss[fitted.state.mask])) + fitted.prior_penalty
 

@@ -96,7 +96,7 @@ SMALL_BYTES = 32 << 20
 class Header:
     """One recording in plain values, as JSON knows them."""
 
-    # `daq.recording.identity.stored_id`: the same for each copy of a run; empty where the run is not closed
+    # `stored_id`: the same for each copy of a run; empty where the run is not closed
     identity: str
     # state, where: as in `daq.recording.verify.VerifyReport`, of what was compared
     state: str

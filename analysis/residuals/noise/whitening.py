@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -39,6 +39,29 @@ def _capped(x: Floats, cap: Floats) -> Floats:
     return np.clip(np.where(np.isfinite(x), x, cap), -cap, cap)
 
 
+class StepWeights(NamedTuple):
+    """What makes the events of each step, in the order of steps, independent unit ones."""
+
+    bounds: Integers  # of the steps' blocks
+    sd: Floats  # own deviation of each event
+    shared: Floats  # directions of the common errors of a step, orthonormal in each block
+    shrink: Floats  # of each direction
+    cap: Floats  # of each unit residual: beyond, it is excluded from the estimate of the common errors
+    log: Floats  # of what each event is divided by in all
+
+    def white(self, bare: Floats) -> Floats:
+        """Whitened residuals of the events, (n,)."""
+        unit = bare / self.sd
+        # an outlier says nothing of the errors that its step shares: it counts as far as its cap
+        return self.unshared(unit[:, None], np.clip(unit, -self.cap, self.cap)[:, None])[:, 0]
+
+    def unshared(self, y: Floats, limited: Floats) -> Floats:
+        """Columns ``y`` (n, k) without the common modes that ``limited`` shows."""
+        out = np.ascontiguousarray(y)
+        _unshare(out, np.ascontiguousarray(limited), self.bounds, self.shared, self.shrink)
+        return out
+
+
 @dataclass(frozen=True)
 class Whitener:
     """Turns residuals into independent unit ones, step by step; fixed while a fit runs.
@@ -51,13 +74,8 @@ class Whitener:
     landing: Integers
     step: Integers
     order: Integers
-    bounds: Integers  # of the steps' blocks
-    sd: Floats
-    shared: Floats  # directions of the common errors of a step, orthonormal in each block
-    shrink: Floats
-    cap: Floats  # of each unit residual: beyond, it is excluded from the estimate of the common errors
+    weights: StepWeights
     period_s: Floats  # of the stacked events, before they are ordered by step
-    log_sigma: Floats  # of each whitened residual
     odds: Floats  # log odds of being an outlier, of each event; never of plate data
     plate_sigma: Floats
     plate_log: Floats
@@ -99,36 +117,22 @@ class Whitener:
         lost = excess[1] > LOST_RATIO * float(np.median(total))
         if not lean:
             excess = blocks.likeliest(excess, tuple(x > UNSHARED_RATIO * float(np.median(total)) for x in excess))
-        sd, shared, shrink, cap, logs = blocks.parts(excess)
+        weights = blocks.weights(excess)
         noise = ev.plate.noise()
         sigma, log = np.empty((2, len(ev.plate)))
         sigma[noise.rows], log[noise.rows] = noise.scaled(r.plate)
-        odds = np.concatenate([log_odds(np.exp(logs), period[order]), np.full(len(ev.plate), NEVER)])
+        odds = np.concatenate([log_odds(np.exp(weights.log), period[order]), np.full(len(ev.plate), NEVER)])
         return cls(
-            opening,
-            landing,
-            step[order],
-            order,
-            bounds,
-            sd,
-            shared,
-            shrink,
-            cap,
-            period,
-            logs,
-            odds,
-            sigma,
-            log,
-            excess,
-            total,
-            lost,
-        )
+            opening, landing, step[order], order, weights, period, odds, sigma, log, excess, total, lost
+        )  # fmt: skip
 
     def near(self, other: Whitener) -> bool:
         """Whether the weights have converged, plate data included."""
         shrunk = max(a / b for a, b in zip(other.excess_s, self.excess_s, strict=True))
         plate = np.max(np.abs(np.log(self.plate_sigma / other.plate_sigma)), initial=0.0)
-        return bool(0.8 < shrunk < 1.25 and np.median(np.abs(self.log_sigma - other.log_sigma)) < 0.1 and plate < 0.2)
+        return bool(
+            0.8 < shrunk < 1.25 and np.median(np.abs(self.weights.log - other.weights.log)) < 0.1 and plate < 0.2
+        )
 
     def profile_loss(self, r: Residuals, train: Bools, noise: PlateNoise) -> float:
         """Loss of the steps in ``train`` with the excess of each channel at its best for these very residuals.
@@ -157,22 +161,15 @@ class Whitener:
     def white_all(self, bare: Floats) -> Floats:
         """Whitened residuals, from bare ones."""
         n = len(self.step)
-        unit = bare[:n] / self.sd
-        # an outlier says nothing of the errors that its step shares: it counts as far as its cap
-        events = self._unshared(unit[:, None], np.clip(unit, -self.cap, self.cap)[:, None])[:, 0]
-        return np.concatenate([events, bare[n:] / self.plate_sigma])
+        return np.concatenate([self.weights.white(bare[:n]), bare[n:] / self.plate_sigma])
 
     def white_slopes(self, slopes: Floats, bare: Floats) -> Floats:
         """Derivatives of the whitened residuals, from columns of derivatives of the bare ones at ``bare``."""
         n = len(self.step)
-        unit = slopes[:n] / self.sd[:, None]
-        counts = np.abs(bare[:n] / self.sd) < self.cap
-        return np.concatenate([self._unshared(unit, unit * counts[:, None]), slopes[n:] / self.plate_sigma[:, None]])
-
-    def _unshared(self, y: Floats, limited: Floats) -> Floats:
-        out = np.ascontiguousarray(y)
-        _unshare(out, np.ascontiguousarray(limited), self.bounds, self.shared, self.shrink)
-        return out
+        unit = slopes[:n] / self.weights.sd[:, None]
+        counts = np.abs(bare[:n] / self.weights.sd) < self.weights.cap
+        events = self.weights.unshared(unit, unit * counts[:, None])
+        return np.concatenate([events, slopes[n:] / self.plate_sigma[:, None]])
 
     def white(self, r: Residuals) -> tuple[Floats, Floats]:
         """Whitened event residuals (in the order of ``step``) and plate residuals."""
@@ -191,25 +188,19 @@ class StepBlocks:
     period_s: Floats
     bounds: Integers
 
-    def parts(self, excess: tuple[float, float]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Own deviation, shared directions, their shrinkage, caps and logarithm of the determinant at an excess."""
+    def weights(self, excess: tuple[float, float]) -> StepWeights:
+        """What the events are divided by at an excess."""
         sd = np.hypot(self.edges, np.where(self.opening, *excess))
         relative = self.tones / sd[:, None]
         shared, shrink, logs = _shared(relative, self.bounds)
-        return sd, shared, shrink, COMMON_MODE_SIGMAS * np.sqrt(1.0 + np.sum(relative**2, axis=1)), logs + np.log(sd)
-
-    def unit(self, excess: tuple[float, float]) -> tuple[Floats, Floats]:
-        """Whitened residuals at an excess, and the logarithm of what each was divided by."""
-        sd, shared, shrink, cap, logs = self.parts(excess)
-        unit = self.bare / sd
-        z = unit[:, None].copy()
-        _unshare(z, np.clip(unit, -cap, cap)[:, None], self.bounds, shared, shrink)
-        return z[:, 0], logs
+        cap = COMMON_MODE_SIGMAS * np.sqrt(1.0 + np.sum(relative**2, axis=1))
+        return StepWeights(self.bounds, sd, shared, shrink, cap, logs + np.log(sd))
 
     def loss(self, excess: tuple[float, float]) -> float:
         """Negative log likelihood at an excess."""
-        z, logs = self.unit(excess)
-        return float(np.sum(robust_loss(z, log_odds(np.exp(logs), self.period_s)) + logs))
+        weights = self.weights(excess)
+        odds = log_odds(np.exp(weights.log), self.period_s)
+        return float(np.sum(robust_loss(weights.white(self.bare), odds) + weights.log))
 
     def likeliest(self, guess: tuple[float, float], unshared: Sequence[bool]) -> tuple[float, float]:
         """Excess of openings and of landings by maximum likelihood, with the common errors of a step.
@@ -233,7 +224,7 @@ class StepBlocks:
         """The excess raised while whitened residuals scatter by more than a unit."""
         # each channel's excess changes the scale of the others: three rounds, while one scatters 10 % too much
         for _ in range(3):
-            z, _ = self.unit(both(excess))
+            z = self.weights(both(excess)).white(self.bare)
             scale = mad_sigma(z[rows]) if rows.sum() >= ENOUGH_EVENTS else 0.0
             if scale <= 1.1:
                 break
@@ -298,7 +289,7 @@ def step_losses(model: ForwardModel, whitener: Whitener, r: Residuals) -> dict[s
         raise NotFiniteError("what it predicts for steps that it was not fitted to is not finite")
     m, n = len(model.observations.steps), len(whitener.step)
     events, plate = whitener.white(r)
-    by_event = robust_loss(events, whitener.odds[:n]) + whitener.log_sigma
+    by_event = robust_loss(events, whitener.odds[:n]) + whitener.weights.log
     by_datum = robust_loss(plate) + whitener.plate_log
     return {
         "events": np.asarray(np.bincount(whitener.step, by_event, minlength=m), dtype=np.float64),

@@ -49,7 +49,7 @@ def test_what_a_step_shares_is_taken_out(fly_ramp: Callable[..., ForwardModel], 
     whitener = Whitener.of(model, FRICTION)
     r = model.residuals(FRICTION)
     z, _ = whitener.white(r)
-    bare = whitener.stacked(r)[: len(z)] / whitener.sd
+    bare = whitener.stacked(r)[: len(z)] / whitener.weights.sd
 
     def between(x: np.ndarray) -> float:
         return float(stats.f_oneway(*(x[whitener.step == s] for s in np.unique(whitener.step))).pvalue)
