@@ -25,7 +25,7 @@ def evidence(loop: ClosedLoop, identity: str, gaps: Integers, rate_hz: float) ->
     loop
         As it was saved.
     identity
-        Of the recording (`daq.recording.identity.stored_id`).
+        Of the recording (`daq.recording.header.stored_id`).
     gaps, rate_hz
         Of the recording; times are also given as its scope counts them.
 

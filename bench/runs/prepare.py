@@ -26,7 +26,7 @@ from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
 from daq.recording import open_recording
-from daq.recording.identity import stored_id
+from daq.recording.header import stored_id
 from daq.recording.notebook import read_remarks, side_file
 from daq.setup.errors import InputError
 
