@@ -10,8 +10,8 @@ from bench.profiles.find import scenario_names, shipped_names
 from bench.profiles.new import PRESETS
 from bench.profiles.plan import planned
 from daq.files.json_values import json_object
-from daq.setup.calibration_age import quantities
 from daq.setup.errors import InputError
+from daq.setup.setup import quantities
 from rig.profile import Profile
 
 if TYPE_CHECKING:
