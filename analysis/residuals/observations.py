@@ -23,7 +23,7 @@ from analysis.plate.ringing.true_to_drive import remarks
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.held import Launches
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
-from analysis.residuals.plate_data.plate_observables import PlateData, plate_data
+from analysis.residuals.plate_data.plate_observables import PlateData, plate_data, with_wander
 from analysis.residuals.plate_data.slow_lines import hints_of, other_lines_radps
 from analysis.residuals.shown_impacts import closure_s, weak_mps
 from daq.recording import Recording, open_recording
@@ -362,6 +362,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         forcing=column(lambda p: p.steps.forcing),
     )
     openings, landings = ([p.scatters[i] for p in parts] for i in (0, 1))
+    plate, wanders = with_wander(PlateData.join([p.plate for p in parts], shift), np.arange(len(table)))
     return Observations(
         measured=measured,
         opening_sigma_s=np.concatenate(raised_together([p.opening_sigma_s for p in parts], openings)),
@@ -370,11 +371,11 @@ def join(parts: Sequence[Observations]) -> Observations:
         time_s=column(lambda p: p.time_s),
         weak_mps=column(lambda p: p.weak_mps),
         steps=table,
-        plate=PlateData.join([p.plate for p in parts], shift),
+        plate=plate,
         setup=parts[0].setup,
         unseen_s=max(p.unseen_s for p in parts),
         sources=tuple(s for p in parts for s in p.sources),
-        notes=tuple(dict.fromkeys(n for p in parts for n in p.notes)),
+        notes=tuple(dict.fromkeys([*(n for p in parts for n in p.notes), *wanders])),
         mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
         pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),
         closure_s=float(np.median([p.closure_s for p in parts])),

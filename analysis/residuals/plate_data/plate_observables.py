@@ -149,16 +149,23 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
         for j, m in enumerate(s.forcing_multiples[1:]):
             others[i, j], shares[i, j] = m, _share_of(s, m, power)
     value, sigma, omega_radps, accel_g, first = table[:, 2:].T
-    zeros = kind == OFFSET
-    if wander := _wander(np.array([s.first_sample for s in fitted])[step[zeros]], value[zeros], sigma[zeros]):
-        notes.append(
-            f"the accelerometer's zero wanders by {wander:.2g} m/s^2 from step to step; no flight depends on it"
-        )
-        sigma = np.where(zeros, np.hypot(sigma, wander * np.sqrt(np.sum(zeros))), sigma)
-    rows_as_table = PlateData(
-        kind, step, value, sigma, omega_radps, accel_g, first, multiple, others[step], shares[step]
-    )
-    return rows_as_table, tuple(notes)
+    data = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, others[step], shares[step])
+    data, wanders = with_wander(data, np.array([s.first_sample for s in fitted], dtype=np.int64))
+    return data, (*notes, *wanders)
+
+
+def with_wander(data: PlateData, since: Integers) -> tuple[PlateData, tuple[str, ...]]:
+    """The same with the wandering of the sensor's zero in its uncertainty, and a note where it wanders.
+
+    ``since`` (m,) is the first sample of each step, or its place among the steps of several recordings.
+    """
+    zeros = data.kind == OFFSET
+    wander = _wander(since[data.step[zeros]], data.value[zeros], data.sigma[zeros])
+    if not wander:
+        return data, ()
+    sigma = np.where(zeros, np.hypot(data.sigma, wander * np.sqrt(np.sum(zeros))), data.sigma)
+    note = f"the accelerometer's zero wanders by {wander:.2g} m/s^2 from step to step; no flight depends on it"
+    return replace(data, sigma=sigma), (note,)
 
 
 def _share_of(s: StepPlate, multiple: int, power: int) -> complex:
@@ -326,15 +333,7 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
 
 
 def expected(data: PlateData, values: Mapping[str, Mapping[str, Floats]]) -> Floats:
-    """Expected value of each datum under the effects, shape (r,).
-
-    Parameters
-    ----------
-    data
-        The table.
-    values
-        By effect and parameter, the value in each step, arrays of shape (m,).
-    """
+    """Expected value of each datum, (r,), under ``values`` by effect and parameter, arrays (m,) over the steps."""
     out = np.zeros(len(data))
     for name, table in values.items():
         if not table or not effect(name).hooks.keys() & PLATE_HOOKS:
@@ -371,6 +370,7 @@ def _add_transfer(out: Floats, data: PlateData, factor: Callable[[NDArray[np.int
         out[rows] += np.log(found) if kind == GAIN else found
 
 
+# hooks with one number for one kind of datum
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "hum_mps2": (HUM, lambda size: size**2),
     "pickup_mps2": (HUM, lambda size: size**2),
@@ -378,9 +378,8 @@ PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "offset_mps2": (OFFSET, float),
     "time_scale": (CLOCK, lambda factor: 1.0 / factor - 1.0),
 }
-"""Hooks with one number for one kind of datum."""
+# all that change the expected value of plate data
 PLATE_HOOKS = frozenset({"harmonics", "transfer", "accelerometer_response", *PLAIN_HOOKS_OF_KIND})
-"""Hooks that change the expected value of plate data."""
 
 
 def _add_harmonics(out: Floats, data: PlateData, hook: Callable[..., Any]) -> None:

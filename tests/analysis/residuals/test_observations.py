@@ -11,6 +11,7 @@ import pytest
 from analysis.events.edge_jitter import Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import join
+from analysis.residuals.plate_data.plate_observables import OFFSET
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 QUIET = (0.22, 0.23, 0.24, 0.25)
@@ -39,3 +40,21 @@ def test_a_short_recording_has_the_jitter_of_all(fly_ramp: Callable[..., Forward
     assert both.landing_sigma_s[:n] == pytest.approx(np.hypot(short.landing_sigma_s, 4e-6))
     assert both.opening_sigma_s[n:] == pytest.approx(long.opening_sigma_s)
     assert [len(x.excess_s2) for x in both.scatters] == [4, 4]
+
+
+def test_a_zero_that_wanders_from_file_to_file_is_as_uncertain_as_it_wanders(
+    fly_ramp: Callable[..., ForwardModel],
+) -> None:
+    """Recordings whose zeros differ by more than each one's own uncertainty: a note, and the offsets are wider."""
+    one = fly_ramp({}, 1, gammas=QUIET).observations
+    few = one.plate.among(np.arange(4))
+    zeros_mps2 = 0.05 * np.random.default_rng(2).standard_normal(6)
+    parts = [
+        replace(
+            one, plate=replace(few, kind=np.full(4, OFFSET), value=np.full(4, zero), sigma=np.full(4, 1e-3))
+        )
+        for zero in zeros_mps2
+    ]  # fmt: skip
+    both = join(parts)
+    assert both.plate.sigma.min() > 0.03 and any("zero wanders" in note for note in both.notes)
+    assert join(parts[:1] * 6).plate.sigma.max() < 2e-3
