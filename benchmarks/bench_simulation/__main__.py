@@ -31,14 +31,15 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--minutes", type=float, default=1.0, help="of the bench's own time, of a ramp")
     parser.add_argument("--plan", help="one plan, as a failure prints it")
     parser.add_argument("--plans", type=Path, help="file of plans, one a line; lines that begin with # are words")
-    parser.add_argument("--only", help="plans with a fault of this kind")
+    parser.add_argument(
+        "--only", help="plans with a fault of this kind (for an error put in: of the kind that shows it)"
+    )
     parser.add_argument("--mutant", choices=sorted(MUTANTS), help="with this error put into the product")
     parser.add_argument("--twice", type=int, default=10, help="every so many seeds is run twice and compared")
     parser.add_argument("--most", type=int, default=10, help="failures after which it ends")
     given = parser.parse_args(arguments)
     with_library(MODULE, arguments)
-    if given.mutant:
-        mutate(given.mutant)
+    only = given.only or (mutate(given.mutant) if given.mutant else "")
     from benchmarks.bench_simulation.judge import simulate
     from benchmarks.bench_simulation.plan import Plan, draw
     from benchmarks.bench_simulation.shrink import shrunk
@@ -48,11 +49,11 @@ def main(arguments: list[str]) -> int:
     try:
         first, last = (int(part) for part in given.seeds.split(":"))
         plans: Iterable[Plan] = (draw(seed, given.minutes) for seed in range(first, last))
+        if only:
+            plans = (plan for plan in plans if any(fault.kind == only for fault in plan.faults))
         if given.plan or given.plans:
             lines = [given.plan] if given.plan else given.plans.read_text(encoding="utf-8").splitlines()
             plans = [Plan.from_json(line) for line in lines if not line.startswith("#")]
-        if given.only:
-            plans = (plan for plan in plans if any(fault.kind == given.only for fault in plan.faults))
         simulate(draw(0), disk)  # compiled before the clock runs
         gc.collect()
         gc.freeze()
