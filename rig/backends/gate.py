@@ -10,20 +10,20 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-import serial
 from cobs import cobs
 
 from daq.files.tables import Block
+from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError
 from rig.backends.kinds.soundcard import CardOptions
+from rig.backends.port import Port, open_port
 from rig.profile import Profile
 
 VERSION = 1
@@ -36,16 +36,6 @@ SILENCE_S = 0.5  # without a message from the gate
 LONGEST_BLOCK = 2.0 / 3.0  # of a cycle: between two heartbeats
 _STATUS = struct.Struct("<BBIBB")
 _CRC_BYTES = 4
-
-
-class GatePort(Protocol):
-    """What is used of `serial.Serial`."""
-
-    @property
-    def in_waiting(self) -> int: ...
-    def read(self, size: int) -> bytes: ...
-    def write(self, data: bytes) -> Any: ...
-    def close(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -85,17 +75,11 @@ def gated(backend: Backend, profile: Profile, table: CardOptions) -> Backend:
         )
     highest_hz = profile.forcing.frequency_hz * profile.forcing.multiples[-1]
     limits = limits_for(profile.forcing.frequency_hz, highest_hz, table.gate_limit, table.gate_rate_hz)
-    return GatedBackend(backend, lambda: _open_port(table.gate_port), limits)
 
+    def opener() -> Port:
+        return open_port(table.gate_port, 115200, 0.0, whose="gate", key="backend.gate_port")
 
-def _open_port(name: str) -> GatePort:
-    try:
-        port: GatePort = serial.Serial(name, timeout=0)
-    except (serial.SerialException, OSError, ValueError) as error:
-        raise BackendError(
-            f"gate {name}: cannot be opened ({error}); is it plugged in, and is backend.gate_port its name?"
-        ) from error
-    return port
+    return GatedBackend(backend, opener, limits)
 
 
 def limits_for(frequency_hz: float, highest_hz: float, part: float, rate_hz: float) -> GateLimits:
@@ -152,11 +136,13 @@ class GatedBackend:
         Opens the gate's port; its reads do not wait.
     limits
         What the gate is armed with.
+    clock
+        The machine's, or that of a simulation.
     """
 
-    def __init__(self, inner: Backend, opener: Callable[[], GatePort], limits: GateLimits) -> None:
-        self._inner, self._opener, self._limits = inner, opener, limits
-        self._port: GatePort | None = None
+    def __init__(self, inner: Backend, opener: Callable[[], Port], limits: GateLimits, clock: Clock = SYSTEM) -> None:
+        self._inner, self._opener, self._limits, self._clock = inner, opener, limits, clock
+        self._port: Port | None = None
         self._reader = StatusReader()
         self._status: GateStatus | None = None
         self._heard_s = 0.0
@@ -169,13 +155,14 @@ class GatedBackend:
         """Open the gate's port, hear from it, and start the back end; raises `BackendError`."""
         self.stop()
         self._port, self._reader, self._status, self._armed = self._opener(), StatusReader(), None, False
-        ends = time.monotonic() + FIRST_S
+        ends = self._clock.monotonic_s() + FIRST_S
         try:
             while self._status is None:
                 self._listen()
-                if time.monotonic() > ends:
+                if self._clock.monotonic_s() > ends:
                     why = "is it powered, and is backend.gate_port its port?"
                     raise BackendError(f"gate: silent for {FIRST_S:g} s; {why}")
+                self._clock.sleep(0.005)
             self._refuse_closed()
             self._inner.start()
         except BackendError:
@@ -188,7 +175,7 @@ class GatedBackend:
             raise BackendError("not started")
         self._listen()
         self._refuse_closed()
-        if time.monotonic() - self._heard_s > SILENCE_S:
+        if self._clock.monotonic_s() - self._heard_s > SILENCE_S:
             raise BackendError(f"gate: no message for {SILENCE_S:g} s; it closes by itself: check its cable")
         status = self._status
         if status is not None:
@@ -223,7 +210,7 @@ class GatedBackend:
         except OSError as error:
             raise self._went_away(error) from error
         if status is not None:
-            self._status, self._heard_s = status, time.monotonic()
+            self._status, self._heard_s = status, self._clock.monotonic_s()
 
     @staticmethod
     def _went_away(error: OSError) -> BackendError:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Protocol
 
 import numpy as np
 import serial
@@ -25,6 +24,7 @@ from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError, checked_drive
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
+from rig.backends.port import Port, open_port
 from rig.backends.soundcard import SoundcardBackend
 from rig.profile import Profile
 
@@ -33,28 +33,6 @@ Codes = NDArray[np.int16]
 HELD_S = 60.0  # of frames that are not taken, before the reader gives up
 QUIET_S = 0.1  # of silence before the marker, and at least after it
 FADE_S = 0.2
-
-
-class Port(Protocol):
-    """What is used of `serial.Serial`."""
-
-    @property
-    def in_waiting(self) -> int: ...
-    def read(self, size: int) -> bytes: ...
-    def reset_input_buffer(self) -> None: ...
-    def close(self) -> None: ...
-
-
-def open_port(name: str, baud: int) -> Port:
-    """The port ``name``; raises `BackendError`."""
-    try:
-        port: Port = serial.Serial(name, baud, timeout=0.05)
-    except (serial.SerialException, OSError, ValueError) as error:
-        raise BackendError(
-            f"serial DAQ {name}: cannot be opened ({error}); is it plugged in, and is backend.port its name? "
-            "bench devices lists what is there"
-        ) from error
-    return port
 
 
 class SerialReader:
@@ -377,6 +355,10 @@ def open_soundcard_serial(profile: Profile, options: OpenOptions) -> SoundcardSe
         raise InputError(f"profile {profile.name!r}: backend.kind is {table.kind}; wanted soundcard+serial")
     ranges_v = {name: channel.range_v for name, channel in profile.channels.recorded().items()}
     rate_hz = profile.sampling.rate_hz
-    reader = SerialReader(table.port, len(ranges_v), rate_hz, lambda: open_port(table.port, table.baud))
+
+    def opener() -> Port:
+        return open_port(table.port, table.baud, 0.05, whose="serial DAQ", key="backend.port")
+
+    reader = SerialReader(table.port, len(ranges_v), rate_hz, opener)
     card = SoundcardBackend(profile, play_only=True)
     return SoundcardSerialBackend(card, reader, ranges_v, table.marker_v, profile.forcing.frequency_hz)

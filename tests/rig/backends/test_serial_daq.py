@@ -23,7 +23,8 @@ from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording import open_recording, verify
 from daq.recording.writer import RecordingWriter
 from rig.backends.base import BackendError, Running, TwoClocked
-from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend, open_port
+from rig.backends.port import open_port
+from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
 from rig.sim.scenario import Scenario
@@ -115,7 +116,7 @@ def test_what_keeps_samples_from_coming_is_named(tape: Tape, said: str) -> None:
 def test_a_port_that_is_not_there_is_named() -> None:
     """A wrong name in the profile: the error says which, and what lists the right ones."""
     with pytest.raises(BackendError, match=r"/dev/not-there: cannot be opened .* bench devices"):
-        open_port("/dev/not-there", 115200)
+        open_port("/dev/not-there", 115200, 0.05, whose="serial DAQ", key="backend.port")
 
 
 def wired(device: SerialDevice, marker_v: float = 0.2) -> tuple[SoundcardSerialBackend, WiredCard, WiredPort]:
@@ -326,7 +327,7 @@ def through(card: PeerCard, name: str) -> SoundcardSerialBackend:
     """The back end with the real port; the device runs before anybody listens."""
 
     def opener():
-        port = open_port(name, 115200)
+        port = open_port(name, 115200, 0.05, whose="serial DAQ", key="backend.port")
         threading.Timer(0.2, card.exchange, [np.zeros(2000)]).start()
         return port
 
