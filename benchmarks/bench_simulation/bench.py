@@ -139,9 +139,11 @@ class Bench:
         side = RunSide(self._board, clock=self._world) if self._board is not None else None
         if plan.recorder == "process":
             make: Callable[..., RecorderProcess] = RecorderProcess if side is None else side.recorder
+            # large enough for what one turn of the recorder cannot take, or small enough to be filled
+            ring_s = (4.0 + 10.0 / plan.frequency_hz) * (4 if plan.seed % 2 else 1)
             writer = self._writer = make(
                 self.left.path, self._profile.setup(), block_samples=self._block, patience_s=0.0,
-                start=self._recorder.start, clock=self._world, ring_s=4.0 + 10.0 / plan.frequency_hz, **options,
+                start=self._recorder.start, clock=self._world, ring_s=ring_s, **options,
             )  # fmt: skip
             progress = self._progress if side is None else side.begin(writer, device, self._request, self._progress)
             self.left.began = True
@@ -288,7 +290,7 @@ class Bench:
             self.disk.is_aside = False
 
     def _stall(self, fault: Fault) -> None:
-        self._recorder.stalls_ns = fault.n * 10**7
+        self._recorder.stalls_ns = fault.n * 3 * 10**7
 
     def _step_clock(self, fault: Fault) -> None:
         self._world.wall_ns += (fault.n - 1000) * 10**12

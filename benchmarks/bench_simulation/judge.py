@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.bench_simulation.bench import Bench, Left
 from benchmarks.bench_simulation.devices import CHANNELS
 from benchmarks.bench_simulation.disk import Disk
-from benchmarks.bench_simulation.plan import DISK, RECORDER, Plan
+from benchmarks.bench_simulation.plan import DEVICE, DISK, RECORDER, Plan
 from benchmarks.bench_simulation.world import Stuck
 from daq.files.tables import BlockFlag
 from daq.recording import open_recording, verify
@@ -150,9 +150,11 @@ class Judge:
         if report.state in ("complete", "stopped"):
             self._require(n >= acknowledged, f"{name}: {n} samples read of {acknowledged} acknowledged")
             is_all = read is not None and (n == len(self._codes) or self._lies or self._left.plan.device != "plain")
-            disturbed = bool(self._kinds & SPOILS_DISK)
+            complete = self._left.summary is not None and self._left.summary.how == "complete"
+            disturbed = bool(self._kinds & SPOILS_DISK) and not complete
+            short = bool(self._kinds & {*DEVICE}) and read is not None and read[2].get("suspect")
             self._require(
-                is_all or disturbed or (read is not None and read[2].get("suspect")),
+                is_all or disturbed or short,
                 f"{name}: {report.state}, with {n} of {len(self._codes)} samples",
             )
             if whole and read is not None:

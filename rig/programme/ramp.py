@@ -133,7 +133,7 @@ def fade_cycles(ramp: RampTable, change: float) -> int:
 
 
 def peaks(setup: Setup, gamma: float) -> Peaks:
-    """What ``gamma`` asks of drive and plate; exact to 1e-8 for any pair of tones."""
+    """What ``gamma`` asks of drive and plate; exact to rounding for any tones."""
     tones = setup.forcing.displacement_tones()
     at_one = _peaks_at_one(tones, drive_amplitudes(setup, 1.0), setup.forcing.frequency_hz, setup.g_mps2.value)
     return Peaks(*(gamma * value for value in astuple(at_one)))
@@ -179,13 +179,13 @@ def _largest(multiples: Integers, amplitudes: Complexes) -> float:
 
 
 def _highest(multiples: Integers, amplitudes: Complexes) -> float:
-    """Highest value of ``sum Re[z exp(i m phi)]``: a grid fine for the fastest tone, then a parabola at its top."""
-    # 512 points a turn of the fastest tone: the parabola at the top is then right to some 1e-8
-    n = 512 * int(multiples.max())
+    """Highest value of ``sum Re[z exp(i m phi)]``: Newton's steps from each top of a grid, none of which is missed."""
+    n = 64 * int(multiples.max())
     phi = 2.0 * np.pi * np.arange(n) / n
     y = np.real(np.exp(1j * np.outer(phi, multiples)) @ amplitudes)
-    top = int(np.argmax(y))
-    before, here, after = y[top - 1], y[top], y[(top + 1) % n]
-    # vertex of the parabola through the three highest points
-    curve = before - 2.0 * here + after
-    return float(here - (after - before) ** 2 / (8.0 * curve) if curve < 0.0 else here)
+    at = phi[(y >= np.roll(y, 1)) & (y >= np.roll(y, -1))]
+    for _ in range(8):
+        turned = np.exp(1j * np.outer(at, multiples)) * amplitudes
+        slope, bend = -np.imag(turned @ multiples), -np.real(turned @ multiples**2)
+        at = at - np.clip(slope / np.minimum(bend, -1e-300), -np.pi / n, np.pi / n)
+    return float(max(y.max(), np.real(np.exp(1j * np.outer(at, multiples)) @ amplitudes).max()))

@@ -80,7 +80,8 @@ def _checked(value: Any) -> BackendOptions:
     if not isinstance(value, Mapping):
         raise PydanticCustomError("dict_type", "wanted a table")
     name = value.get("kind", DEFAULT)
-    if not isinstance(name, str) or name not in names():
+    # installed packages are looked through only for a kind that is none of ours: that takes longer than all else
+    if not isinstance(name, str) or (name not in built_in() and name not in offered()):
         raise _faults(InitErrorDetails(type="literal_error", loc=("kind",), input=name, ctx={"expected": _listed()}))
     try:
         options = kind_of(name).options
