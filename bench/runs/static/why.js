@@ -28,7 +28,7 @@ function fill(table, rows, open = null) {
 export class Why {
   constructor(scope, api) {
     Object.assign(this, { scope, api, step: null, flight: null });
-    this.axes = new Axes(byId("residuals"), { x: "take-off (s)", y: "measured less predicted landing (\u00b5s)" });
+    this.axes = new Axes(byId("residuals"), { x: "take-off (s)", y: "landing residual (\u00b5s)" });
     new ResizeObserver(() => { this.axes.fit(); this.paint(); }).observe(byId("residuals").parentElement);
     addEventListener("themechange", () => this.paint());
     for (const name of ["measured", ...MODELS]) byId(`layer-${name}`).addEventListener("change", () => { this.paint(); scope.changed(); });
