@@ -82,7 +82,27 @@ class CoarseSearch:
         r = self.model.residuals({**self.values, **point})
         return self.whitener.profile_loss(r, self.train, self.plate_noise)
 
-    def best_of(self, points: Sequence[Point]) -> tuple[float, Point]:
+    def lowest(self, axes: Sequence[Sequence[Point]], *, jointly: bool) -> tuple[float, Point]:
+        """The lowest loss found over settings along several axes, see `axes_of`, and its point.
+
+        ``jointly`` tries every combination. Else the two best points of the first axis go along the others one after
+        another, and where these have led elsewhere, its other points are tried there: a sum of settings, no product.
+        """
+        if jointly:
+            return self._best_of([{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*axes)])
+        first, *others = axes
+        tried = sorted(((self.loss(p), p) for p in first), key=lambda pair: pair[0])
+        found = tried[:2]
+        for axis in others:
+            ways = [[x, self._best_of([{**x[1], **s} for s in axis[1:]])] for x in found]
+            found = [min(pair, key=lambda seen: seen[0]) for pair in ways]
+        best = min(found, key=lambda pair: pair[0])
+        if best in tried:
+            return best
+        moved = {k: v for k, v in best[1].items() if any(k in s for axis in others for s in axis)}
+        return min(best, self._best_of([{**p, **moved} for p in first]), key=lambda pair: pair[0])
+
+    def _best_of(self, points: Sequence[Point]) -> tuple[float, Point]:
         """The lowest loss of several points, and its point."""
         return min(((self.loss(p), p) for p in points), key=lambda pair: pair[0])
 
@@ -122,15 +142,15 @@ def _groups(point: Point, keys: Sequence[ParameterId]) -> list[tuple[ParameterId
     return out
 
 
-def joint_points(
+def axes_of(
     starts: Sequence[Mapping[ParameterId, float]], fresh: Sequence[ParameterId], chosen: Sequence[ParameterId]
-) -> list[Point]:
-    """A candidate's starting points, each with every setting of the coarse grids of chosen or fresh parameters."""
-    grids: list[list[Point]] = [[{k: v for k, v in p.items() if k in fresh} for p in starts] or [{}]]
+) -> list[list[Point]]:
+    """A candidate's starting points, its own coarse grid among them; then of each group of chosen ones its settings."""
+    axes: list[list[Point]] = [[{k: v for k, v in p.items() if k in fresh} for p in starts] or [{}]]
     for keys, settings in coarse_grids():
         if keys[0] in fresh:
-            others = [p for p in grids[0] if all(k not in p for k in keys)]
-            grids[0] = others + [{**p, **dict.fromkeys(keys, s)} for p in grids[0][:1] for s in settings]
+            others = [p for p in axes[0] if all(k not in p for k in keys)]
+            axes[0] = others + [{**p, **dict.fromkeys(keys, s)} for p in axes[0][:1] for s in settings]
         elif keys[0] in chosen:
-            grids.append([{}, *(dict.fromkeys([k for k in keys if k in chosen], s) for s in settings)])
-    return [{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*grids)]
+            axes.append([{}, *(dict.fromkeys([k for k in keys if k in chosen], s) for s in settings)])
+    return axes

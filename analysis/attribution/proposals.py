@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from analysis.attribution.candidates import Candidate, Point, distinct_starts, null_value_of, parameter_of, trends_of
-from analysis.attribution.coarse_search import CoarseSearch, joint_points, subsample
+from analysis.attribution.coarse_search import CoarseSearch, axes_of, coarse_grids, subsample
 from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.linear_algebra import NotFiniteError
@@ -259,7 +259,8 @@ class Proposals:
 
         def on_grid(candidate: Candidate) -> tuple[float, Point, Candidate]:
             free = tuple(k for k in candidate.free if k not in best.free)
-            loss, point = search.best_of(joint_points(candidate.starts, free, best.free))
+            jointly = any(keys[0] in free for keys, _ in coarse_grids())  # what switches behaviour itself
+            loss, point = search.lowest(axes_of(candidate.starts, free, best.free), jointly=jointly)
             tried(candidate)
             return loss, {**{k: values[k] for k in best.free}, **point}, Candidate(candidate.names, free)
 

@@ -10,7 +10,7 @@ import pytest
 
 from analysis.attribution.candidates import candidates_of, distinct_starts, trends_of
 from analysis.attribution.choice import contained_in
-from analysis.attribution.coarse_search import joint_points
+from analysis.attribution.coarse_search import axes_of
 from analysis.attribution.fit import HELD, Fitter
 from analysis.plate.ringing.modes import PlateMode
 from analysis.residuals.forward_model import ForwardModel
@@ -49,7 +49,7 @@ def test_tied_parameters_begin_equal_and_drift_together(fly_ramp: Callable[..., 
     model = fly_ramp({}, 0, gammas=(0.4, 0.8))
     friction = next(c for c in candidates_of(model) if c.names == ("coulomb_friction",))
     assert friction.starts and all(start[UP] == start[DOWN] for start in friction.starts)
-    points = joint_points(({},), (UP, DOWN), ())
+    (points,) = axes_of(({},), (UP, DOWN), ())
     assert any(p for p in points) and all(p[UP] == p[DOWN] for p in points if p)
     together = [c.free for c in trends_of((UP, DOWN)) if len(c.free) == 2]
     assert together == [((UP[0], UP[1] + TREND), (DOWN[0], DOWN[1] + TREND))]
