@@ -89,7 +89,9 @@ class CoarseSearch:
         another, and where these have led elsewhere, its other points are tried there: a sum of settings, no product.
         """
         if jointly:
-            return self._best_of([{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*axes)])
+            return self._best_of(
+                [{k: v for part in parts for k, v in part.items()} for parts in itertools.product(*axes)]
+            )
         first, *others = axes
         tried = sorted(((self.loss(p), p) for p in first), key=lambda pair: pair[0])
         found = tried[:2]

@@ -139,12 +139,11 @@ class Refits:
     def reweighted(self, fitted: Fitted) -> Fitted:
         """The fit repeated with the weights of the point found, until they converge."""
         # weights depend on the fit and the fit on the weights: four turns, or until the loss stands still
-        for turn in range(4):
+        for _ in range(4):
             before, after = fitted.state.whitener, Whitener.of(self.model, fitted.values)
             if after.near(before):
                 break
-            # from the second turn on the point hardly moves: what its derivatives were, they are
-            fitted = self.fitter.fit(after, fitted.free, fitted.values, fitted.slopes if turn else None)
+            fitted = self.fitter.fit(after, fitted.free, fitted.values)
         return fitted
 
     def converged(
