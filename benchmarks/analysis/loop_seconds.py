@@ -1,6 +1,6 @@
 """Processor seconds of the closed loop by stage, for a handful of blind trials, beside another tree in one run.
 
-    python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 12] [--against PATH] [--folder KEPT]
+    python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 12] [--longer] [--against T] [--folder F]
 
 It prints a table of the stages: of two trees the other one's figures stand first, and verdicts,
 names and values of both are compared. Each trial's recording is made once and given to both trees. Kernels are compiled
@@ -36,6 +36,11 @@ WANTED = (  # kind, plant and what is hidden: light and heavy ones in turn
     ("strong", "other", ("table_resonance",)), ("strong", "other", ("gain_compression",)),
     ("strong", "other", ("viscous_damping",)), ("strong", "other", ("accelerometer_offset",)),
     ("strong", "other", ("local_gravity",)),
+)  # fmt: skip
+LONGER = (  # what longer ramps of the other plant hide, and their c
+    (("coulomb_friction",), 1), (("viscous_damping",), 2), (("restitution",), 1),
+    (("restitution", "coulomb_friction"), 1), (("restitution", "coulomb_friction"), 2),
+    (("restitution", "coulomb_friction", "viscous_damping"), 1),
 )  # fmt: skip
 
 
@@ -93,18 +98,22 @@ def _clock(function: Callable[..., Any], stage: str, seconds: dict[str, float]) 
     return clocked
 
 
-def make(seed_base: int, trials: int, folder: Path) -> list[Path]:
+def make(seed_base: int, trials: int, folder: Path, *, longer: bool = False) -> list[Path]:
     """Recordings of the wanted trials; those that stand in ``folder`` already are kept."""
     from benchmarks.scoring import trial
     from benchmarks.scoring.design import jobs
 
-    drawn, out = jobs(seed_base), []
-    for kind, plant, effects in WANTED[:trials]:
-        job = next(j for j in drawn if (j.kind, j.plant, j.effects) == (kind, plant, effects))
+    if longer:
+        wanted = [trial.Job("strong", "other", x, c, seed_base + i, longer=True) for i, (x, c) in enumerate(LONGER)]
+    else:
+        drawn = jobs(seed_base)
+        wanted = [next(j for j in drawn if (j.kind, j.plant, j.effects) == one) for one in WANTED]
+    out = []
+    for job in wanted[:trials]:
         place = folder / job.key.replace("/", "_")
         if not (place / "recording.h5").exists():
             place.mkdir(parents=True, exist_ok=True)
-            (trial.other if plant == "other" else trial.own)(job, place)
+            (trial.other if job.plant == "other" else trial.own)(job, place)
         out.append(place / "recording.h5")
     return out
 
@@ -160,6 +169,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     options.add_argument("--seed-base", type=int, default=52_000)
     options.add_argument("--trials", type=int, default=len(WANTED), help="so many of the wanted trials")
+    options.add_argument("--longer", action="store_true", help="ramps of 30 steps of 50 cycles instead")
     options.add_argument("--against", type=Path, help="another tree of this project")
     options.add_argument("--folder", type=Path, help="where recordings are kept; a temporary one by default")
     options.add_argument("--measure", type=Path, nargs="+", help=argparse.SUPPRESS)
@@ -168,7 +178,7 @@ def main() -> None:
         _warm_and_measure(args.measure)
         return
     with tempfile.TemporaryDirectory() as name:
-        recordings = make(args.seed_base, args.trials, args.folder or Path(name))
+        recordings = make(args.seed_base, args.trials, args.folder or Path(name), longer=args.longer)
         trees = [*([args.against.resolve()] if args.against else []), Path(__file__).resolve().parents[2]]
         show(recordings, [_in_tree(tree, recordings) for tree in trees])
 

@@ -36,7 +36,7 @@ CONTACTS: dict[str, dict[str, float]] = {
 class Job:
     """What to hide and where: ``kind`` is strong, weak, clean, declared, outside or pair.
 
-    ``varied``: conditions of the recording are drawn from the seed, see `conditions`.
+    ``varied``: conditions are drawn from the seed, see `conditions`; ``longer``: 30 steps of 50 cycles.
     """
 
     kind: str
@@ -45,11 +45,12 @@ class Job:
     c: int
     seed: int
     varied: bool = False
+    longer: bool = False
 
     @property
     def key(self) -> str:
         """A name of its own."""
-        hidden, how = "+".join(self.effects) or "-", "varied/" if self.varied else ""
+        hidden, how = "+".join(self.effects) or "-", "varied/" * self.varied + "longer/" * self.longer
         return f"{how}{self.kind}/{self.plant}/{hidden}/{self.c}/{self.seed}"
 
 
@@ -163,7 +164,7 @@ def conditions(job: Job) -> dict[str, Any]:
     A third of the drives have a period of a whole number of samples.
     """
     if not job.varied:
-        return {"c": job.c, "steps": 22}
+        return {"c": job.c, **({"steps": 30, "cycles": 50} if job.longer else {"steps": 22})}
     rng = np.random.default_rng((job.seed, 1))
     return {
         "c": int(rng.choice((1, 2, 3))),
