@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,12 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from bench.web.access import Guard
+from bench.web.access import Access, Guard
 from bench.web.application import STATIC
 from bench.web.browsers import Browser, Hub, socket_route
 from bench.web.section import templates_of
 from bench.web.serve import Server, bind
+from daq.setup.clock import SYSTEM, Clock
 
 HERE = Path(__file__).parent
 MOST = 40  # watchers at a time
@@ -53,12 +53,19 @@ class Watchers:
         if self._server is not None:
             return
         listening, access = bind(host, 0)
-        static = [Mount("/static/web", StaticFiles(directory=STATIC)), Mount("/static/live", _files())]
-        routes = [Route("/", self._show), *static, socket_route("/live/socket", self._talk)]
-        app = Starlette(routes=routes, middleware=[Middleware(_Slow), Middleware(Guard, access=access)])
-        app.state.sections = ()
-        self._server, self.url = Server(app, own_signals=False), access.url
+        self._server, self.url = Server(self.application(access), own_signals=False), access.url
         self._task = asyncio.create_task(self._server.serve([listening]))
+
+    def application(self, access: Access) -> Starlette:
+        """The page, its scripts and its socket: all that a watcher can reach."""
+        static = [
+            Mount(f"/static/{name}", StaticFiles(directory=folder))
+            for name, folder in (("web", STATIC), ("live", HERE / "static"))
+        ]
+        routes = [Route("/", self._show), *static, socket_route("/live/socket", self._talk)]
+        app = Starlette(routes=routes, middleware=[Middleware(Slow), Middleware(Guard, access=access)])
+        app.state.sections = ()
+        return app
 
     def close(self) -> None:
         """End the server; links that were given out lead nowhere."""
@@ -78,11 +85,11 @@ class Watchers:
         await self._hub.serve(browser, self._greet, _pass_over)
 
 
-class _Slow:
+class Slow:
     """ASGI middleware: refuse an address that asks too often."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app, self._second = app, 0
+    def __init__(self, app: ASGIApp, clock: Clock = SYSTEM) -> None:
+        self._app, self._clock, self._second = app, clock, 0
         self._asked: dict[str, int] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -90,7 +97,7 @@ class _Slow:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        second, address = int(time.monotonic()), str((scope.get("client") or ("",))[0])
+        second, address = int(self._clock.monotonic_s()), str((scope.get("client") or ("",))[0])
         if second != self._second:
             self._second, self._asked = second, {}
         self._asked[address] = self._asked.get(address, 0) + 1
@@ -101,10 +108,6 @@ class _Slow:
             await send({"type": "websocket.close", "code": 4429, "reason": "too often"})
         else:
             await PlainTextResponse("429: too often; wait a second", 429)(scope, receive, send)
-
-
-def _files() -> StaticFiles:
-    return StaticFiles(directory=HERE / "static")
 
 
 def _pass_over(browser: Browser, said: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import secrets
 import socket
 from collections.abc import Callable, Iterator, Sequence
@@ -42,6 +43,8 @@ def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None
     last: OSError | None = None
     for one in ports:
         listening = socket.socket(family, socket.SOCK_STREAM)
+        if os.name == "posix":  # a server that died leaves its port taken; on Windows it means something else
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((host, one))
             listening.listen(64)

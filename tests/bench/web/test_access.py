@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -30,10 +31,10 @@ def _client(access: Access, base_url: str) -> TestClient:
     async def change(request: Request) -> Response:
         return PlainTextResponse(f"changed by {len(await request.body())} bytes")
 
-    async def talk(socket: WebSocket) -> None:
-        await socket.accept()
-        await socket.send_text("hello")
-        await socket.close()
+    async def talk(opened: WebSocket) -> None:
+        await opened.accept()
+        await opened.send_text("hello")
+        await opened.close()
 
     routes = [Route("/one", read), Route("/change", change, methods=["POST"]), WebSocketRoute("/talk", talk)]
     return TestClient(make_app(access, [Section("one", "One", "/one", routes)]), base_url=base_url)
@@ -141,6 +142,19 @@ def test_taken_port_is_a_clear_error() -> None:
     first, access = bind("127.0.0.1", 0)
     with first, pytest.raises(InputError, match="--port"):
         bind("127.0.0.1", access.port)
+
+
+def test_port_of_a_server_that_died_is_free_again() -> None:
+    """A server that went away while a browser was connected does not keep its port from the next one."""
+    first, access = bind("127.0.0.1", 0)
+    with socket.create_connection(("127.0.0.1", access.port)) as browser:
+        theirs, _ = first.accept()
+        theirs.close()
+        first.close()
+        assert browser.recv(1) == b""
+    again, same = bind("127.0.0.1", access.port)
+    again.close()
+    assert same.port == access.port
 
 
 @pytest.mark.parametrize("name", ["../secret.h5", "/etc/passwd", "a/../../secret.h5", "..\\secret.h5", "C:/secret.h5",
