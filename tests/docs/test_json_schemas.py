@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 SCHEMAS = ROOT / "docs" / "reference" / "schemas"
 GAMMAS = [0.6, 0.75, 0.9, 1.05, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95]
 LONG = {"close-loop", "close-loop-runs", "explore"}
-WITHOUT_JSON = {"demo", "live", "paper", "virtual"}  # they write files, or run until they are ended
+WITHOUT_JSON = {"demo", "live", "mcp", "paper", "virtual"}  # they write files, or run until they are ended
 
 
 def schema(name: str) -> dict[str, Any]:
