@@ -152,7 +152,7 @@ class FittedForm:
     Attributes
     ----------
     name, expression
-        Of `analysis.discovery.forms.Form`; ``x`` is the covariate in SI units.
+        Of `Form`; ``x`` is the covariate in SI units.
     parameters, kinds, units
         Names, kinds and units of its parameters.
     values, sigmas
