@@ -2,7 +2,7 @@
 
 Each tool is a `bench` command or calls the function behind one, so that an agent meets the same limits as a person. An
 agent names profiles, scenarios and recordings of the runs' folder, or shipped ones; it may change the keys of [ramp]
-and [forcing] only. The simulated rig is free; anything else needs a person who arms it (`bench.jobs.arming`).
+and [forcing] only. The simulated rig is free; anything else needs a person who arms it (`bench.agent.arming`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bench.jobs.arming import take
+from bench.agent.arming import take
 from bench.profiles.edit import with_values
 from bench.profiles.find import find_profile, find_scenario, load, scenario_names, shipped_names
 from bench.profiles.plan import planned, refusal

@@ -86,7 +86,7 @@ def make_flights(recording: Path, target: Path) -> Path:
 def make_evidence(recording: Path, loop: Path, target: Path) -> Path:
     """What a saved closed loop says of a recording, flight by flight, as JSON in the file ``target``."""
     from analysis.loop.storage import load_verdict
-    from bench.runs.evidence import evidence
+    from bench.runs.loop_reader import evidence
 
     with open_recording(recording) as opened:
         found = evidence(load_verdict(loop), stored_id(opened), opened.gaps, opened.rate_hz)

@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
 
+from bench.agent.arming import FILE, arm, take
 from bench.agent.door import LONGEST_S, Door
 from bench.agent.section import section
-from bench.jobs.arming import FILE, arm, take
 from bench.profiles.find import find_profile, load
 from bench.profiles.plan import planned
 from bench.web.access import Access

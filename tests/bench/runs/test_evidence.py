@@ -11,8 +11,8 @@ from starlette.testclient import TestClient
 
 from analysis.loop.result import ClosedLoop
 from bench.jobs.loops.keep_verdict import keep_verdict
-from bench.runs.evidence import evidence
 from bench.runs.folder import run_id
+from bench.runs.loop_reader import evidence
 from bench.runs.pages import section
 from bench.web.access import Access
 from bench.web.application import make_app

@@ -24,8 +24,8 @@ def arm(folder: Path, profile_text: str, name: str) -> None:
     path = folder / FILE
     try:
         path.parent.mkdir(exist_ok=True)
-        told = {"profile": name, "profile_sha256": _digest(profile_text), "until": time.time() + LASTS_S}
-        write_whole(path, json.dumps(told) + "\n")
+        permit = {"profile": name, "profile_sha256": _digest(profile_text), "until": time.time() + LASTS_S}
+        write_whole(path, json.dumps(permit) + "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error}); make the runs' folder writable") from error
 
