@@ -43,7 +43,8 @@ ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
 REPEATED = 3  # until the impacts agree with the motion
 SETTLED = 3e-4  # relative change of frequency and damping
 RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
-MOST_DAMPING, STRONG_DAMPING = 0.9, 0.5  # what is found at the bound, or so damped above the drive, is no mode
+# what is found at a bound, or so damped above the drive, is no mode
+LEAST_DAMPING, MOST_DAMPING, STRONG_DAMPING = 1e-3, 0.9, 0.5
 MOST_RESTARTS, TORN = 3, 1.6  # pieces that are left out, each with so many times the usual remainder
 FEWEST_BLOCKS, FEWEST_IN_CLUSTER = 1000, 50
 RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width and damping, and of the mass ratio: what blocks blur
@@ -323,7 +324,7 @@ class _Regression:
 
     def followed(self, starts: list[Floats]) -> Floats:
         """The best minimum from some starts."""
-        low, high = np.log([[0.5 * LOWEST_HZ, 1e-3], [2.0 * HIGHEST_HZ, MOST_DAMPING]])
+        low, high = np.log([[0.5 * LOWEST_HZ, LEAST_DAMPING], [2.0 * HIGHEST_HZ, MOST_DAMPING]])
         fits = [
             least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, max_nfev=MOST_STEPS)
             for x in starts
@@ -360,7 +361,8 @@ class _Regression:
         # of a correlated remainder fewer values are independent, by the ratio of both variances
         correlated = max(float(found[2, 2] / white[2, 2]), 1.0)
         gain = 0.5 * (float(self.left @ self.left) / float(left @ left) - 1.0) * len(left) / correlated
-        bound = damping > 0.98 * MOST_DAMPING or (damping > STRONG_DAMPING and frequency > forcing_hz)
+        at_bound = not 1.02 * LEAST_DAMPING < damping < 0.98 * MOST_DAMPING
+        bound = at_bound or (damping > STRONG_DAMPING and frequency > forcing_hz)
         if sizes[0] <= 0.0 or gain < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
             return None
         rms = [float(np.sqrt(np.mean(v**2))) for v in (left, self.left)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.plate.ringing.modes import PlateMode, answer, identified_mode
+from analysis.plate.ringing.modes import PlateMode, _Regression, answer, identified_mode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from daq.recording import open_recording
@@ -77,3 +77,13 @@ def test_the_answer_of_a_mode_is_that_of_its_differential_equation() -> None:
 def test_no_mode_is_found_where_the_drive_stands_still(tmp_path: Path) -> None:
     """A channel of zeros explains no acceleration, and ends no verdict."""
     assert _found(tmp_path, {"coulomb_friction.mu": 0.05}, drive_share=0.0) is None
+
+
+def test_a_mode_at_the_least_damping_is_none() -> None:
+    """What fits best with next to no damping is a plate that the ball loads, or whose drive swells, and no mode."""
+    rng, n = np.random.default_rng(5), 8000
+    push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
+    for damping, is_mode in ((1e-3, False), (0.01, True)):
+        acceleration = 0.1 * answer(push, 1e-3, 5.0, damping) + 0.01 * rng.standard_normal(n)
+        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, known, 1e-3, [0])
+        assert (seen.judged(np.log([5.0, damping]), 25.0) is not None) == is_mode
