@@ -1,7 +1,7 @@
 """Landings in the accelerometer, which detects contacts too short for the contact circuit.
 
-A matched filter finds the impacts. Each is timed by sliding the finely sampled template over it, after the ringing of
-earlier impacts has been subtracted.
+A matched filter finds the impacts, the loudest of those near each other first. Each is timed by sliding the finely
+sampled template over it, and taken away before the next is sought. Decision 473.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong, at least
 BEGINNING = 2 * LEAD  # samples of a snippet in which no later impact can be
 ONSET_S = 2e-6  # uncertainty of the template's onset
-PRECURSOR = 20  # samples within which no ball gains so much speed: the next impact's own ringing
+SWEEPS = 2  # fits of impacts that stand near others
 STRONG_PART = 0.5  # of the usual strength, from which an impact is no corner of motion that is cut off
 SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
 RECENT = 16  # impacts before a piece whose ringing may reach into it
@@ -82,9 +82,8 @@ NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
 class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
-    In order of time, the ringing of earlier impacts is subtracted first; a candidate no larger than that echo is
-    dropped. Uncertainties are those of the fit in the noise as measured. All works on means over ``template.width``
-    samples.
+    The ringing of others is subtracted first; a candidate that is small in comparison is dropped. Uncertainties are
+    those of the fit in the noise as measured. All works on means over ``template.width`` samples.
     """
 
     def __init__(self, template: ImpactTemplate, rate_hz: float) -> None:
@@ -98,6 +97,10 @@ class ImpactScan:
         self._white = np.ascontiguousarray(template.whitener.T)
         slope = np.gradient(bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
+        # what the filter gives about an impact of size 1, from `LENGTH` samples before it on, `FINE` points a sample
+        spread = np.zeros((LENGTH, FINE))
+        spread[:, 0] = template.taps[::-1]
+        self._response = np.append(np.zeros(FINE), np.convolve(template.fine, spread.ravel()))
         self._found = np.zeros((0, MARGIN + 1))
 
     def add(self, volts: Volts, first: int, pad: int, count: int) -> Integers:
@@ -108,30 +111,15 @@ class ImpactScan:
         width = self.template.width
         if width > 1:
             volts, first, pad, count = block_means(volts, width), first // width, pad // width, count // width
-        beyond = max(
-            min(LENGTH - LEAD, len(volts) - pad - count - LENGTH), 0
-        )  # echoes of these: early in the next piece
+        # those early in the next piece have echoes here
+        beyond = max(min(LENGTH - LEAD, len(volts) - pad - count - LENGTH), 0)
         score = np.empty(count + beyond, np.float32)
-        found = np.empty(score.size // 4 + 2, dtype=np.int64)
-        limit = self.template.threshold
-        n = _match(volts, pad, score.size, self.template.taps, np.float32(limit), score, found)
-        own = int(np.searchsorted(found[:n], pad + count))
-        out = np.zeros((RECENT + own, MARGIN + 1))
+        _match(volts, pad, self.template.taps, score)
         recent = self._found[-RECENT:]
+        out = np.zeros((RECENT + score.size // APART, MARGIN + 1))
         out[: len(recent)] = recent
-        total = _time(
-            volts,
-            first - pad,
-            found[:n],
-            own,
-            self.template.fine,
-            self._columns,
-            self._norms,
-            self._white,
-            limit,
-            out,
-            len(recent),
-        )
+        bank = self._response, self.template.fine, self._columns, self._norms, self._white
+        total = _search(volts, first - pad, pad, score, count, self.template.threshold, *bank, out, len(recent))
         new = out[len(recent) : total].copy()
         self._found = np.concatenate([self._found, new])
         return np.rint(self._recorded(new[:, 0])).astype(np.int64)
@@ -147,6 +135,11 @@ class ImpactScan:
         start = (first - pad) - len(self.template.fine) // FINE * width
         _subtract(volts, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
 
+    @property
+    def sizes(self) -> Floats:
+        """Of all impacts so far, in units of the template."""
+        return np.asarray(self._found[:, SIZE])
+
     def impacts(self) -> Impacts:
         """All impacts so far."""
         place, score, echo = self._found[:, [PLACE, SCORE, ECHO]].T
@@ -161,9 +154,9 @@ class ImpactScan:
 
 
 @njit(error_model="numpy", fastmath=True)
-def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-def]
-    """Matched filter over ``x[pad : pad + count]``; number of its local maxima above ``limit``, put in ``found``."""
-    length = taps.shape[0]
+def _match(x, pad, taps, out):  # type: ignore[no-untyped-def]
+    """Matched filter over ``x`` from ``pad`` on, ``out`` (n,)."""
+    length, count = taps.shape[0], out.shape[0]
     for start in range(0, count, TILE):
         stop = min(start + TILE, count)
         total = out[start:stop]
@@ -176,18 +169,6 @@ def _match(x, pad, count, taps, limit, out, found):  # type: ignore[no-untyped-d
             for i in range(n):
                 first = t0 * own[i] + t1 * own[i + 1] + t2 * own[i + 2] + t3 * own[i + 3]
                 total[i] += first + t4 * own[i + 4] + t5 * own[i + 5] + t6 * own[i + 6] + t7 * own[i + 7]
-    n, last, i = 0, -length, first_beyond(out, 0, limit, True)
-    while i < count:
-        # on the flank of a maximum that was left out there is no other: a candidate there hides the next impact
-        if i - last >= APART and (i == 0 or out[i] >= out[i - 1]):
-            found[n] = pad + i
-            n += 1
-            last = i
-        elif out[i] > out[last]:
-            found[n - 1] = pad + i
-            last = i
-        i = first_beyond(out, i + 1, limit, True)
-    return n
 
 
 @njit(error_model="numpy")
@@ -225,100 +206,130 @@ def _size(white, x, room):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _ringing(table, at, fine, out, doubt):  # type: ignore[no-untyped-def]
-    """Put the ringing of the impacts of ``table`` (n, `MARGIN` + 1) into a snippet ``out`` (`LENGTH`,) that is filtered
-    at place ``at``, and the part of it that may be wrong into ``doubt``."""
+def _ringing(table, skip, at, fine, out, doubt):  # type: ignore[no-untyped-def]
+    """Put the ringing of the impacts of ``table`` (n, `MARGIN` + 1), in order of time, but for row ``skip``, into a
+    snippet ``out`` (`LENGTH`,) that is filtered at place ``at``, and the part of it that may be wrong into ``doubt``;
+    the latest of them before the snippet's own, or -1."""
     out[:] = 0.0
     doubt[:] = 0.0
-    for back in range(table.shape[0] - 1, -1, -1):
-        lag = at - table[back, PLACE]
+    last = -1
+    for row in range(table.shape[0] - 1, -1, -1):
+        lag = at - table[row, PLACE]
         if lag > fine.shape[0] // FINE:
             break
-        _echo(lag, table[back, SIZE], fine, out)
-        _echo(lag, table[back, SIZE] * table[back, MARGIN], fine, doubt)
-
-
-@njit(error_model="numpy")
-def _earlier(x, index, offset, found, table, best, fine, columns, norms, room):  # type: ignore[no-untyped-def]
-    """What later candidates ``found`` may add to the score of the one at ``index``, the last of ``table``.
-
-    A louder impact soon after also makes a maximum one period of its ringing earlier: the score of that, and what is
-    left of the loudest of them within `PRECURSOR` if this one is real. What earlier impacts ring there is not theirs.
-    ``best`` is the column at ``index``; ``room`` (2, `LENGTH`) is overwritten.
-    """
-    own, later = room[0], room[1]
-    top, middle = np.empty(columns.shape[1]), table[-1, SCORE]
-    leak = loudest = 0.0
-    for ahead in found:
-        lag = ahead - index
-        if lag > LENGTH - LEAD:
-            break
-        _ringing(table[:-1], ahead + offset, fine, own, later)
-        for k in range(LENGTH):
-            own[k] = x[ahead - LEAD + k] - own[k]
-        _products(columns, own, top)
-        far = int(np.argmax(top))
-        if top[far] < middle:  # this one's own ringing, or a weaker impact: it makes no such maximum here
+        if row == skip or lag < -LENGTH:
             continue
-        later[:] = 0.0
-        _echo(-lag - (far - SHIFTS) / FINE, top[far] / norms[far], fine, later)
-        total = 0.0
-        for k in range(LENGTH):
-            total += columns[k, best] * later[k]
-        leak = max(leak, total)
-        if lag <= PRECURSOR:
-            later[:] = 0.0
-            _echo(ahead + offset - table[-1, PLACE], table[-1, SIZE], fine, later)
-            own -= later
-            _products(columns, own, top)
-            loudest = max(loudest, top.max())
-    return leak, loudest
+        if last < 0 and lag >= 0.0:
+            last = row
+        _echo(lag, table[row, SIZE], fine, out)
+        _echo(lag, table[row, SIZE] * table[row, MARGIN], fine, doubt)
+    return last
 
 
 @njit(error_model="numpy")
-def _time(x, offset, found, count, fine, columns, norms, white, limit, out, n):  # type: ignore[no-untyped-def]
-    """Time the first ``count`` candidates ``found`` (index into ``x``; ``x[0]`` is sample ``offset``) into ``out[n:]``.
+def _fit(own, index, fine, columns, norms, white, room, row):  # type: ignore[no-untyped-def]
+    """Put place, size, score and margin of the impact in a snippet ``own`` (`LENGTH`,) filtered at ``index`` into
+    ``row``; ``room`` (2, `LENGTH`) is overwritten."""
+    shifts = columns.shape[1]
+    score = np.empty(shifts)
+    _products(columns, own, score)
+    best = min(max(int(np.argmax(score)), 1), shifts - 2)
+    left, middle, right = score[best - 1], score[best], score[best + 1]
+    curvature = min(left - 2.0 * middle + right, -1e-300)
+    vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
+    row[PLACE], row[SIZE], row[SCORE] = index + (best - SHIFTS + vertex) / FINE, middle / norms[best], middle
+    rest = room[0]
+    rest[:] = own
+    _echo((SHIFTS - best) / FINE, -row[SIZE], fine, rest)
+    _products(white, rest, room[1])
+    misfit = np.sqrt(max(np.sum(room[1, :BEGINNING] ** 2) - BEGINNING, 0.0))
+    # three times over: a sensor at its end shows only a part of what the template missed
+    row[MARGIN] = max(ECHO_MARGIN, 3.0 * misfit / max(middle, 1e-300))
 
-    Candidates after them belong to the next piece; these may be echoes of them.
+
+@njit(error_model="numpy")
+def _search(  # type: ignore[no-untyped-def]
+    x, offset, pad, score, count, limit, response, fine, columns, norms, white, out, n
+):
+    """Find impacts in the filter's output ``score`` from ``x[pad]`` on, the loudest of those near each other first.
+
+    What each one adds to the output is taken away before the next is sought, so that a bounce is found in the ringing
+    of the impact before, whatever its phase. ``x[0]`` is sample ``offset``. The first ``n`` rows of ``out`` are
+    impacts before; the number of rows filled is returned. Those after ``count`` outputs belong to the next piece.
     """
     own, echo, doubt, room = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty((2, LENGTH))
-    shifts, longest = columns.shape[1], fine.shape[0] // FINE
-    score = np.empty(shifts)
-    for c in range(count):
-        index = found[c]
-        _ringing(out[:n], index + offset, fine, echo, doubt)
-        for k in range(LENGTH):
-            own[k] = x[index - LEAD + k] - echo[k]
-        _products(columns, own, score)
-        best = min(max(int(np.argmax(score)), 1), shifts - 2)
-        left, middle, right = score[best - 1], score[best], score[best + 1]
-        place = index + offset + (best - SHIFTS) / FINE
-        if middle < limit or (n > 0 and place - out[n - 1, PLACE] < 0.5 * LEAD):
-            continue
-        loud = doubtful = 0.0
-        if n > 0 and index + offset - out[n - 1, PLACE] <= longest:
-            loud, doubtful = _size(white, echo, room[0]), _size(white, doubt, room[0])
-        if n > 0 and index + offset - out[n - 1, PLACE] <= 2 * longest:  # the end of its ringing is not in the template
+    row, longest, before = np.empty(out.shape[1]), fine.shape[0] // FINE, n
+    i = first_beyond(score, 0, np.float32(limit), True)
+    while i < score.shape[0] and n < out.shape[0]:
+        top = i
+        while True:
+            ahead = top + int(np.argmax(score[top : top + LENGTH]))
+            if ahead == top:
+                break
+            top = ahead
+        if i >= count:
+            break
+        index = top + pad
+        last = _ringing(out[:n], -1, index + offset, fine, echo, doubt)
+        own[:] = x[index - LEAD : index - LEAD + LENGTH]
+        own -= echo
+        _fit(own, index + offset, fine, columns, norms, white, room, row)
+        loud, doubtful = _size(white, echo, room[0]), _size(white, doubt, room[0])
+        if last >= 0 and row[PLACE] - out[last, PLACE] <= 2 * longest:
             # of a ringing that outlasts the template a tenth of the score is left at most
-            loud = max(loud, 0.1 * out[n - 1, SCORE])
-        if middle < max(doubtful, ECHO_MARGIN * loud):
-            continue
-        doubt[:] = 0.0
-        _echo((SHIFTS - best) / FINE, -middle / norms[best], fine, doubt)
-        doubt += own
-        _products(white, doubt, room[0])
-        misfit = np.sqrt(max(np.sum(room[0, :BEGINNING] ** 2) - BEGINNING, 0.0))
-        curvature = min(left - 2.0 * middle + right, -1e-300)
-        vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
-        out[n, PLACE], out[n, SIZE] = place + vertex / FINE, middle / norms[best]
-        out[n, SCORE], out[n, ECHO] = middle, loud
-        # three times over: a sensor at its end shows only a part of what the template missed
-        out[n, MARGIN] = max(ECHO_MARGIN, 3.0 * misfit / middle)
-        leak, loudest = _earlier(x, index, offset, found[c + 1 :], out[: n + 1], best, fine, columns, norms, room)
-        # half of the loudest soon after: no ball gains so much speed within 20 samples, so this is that one's own
-        # ringing
-        if middle - leak >= max(limit, ECHO_MARGIN * leak, 0.5 * loudest):
+            loud = max(loud, 0.1 * out[last, SCORE])
+        row[ECHO] = loud
+        place = n
+        while place > 0 and out[place - 1, PLACE] > row[PLACE]:
+            place -= 1
+        near = place > 0 and row[PLACE] - out[place - 1, PLACE] < 0.5 * LEAD
+        near = near or (place < n and out[place, PLACE] - row[PLACE] < 0.5 * LEAD)
+        if near or row[SCORE] < max(limit, doubtful, ECHO_MARGIN * loud):
+            begin, end = top, top + 1
+            while begin > 0 and score[begin - 1] > limit:
+                begin -= 1
+            while end < score.shape[0] and score[end] > limit:
+                end += 1
+            score[begin:end] = np.float32(0.0)
+        else:
+            for k in range(n, place, -1):
+                out[k] = out[k - 1]
+            out[place] = row
             n += 1
+            _take_away(score, row[PLACE] - offset - pad, row[SIZE], response)
+        i = first_beyond(score, i, np.float32(limit), True)
+    return _fitted_together(x, offset, pad + count, fine, columns, norms, white, out[:n], before)
+
+
+@njit(error_model="numpy")
+def _take_away(score, place, size, response):  # type: ignore[no-untyped-def]
+    """Subtract what an impact at output ``place`` adds to the filter's output."""
+    begin = max(int(np.ceil(place)) - LENGTH + 1, 0)
+    for i in range(begin, min(int(place) + response.shape[0] // FINE - LENGTH, score.shape[0])):
+        at = (i - place + LENGTH) * FINE
+        j = int(at)
+        score[i] -= np.float32(size * (response[j] + (at - j) * (response[j + 1] - response[j])))
+
+
+@njit(error_model="numpy")
+def _fitted_together(x, offset, stop, fine, columns, norms, white, table, before):  # type: ignore[no-untyped-def]
+    """Fit impacts near others anew with those taken away; the number of rows before ``x[stop]``."""
+    own, echo, doubt, room = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty((2, LENGTH))
+    row = np.empty(table.shape[1])
+    for _ in range(SWEEPS):
+        for k in range(before, table.shape[0]):
+            if k + 1 == table.shape[0] or table[k + 1, PLACE] - table[k, PLACE] > LENGTH:
+                continue
+            index = int(np.rint(table[k, PLACE])) - offset
+            _ringing(table, k, index + offset, fine, echo, doubt)
+            own[:] = x[index - LEAD : index - LEAD + LENGTH]
+            own -= echo
+            _fit(own, index + offset, fine, columns, norms, white, room, row)
+            if abs(row[PLACE] - table[k, PLACE]) < 1.0:
+                table[k, :ECHO] = row[:ECHO]
+    n = table.shape[0]
+    while n > before and table[n - 1, PLACE] - offset >= stop:
+        n -= 1
     return n
 
 

@@ -16,20 +16,19 @@ from scipy.optimize import least_squares
 
 from analysis.linear_algebra import lstsq
 from daq.instrument.noise_spectrum import NoiseSpectrum
-from kernels.arrays import Bools, Floats, Integers
+from kernels.arrays import Floats, Integers
 
 LEAD, TAIL = 12, 36  # samples (see `thinning`) before and after an impact's first sample
 LENGTH = LEAD + TAIL
 ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
 MAX_WIDTH = 8
 MIN_ECHO = 128  # least samples of the template: an impact's ringing must not be taken for the next impact
-ECHOES_S = (6.4e-3, 12.8e-3, 25.6e-3)  # lengths of the template: the first at whose end little of the ringing is left
-FOLLOWED, FOLLOWED_SIGMAS = 0.5, 8.0  # departure from the usual ringing, and in noise, that another landing makes
-RINGING_LEFT = 0.05  # rms of the last quarter over the greatest value, above which a longer template is tried
+ECHO_S, CONTINUED_S = 25.6e-3, 64e-3  # longest ringing that is learnt, and that is continued as it decays
 FINE = 8  # template points per sample
 MIN_WEIGHT = 0.03  # weight of a known point over that of most points
 RESIDUAL_PART = 0.1  # part of the waveform that its subtraction may leave
 LOUD = 2.2  # rms over two samples, in the noise of a point, from which it is waveform
+RINGS = 2.0  # power over `SLOW_S`, in that of a point's noise, above which it rings
 SLOW_S = 1e-3  # averaging time that removes the ringing
 BEND = 4.0  # `SLOW_S` in which the slow motion under a template bends once
 BEGINNINGS, LEAST_DECAY = (1.0, 1.5, 2.0, 3.0, 4.0), 2.0  # `SLOW_S` after the peak and of ringing: fits of its decay
@@ -100,17 +99,9 @@ def thinning(rate_hz: float) -> int:
     return width
 
 
-def echo_samples(rate_hz: float, length_s: float = ECHOES_S[0]) -> int:
-    """Samples of a template of that length."""
-    return max(MIN_ECHO, round(length_s * rate_hz))
-
-
-def rings_on(snippets: Floats, rate_hz: float) -> bool:
-    """Whether landings (n, samples) still ring in the last quarter of their snippets."""
-    width = max(round(SLOW_S * rate_hz), 1)
-    ends = np.pad(np.median(snippets / np.abs(snippets).max(axis=1, keepdims=True), axis=0), width, mode="edge")
-    quick = (ends - np.convolve(ends, np.ones(width) / width, mode="same"))[width:-width]
-    return _late_part(quick) > RINGING_LEFT
+def echo_samples(rate_hz: float) -> int:
+    """Samples of the longest template."""
+    return max(MIN_ECHO, round(ECHO_S * rate_hz))
 
 
 def _late_part(quick: Floats) -> float:
@@ -126,20 +117,24 @@ def whitener(noise: NoiseSpectrum, tones_hz: Floats) -> Floats:
 
 
 def template_from_snippets(
-    snippets: Floats, fractions: Floats, noise: NoiseSpectrum, tones_hz: Floats
+    snippets: Floats, fractions: Floats, noise: NoiseSpectrum, tones_hz: Floats, prediction: Floats
 ) -> ImpactTemplate | None:
     """Impact template from snippets around known landings; None where the accelerometer shows no impacts.
 
     Parameters
     ----------
-    snippets : array, shape (n, echo_samples(rate_hz))
-        Accelerometer volts less the plate's motion; column ``LEAD`` is the first sample at or after the landing.
+    snippets : array, shape (n, samples)
+        Accelerometer volts less the plate's motion, not known (NaN) from a sample after `LENGTH` on; column ``LEAD`` is
+        the first sample at or after the landing.
     fractions : array, shape (n,)
         Time from the landing to column ``LEAD``, in samples, in [0, 1).
     noise : NoiseSpectrum
         Of the accelerometer, at the snippets' rate.
     tones_hz : array
         Tones of the plate's motion.
+    prediction : array, shape (k,)
+        Weights that predict a sample of the ringing from those before, the last one first: it is so continued where no
+        snippet shows it.
     """
     if snippets.shape[0] < MIN_LANDINGS:
         return None
@@ -157,10 +152,9 @@ def template_from_snippets(
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
     # a landing placed a period of the ringing off would spoil the mean
     size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = 0.0
-    size[_followed(snippets, size, noise.rms_v)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
-    known = ringing_part(fine, sigma_v, noise.rate_hz)
+    known = ringing_part(_continued(fine, prediction, snippets.shape[1]), sigma_v, noise.rate_hz)
     if known is None:
         return None
     fine = _from_onset(known, sigma_v)
@@ -174,27 +168,17 @@ def template_from_snippets(
     return ImpactTemplate(fine, taps.astype(np.float32), white, _ring_s(fine, size, noise))
 
 
-def _followed(snippets: Floats, size: Floats, noise_v: float) -> Bools:
-    """Landings with another one amid their ringing, where no onset showed it; none where too few others remain."""
-    used, late = size > 0.0, snippets[:, LENGTH:]
-    slow = motion_basis(late.shape[1], 4, np.zeros(0))
-    late = late - (late @ slow) @ slow.T
-    usual = np.median(late[used] / size[used, None], axis=0)
-    left = np.abs(late - size[:, None] * usual).max(axis=1)
-    odd = left > np.maximum(FOLLOWED * np.abs(usual).max() * size, FOLLOWED_SIGMAS * noise_v)
-    return np.asarray(odd & (np.count_nonzero(used & ~odd) >= MIN_LANDINGS))
-
-
 def _level(snippets: Floats, fractions: Floats, size: Floats, fine: Floats) -> Floats:
     """Snippets less the slow motion in which each differs from its mean waveform.
 
     Left in, it would look like ringing between the points of a sample, which come from different landings.
     """
-    echo = snippets.shape[1]
-    place = (np.arange(echo) + fractions[:, None]) * FINE
+    place = (np.arange(snippets.shape[1]) + fractions[:, None]) * FINE
     left = snippets - size[:, None] * np.interp(place, np.arange(fine.size), fine)
-    slow = motion_basis(echo, 4, np.zeros(0))
-    return np.asarray(snippets - (left @ slow) @ slow.T)
+    slow, known = motion_basis(snippets.shape[1], 4, np.zeros(0)), np.isfinite(left)
+    normal = np.einsum("nt,ti,tj->nij", known.astype(float), slow, slow, optimize=True)
+    parts = np.linalg.solve(normal + 1e-6 * np.eye(4), (np.where(known, left, 0.0) @ slow)[:, :, None])
+    return np.asarray(snippets - parts[:, :, 0] @ slow.T)
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -> tuple[Floats, float]:
@@ -204,7 +188,8 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
     """
     echo = flat.shape[1]
     position = (np.arange(echo)[None, :] + fractions[:, None]) * FINE
-    weight = np.maximum(size, 0.0)[:, None] * np.ones(echo)
+    weight, seen = np.maximum(size, 0.0)[:, None] * np.isfinite(flat), flat[size > 0.0]
+    flat = np.nan_to_num(flat)
     points = echo * FINE
     low = np.floor(position).astype(np.int64)
     share = position - low
@@ -214,10 +199,23 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
         top += np.bincount(inside, (part * weight * flat).ravel(), points + 2)
         bottom += np.bincount(inside, (part * weight**2).ravel(), points + 2)
     known = bottom > MIN_WEIGHT * np.quantile(bottom[:points], 0.9)  # a weak landing alone would amplify the noise
-    grid = np.arange(points)
     mean, known = top / np.where(known, bottom, 1.0), known[:points]
+    enough = np.count_nonzero(np.isfinite(seen), axis=0) >= min(MIN_LANDINGS, len(seen))
+    known &= np.repeat(enough, FINE)
+    points = int(np.flatnonzero(known)[-1]) + 1
+    grid, known = np.arange(points), known[:points]
     sigma_v = noise_v / float(np.sqrt(np.median(bottom[:points][known])))
     return np.asarray(np.interp(grid, grid[known], mean[:points][known])), sigma_v
+
+
+def _continued(fine: Floats, prediction: Floats, samples: int) -> Floats:
+    """The waveform to its sample ``samples``, predicted from the end of what is known as ringing is."""
+    rows = fine[: fine.size // FINE * FINE].reshape(-1, FINE)
+    out = np.zeros((samples, FINE))
+    out[: len(rows)] = rows
+    for k in range(len(rows), samples):
+        out[k] = prediction @ out[k - prediction.size : k][::-1]
+    return out.ravel()
 
 
 def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
@@ -235,15 +233,22 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:
         return None
-    begin, end = np.flatnonzero(loud)[[0, -1]] + (-FINE, FINE + 1)
-    end = min(int(end), fine.size)
-    decay, grid = one_mode(fine, quick, peak, end, width), np.arange(fine.size)
-    slow = _line_under(fine, peak, width) if decay is None else decay.slow(grid)
+    begin = int(np.flatnonzero(loud)[0]) - FINE
+    power = np.convolve(quick**2, np.ones(width) / width, mode="same")
+    last = np.flatnonzero(loud & (power > RINGS * sigma_v**2))
+    end = min(max(peak, int(last[-1]) if last.size else 0) + FINE + 1, fine.size)
+    rings_on = end + LEAST_DECAY * width > fine.size
+    decay = one_mode(fine, quick, peak, end, width) if rings_on else None
+    grid = np.arange(fine.size)
+    slow = _line_under(fine, peak, width) if decay is None else decay.slow(np.maximum(grid, decay.begin))
     out = np.where((grid >= begin) & (grid < end), fine - np.clip((grid - peak) / width, 0.0, 1.0) * slow, 0.0)
-    if decay is None:  # what follows a cut off end would be found as impacts
-        return None if _late_part(out) > CUT_OFF else out
-    rest = decay.ringing(np.arange(end, min(decay.ends(sigma_v), int(ECHOES_S[-1] * rate_hz * FINE))))
-    return np.concatenate([out[:end], rest, np.zeros(max(fine.size - end - rest.size, 0))])
+    if decay is None and _late_part(out) > CUT_OFF:  # what follows a cut off end would be found as impacts
+        return None
+    shown = out[:end]
+    if decay is not None:
+        last = min(decay.ends(sigma_v), int(CONTINUED_S * rate_hz * FINE))
+        shown = np.append(shown, decay.ringing(np.arange(end, last)))
+    return np.append(shown, np.zeros(max(LENGTH * FINE - shown.size, -shown.size % FINE)))
 
 
 class Decay(NamedTuple):

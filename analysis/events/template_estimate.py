@@ -1,7 +1,9 @@
 """Impact template estimated from the accelerometer.
 
-Strong isolated onsets are aligned and averaged, then aligned again by their average. The contact circuit is not used:
-it may be late, or close only at the end of a chatter. `analysis.events.sensor_offset.calibrate` then measures the delay
+What the samples before predict, as they predict ringing, is no impact; what they do not predict is. Strong impacts are
+averaged up to the next one, and what they ring then is continued as it is predicted. With that waveform impacts are
+found and taken away, and each is put back alone into the next average. The contact circuit is not used: it may be
+late, or close only at the end of a chatter. `analysis.events.sensor_offset.calibrate` then measures the delay
 between the template's onset and the contact edge.
 """
 
@@ -16,22 +18,21 @@ import numpy.typing as npt
 
 from analysis.events.impact_detection import ImpactScan
 from analysis.events.impact_template import (
-    ECHOES_S,
+    FINE,
     LEAD,
     LENGTH,
-    MIN_LANDINGS,
     THRESHOLD,
     ImpactTemplate,
     echo_samples,
-    rings_on,
     template_from_snippets,
     thinning,
 )
+from analysis.linear_algebra import lstsq
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
 from analysis.signals.stream import Piece
 from analysis.statistics import CORE, core_sigma
-from daq.instrument.noise_spectrum import PREDICTED_FROM, NoiseSpectrum, measure_noise
+from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
 from daq.instrument.saturation import STANDS, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
 from kernels import njit
@@ -40,11 +41,14 @@ from kernels.arrays import Bools, Floats, Integers
 TAIL = 3.0  # standard deviations from which a detector's output counts as its tail
 FALSE_PER_HOUR = 0.1  # impacts that noise may make in an hour of recording
 MASK_S = 4e-3  # mask after an impact in the tone fits made here
-QUIET_SAMPLES = 60  # samples without an onset before an onset
-ONSET_SIGMAS = 6.0  # standard deviations of noise that make an onset
+ROWS = 16384  # predictions that the weights are fitted to
+PREDICTED_FROM = 16  # samples from which the next one is predicted: some modes of a table and a filter's
+QUIET_SAMPLES = 30  # samples without an onset before an onset
+RISE = 2.5  # growth of the power of a dozen prediction errors that another impact makes
+ONSET_SIGMAS = 6.0  # standard deviations of what is not predicted that make an onset
 STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
 NOTICED = 0.05  # of an impact's strength, from which another one nearby changes its waveform
-N_ALIGNMENTS = 2
+N_PREDICTIONS, N_ALIGNMENTS = 3, 3
 MAX_IMPACTS = 400  # strongest impacts used
 N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
 MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
@@ -90,11 +94,13 @@ class _Stretch:
 
 
 class _Found(NamedTuple):
-    """Impacts in a piece: places in samples, strengths, and which may serve for the template, (n,) each."""
+    """Impacts in a piece: places in samples, strengths, sizes in units of a template, and the samples from each to the
+    next one, (n,) each."""
 
     places: Floats
     strength: Floats
-    used: Bools
+    sizes: Floats
+    free: Floats
 
 
 def estimate_template(
@@ -132,46 +138,53 @@ def estimate_template(
     noise = _noise(still, nothing, rate_hz, 0)
     if noise is None:
         return None, None
-    found = [_onsets(volts, fitted, noise) for volts, fitted in still]
-    echo, template, places = _echo(still, found, rate_hz), None, nothing
+    prediction, left = _prediction(still)
+    found, clean = [_begun(own) for own in left], still
+    template: ImpactTemplate | None = None
     for turn in range(N_ALIGNMENTS):
-        snippets, fractions = _all_snippets(still, found, echo)
-        most = np.argsort(-np.abs(snippets).max(axis=1))[:MAX_IMPACTS] if len(snippets) else np.zeros(0, np.int64)
-        template = template_from_snippets(snippets[most], fractions[most], noise, few)
+        snippets, fractions = _all_snippets(clean, found, rate_hz, template)
+        most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:MAX_IMPACTS]
+        template = template_from_snippets(snippets[most], fractions[most], noise, few, prediction)
         if template is None:
-            return noise, None
+            break
         detectors = [_detector(piece, template, rate_hz) for piece in pieces]
-        impacts = [d.impacts() for d in detectors]
-        places = [own.time_s * rate_hz + piece.pad for own, piece in zip(impacts, pieces, strict=True)]
-        every = [np.ones(at.size, dtype=np.bool_) for at in places]
-        found = [_Found(at, own.strength, used) for at, own, used in zip(places, impacts, every, strict=True)]
+        found = [_again(own, piece.pad, rate_hz) for own, piece in zip(detectors, pieces, strict=True)]
         if turn < N_ALIGNMENTS - 1:
-            # what still rings after the mask would bend the tones
-            clean = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
-            stretches = [_stretches(piece, steps, rate_hz) for piece in clean]
-            still = [_without_motion(*own, rate_hz) for own in zip(pieces, clean, stretches, places, strict=True)]
+            still, clean = _taken_away(pieces, detectors, found, steps, rate_hz)
         if turn == 0:
-            noise = _noise(still, places, rate_hz, echo) or noise
-    if template is not None:
-        template = replace(_with_threshold(template, pieces, still, places, rate_hz, echo), width=width)
-    return noise, template
+            noise = _noise(still, [own.places for own in found], rate_hz, template.fine.size // FINE) or noise
+    if template is None:
+        return noise, None
+    return noise, replace(_with_threshold(template, pieces, still, found, rate_hz), width=width)
 
 
-def _echo(still: list[tuple[Floats, Bools]], found: list[_Found], rate_hz: float) -> int:
-    """Samples of the template: as long as the table rings, where enough landings stand so far from others."""
-    echo = echo_samples(rate_hz)
-    for length_s in ECHOES_S:
-        snippets, _ = _all_snippets(still, found, echo_samples(rate_hz, length_s))
-        if len(snippets) < MIN_LANDINGS:
-            break
-        echo = snippets.shape[1]
-        if not rings_on(snippets, rate_hz):
-            break
-    return echo
+def _taken_away(
+    pieces: list[Piece],
+    detectors: list[ImpactScan],
+    found: list[_Found],
+    steps: npt.NDArray[np.void],
+    rate_hz: float,
+) -> tuple[list[tuple[Floats, Bools]], list[tuple[Floats, Bools]]]:
+    """The pieces without motion, and without the impacts found as well."""
+    # what still rings after the mask would bend the tones
+    without = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
+    stretches = [_stretches(piece, steps, rate_hz) for piece in without]
+    places = [own.places for own in found]
+    still = [_without_motion(*own, rate_hz) for own in zip(pieces, without, stretches, places, strict=True)]
+    clean = [
+        (volts + left.channels["accelerometer"] - piece.channels["accelerometer"], fitted)
+        for (volts, fitted), left, piece in zip(still, without, pieces, strict=True)
+    ]
+    return still, clean
 
 
-def _all_snippets(still: list[tuple[Floats, Bools]], found: list[_Found], echo: int) -> tuple[Floats, Floats]:
-    rows = [_snippets(*one, own, echo) for one, own in zip(still, found, strict=True)]
+def _all_snippets(
+    clean: list[tuple[Floats, Bools]], found: list[_Found], rate_hz: float, template: ImpactTemplate | None
+) -> tuple[Floats, Floats]:
+    echo = echo_samples(rate_hz) if template is None else min(template.fine.size // FINE, echo_samples(rate_hz))
+    strength = np.concatenate([own.strength for own in found])
+    least = max(STRONG_SIGMAS, STRONG_PART * float(np.quantile(strength, 0.9))) if strength.size else 0.0
+    rows = [_snippets(*one, own, least, echo, template) for one, own in zip(clean, found, strict=True)]
     return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
 
 
@@ -206,16 +219,16 @@ def _with_threshold(
     template: ImpactTemplate,
     pieces: list[Piece],
     still: list[tuple[Floats, Bools]],
-    places: list[Floats],
+    found: list[_Found],
     rate_hz: float,
-    echo: int,
 ) -> ImpactTemplate:
     """The template with unit and threshold from its filter's own output where nothing happens."""
     outputs = []
-    for piece, (_, fitted), own in zip(pieces, still, places, strict=True):
-        found = np.correlate(piece.channels["accelerometer"].astype(np.float64), template.taps.astype(np.float64))
-        reached = np.convolve(~_quiet(fitted, own, echo), np.ones(LENGTH))[LENGTH - 1 :][: found.size] > 0.5
-        outputs.append(found[~reached])
+    for piece, (_, fitted), own in zip(pieces, still, found, strict=True):
+        output = np.correlate(piece.channels["accelerometer"].astype(np.float64), template.taps.astype(np.float64))
+        quiet = _quiet(fitted, own.places, template.fine.size // FINE)
+        reached = np.convolve(~quiet, np.ones(LENGTH))[LENGTH - 1 :][: output.size] > 0.5
+        outputs.append(output[~reached])
     scale, threshold = scale_and_threshold(np.concatenate(outputs), rate_hz)
     return replace(
         template,
@@ -241,33 +254,79 @@ def _unbroken(steps: npt.NDArray[np.void], breaks: Integers, width: int) -> npt.
     return np.array(rows, dtype=steps.dtype)
 
 
-def _onsets(volts: Floats, fitted: Bools, noise: NoiseSpectrum) -> _Found:
-    """Places in a piece where a signal begins after a quiet interval; used are the strong ones."""
-    surprise = np.abs(noise.innovations(volts))
-    span = PREDICTED_FROM + 1
-    known = np.convolve(fitted, np.ones(span))[: volts.size] > span - 0.5  # its past is fitted, too
-    loud = np.flatnonzero((surprise > ONSET_SIGMAS) & known)
-    first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
-    peak = np.array([surprise[n : n + LEAD].max() for n in first])
-    usual = float(np.quantile(peak, 0.9)) if first.size else 0.0
-    return _Found(np.asarray(first - 0.5, dtype=np.float64), peak, peak > max(STRONG_SIGMAS, STRONG_PART * usual))
+def _prediction(still: list[tuple[Floats, Bools]]) -> tuple[Floats, list[Floats]]:
+    """Weights (`PREDICTED_FROM`,) that predict a sample from those before, the last one first, and what they leave of
+    each piece, in its standard deviation; 0 where the motion is not known.
 
-
-def _snippets(volts: Floats, fitted: Bools, found: _Found, echo: int) -> tuple[Floats, Floats]:
-    """Accelerometer around impacts far from all others, and the impacts' time before the sample, in samples.
-
-    One that is much weaker does not count as another: what a loud one still rings may be taken for one.
+    Impacts are not predicted, and a bounce that always comes alike must not be: where the first weights find one, the
+    next do not count.
     """
-    places, strength, used = found
-    near = np.abs(places[:, None] - places) <= echo
-    np.fill_diagonal(near, False)
-    isolated = used & ~np.any(near & (strength > NOTICED * strength[:, None]), axis=1)
+    lags = np.arange(PREDICTED_FROM + 1)
+    known = [np.convolve(fitted, np.ones(lags.size))[: fitted.size] > PREDICTED_FROM + 0.5 for _, fitted in still]
+    rings, every_nth = known, sum(int(own.sum()) for own in known) // ROWS + 1
+    for _ in range(N_PREDICTIONS):
+        products = np.zeros((lags.size, lags.size))
+        for (volts, _), own in zip(still, rings, strict=True):
+            rows = volts[np.flatnonzero(own)[::every_nth, None] - lags]
+            products += rows.T @ rows
+        weights: Floats = np.append(1.0, -lstsq(products[1:, 1:], products[1:, 0])[0])
+        errors = [np.abs(np.convolve(volts, weights)[: volts.size]) for volts, _ in still]
+        sizes = np.concatenate([error[own] for error, own in zip(errors, known, strict=True)])
+        sigma = core_sigma(sizes, float(np.quantile(sizes, CORE))) if sizes.size else 1.0
+        left = [np.where(own, error / max(sigma, 1e-300), 0.0) for error, own in zip(errors, known, strict=True)]
+        loud = [np.convolve(own > ONSET_SIGMAS, np.ones(2 * LEAD), mode="same") > 0.5 for own in left]
+        rings = [own & ~near for own, near in zip(known, loud, strict=True)]
+    return -weights[1:], left
+
+
+def _begun(left: Floats) -> _Found:
+    """Impacts in a piece's prediction errors ``left``; what follows each begins where their power grows again."""
+    loud = np.flatnonzero(left > ONSET_SIGMAS)
+    first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
+    peak = np.array([left[n : n + LEAD].max() for n in first])
+    power = np.convolve(left**2, np.ones(LEAD) / LEAD)[: left.size]
+    rises = power > RISE * np.maximum(np.append(np.full(LEAD, np.inf), power)[: power.size], 1.0)
+    free = np.full(first.size, np.inf)
+    for k, n in enumerate(first):
+        heard = rises[n + 2 * LEAD :] & (power[n + 2 * LEAD :] > NOTICED**2 * power[n : n + LENGTH].max())
+        if heard.any():  # it may have begun two windows before its power shows
+            free[k] = int(np.argmax(heard))
+    return _Found(np.asarray(first - 0.5, dtype=np.float64), peak, np.zeros(first.size), free)
+
+
+def _again(detector: ImpactScan, pad: int, rate_hz: float) -> _Found:
+    """The impacts of a detector in a piece that begins ``pad`` samples before."""
+    impacts = detector.impacts()
+    places, strength = impacts.time_s * rate_hz + pad, impacts.strength
+    later = places - places[:, None]
+    free = np.where((later > 0.0) & (strength > NOTICED * strength[:, None]), later, np.inf)
+    return _Found(places, strength, detector.sizes, free.min(axis=1, initial=np.inf))
+
+
+def _snippets(
+    volts: Floats, fitted: Bools, found: _Found, least: float, echo: int, template: ImpactTemplate | None
+) -> tuple[Floats, Floats]:
+    """Accelerometer around impacts of strength ``least``, and the impacts' time before the sample, in samples.
+
+    With a ``template``, ``volts`` are less every impact, and the own one is put back; without one a landing is not
+    known (NaN) from the next one on. The one before has died away; one that is much weaker does not count.
+    """
+    places, strength, sizes, free = found
+    since = places[:, None] - places
+    before = np.where((since > 0.0) & (strength > NOTICED * strength[:, None]), since, np.inf)
+    used = (strength > least) & (free > LENGTH - LEAD) & (before.min(axis=1, initial=np.inf) > echo)
     sample = np.ceil(places).astype(np.int64)
     index = sample[:, None] + np.arange(-LEAD, echo - LEAD)
-    inside = isolated & (index[:, 0] >= 0) & (index[:, -1] < volts.size)
-    index, fractions = index[inside], (sample - places)[inside]
+    used &= (index[:, 0] >= 0) & (index[:, -1] < volts.size)
+    index, fractions = index[used], (sample - places)[used]
+    rows, column = volts[index], np.arange(echo)
+    if template is None:
+        rows[column > LEAD + free[used, None]] = np.nan
+    else:
+        own = np.interp((column + fractions[:, None]) * FINE, np.arange(template.fine.size), template.fine, right=0.0)
+        rows += sizes[used, None] * own
     usable = fitted[index].all(axis=1)
-    return volts[index[usable]], fractions[usable]
+    return rows[usable], fractions[usable]
 
 
 def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> list[_Stretch]:

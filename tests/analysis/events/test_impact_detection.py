@@ -31,7 +31,9 @@ def waveform() -> ImpactTemplate:
     volts = ringing(29000, at, rng)
     first = np.ceil(at).astype(int)
     snippets = np.array([volts[b - LEAD : b - LEAD + echo_samples(RATE_HZ)] for b in first], dtype=np.float64)
-    learnt = template_from_snippets(snippets, first - at, NoiseSpectrum.white(0.003, RATE_HZ), np.array([25.37]))
+    learnt = template_from_snippets(
+        snippets, first - at, NoiseSpectrum.white(0.003, RATE_HZ), np.array([25.37]), np.zeros(1)
+    )
     assert learnt is not None
     return learnt
 
@@ -74,24 +76,23 @@ def test_an_impact_of_a_chatter_is_not_hidden_by_the_ringing_of_the_one_before(w
     assert np.all(np.min(np.abs(found[:, None] - second), axis=0) < 1.0)
 
 
-def test_every_candidate_is_a_maximum_of_the_filters_output(waveform: ImpactTemplate) -> None:
-    """Among impacts at any distance none begins on the flank of a maximum that was left out, which hid the next one."""
+def test_a_bounce_that_cancels_the_ringing_of_the_one_before_is_found(waveform: ImpactTemplate) -> None:
+    """Two and a half periods after an impact, as loud as that still rings: the sum of both is hardly a maximum."""
     rng = np.random.default_rng(3)
-    volts = ringing(20_000, np.cumsum(rng.uniform(4.0, 60.0, 500)), rng)
-    count = volts.size - 2 * PAD
-    out, found = np.empty(count, np.float32), np.empty(count, np.int64)
-    total = _match(volts, PAD, count, waveform.taps, np.float32(6.0), out, found)
-    places = found[:total] - PAD
-    inner = places[(places > 0) & (places < count - 1)]
-    assert inner.size > 500
-    assert np.all((out[inner] >= out[inner - 1]) & (out[inner] >= out[inner + 1]))
+    first = 1200.0 + 600.0 * np.arange(36) + rng.random(36)
+    second = first + 2.5 * RATE_HZ / 1700.0
+    volts = ringing(25_000, first, rng) + ringing(25_000, second, rng, 0.6 * np.exp(-2.5 / 1.7))
+    scan = ImpactScan(waveform, RATE_HZ)
+    scan.add(volts, PAD, PAD, volts.size - 2 * PAD)
+    found = scan.impacts().time_s[scan.impacts().strength > 10.0] * RATE_HZ
+    assert found == pytest.approx(np.sort(np.append(first, second)), abs=0.5)
 
 
 def test_the_filter_is_the_correlation_with_its_taps(waveform: ImpactTemplate) -> None:
     """What the filter gives at every sample, over tiles whole and broken, is NumPy's correlation."""
     rng = np.random.default_rng(8)
     volts = rng.normal(0.0, 0.003, 2 * PAD + 777).astype(np.float32)
-    out, found = np.empty(777, np.float32), np.empty(800, np.int64)
-    _match(volts, PAD, 777, waveform.taps, np.float32(1e9), out, found)
+    out = np.empty(777, np.float32)
+    _match(volts, PAD, waveform.taps, out)
     own = volts[PAD - LEAD : PAD - LEAD + 777 + waveform.taps.size - 1]
     np.testing.assert_allclose(out, np.correlate(own.astype(np.float64), waveform.taps), rtol=0, atol=2e-5)

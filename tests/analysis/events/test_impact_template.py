@@ -16,7 +16,7 @@ def test_a_brief_impact_keeps_its_onset_in_the_noise_of_few_landings() -> None:
     snippets = noise * rng.standard_normal((10, MIN_ECHO))
     snippets[:, LEAD : LEAD + len(spike)] += spike * rng.uniform(0.3, 1.0, (10, 1))
     waveform = template_from_snippets(
-        snippets, rng.uniform(0.0, 1.0, 10), NoiseSpectrum.white(noise, RATE_HZ), np.array([25.0])
+        snippets, rng.uniform(0.0, 1.0, 10), NoiseSpectrum.white(noise, RATE_HZ), np.array([25.0]), np.zeros(1)
     )
     assert waveform is not None
     loud = np.flatnonzero(np.abs(waveform.fine) > 0.3 * np.abs(waveform.fine).max()) / FINE - LEAD
@@ -32,7 +32,9 @@ def test_what_goes_on_slowly_under_an_impact_is_no_part_of_it() -> None:
     rings = np.where(lag_s > 0.0, 30.0 * np.exp(-lag_s / 1e-3) * np.sin(2.0 * np.pi * 1700.0 * lag_s), 0.0)
     swings = np.where(lag_s > 0.0, -1.5 + 60.0 * lag_s, 0.0)
     snippets = rings + swings + 0.1 * rng.standard_normal((60, echo))
-    waveform = template_from_snippets(snippets, np.full(60, 0.5), NoiseSpectrum.white(0.1, RATE_HZ), np.array([25.0]))
+    waveform = template_from_snippets(
+        snippets, np.full(60, 0.5), NoiseSpectrum.white(0.1, RATE_HZ), np.array([25.0]), np.zeros(1)
+    )
     assert waveform is not None
     middle = slice((LEAD + 40) * FINE, (LEAD + 80) * FINE)
     mean = float(np.mean(waveform.fine[middle])) / float(np.max(np.abs(waveform.fine)))
@@ -47,7 +49,9 @@ def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
     snippets[:, LEAD : LEAD + 5] += size[:, None] * np.array([-12.0, 7.0, -4.0, 2.0, -1.0])
     snippets[:, LEAD + 5 :] += -1.0  # the plate's own, whatever the landing
     fractions = np.append(np.full(60, 0.5), 0.05)
-    waveform = template_from_snippets(snippets, fractions, NoiseSpectrum.white(0.02, RATE_HZ), np.array([25.0]))
+    waveform = template_from_snippets(
+        snippets, fractions, NoiseSpectrum.white(0.02, RATE_HZ), np.array([25.0]), np.zeros(1)
+    )
     assert waveform is not None
     largest = float(np.max(np.abs(waveform.fine)))
     assert np.max(np.abs(waveform.fine[(LEAD + 10) * FINE :])) < 0.2 * largest
