@@ -246,8 +246,8 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
         return None
     shown = out[:end]
     if decay is not None:
-        last = min(decay.ends(sigma_v), int(CONTINUED_S * rate_hz * FINE))
-        shown = np.append(shown, decay.ringing(np.arange(end, last)))
+        stop = min(decay.ends(sigma_v), int(CONTINUED_S * rate_hz * FINE))
+        shown = np.append(shown, decay.ringing(np.arange(end, stop)))
     return np.append(shown, np.zeros(max(LENGTH * FINE - shown.size, -shown.size % FINE)))
 
 
