@@ -244,12 +244,6 @@ class Proposals:
         """Fit from a start with its own weights: what lies far off is followed farther, if it is there."""
         return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.model, start), free, start))
 
-    def _fitted_at(
-        self, chosen: tuple[Candidate, ...], free: Sequence[ParameterId], start: Mapping[ParameterId, float]
-    ) -> Hypothesis:
-        """The candidates ``chosen``, fitted from a start with its own weights until they converge."""
-        return self.refits.converged(chosen, Whitener.of(self.refits.model, start), free, start)
-
     def _from_afar(
         self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried
     ) -> list[Hypothesis]:
@@ -271,7 +265,8 @@ class Proposals:
 
         def fitted(found: tuple[float, Point, Candidate]) -> Hypothesis | None:
             start, chosen = {**values, **found[1]}, (*best.candidates, found[2])
-            return self.refits.attempted(chosen, self._fitted_at, chosen, (*best.free, *found[2].free), start)
+            free, model, converged = (*best.free, *found[2].free), self.refits.model, self.refits.converged
+            return self.refits.attempted(chosen, lambda: converged(chosen, Whitener.of(model, start), free, start))
 
         seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
         below = sorted(pool.map(minimised, seen), key=lambda x: x[0])

@@ -1,4 +1,4 @@
-"""Processor seconds of the closed loop by stage, for a handful of blind trials, beside another tree in one run.
+"""Processor seconds of the closed loop by stage, for a handful of blind trials, of this tree and another in one run.
 
     python -m benchmarks.analysis.loop_seconds [--seed-base 52000] [--trials 12] [--longer] [--against T] [--folder F]
 
@@ -99,7 +99,7 @@ def _clock(function: Callable[..., Any], stage: str, seconds: dict[str, float]) 
 
 
 def make(seed_base: int, trials: int, folder: Path, *, longer: bool = False) -> list[Path]:
-    """Recordings of the wanted trials; those that stand in ``folder`` already are kept."""
+    """Recordings of the wanted trials; none where one stands in ``folder`` already."""
     from benchmarks.scoring import trial
     from benchmarks.scoring.design import jobs
 
