@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,3 +124,28 @@ def checked_drive(drive_v: Floats) -> Floats:
     if drive.ndim != 1 or not np.all(np.isfinite(drive)):
         raise ValueError(f"wanted finite drive volts of shape (n,), came shape {drive.shape}")
     return drive
+
+
+class Port(Protocol):
+    """What is used of `serial.Serial`."""
+
+    @property
+    def in_waiting(self) -> int: ...
+    def read(self, size: int) -> bytes: ...
+    def write(self, data: bytes) -> Any: ...
+    def reset_input_buffer(self) -> None: ...
+    def close(self) -> None: ...
+
+
+def open_port(name: str, baud: int, timeout_s: float, *, whose: str, key: str) -> Port:
+    """The port ``name`` of the profile's ``key``; its reads wait for ``timeout_s``. Raises `BackendError`."""
+    import serial  # only where there is a port
+
+    try:
+        port: Port = serial.Serial(name, baud, timeout=timeout_s)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise BackendError(
+            f"{whose} {name}: cannot be opened ({error}); is it plugged in, and is {key} its name? "
+            "bench devices lists what is there"
+        ) from error
+    return port

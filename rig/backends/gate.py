@@ -21,9 +21,8 @@ from daq.files.tables import Block
 from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
-from rig.backends.base import Backend, BackendError
+from rig.backends.base import Backend, BackendError, Port, open_port
 from rig.backends.kinds.soundcard import CardOptions
-from rig.backends.port import Port, open_port
 from rig.profile import Profile
 
 VERSION = 1

@@ -21,10 +21,9 @@ from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.setup.clock import SYSTEM, Clock, Joinable
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
-from rig.backends.base import Backend, BackendError, checked_drive
+from rig.backends.base import Backend, BackendError, Port, checked_drive, open_port
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
-from rig.backends.port import Port, open_port
 from rig.backends.soundcard import SoundcardBackend
 from rig.profile import Profile
 

@@ -22,8 +22,7 @@ from daq.clocks.serial_frames import SerialFrame, encode_frame
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording import open_recording, verify
 from daq.recording.writer import RecordingWriter
-from rig.backends.base import BackendError, Running, TwoClocked
-from rig.backends.port import open_port
+from rig.backends.base import BackendError, Running, TwoClocked, open_port
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
