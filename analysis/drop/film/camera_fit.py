@@ -19,7 +19,7 @@ from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, la
 from analysis.drop.laws.bounce_law import OF_PATHS, BounceModel
 from analysis.drop.laws.choice import Candidate, worth_of
 from analysis.drop.laws.flight_law import FlightLaw
-from analysis.drop.thresholds import LEVEL_SIGMAS
+from analysis.drop.thresholds import LARGEST_SCATTER, LEVEL_SIGMAS
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
 
@@ -68,9 +68,9 @@ class RestitutionFit:
     freedom: int = 0  # bounces less parameters
 
     @property
-    def relative_scatter(self) -> float:
-        """Scatter from bounce to bounce over the restitution."""
-        return self.scatter / max(abs(float(self.theta[0])), 0.02)
+    def is_steady(self) -> bool:
+        """Whether the restitution scatters from bounce to bounce by no more than that of a ball on a flat plate."""
+        return self.scatter / max(abs(float(self.theta[0])), 0.02) <= LARGEST_SCATTER
 
     @property
     def chance(self) -> float:

@@ -306,7 +306,9 @@ def judge_camera(fit: CameraFit) -> Verdict[CameraCandidate]:
     best = verdict.candidate(verdict.best)
     if not _is_contradicted(best):
         return verdict
-    able = [one for one in fit.candidates if one.significant and _holds(one)]
+    # laws that have been tested, and leave errors or an ordinary scatter
+    held = [one for one in fit.candidates if one.significant and one.law.freedom > 0]
+    able = [one for one in held if one.law.chance > thresholds.FOLLOWED_CHANCE or one.law.is_steady]
     holding = next((one for one in able if one.model.shape == best.model.shape), None)
     if holding is not None:
         rivals = [one.model.name for one in able if one is not holding and not gain_of(holding, one)[1]]
@@ -319,14 +321,7 @@ def judge_camera(fit: CameraFit) -> Verdict[CameraCandidate]:
 def _is_contradicted(candidate: CameraCandidate) -> bool:
     """Whether the bounces differ by far more than their errors, and by more than a ball on a flat plate does."""
     law = candidate.law
-    return law.chance < thresholds.UNEVEN_CHANCE and law.relative_scatter > thresholds.LARGEST_SCATTER
-
-
-def _holds(candidate: CameraCandidate) -> bool:
-    """Whether the law has been tested, and leaves errors or an ordinary scatter."""
-    law = candidate.law
-    followed = law.chance > thresholds.FOLLOWED_CHANCE or law.relative_scatter <= thresholds.LARGEST_SCATTER
-    return law.freedom > 0 and followed
+    return law.chance < thresholds.UNEVEN_CHANCE and not law.is_steady
 
 
 def refuse_other_motion(fit: CameraFit, where: str) -> None:
