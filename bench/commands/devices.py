@@ -21,7 +21,7 @@ def command(
     """
     from rich.table import Table
 
-    from bench.jobs.devices import found_devices
+    from bench.profiles.devices import found_devices
 
     check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
     found = found_devices(profiles or [])

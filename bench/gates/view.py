@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from bench.gates.inputs import GATES, changed, inputs_of
+from bench.gates.state import State
 from bench.profiles.find import scenario_names, shipped_names
 from bench.profiles.new import PRESETS
 from bench.profiles.plan import planned
@@ -14,14 +16,25 @@ from daq.setup.errors import InputError
 from daq.setup.setup import quantities
 from rig.profile import Profile
 
-if TYPE_CHECKING:
-    from bench.gates.desk import Gates
-
 Message = dict[str, Any]
 MOST_DRAWN = 400  # steps of a drawing
 
 
-def view_of(gates: Gates) -> Message:
+class Shown(Protocol):
+    """What is shown of `bench.gates.desk.Gates`."""
+
+    state: State
+    profile: Profile | None
+    fault: str
+    job: Message | None
+
+    @property
+    def rig(self) -> Mapping[str, Any]: ...
+    def profiles(self) -> list[str]: ...
+    def is_green(self, gate: str) -> bool: ...
+
+
+def view_of(gates: Shown) -> Message:
     """The message of kind ``gates``."""
     state, profile = gates.state, gates.profile
     chosen: Message = {"profile": state.profile, "scenario": state.scenario, "seed": state.seed, "fault": gates.fault}
@@ -52,7 +65,7 @@ def view_of(gates: Gates) -> Message:
     })  # fmt: skip
 
 
-def _gate(gates: Gates, gate: str) -> Message:
+def _gate(gates: Shown, gate: str) -> Message:
     """One gate: green, open or closed, what was found, and what was changed since."""
     result, before = gates.state.results.get(gate), GATES[: GATES.index(gate)]
     is_open = all(gates.is_green(one) for one in before)

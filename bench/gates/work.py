@@ -57,8 +57,8 @@ def work(pipe: Connection, job: Job) -> None:
 
 def _card(job: Job, ask: Ask, tell: Ask) -> Message:
     """What is plugged in, what its inputs carry, and the loop-back."""
-    from bench.jobs.devices import fits, found_devices
     from bench.jobs.run_ramp import open_rig
+    from bench.profiles.devices import fits, found_devices
     from rig.backends.kinds.soundcard import CardOptions
     from rig.backends.portaudio import Card
     from rig.checks.check import Check

@@ -54,6 +54,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
         return
     analyst = Analyst(profile, board, pipe, pictures)
     try:
+        pipe.send({"kind": "ready"})
         with np.errstate(all="ignore"):  # a step that has just begun may have no flights to average
             parent = multiprocessing.parent_process()
             while not analyst.done and (parent is None or parent.is_alive()):

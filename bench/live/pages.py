@@ -20,13 +20,14 @@ from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.processes import AskedRun, run_profile
 from bench.live.scope_data import MinMax, PlateHeight
 from bench.live.watched_run import WatchedRun
-from bench.live.watchers import Watchers
 from bench.profiles.find import load
 from bench.web.browsers import Browser, Hub, socket_route
 from bench.web.section import Place, Section, templates_of
+from bench.web.watchers import Watchers
 from daq.setup.errors import InputError
 from rig.profile import Profile, load_profile
 
+HERE = Path(__file__).parent
 COMMANDS = ("finish", "ramp_down", "pause", "go_on", "note", "next")
 
 
@@ -44,7 +45,7 @@ class Desk:
         self.watch: WatchedRun | None = None
         self._watched = watched
         self._run: Any = None
-        self.watchers = Watchers(self.hub, self._greet)
+        self.watchers = Watchers(self.hub, self._greet, _show_watcher, HERE / "static")
 
     @property
     def busy(self) -> bool:
@@ -174,11 +175,12 @@ class Desk:
                 browser.send(json.dumps({"kind": "shared", "url": self.watchers.url}))
 
 
+async def _show_watcher(request: Request) -> Response:
+    return templates_of(HERE / "templates").TemplateResponse(request, "live.html", {"watching": True})
+
+
 def _refuse(browser: Browser, why: str) -> None:
     browser.send(json.dumps({"kind": "refused", "why": why, "at": time.time()}))
-
-
-HERE = Path(__file__).parent
 
 
 def desk_of(place: Place) -> Desk:

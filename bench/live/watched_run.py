@@ -132,7 +132,8 @@ class WatchedRun:
     def _take_in(self, event: Message) -> None:
         kind = event["kind"]
         if kind == "run":
-            self._begin(event)
+            if not self.out:  # said again for an analyst that came late
+                self._begin(event)
         elif kind == "taken":
             event["at"] = time.time()
             # a browser that opens the page late gets the last 200 commands
@@ -218,7 +219,10 @@ class WatchedRun:
                 message: dict[str, Any] = self._pipe.recv()
             except (EOFError, OSError):
                 return  # it is done, or gone: the page goes on without
-            if message["kind"] == "flights":
+            if message["kind"] == "ready":
+                if self.out:  # where the run's frames are may have been said too long ago to be read
+                    self.command({"do": "announce"})
+            elif message["kind"] == "flights":
                 piece = flights_piece(message, self._factor)
                 words = json_object(
                     {key: message[key] for key in ("step", "final", "asked", "label", "tones", "gamma")}

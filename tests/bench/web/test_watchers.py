@@ -9,8 +9,8 @@ from starlette.responses import PlainTextResponse
 from starlette.testclient import TestClient
 
 from bench.live.pages import Desk
-from bench.live.watchers import MOST_PER_S, Slow
 from bench.web.access import COOKIE, Access
+from bench.web.watchers import MOST_PER_S, Slow
 from daq.setup.clock import Clock
 
 ADDRESS = "http://192.0.2.7:9000"

@@ -1,4 +1,4 @@
-"""Watchers by link: a server of its own with the live page and nothing that changes anything. Off unless asked for."""
+"""Watchers by link: a server of its own with one page and nothing that changes anything. Off unless asked for."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from bench.web.access import Access, Guard
 from bench.web.application import STATIC
 from bench.web.browsers import Browser, Hub, socket_route
-from bench.web.section import templates_of
 from bench.web.serve import Server, bind
 from daq.setup.clock import SYSTEM, Clock
 
-HERE = Path(__file__).parent
 MOST = 40  # watchers at a time
 MOST_PER_S = 30  # requests of one address: a page needs a dozen
 Greet = Callable[[Browser], Awaitable[None]]
@@ -35,6 +33,8 @@ class Watchers:
     ----------
     hub, greet
         Browsers of the page, and what each gets when it opens the page.
+    show, static
+        The page that watchers see, and the folder of its files, served under ``/static/live/``.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class Watchers:
         The link with its token; empty while it is closed.
     """
 
-    def __init__(self, hub: Hub, greet: Greet) -> None:
+    def __init__(self, hub: Hub, greet: Greet, show: Callable[[Request], Awaitable[Response]], static: Path) -> None:
         self.url = ""
-        self._hub, self._greet = hub, greet
+        self._hub, self._greet, self._show, self._static = hub, greet, show, static
         self._server: Server | None = None
         self._task: asyncio.Task[None] | None = None
 
@@ -60,7 +60,7 @@ class Watchers:
         """The page, its scripts and its socket: all that a watcher can reach."""
         static = [
             Mount(f"/static/{name}", StaticFiles(directory=folder))
-            for name, folder in (("web", STATIC), ("live", HERE / "static"))
+            for name, folder in (("web", STATIC), ("live", self._static))
         ]
         routes = [Route("/", self._show), *static, socket_route("/live/socket", self._talk)]
         app = Starlette(routes=routes, middleware=[Middleware(Slow), Middleware(Guard, access=access)])
@@ -72,9 +72,6 @@ class Watchers:
         if self._server is not None:
             self._server.should_exit = True
         self._server, self.url = None, ""
-
-    async def _show(self, request: Request) -> Response:
-        return templates_of(HERE / "templates").TemplateResponse(request, "live.html", {"watching": True})
 
     async def _talk(self, browser: Browser) -> None:
         """Serve one watcher until it is gone, or turn it away where there are too many."""
