@@ -362,6 +362,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         forcing=column(lambda p: p.steps.forcing),
     )
     openings, landings = ([p.scatters[i] for p in parts] for i in (0, 1))
+    swings = [p.modulation for p in parts if p.modulation]
     plate, wanders = with_wander(PlateData.join([p.plate for p in parts], shift), np.arange(len(table)))
     return Observations(
         measured=measured,
@@ -379,9 +380,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
         pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),
         closure_s=float(np.median([p.closure_s for p in parts])),
-        modulation=AmplitudeModulation.join(swings)
-        if (swings := [p.modulation for p in parts if p.modulation])
-        else None,
+        modulation=AmplitudeModulation.join(swings) if swings else None,
         scatters=(Scatter.together(openings), Scatter.together(landings)),
         run_part=column(lambda p: p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part),
         heard=column(lambda p: np.zeros(len(p), dtype=np.bool_) if p.heard is None else p.heard),

@@ -35,7 +35,7 @@ def command(
     from analysis.flights.compare import compare
     from analysis.flights.plausibility import plausibility_warnings
     from analysis.report.gamma import gamma_scale
-    from bench.jobs.reprocess import draw, flights_with_progress
+    from bench.jobs.report import draw, flights_with_progress
     from bench.profiles.find import load_measuring
     from bench.terminal.comparison import comparison_json
     from daq.instrument.stored import instrument_of

@@ -156,7 +156,7 @@ def _reprocess(recording: Path, folder: Path) -> Flights:
     from analysis.flights.compare import compare
     from analysis.flights.table import write_csv
     from analysis.report.gamma import gamma_scale
-    from bench.jobs.reprocess import draw
+    from bench.jobs.report import draw
     from bench.terminal.comparison import sentences
     from daq.recording import open_recording
 

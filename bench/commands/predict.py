@@ -16,18 +16,13 @@ def command(
     gamma_peak: float | None = typer.Option(None, help="Peak plate acceleration / g, in place of --gamma, at c = 1."),
     gamma_range: tuple[float, float] | None = typer.Option(None, help="From and to, in gamma."),
     bifurcations: bool = typer.Option(False, "--bifurcations", help="List every bifurcation in --gamma-range."),
-    branches: bool = typer.Option(
-        False, "--branches", help="Cycles of one and two flights in --gamma-range, unstable ones too."
-    ),
+    branches: bool = typer.Option(False, "--branches", help="Cycles of one and two flights, unstable ones too."),
     effect: list[str] = typer.Option([], help="name.parameter=value, such as restitution.e0=0.514; repeatable."),
     frequency_hz: float | None = typer.Option(None, help="First tone, Hz: flight times in seconds, effects in SI."),
     profile: str | None = typer.Option(
-        None,
-        help="Forcing, frequency and declared effects of a profile; if only that: the motion in its steps.",
+        None, help="Forcing, frequency, effects of a profile; with nothing else: its steps."
     ),
-    what_if: list[str] = typer.Option(
-        [], help="KEY=number in place of the profile's, such as ball.mass_kg=0.1; repeatable."
-    ),
+    what_if: list[str] = typer.Option([], help="KEY=number in the profile, such as ball.mass_kg=0.1; repeatable."),
     sweep: str | None = typer.Option(None, help="up or down: carry the state from gamma to gamma, as a bench does."),
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
     steps: int = typer.Option(1000, min=2, help="Gammas of a diagram over --gamma-range."),
@@ -53,8 +48,6 @@ def command(
     bench predict --c 2 --gamma-range 0.2 3 --out diagram.h5 --figure diagram.png
 
     bench predict --c 1 --gamma-range 1.6 3 --branches --figure branches.png
-
-    bench predict --profile better.toml
 
     bench predict --profile better.toml --what-if ball.mass_kg=0.1
 

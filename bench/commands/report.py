@@ -27,8 +27,7 @@ def command(
     Example: bench report run.h5 --out run.html --pdf run.pdf
     """
     from analysis.report.run_page import write_page
-    from bench.jobs.print_pdf import print_pdf, refuse_without_printer
-    from bench.jobs.report import report
+    from bench.jobs.report import print_pdf, refuse_without_printer, report
     from daq.recording.header import refuse_repeated
 
     check_outputs(

@@ -30,7 +30,7 @@ def command(
     from analysis.flights.classify import classify
     from analysis.flights.plausibility import plausibility_warnings
     from analysis.flights.table import write_csv
-    from bench.jobs.reprocess import draw, flights_with_progress
+    from bench.jobs.report import draw, flights_with_progress
     from daq.instrument.stored import instrument_of
     from daq.recording import open_recording
 

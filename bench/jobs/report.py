@@ -1,24 +1,36 @@
-"""The report of recordings: flights, a closed loop that is at hand or is computed, and a section for each."""
+"""The report of recordings: flights and their pictures, a closed loop at hand or computed, a section each, and paper.
+
+A page goes on paper through a headless Chromium (Chrome, Edge), or WeasyPrint where no browser is there.
+"""
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
+from analysis.flights.assemble import Flights, flights_of
+from analysis.flights.compare import Comparison
 from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
 from bench.terminal.console import DEFECTS
 from bench.terminal.progress import progress_bar
+from daq.files.whole_file import whole
 from daq.recording import Recording, open_recording
 from daq.recording.event_changes import BY_HAND, in_words
 from daq.recording.verify import verify
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
-    from analysis.flights.table import Flights
     from analysis.loop.result import ClosedLoop
     from analysis.report.run_page import Section
 
@@ -43,7 +55,6 @@ def report(recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], 
     InputError
         When a recording cannot be read.
     """
-    from analysis.flights.assemble import flights_of
     from analysis.flights.table import FlightFlag
     from analysis.report.run_page import Run, section_of
 
@@ -111,3 +122,92 @@ def not_of(loop: ClosedLoop, recording: Recording, flights: Flights) -> str:
     if not np.isin(loop.flights.takeoff_s, flights.takeoff_s).all():
         return "its flights are not those of the recording"
     return ""
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+PLACES = (  # where the installers of macOS and Windows put one
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+    "/Applications/Chromium.app/Contents/MacOS/Chromium",
+    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
+    "C:/Program Files/Google/Chrome/Application/chrome.exe",
+    "C:/Program Files (x86)/Google/Chrome/Application/chrome.exe",
+    "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
+)
+LONGEST_S = 180.0
+
+
+def browser() -> str | None:
+    """A browser that prints without a window, or None."""
+    named = (shutil.which(name) for name in BROWSERS)
+    return next((found for found in (*named, *PLACES) if found and Path(found).is_file()), None)
+
+
+def refuse_without_printer() -> None:
+    """Refuse early where nothing can make a PDF (raises InputError)."""
+    if browser() is not None:
+        return
+    try:
+        import weasyprint  # noqa: F401
+    except (ImportError, OSError) as error:  # OSError: the libraries behind it are not there
+        raise InputError(
+            "--pdf: neither Chromium, Chrome or Edge nor WeasyPrint was found; install one of them, or open the page "
+            "in any browser and print it to a PDF"
+        ) from error
+
+
+def print_pdf(page: Path, pdf: Path) -> None:
+    """Print the page ``page`` to ``pdf``, which appears only when it is whole.
+
+    Raises
+    ------
+    InputError
+        When nothing can print it, or the printing failed.
+    """
+    refuse_without_printer()
+    found = browser()
+    with whole(pdf) as part, tempfile.TemporaryDirectory() as folder:
+        if found is None:
+            from weasyprint import HTML
+
+            HTML(filename=str(page)).write_pdf(str(part))
+            return
+        made = Path(folder) / "page.pdf"
+        root = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []  # Chromium refuses root one
+        call = [
+            found, "--headless", *root, "--disable-gpu", "--disable-extensions", "--disable-dev-shm-usage",
+            f"--user-data-dir={Path(folder) / 'profile'}", "--no-first-run", "--no-pdf-header-footer",
+            f"--print-to-pdf={made}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        try:
+            done = subprocess.run(
+                call, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(
+                f"{page}: {found} did not print it in {LONGEST_S:.0f} s; print it from a browser"
+            ) from None
+        if done.returncode != 0 or not made.is_file():
+            last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+            raise InputError(
+                f"{page}: {found} could not print it ({last}); open the page in a browser and print it there"
+            )
+        shutil.copyfile(made, part)
+
+
+def flights_with_progress(opened: Recording, *, quiet: bool) -> Flights:
+    """The flights, with a bar on standard error while the file is read."""
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
+        task = progress.add_task(f"reading {opened.path.name}", total=1.0)
+        return flights_of(opened, progress=lambda part: progress.update(task, completed=part))
+
+
+def draw(opened: Recording, table: Flights, folder: Path, held: Comparison | None = None) -> None:
+    """Every picture of a recording, into ``folder``; ``held`` is its comparison with the declared model, if known."""
+    from analysis.report.figures.measured import measured
+    from analysis.report.figures.recording import FIGURES
+    from analysis.report.figures.style import badge_of, save_picture
+
+    badge = badge_of(opened)
+    shown = measured(opened, table, held)
+    for figure in FIGURES:
+        save_picture(folder, figure.name, badge, partial(figure.draw, shown))

@@ -25,7 +25,7 @@ def drawn(recording: Path, verdict: Path) -> None:
     from analysis.flights.assemble import flights_of
     from analysis.flights.compare import compare
     from analysis.loop.storage import load_verdict
-    from bench.jobs.reprocess import draw
+    from bench.jobs.report import draw
     from daq.recording import open_recording
 
     loop = load_verdict(verdict)

@@ -12,7 +12,7 @@ from analysis.flights.assemble import flights_of
 from analysis.report.figures import recording as table
 from analysis.report.figures.style import Figure
 from analysis.report.run_page import Run, section_of
-from bench.jobs.reprocess import draw
+from bench.jobs.report import draw
 from daq.recording import open_recording
 from daq.recording.verify import VerifyReport
 

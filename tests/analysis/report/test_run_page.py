@@ -18,7 +18,7 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-import bench.jobs.print_pdf
+import bench.jobs.report
 from analysis.flights.assemble import flights_of
 from analysis.flights.table import FlightFlag, Flights
 from analysis.loop.result import ClosedLoop, Source
@@ -229,7 +229,7 @@ def test_two_runs_are_compared(path: Path, make: Callable[..., Any], tmp_path: P
 
 def test_no_printer_is_said_before_the_work(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a browser and without WeasyPrint --pdf is refused with what to do, and no page is left."""
-    monkeypatch.setattr(bench.jobs.print_pdf, "browser", lambda: None)
+    monkeypatch.setattr(bench.jobs.report, "browser", lambda: None)
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     call = ["report", str(path), "--out", str(tmp_path / "r.html"), "--pdf", str(tmp_path / "r.pdf"), "--no-loop"]
     done = CliRunner().invoke(app, call)
@@ -240,26 +240,26 @@ def test_a_browser_that_fails_leaves_no_pdf(tmp_path: Path, monkeypatch: pytest.
     """A browser that ends with an error, or never ends, is told with the page's name; no half PDF stays."""
     page = tmp_path / "r.html"
     page.write_text("x", encoding="utf-8")
-    monkeypatch.setattr(bench.jobs.print_pdf, "browser", lambda: "chromium")
+    monkeypatch.setattr(bench.jobs.report, "browser", lambda: "chromium")
     gone = subprocess.CompletedProcess([], 1, "", "first\nno display")
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: gone)
     with pytest.raises(InputError, match="no display"):
-        bench.jobs.print_pdf.print_pdf(page, tmp_path / "r.pdf")
+        bench.jobs.report.print_pdf(page, tmp_path / "r.pdf")
 
     def hangs(*a: Any, **k: Any) -> Any:
         raise subprocess.TimeoutExpired("chromium", 1.0)
 
     monkeypatch.setattr(subprocess, "run", hangs)
     with pytest.raises(InputError, match="did not print"):
-        bench.jobs.print_pdf.print_pdf(page, tmp_path / "r.pdf")
+        bench.jobs.report.print_pdf(page, tmp_path / "r.pdf")
     assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
 
 
-@pytest.mark.skipif(bench.jobs.print_pdf.browser() is None, reason="no Chromium, Chrome or Edge on this machine")
+@pytest.mark.skipif(bench.jobs.report.browser() is None, reason="no Chromium, Chrome or Edge on this machine")
 def test_a_real_browser_prints_the_page(measured: tuple[Recording, Flights], tmp_path: Path) -> None:
     """Chromium makes a PDF of several pages with text, whose figures are vectors."""
     recording, flights = measured
     page_of(Run(recording, VerifyReport("complete"), flights, None, "left out"), tmp_path / "r.html")
-    bench.jobs.print_pdf.print_pdf(tmp_path / "r.html", tmp_path / "r.pdf")
+    bench.jobs.report.print_pdf(tmp_path / "r.html", tmp_path / "r.pdf")
     made = (tmp_path / "r.pdf").read_bytes()
     assert made.startswith(b"%PDF") and made.count(b"/Type /Page\n") + made.count(b"/Type /Page/") >= 2
