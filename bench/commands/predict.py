@@ -19,9 +19,7 @@ def command(
     branches: bool = typer.Option(False, "--branches", help="Cycles of one and two flights, unstable ones too."),
     effect: list[str] = typer.Option([], help="name.parameter=value, such as restitution.e0=0.514; repeatable."),
     frequency_hz: float | None = typer.Option(None, help="First tone, Hz: flight times in seconds, effects in SI."),
-    profile: str | None = typer.Option(
-        None, help="Forcing, frequency, effects of a profile; only that: its steps."
-    ),
+    profile: str | None = typer.Option(None, help="Forcing, frequency, effects of a profile; only that: its steps."),
     what_if: list[str] = typer.Option([], help="KEY=number in the profile, such as ball.mass_kg=0.1; repeatable."),
     sweep: str | None = typer.Option(None, help="up or down: carry the state from gamma to gamma, as a bench does."),
     phase_deg: float = typer.Option(0.0, help="Phase of the second tone, degrees."),
