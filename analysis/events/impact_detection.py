@@ -27,6 +27,7 @@ SHIFTS = 2 * FINE  # search range around a candidate, in fine points
 ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may get wrong, at least
 BEGINNING = 2 * LEAD  # samples of a snippet in which no later impact can be
 ONSET_S = 2e-6  # uncertainty of the template's onset
+FORERUNNER = 1e-3  # part of an impact that a converter's filter may ring before the template begins
 SWEEPS = 2  # fits of impacts that stand near others
 STRONG_PART = 0.5  # of the usual strength, from which an impact is no corner of motion that is cut off
 SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
@@ -263,7 +264,7 @@ def _search(  # type: ignore[no-untyped-def]
     while i < score.shape[0] and n < out.shape[0]:
         top = i
         while True:
-            ahead = top + int(np.argmax(score[top : top + LENGTH]))
+            ahead = top + int(np.argmax(score[top : top + LENGTH + LEAD]))
             if ahead == top:
                 break
             top = ahead
@@ -283,8 +284,11 @@ def _search(  # type: ignore[no-untyped-def]
         while place > 0 and out[place - 1, PLACE] > row[PLACE]:
             place -= 1
         near = place > 0 and row[PLACE] - out[place - 1, PLACE] < 0.5 * LEAD
-        near = near or (place < n and out[place, PLACE] - row[PLACE] < 0.5 * LEAD)
-        if near or row[SCORE] < max(limit, doubtful, ECHO_MARGIN * loud):
+        least = max(limit, doubtful, ECHO_MARGIN * loud)
+        if place < n and out[place, PLACE] - row[PLACE] < LENGTH + LEAD:
+            near = near or out[place, PLACE] - row[PLACE] < 0.5 * LEAD
+            least = max(least, FORERUNNER * out[place, SCORE])
+        if near or row[SCORE] < least:
             begin, end = top, top + 1
             while begin > 0 and score[begin - 1] > limit:
                 begin -= 1

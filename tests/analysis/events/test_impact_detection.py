@@ -88,6 +88,16 @@ def test_a_bounce_that_cancels_the_ringing_of_the_one_before_is_found(waveform: 
     assert found == pytest.approx(np.sort(np.append(first, second)), abs=0.5)
 
 
+def test_what_a_converters_filter_rings_long_before_an_impact_is_none(waveform: ImpactTemplate) -> None:
+    """45 samples before an impact of 14,000 standard deviations something of 9 is no impact; far from any it is one."""
+    rng = np.random.default_rng(6)
+    volts = ringing(6000, np.array([2500.3]), rng, 20.0)
+    volts += ringing(6000, np.array([1500.0, 2455.0]), rng, 0.013)
+    scan = ImpactScan(waveform, RATE_HZ)
+    scan.add(volts, PAD, PAD, volts.size - 2 * PAD)
+    assert scan.impacts().time_s[:2] * RATE_HZ == pytest.approx([1500.0, 2500.3], abs=1.0)
+
+
 def test_the_filter_is_the_correlation_with_its_taps(waveform: ImpactTemplate) -> None:
     """What the filter gives at every sample, over tiles whole and broken, is NumPy's correlation."""
     rng = np.random.default_rng(8)
