@@ -104,11 +104,6 @@ def echo_samples(rate_hz: float) -> int:
     return max(MIN_ECHO, round(ECHO_S * rate_hz))
 
 
-def _late_part(quick: Floats) -> float:
-    """Rms of the last quarter of a waveform over its greatest value."""
-    return float(np.sqrt(np.mean(quick[3 * quick.size // 4 :] ** 2))) / float(np.abs(quick).max())
-
-
 def whitener(noise: NoiseSpectrum, tones_hz: Floats) -> Floats:
     """Matrix that makes a snippet's noise white, of unit variance, and its motion nothing, shape (LENGTH, LENGTH)."""
     white = noise.whitener(LENGTH)
@@ -242,7 +237,8 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     grid = np.arange(fine.size)
     slow = _line_under(fine, peak, width) if decay is None else decay.slow(np.maximum(grid, decay.begin))
     out = np.where((grid >= begin) & (grid < end), fine - np.clip((grid - peak) / width, 0.0, 1.0) * slow, 0.0)
-    if decay is None and _late_part(out) > CUT_OFF:  # what follows a cut off end would be found as impacts
+    late = float(np.sqrt(np.mean(out[3 * out.size // 4 :] ** 2))) / float(np.abs(out).max())
+    if decay is None and late > CUT_OFF:  # what follows a cut off end would be found as impacts
         return None
     shown = out[:end]
     if decay is not None:

@@ -2,7 +2,7 @@
 
 What the samples before predict, as they predict ringing, is no impact; what they do not predict is. Strong impacts are
 averaged up to the next one, and what they ring then is continued as it is predicted. With that waveform impacts are
-found and taken away, and each is put back alone into the next average. The contact circuit is not used: it may be
+found and taken away, and each is put back by itself into the next average. The contact circuit is not used: it may be
 late, or close only at the end of a chatter. `analysis.events.sensor_offset.calibrate` then measures the delay
 between the template's onset and the contact edge.
 """
