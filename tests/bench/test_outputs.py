@@ -26,7 +26,7 @@ READ = {
 STEERS = {
     "note", "set_", "mapping", "channel", "channel_column", "server", "effect", "sweep", "grid", "cluster",
     "use_height", "stale", "kind", "do", "until", "ratios", "frequencies", "profile_name", "tag", "tags", "text",
-    "verdict", "ended", "since", "sort", "host", "device",
+    "verdict", "ended", "since", "sort", "host", "device", "what_if",
 }  # fmt: skip
 """Texts that name no file. A text or path that is in neither list is an output, and has to be checked."""
 NAMES = {
