@@ -56,6 +56,8 @@ def take(folder: Path, profile_text: str, name: str) -> None:
     try:
         found = json.loads((folder / FILE).read_text(encoding="utf-8"))
         is_armed = found["profile_sha256"] == _digest(profile_text) and armed(folder)["profile"] is not None
+        if is_armed:
+            (folder / FILE).unlink()  # of two calls at one time, the second finds it gone
     except (OSError, ValueError, KeyError, TypeError):
         is_armed = False
     if not is_armed:
@@ -63,7 +65,6 @@ def take(folder: Path, profile_text: str, name: str) -> None:
             f"{name}: drives real hardware, and no person has armed it; ask one to open the desk's page (bench live), "
             f"section Agent, and to arm this profile: it holds for one run within {LASTS_S / 60.0:g} minutes"
         )
-    disarm(folder)
 
 
 def _digest(text: str) -> str:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import inspect
 import json
-import math
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -22,6 +22,7 @@ from bench.agent.arming import take
 from bench.profiles.edit import with_values
 from bench.profiles.find import find_profile, find_scenario, load, scenario_names, shipped_names
 from bench.profiles.plan import planned, refusal
+from daq.recording.subprocess_reader import same_modules
 from daq.setup.errors import InputError
 from rig.profile import Profile, parse_profile
 
@@ -38,7 +39,10 @@ Command = Callable[[Sequence[str], Path], Answer]
 def bench_command(arguments: Sequence[str], folder: Path) -> Answer:
     """The JSON that a `bench` command answers with, run in ``folder``; raises InputError with its refusal."""
     call = [sys.executable, "-m", "bench", *arguments, "--json", "-"]
-    done = subprocess.run(call, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        call, cwd=folder, env=same_modules(), stdin=subprocess.DEVNULL, capture_output=True, encoding="utf-8",
+        errors="replace", check=False,
+    )  # fmt: skip
     try:
         answer: Answer = json.loads(done.stdout)
     except ValueError:
@@ -53,7 +57,7 @@ class Door:
     Parameters
     ----------
     folder
-        The runs' folder; no call reads or writes outside it, but for what is shipped.
+        The runs' folder; no call reads or writes a file outside it that an agent names, but for what is shipped.
     command
         Runs a `bench` command.
     """
@@ -105,8 +109,7 @@ class Door:
 
     def check(self, profile: str, scenario: str = "") -> Answer:
         """Whether a rig is wired as its profile says; hardware must be armed by a person."""
-        file = self._allowed(profile, None)
-        return self._command(["check", str(file), *self._hidden(scenario)], self.folder)
+        return self._drive("check", profile, None, self._hidden(scenario))
 
     def ramp(
         self, profile: str, name: str, values: Values | None = None, scenario: str = "", seed: int = 0, note: str = ""
@@ -115,17 +118,13 @@ class Door:
         options = [*self._hidden(scenario), "--seed", str(_whole(seed, "seed", 0, 2**31))]
         if note := _text(note, "note"):
             options += [f"--note={note}"]
-        out = self._new(name, ".h5")
-        file = self._allowed(profile, values)
-        return self._command(["ramp", str(file), "--out", str(out), *options], self.folder)
+        return self._drive("ramp", profile, values, ["--out", str(self._new(name, ".h5")), *options])
 
     def explore(self, profile: str, name: str, scenario: str = "", seed: int = 0, budget_s: float = 60.0) -> Answer:
         """Let the rig choose its own steps, into the folder ``name``; hardware must be armed by a person."""
         options = [*self._hidden(scenario), "--seed", str(_whole(seed, "seed", 0, 2**31))]
         options += ["--budget", repr(_number(budget_s, "budget_s", 1.0, LONGEST_S))]
-        out = self._new(name, "")
-        file = self._allowed(profile, None)
-        return self._command(["explore", str(file), "--out", str(out), *options], self.folder)
+        return self._drive("explore", profile, None, ["--out", str(self._new(name, "")), *options])
 
     def close_loop(self, recordings: list[str]) -> Answer:
         """The verdict on recordings of one rig: what the declared model misses, by name, size and error."""
@@ -133,20 +132,20 @@ class Door:
             raise InputError("recordings: wanted a list of 1 to 24 names from the catalogue")
         return self._command(["close-loop", *(str(self._inside(name, ".h5")) for name in recordings)], self.folder)
 
-    def _allowed(self, profile: str, values: Values | None) -> Path:
-        """The file of a profile that may be driven now: within its limits, and simulated or armed by a person."""
+    def _drive(self, command: str, profile: str, values: Values | None, options: Sequence[str]) -> Answer:
+        """Run a command on a profile that may be driven now: within its limits, and simulated or armed by a person."""
         checked, text, base = self._profile(profile, values)
         programme, _, faults = _planned(checked)
         if faults:
             raise InputError(refusal(profile, faults))
         if programme.n_samples / programme.rate_hz > LONGEST_S:
             raise InputError(f"{profile}: the ramp lasts longer than {LONGEST_S:g} s; wanted fewer or shorter steps")
-        made = self.folder / ".shakerbench" / "agent.toml"
-        made.parent.mkdir(exist_ok=True)
-        made.write_text(text, encoding="utf-8")
-        if checked.backend.kind != "simulated":
-            take(self.folder, base, profile)
-        return made
+        with tempfile.TemporaryDirectory(prefix="shakerbench-") as own:  # calls may come at the same time
+            file = Path(own) / "agent.toml"
+            file.write_text(text, encoding="utf-8", newline="")
+            if checked.backend.kind != "simulated":
+                take(self.folder, base, profile)
+            return self._command([command, str(file), *options], self.folder)
 
     def _profile(self, profile: str, values: Values | None) -> tuple[Profile, str, str]:
         """A profile with ``values`` set, its text, and the text as it was; its limits and its rig never change."""
@@ -223,7 +222,7 @@ def _plain(key: str, value: Any) -> None:
     if isinstance(value, dict) and not all(isinstance(k, str) and k.isidentifier() for k in value):
         raise InputError(f"values: {key}: wanted a table with plain keys")
     for one in inner:
-        is_number = isinstance(one, (int, float)) and math.isfinite(one) and abs(one) <= 1e6
+        is_number = isinstance(one, (int, float)) and abs(one) <= 1e6  # not NaN
         is_word = isinstance(one, str) and NAME.fullmatch(one)
         if len(inner) > MOST_VALUES or not (is_number or is_word):
             raise InputError(f"values: {key}: wanted numbers up to 1e6, at most {MOST_VALUES} of them, or a word")

@@ -52,6 +52,12 @@ def read_here() -> Iterator[None]:
         _HERE.reset(before)
 
 
+def same_modules() -> dict[str, str]:
+    """Environment of a Python process that finds the modules of this one, not those of a folder, and speaks UTF-8."""
+    places = [str(Path(entry or ".").resolve()) for entry in sys.path]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1", "PYTHONIOENCODING": "utf-8"}
+
+
 def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
     """Call ``module:function`` in a process of its own.
 
@@ -74,8 +80,6 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
             if isinstance(error, InputError):
                 raise
             return Answer(None, f"reading it ended ({error})", said_here[-1])
-    # the same modules, wherever the other process begins
-    places = [str(Path(entry or ".").resolve()) for entry in sys.path]
     errors: list[str] = []
     said: queue.SimpleQueue[str | None] = queue.SimpleQueue()
 
@@ -87,7 +91,7 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
     with subprocess.Popen(
         [sys.executable, "-c", SERVE, function, json.dumps(arguments)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace",
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1", "PYTHONIOENCODING": "utf-8"},
+        env=same_modules(),
     ) as process:  # fmt: skip
         readers = [
             threading.Thread(target=pass_on, daemon=True),

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from analysis.loop.close_loop import FittedLoop, fit_loop
 from analysis.loop.result import ClosedLoop
+from daq.recording.subprocess_reader import same_modules
 from daq.setup.errors import InputError
 
 
@@ -90,7 +91,8 @@ def _made_run(profile: str, out: Path, scenario: Path | None, seed: int, quiet: 
         words += [] if scenario is None else ["--scenario", str(scenario)]
         with errors.open("w+", encoding="utf-8") as stream:
             shown = stream if quiet else None  # None: errors and display on this terminal
-            ramp = subprocess.Popen([sys.executable, "-m", "bench", *words], stdout=subprocess.DEVNULL, stderr=shown)
+            call = [sys.executable, "-m", "bench", *words]
+            ramp = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=shown, env=same_modules())
             while ramp.returncode is None:
                 with contextlib.suppress(KeyboardInterrupt):  # goes to the ramp as well, which stops softly
                     ramp.wait()

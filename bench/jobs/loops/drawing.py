@@ -12,6 +12,7 @@ import sys
 from analysis.loop.result import ClosedLoop
 from analysis.report.figures.several import write_pictures
 from analysis.report.page import write_report
+from bench.terminal.console import DEFECTS, EXIT_FAILED, EXIT_USAGE, end_with_defect
 from bench.terminal.progress import progress_bar
 from daq.setup.errors import InputError
 
@@ -25,9 +26,13 @@ def main() -> int:
                 written = write_report(found, folder, progress=bar, **more)
             else:
                 written = write_pictures(found, folder, **more)
-    except InputError as error:
+    except (InputError, OSError) as error:  # as of a full disk
         sys.stdout.buffer.write(str(error).encode("utf-8"))
-        return 2
+        return EXIT_USAGE
+    except DEFECTS as error:
+        end_with_defect(error)
+    except KeyboardInterrupt:  # the process that asked has had it too, and says so
+        return EXIT_FAILED
     sys.stdout.buffer.write(str(written).encode("utf-8"))
     return 0
 

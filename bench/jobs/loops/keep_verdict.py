@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.terminal.console import warn
+from bench.terminal.console import EXIT_USAGE, warn
+from daq.recording.subprocess_reader import same_modules
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,8 +92,11 @@ def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False
         When it could not be written.
     """
     call = [sys.executable, "-m", "bench.jobs.loops.drawing"]
-    done = subprocess.run(call, input=pickle.dumps((found, folder, quiet, more)), stdout=subprocess.PIPE, check=False)
+    what = pickle.dumps((found, folder, quiet, more))
+    done = subprocess.run(call, input=what, stdout=subprocess.PIPE, env=same_modules(), check=False)
     answer = done.stdout.decode("utf-8")
+    if done.returncode == EXIT_USAGE:
+        raise InputError(answer)
     if done.returncode:
-        raise InputError(answer or f"{folder}: its process ended with exit status {done.returncode}")
+        raise InputError(f"{folder}: the process that draws it ended with exit status {done.returncode}")
     return Path(answer)

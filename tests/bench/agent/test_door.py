@@ -56,7 +56,9 @@ def door(tmp_path_factory: pytest.TempPathFactory) -> Door:
     return Door(folder, Bench(folder.resolve()))
 
 
-NUMBERS = st.one_of(st.floats(), st.integers(-(10**9), 10**9), st.floats(0.1, 3.0), st.integers(1, 40))
+NUMBERS = st.one_of(
+    st.floats(), st.integers(-(10**9), 10**9), st.just(10**400), st.floats(0.1, 3.0), st.integers(1, 40)
+)
 ODD = st.one_of(NUMBERS, st.text(max_size=12), st.booleans(), st.none(), st.lists(NUMBERS, max_size=5))
 VALUES = st.dictionaries(
     st.sampled_from([
@@ -121,6 +123,34 @@ def test_hardware_runs_once_after_a_person_armed_exactly_this_profile(tmp_path: 
     (tmp_path / FILE).write_text((tmp_path / FILE).read_text().replace(": 1", ": 9"))  # a time of another age
     with pytest.raises(InputError, match="no person has armed it"):
         take(tmp_path, load(card)[1] + "\n# changed since", "card")
+
+
+def test_calls_at_the_same_time_share_neither_profile_nor_permission(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A refused call on hardware does not reach the profile of one that starts; one permission is for one of two."""
+    (tmp_path / "card.toml").write_bytes(find_profile("soundcard").read_bytes())
+    driven = list[str]()
+
+    def start(arguments: Sequence[str], folder: Path) -> dict[str, Any]:
+        with pytest.raises(InputError, match="no person has armed it"):
+            door.check("card.toml")
+        driven.append(load(arguments[1])[0].backend.kind)
+        return {}
+
+    door = Door(tmp_path, start)
+    door.check("simulated")
+    assert driven == ["simulated"]
+    arm(tmp_path, "profile", "card")
+
+    def first(folder: Path) -> dict[str, Any]:
+        monkeypatch.undo()
+        take(folder, "profile", "card")
+        return {"profile": "card"}
+
+    monkeypatch.setattr("bench.agent.arming.armed", first)
+    with pytest.raises(InputError, match="no person has armed it"):
+        take(tmp_path, "profile", "card")
 
 
 def test_a_person_arms_and_disarms_on_the_page(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict
 from bench.batch import examine
 from bench.cli import app
-from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
+from bench.jobs.loops.keep_verdict import drawn, keep_verdict, verdict_file
+from daq.setup.errors import InputError
 from tests.bench.runs.recordings import record
 
 
@@ -46,3 +47,15 @@ def test_batch_and_report_keep_it(closed_loop: ClosedLoop, tmp_path: Path, monke
     assert page.exit_code == 0, page.output
     for name in ("batch", "report"):
         assert load_verdict(tmp_path / f"{name}.loop").selection.names == closed_loop.selection.names
+
+
+@pytest.mark.slow
+def test_a_drawing_that_fails_says_why_wherever_it_is_called(
+    closed_loop: ClosedLoop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder that cannot be made is a sentence, and a person's own analysis.py in the working folder changes none."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "analysis.py").write_text("raise SystemExit(7)")
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(InputError, match="taken"):
+        drawn(closed_loop, tmp_path / "taken", quiet=True)
