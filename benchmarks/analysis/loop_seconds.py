@@ -99,7 +99,7 @@ def _clock(function: Callable[..., Any], stage: str, seconds: dict[str, float]) 
 
 
 def make(seed_base: int, trials: int, folder: Path, *, longer: bool = False) -> list[Path]:
-    """Recordings of the wanted trials; none where one stands in ``folder`` already."""
+    """Recordings of the wanted trials; those that ``folder`` has are not made again."""
     from benchmarks.scoring import trial
     from benchmarks.scoring.design import jobs
 

@@ -14,6 +14,7 @@ import numpy as np
 from daq.channels.continuity import ContinuityChannel
 from daq.instrument.instrument import Doubt
 from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
+from daq.lock_in import ToneFit
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
 
@@ -193,12 +194,20 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         )
     # 5 ms at 25 Hz: no converter's filter and no amplifier is so late; later still at a higher tone
     elif phase_deg is not None and abs(phase_deg) > 45.0 * setup.forcing.ratio and not turned:
+        multiples = [_strongest(hold.drive, hold.frequency_hz)[1] for hold in seen.holds if hold.drive is not None]
+        scale = setup.drive.scale(multiples[0])
         yield Doubt(
             "drive_phase",
-            f"the plate moves {phase_deg:+.0f} degrees after what [drive] says",
-            f"write phase_deg = {round(setup.drive.phase_deg.value + phase_deg)} there, or find the late channel",
+            f"the plate moves {phase_deg:+.0f} degrees after what [drive{'' if scale is setup.drive else '.second'}] says",
+            f"write phase_deg = {round(scale.phase_deg.value + phase_deg)} there, or find the late channel",
             True,
         )
+
+
+def _strongest(drive: ToneFit, first_hz: float) -> tuple[int, int]:
+    """Strongest tone of the drive: its index, and its multiple of the forcing."""
+    k = int(np.argmax(np.abs(drive.amplitudes)))
+    return k, round(float(drive.frequencies_hz[k]) / first_hz)
 
 
 def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:
@@ -206,13 +215,13 @@ def drive_phase_deg(seen: Measured, setup: Setup) -> float | None:
     turns = []
     for hold in seen.holds:
         if hold.drive is not None:
-            k = int(np.argmax(np.abs(hold.drive.amplitudes)))
-            turns.append(hold.plate.amplitudes[k] / hold.drive.amplitudes[k])
+            k, multiple = _strongest(hold.drive, hold.frequency_hz)
+            declared = np.exp(-1j * np.radians(setup.drive.scale(multiple).phase_deg.value))
+            turns.append(declared * hold.plate.amplitudes[k] / hold.drive.amplitudes[k])
     if not np.any(turns):
         return None
     sense = np.sign(setup.channels.accelerometer.volts_per_mps2)
-    declared = np.exp(-1j * np.radians(setup.drive.phase_deg.value))
-    return float(np.degrees(np.angle(np.sum(np.exp(1j * np.angle(turns))) * sense * declared)))
+    return float(np.degrees(np.angle(np.sum(np.exp(1j * np.angle(turns))) * sense)))
 
 
 def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:

@@ -139,7 +139,7 @@ def measure(
         tuple(holds),
         levels,
         float(np.median(bias)) if bias else None,
-        measure_noise(rests, quiet, rate_hz, max(1 << round(math.log2(12.8e-3 * rate_hz)), 16)),
+        measure_noise(rests, quiet, rate_hz, 1 << max(round(math.log2(12.8e-3 * rate_hz)), 4)),
         interpolation_hz(channels, rate_hz),
         ends_v,
         sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),

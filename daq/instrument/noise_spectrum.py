@@ -61,7 +61,7 @@ class NoiseSpectrum:
     def slow_v2phz(self) -> float:
         """Density at the lowest frequencies that a frame resolves well."""
         hz = self.frequencies_hz
-        low = (hz >= max(PLATEAU_HZ[0], hz[1])) & (hz <= max(PLATEAU_HZ[1], hz[3]))
+        low = (hz >= max(min(PLATEAU_HZ[0], 0.5 * hz[-1]), hz[1])) & (hz <= max(PLATEAU_HZ[1], hz[3]))
         return float(np.mean(self.density_v2phz[low]))
 
     @property

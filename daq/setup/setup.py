@@ -42,8 +42,11 @@ class Forcing(Frozen):
     @model_validator(mode="after")
     def _moves(self) -> Self:
         """Refuse tones that cancel: `gamma` would mean nothing."""
-        if sum(abs(amplitude) for _, amplitude in self.displacement_tones()) < 1e-9:
+        size = sum(abs(amplitude) for _, amplitude in self.displacement_tones())
+        if size < 1e-9:
             raise ValueError("the two tones cancel: amplitude and phase_deg must leave the plate a motion")
+        if not size <= 1e9:
+            raise ValueError("amplitude is relative to A: at most 1e9 together")
         return self
 
     def displacement_tones(self) -> tuple[tuple[int, complex], ...]:
@@ -88,9 +91,13 @@ class Drive(Frozen):
         default=None, gt=0, description="corner of the output's coupling capacitor; the drive is asked for so much more"
     )
 
+    def scale(self, multiple: int) -> Drive | ToneScale:
+        """Table that holds for the tone at ``multiple`` of the forcing."""
+        return self.second if self.second is not None and multiple > 1 else self
+
     def response(self, multiple: int) -> complex | None:
         """Plate acceleration in g for a volt of the tone at ``multiple`` of the forcing; None: not measured."""
-        scale = self.second if self.second is not None and multiple > 1 else self
+        scale = self.scale(multiple)
         if scale.g_per_volt is None:
             return None
         phase = math.radians(scale.phase_deg.value)

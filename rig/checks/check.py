@@ -86,7 +86,7 @@ class Check:
             return [*self._loopback()[0], *self._noise(rest)]
 
     def wiring(self) -> list[Finding]:
-        """Exchanged inputs and senses, by a quiet tone and a short flight; no scale is judged. As `run` in all else."""
+        """Exchanged inputs and senses, by a quiet tone and a short flight, no scales; raises `BackendError`."""
         with Running(self._backend):
             rest = self._rest(0.5)
             findings, delay = self._loopback()
@@ -115,20 +115,20 @@ class Check:
             rest = self._rest(0.5)
             now()
             heard = self._rest(seconds)
-        wanted, contact = MOVES[move], self._profile.channels.continuity
+        asked, contact = MOVES[move], self._profile.channels.continuity
         moved_v = {name: float(np.max(np.abs(volts - np.median(rest[name])))) for name, volts in heard.items()}
         # 12 standard deviations: noise alone reaches 5 in some 1e5 samples; the ball's circuit has to open
         least_v = {name: 12.0 * float(np.std(volts)) for name, volts in rest.items()}
         if move == "lift" and contact is not None:
             least_v = dict.fromkeys(rest, 0.5 * abs(contact.swing_v))
         seen = ", ".join(f"{name} by {volts:.3g} V" for name, volts in moved_v.items())
-        if moved_v.get(wanted, 0.0) > least_v.get(wanted, 0.0):
-            return Finding(f"{move}: {wanted}", seen, True)
+        if moved_v.get(asked, 0.0) > least_v.get(asked, 0.0):
+            return Finding(f"{move}: {asked}", seen, True)
         other = next((name for name in moved_v if name != "drive" and moved_v[name] > least_v[name]), None)
         if other is None:
             remedy = "nothing answered: is the sensor plugged in? Move it again"
-            return Finding(f"{move}: {wanted}", seen, False, remedy)
-        seen = f"the {other} input reads what the {wanted} input should"
+            return Finding(f"{move}: {asked}", seen, False, remedy)
+        seen = f"the {other} input reads what the {asked} input should"
         return Finding("inputs", seen, False, "change their plugs, or their numbers (terminals) in the profile")
 
     def _rest(self, seconds: float) -> dict[str, Floats]:

@@ -30,7 +30,7 @@ def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | N
     x = acceleration[: len(acceleration) // width * width].reshape(-1, width).mean(axis=1)
     block_s = width / rate_hz
     away = np.abs(acceleration - np.median(acceleration))
-    if np.max(away) < STRUCK * 1.4826 * np.median(away):
+    if not np.max(away) > STRUCK * 1.4826 * np.median(away):  # an input that stands still, too
         return None
     first = int(np.argmax(away)) // width + round(AFTER_S / block_s)
     x = x[first : first + round(LISTENED_S / block_s)]
@@ -54,6 +54,6 @@ def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | N
         for damping in (0.01, 0.1)
     ]
     best = min(fits, key=lambda fit: fit.cost)
-    if 2.0 * best.cost > (1.0 - SHOWN) * float(x @ x):
+    if 2.0 * best.cost >= (1.0 - SHOWN) * float(x @ x):
         return None
     return float(np.exp(best.x[0])), float(np.exp(best.x[1]))

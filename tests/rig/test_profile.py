@@ -83,6 +83,7 @@ def test_every_fault_is_named_at_once() -> None:
         ("ratio = 1 ", "ratio = 0 ", "forcing.ratio: wanted a number at least 1, came 0"),
         ("amplitude = [1.0, 1.0]", "amplitude = [1.0, nan]", "forcing.amplitude[1]: wanted a finite number"),
         ("phase_deg = [0.0, 0.0]", "phase_deg = [0.0, 180.0]", "forcing: the two tones cancel"),
+        ("amplitude = [1.0, 1.0]", "amplitude = [1e308, 1e308]", "forcing: amplitude is relative to A"),
         ("closed_v = { value = 0.0", "closed_v = { value = 5.0", "continuity: open_v and closed_v are both 5 V"),
         ("open_v = { value = 5.0", "open_v = { value = 12.0", "open_v or closed_v lies outside range_v = 10 V"),
         ("sensitivity = { value = 0.1,", "sensitivity = { value = -0.1,", "channels.accelerometer.sensitivity"),

@@ -185,6 +185,30 @@ def test_a_drive_whose_phase_is_wrong_by_far_is_refused_with_the_phase_to_write(
     assert doubt.kind == "drive_phase" and doubt.makes_meaningless and "write phase_deg = 0 " in doubt.cure
 
 
+@pytest.mark.parametrize(("first", "second", "found"), [(100.0, 0.0, []), (0.0, 100.0, ["drive_phase"])])
+def test_the_phase_of_the_strongest_tone_is_compared_with_its_own_scale(
+    tmp_path: Path, first: float, second: float, found: list[str]
+) -> None:
+    """At c = 2 the second tone is the strongest: what [drive.second] says of it counts, and nothing of the first."""
+    stated = other_plant.profile_of(run_of(2)).replace("phase_deg = { value = 0.0,", f"phase_deg = {{ value = {first},")
+    own = f"[drive.second]\ng_per_volt = {{ value = {run_of(2).g_per_volt}, uncertainty = 0.008 }}\n"
+    own += f"phase_deg = {{ value = {second}, uncertainty = 0.5 }}\n\n[channels.continuity]"
+    stated = stated.replace("[channels.continuity]", own)
+    doubts = bring_in(dict(_simulated(2, (), False)), stated, tmp_path).instrument.doubts
+    assert [doubt.kind for doubt in doubts] == found and all("[drive.second]" in doubt.finding for doubt in doubts)
+
+
+def test_a_slow_rig_sampled_slowly_is_brought_in(tmp_path: Path) -> None:
+    """Twenty-five samples in each cycle of 2 Hz are few in a second, and no reason for an error."""
+    time_s = np.arange(2000) / 50.0
+    volts = (1.0 + np.floor(time_s / 8.0)) * np.sin(2.0 * np.pi * 2.0 * time_s)
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(len(time_s))
+    stated = other_plant.profile_of(replace(run_of(1), rate_hz=50.0, frequency_hz=2.0, gammas=(0.1, 0.2)))
+    given = {"time_s": time_s, "continuity_v": 0.0 * volts, "accelerometer_v": 0.01 * volts + noise, "drive_v": volts}
+    summary = bring_in(given, stated, tmp_path)
+    assert len(summary.steps) == 5 and (summary.instrument.noise_mps2_rthz or 0.0) > 0.0
+
+
 @pytest.mark.parametrize(
     ("spoil", "kind"), [(drive_inverted, "drive_sense"), (resampled, "resampled"), (cut_off, "cut_off")]
 )

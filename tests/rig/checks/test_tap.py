@@ -29,8 +29,12 @@ def test_frequency_and_damping_come_out_of_one_tap(hz: float, damping: float) ->
 
 
 def test_a_table_that_is_not_hit_has_no_mode() -> None:
-    """Noise, and a pulse after which nothing rings, are none."""
+    """Noise, a pulse after which nothing rings, and an input that stands still or is cut off by its hit, are none."""
     noise = np.random.default_rng(8).standard_normal(round(5.0 * RATE_HZ))
     assert mode_of_tap(noise, RATE_HZ) is None
     noise[30_000] = 200.0
     assert mode_of_tap(noise, RATE_HZ) is None
+    still = np.full(len(noise), 2.5)
+    assert mode_of_tap(still, RATE_HZ) is None
+    still[30_000] = 5.0
+    assert mode_of_tap(still, RATE_HZ) is None
