@@ -198,7 +198,7 @@ def _senses(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         scale = setup.drive.scale(multiples[0])
         yield Doubt(
             "drive_phase",
-            f"the plate moves {phase_deg:+.0f} degrees after what [drive{'' if scale is setup.drive else '.second'}] says",
+            f"the plate is {phase_deg:+.0f} degrees after what [drive{'' if scale is setup.drive else '.second'}] says",
             f"write phase_deg = {round(scale.phase_deg.value + phase_deg)} there, or find the late channel",
             True,
         )
