@@ -103,7 +103,7 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
     levels = found.survey.levels
     if levels is None:
         nothing = np.zeros(0)
-        report = EdgeReport(None, SHARP, SHARP, None, 0, found.survey.mask_s)
+        report = EdgeReport(None, SHARP, SHARP, None, 0, found.survey.mask_s, by_hand=changes)
         return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), report
     edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
     end_s = n_samples / rate_hz

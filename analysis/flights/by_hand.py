@@ -2,7 +2,8 @@
 
 A change names an event by its time; the nearest one of its kind is meant. After it the contact circuit still opens and
 closes by turns: of edges that follow one of their own kind the first counts. So a landing that is removed joins
-two flights into one, and a take-off that is removed takes its flight away.
+two flights into one, unless the accelerometer shows its impact, which then splits them; a take-off that is removed
+takes its flight away. Without a contact circuit there are no flights, and changes have no effect.
 """
 
 from __future__ import annotations

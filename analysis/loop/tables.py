@@ -29,7 +29,6 @@ from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import TREND, ParameterId, Values
 from daq.recording import open_recording
 from daq.recording.header import stored_id
-from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Bools
 from model.effects.registry import effect, resolve
@@ -92,7 +91,9 @@ def source_of(path: Path) -> Source:
 
 
 def first_bifurcations(flights: Flights, setup: Setup, improved: Effects) -> FirstBifurcations | None:
-    """First bifurcation in the data, by the declared model and by the improved one; None without enough flights.
+    """First bifurcation in the data, by the declared model and by the improved one.
+
+    None where the model refuses the measured plate, or a value that was fitted: no verdict fails for it.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def first_bifurcations(flights: Flights, setup: Setup, improved: Effects) -> Fir
     try:
         before = first_bifurcation(flights, setup, declared)
         after = before if improved == declared else first_bifurcation(flights, setup, improved)
-    except (ValueError, InputError):
+    except ValueError:
         return None
     change, measured = before.measured, None
     if change is not None:

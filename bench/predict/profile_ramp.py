@@ -54,8 +54,10 @@ def what_if(profile: Described, changes: tuple[str, ...]) -> Described:
             equals = ""
         if not equals:
             raise InputError(f"--what-if wants KEY=NUMBER, such as ball.mass_kg=0.1, not {change!r}")
-        if key == MASS:
-            _scale_effects(data["declared"], value / profile.ball.mass_kg)
+        if key == MASS and value > 0.0:  # any other is refused below
+            for (effect, parameter), power in OF_MASS.items():
+                if quantity := data["declared"].get(effect, {}).get(parameter):
+                    quantity["value"] *= (value / data["ball"]["mass_kg"]) ** power
         path = key.split(".")
         table = _table_of(data, path[:-1], key, profile.name)
         table[path[-1]] = {**table[path[-1]], "value": value} if isinstance(table.get(path[-1]), dict) else value
@@ -74,12 +76,6 @@ def _table_of(data: dict[str, Any], path: list[str], key: str, name: str) -> dic
         declared = ", ".join(f"{e}.{q}" for e, own in data["declared"].items() for q in own) or "none"
         raise InputError(f"--what-if {key}: profile {name!r} has no such value; its declared effects: {declared}")
     return table
-
-
-def _scale_effects(declared: dict[str, dict[str, Any]], factor: float) -> None:
-    for (effect, parameter), power in OF_MASS.items():
-        if quantity := declared.get(effect, {}).get(parameter):
-            quantity["value"] *= factor**power
 
 
 def with_profile(request: Request, given: GivenProfile) -> Request:

@@ -31,7 +31,7 @@ from bench.runs.scope import Scope
 from bench.web.section import Place, Section, templates_of
 from daq.files.json_values import json_values
 from daq.recording.event_changes import in_words
-from daq.recording.notebook import Remarks, read_remarks, side_file, with_note, with_tags
+from daq.recording.notebook import Remarks, with_note, with_tags
 from daq.setup.errors import InputError
 
 NAME = "runs"
@@ -174,16 +174,18 @@ class Pages:
     def events(self, request: Request) -> Response:
         """Events of a stretch, at most `MOST_EVENTS`, how many there are, and what was changed by hand."""
         row, given = self._row(request), request.query_params
+        try:
+            stretch = sorted(float(given[key]) for key in ("from_s", "to_s"))
+        except (KeyError, ValueError) as error:
+            raise HTTPException(422, "expected from_s and to_s") from error
         file = _asked(lambda: self.catalogue.file_of(row))
         made = _asked(lambda: self.workshop.flights(row, file))
         if made is None:
             return _json({"state": "working"})
-        changes = _asked(lambda: read_remarks(side_file(file)).events)
-        ends = _asked(lambda: np.searchsorted(made["events"]["shown_s"], [float(given[k]) for k in ("from_s", "to_s")]))
-        shown = slice(int(ends[0]), min(int(ends[1]), int(ends[0]) + MOST_EVENTS))
-        columns = {name: values[shown] for name, values in made["events"].items()}
-        about = {"state": "ready", "count": int(ends[1] - ends[0]), "changes": len(changes)}
-        return _json(about | {"said": in_words(changes), "events": columns})
+        first, end = (int(i) for i in np.searchsorted(made["events"]["shown_s"], stretch))
+        columns = {name: values[first : min(end, first + MOST_EVENTS)] for name, values in made["events"].items()}
+        about = {"state": "ready", "count": end - first, "changes": made["changes"], "said": made["said"]}
+        return _json(about | {"events": columns})
 
     def why(self, request: Request) -> Response:
         """Rivals and steps behind the latest verdict on a run, or the flights of the ``step`` that is named."""
@@ -300,7 +302,7 @@ def _asked(job: Callable[[], Any]) -> Any:
     """The result of a job; a refusal becomes an answer to the browser, with its reason."""
     try:
         return job()
-    except (InputError, ValueError, OSError) as error:
+    except (InputError, OSError) as error:
         raise HTTPException(422, str(error)) from error
 
 

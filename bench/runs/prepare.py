@@ -26,11 +26,12 @@ from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
 from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
 from daq.recording import open_recording
+from daq.recording.event_changes import EventChange, in_words
 from daq.recording.header import stored_id
 from daq.recording.notebook import read_remarks, side_file
 from daq.setup.errors import InputError
 
-FLIGHTS_VERSION = 3
+FLIGHTS_VERSION = 4
 
 
 def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Path:
@@ -52,8 +53,11 @@ def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Pa
     return target
 
 
-def make_flights(recording: Path, target: Path) -> Path:
-    """Steps, flights and events of a recording as JSON in the file ``target``."""
+def make_flights(recording: Path, target: Path, changes: tuple[EventChange, ...]) -> Path:
+    """Steps, flights and events of a recording as JSON in the file ``target``.
+
+    There is no file where the recording's ``changes`` by hand became others before the flights were found.
+    """
     from analysis.flights.assemble import flights_of
     from analysis.flights.classify import classify
     from analysis.flights.table import FlightFlag
@@ -62,6 +66,9 @@ def make_flights(recording: Path, target: Path) -> Path:
         flights, steps, rate_hz, gaps = flights_of(opened), opened.steps, opened.rate_hz, opened.gaps
         events = events_of(flights, gaps, opened.n_samples / rate_hz)
         stamps = [float(opened.timestamps_ns(k, k + 1)[0]) * 1e-9 for k in steps["first_sample"].tolist()]
+    if flights.edges.by_hand not in (changes, ()):  # none: they are of another recording that had its name
+        target.unlink(missing_ok=True)
+        return target
     found = []
     classes = {own.step: own for own in classify(flights)}
     for k, step in enumerate(steps):
@@ -79,7 +86,9 @@ def make_flights(recording: Path, target: Path) -> Path:
             "periods": np.round(flights.duration_s[shown] * step["frequency_hz"], 5).tolist(),
             "shown_s": np.round(on_scope(flights.takeoff_s[shown], gaps, rate_hz), 6).tolist(),
         })  # fmt: skip
-    write_whole(target, json.dumps(json_values({"version": FLIGHTS_VERSION, "steps": found, "events": events})))
+    by_hand = {"changes": len(flights.edges.by_hand), "said": in_words(flights.edges.by_hand)}
+    made = {"version": FLIGHTS_VERSION, "steps": found, "events": events, **by_hand}
+    write_whole(target, json.dumps(json_values(made)))
     return target
 
 
@@ -152,9 +161,10 @@ class Workshop:
             found = self._read("flights", target)
             if found["version"] == FLIGHTS_VERSION:
                 return found
-        if self._made(f"flights {target.name}", make_flights, file, target) is None:
+        if self._made(f"flights {target.name}", make_flights, file, target, events) is None:
             return None
-        return self.flights(row, file) if target.exists() else {"steps": [], "events": {}}
+        self._latest.pop("flights", None)  # of an earlier version
+        return self._read("flights", target)
 
     def evidence(self, row: Row, file: Path, loop: Path) -> dict[str, Any] | None:
         """What a saved closed loop says of a run; None while it is being looked up (raises InputError)."""
@@ -182,7 +192,7 @@ class Workshop:
             return None
         try:
             path = job.result()
-        except (InputError, ValueError, OSError, MemoryError) as error:
+        except (InputError, OSError, MemoryError) as error:
             raise InputError(str(error) or type(error).__name__) from error
         except BrokenProcessPool as error:
             with self._lock:

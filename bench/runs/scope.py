@@ -71,7 +71,7 @@ class Scope:
         }  # fmt: skip
 
     def view(self, start_s: float, stop_s: float, width: int) -> dict[str, Any]:
-        """A stretch of the signals; NaN where a column has no sample (raises ValueError, InputError)."""
+        """A stretch of the signals; NaN where a column has no sample (raises InputError)."""
         with self._lock:
             seen = self._pyramid.view(start_s, stop_s, width, self._opened)
         samples = seen.samples_per_point == 1.0

@@ -73,18 +73,18 @@ class Pyramid:
 
         Raises
         ------
-        ValueError
+        InputError
             For times that are no stretch of the recording, or a width out of range.
         """
         layout = self.layout
         if not 1 <= width <= WIDEST:
-            raise ValueError(f"width: wanted 1 to {WIDEST} columns, came {width}")
+            raise InputError(f"width: wanted 1 to {WIDEST} columns, came {width}")
         if not (np.isfinite(start_s) and np.isfinite(stop_s) and start_s < stop_s):
-            raise ValueError(f"wanted a start before the stop, in seconds; came {start_s:g} and {stop_s:g}")
+            raise InputError(f"wanted a start before the stop, in seconds; came {start_s:g} and {stop_s:g}")
         first = max(int(np.floor(start_s * layout.rate_hz)), 0)
         last = min(int(np.ceil(stop_s * layout.rate_hz)) + 1, layout.places)
         if first >= last:
-            raise ValueError(f"the recording lasts {self.duration_s:.6g} s; came {start_s:g} to {stop_s:g} s")
+            raise InputError(f"the recording lasts {self.duration_s:.6g} s; came {start_s:g} to {stop_s:g} s")
         per_column = (last - first) / width
         levels = [k for k in range(layout.levels) if 2 * layout.bucket(k) <= per_column]
         if levels:

@@ -146,11 +146,17 @@ def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], R
     Raises
     ------
     InputError
-        Where the side file cannot be read or written, or ``change`` refuses.
+        Where the side file cannot be read or written or is of another recording, or ``change`` refuses.
     """
     path = side_file(recording)
     with _held(path.with_name(f"{path.name}.lock"), path):
-        changed = change(read_remarks(path))
+        found = read_remarks(path)
+        if identity and found.identity and identity != found.identity:
+            raise InputError(
+                f"{path}: holds tags, notes and events of another recording that had this name; move it away to begin "
+                "with none"
+            )
+        changed = change(found)
         changed = replace(changed, identity=identity or changed.identity)
         write_remarks(path, changed)
     return changed
@@ -203,7 +209,10 @@ def with_note(remarks: Remarks, text: str) -> Remarks:
 
 
 def event_changes_of(recording: Recording) -> tuple[EventChange, ...]:
-    """Events of an open recording that were changed by hand; none of another recording that had its name.
+    """Events of an open recording that were changed by hand; none of another recording that had or has its name.
+
+    As they change what is measured, an identity that is not known counts as another: changes made before a run was over
+    are of none that is closed.
 
     Raises
     ------
@@ -211,8 +220,7 @@ def event_changes_of(recording: Recording) -> tuple[EventChange, ...]:
         Where its side file does not read.
     """
     remarks = read_remarks(side_file(recording.path))
-    own = stored_id(recording) if remarks.events and remarks.identity else ""
-    return () if own and own != remarks.identity else remarks.events
+    return remarks.events if remarks.events and stored_id(recording) == remarks.identity else ()
 
 
 def with_event(remarks: Remarks, change: EventChange | None) -> Remarks:

@@ -29,7 +29,7 @@ export class Events {
     if (mine !== this.newest) return;
     const { kind = [], at_s, shown_s, by_hand } = told.events;
     this.shown = told.count > kind.length ? [] : kind.map((k, i) => ({ kind: k, at_s: at_s[i], t: shown_s[i], by_hand: by_hand[i] }));
-    const many = told.count > MOST_ROWS ? `: zoom in to fewer than ${MOST_ROWS} to change one` : "";
+    const many = told.count >= MOST_ROWS ? `: zoom in to fewer than ${MOST_ROWS} to change one` : "";
     byId("event-count").textContent = `${told.count} event${told.count === 1 ? "" : "s"} in this stretch${many}`;
     byId("by-hand").textContent = told.said.map((line) => `${line}.`).join(" ");
     byId("undo-event").disabled = !told.changes;
@@ -42,7 +42,10 @@ export class Events {
     const line = make("tr"), name = `${WORDS[event.kind]} at ${event.t.toFixed(6)} s`;
     const time = make("input", "", { type: "number", step: "0.00001", min: "0", "aria-label": `time of the ${name}` });
     time.value = event.t.toFixed(6);
-    time.addEventListener("change", () => this.send({ kind: event.kind, was_s: event.at_s, now_shown_s: Number(time.value) }));
+    time.addEventListener("change", () => {
+      if (time.value === "") time.value = event.t.toFixed(6); // an empty field is no time
+      else this.send({ kind: event.kind, was_s: event.at_s, now_shown_s: Number(time.value) });
+    });
     const cell = make("td"), last = make("td"), show = make("button", "show", { type: "button", "aria-label": `show the ${name}` });
     const remove = make("button", "remove", { type: "button", "aria-label": `remove the ${name}` });
     show.addEventListener("click", () => this.scope.look([event.t - 0.002, event.t + 0.002]));

@@ -115,7 +115,7 @@ export class Why {
   paint() {
     const axes = this.axes, s = this.step, c = colours();
     axes.clear();
-    if (!s) return;
+    if (!s?.shown_s.length) return;
     const seen = MODELS.filter((m) => byId(`layer-${m}`).checked);
     const ys = seen.flatMap((m) => s[`${m}_us`]).filter((y) => y !== null), most = Math.max(1, ...ys.map(Math.abs)), xs = s.shown_s;
     axes.xlim = [xs[0] - 0.05, xs[xs.length - 1] + 0.05];

@@ -12,6 +12,7 @@ from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from analysis.residuals.observations import observed
 from daq.recording import open_recording
 from daq.recording.event_changes import made_now
+from daq.recording.header import stored_id
 from daq.recording.notebook import change_remarks, side_file, with_event
 from daq.setup.errors import InputError
 
@@ -30,7 +31,9 @@ def read(path: Path) -> Flights:
 
 def change(path: Path, kind: str, was_s: float | None, now_s: float | None) -> Flights:
     """The flights after one more change."""
-    change_remarks(path, "", lambda now: with_event(now, made_now(kind, was_s, now_s)))
+    with open_recording(path) as opened:
+        identity = stored_id(opened)
+    change_remarks(path, identity, lambda now: with_event(now, made_now(kind, was_s, now_s)))
     return read(path)
 
 
@@ -66,9 +69,14 @@ def _observed(path: Path) -> tuple[str, ...]:
 
 
 def test_a_changed_event_of_another_recording_of_that_name_is_left_alone(recording: Path) -> None:
-    """The side file carries the identity of its recording: another one that has its name does not take it over."""
+    """The side file carries the identity of its recording: one that has its name neither reads nor changes it."""
     changed = change_remarks(recording, "0" * 32, lambda now: with_event(now, made_now("impact", None, 0.5)))
     assert len(changed.events) == 1 and not read(recording).edges.by_hand
+    with pytest.raises(InputError, match="another recording that had this name"):
+        change(recording, "impact", None, 0.6)
+    side_file(recording).unlink()
+    change_remarks(recording, "", lambda now: with_event(now, made_now("impact", None, 0.5)))  # before a run was over
+    assert not read(recording).edges.by_hand
     with pytest.raises(InputError, match="at least one time"):
         made_now("landing", None, None)
     with pytest.raises(InputError, match="takeoff, landing, impact"):

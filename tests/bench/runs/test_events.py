@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from starlette.testclient import TestClient
 from bench.runs.events import on_recording, on_scope
 from bench.runs.folder import run_id
 from bench.runs.pages import section
-from bench.runs.prepare import make_flights
+from bench.runs.prepare import Workshop, make_flights
 from bench.web.access import Access
 from bench.web.application import make_app
 from bench.web.section import Place
@@ -47,10 +48,29 @@ def test_events_are_changed_and_undone_on_the_page(folder: Path, tmp_path: Path)
         assert told["said"][0].startswith("1 event was changed by hand (1 moved), the last")
         (change,) = read_remarks(side_file(run)).events
         assert change.now_s == pytest.approx(was_s + 0.002) and change.at
-        changed = json.loads(make_flights(run, tmp_path / "made.json").read_text())["events"]
+        changed = json.loads(make_flights(run, tmp_path / "made.json", (change,)).read_text())["events"]
+        assert not make_flights(run, tmp_path / "late.json", ()).exists()  # the change came while they were found
         assert changed["by_hand"][i] and changed["shown_s"][i] == pytest.approx(shown_s + 0.002)
+        assert client.get(f"{address}/events?from_s=0").status_code == 422
         for wrong in ({}, [1], moved | {"kind": "jump"}, {"kind": kind, "was_s": None, "now_shown_s": None}):
             assert client.post(f"{address}/events", json=wrong, headers=own).status_code == 422
         client.post(f"{address}/events", json={"undo": True}, headers=own)
         assert not side_file(run).exists()
         assert ready(client, f"{address}/events?from_s=0&to_s=1.07") == found
+
+
+def test_flights_of_an_earlier_version_are_found_anew(folder: Path) -> None:
+    """Where the folder holds flights that an earlier program made, they are made anew, and are those that are shown."""
+    run, workshop = folder / "one" / "b.h5", Workshop(folder)
+    old = workshop.place / "old.flights.json"
+    old.write_text('{"version": 1, "steps": []}')
+    done = Future[Path]()
+    done.set_result(old)
+    workshop._jobs["flights old.flights.json"] = done
+    row = {"identity": "old", "ended": "complete"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.runs.prepare.FLIGHTS_VERSION", 0)
+        workshop._read("flights", old)
+        old.write_text('{"version": 0, "steps": [1]}')
+        assert workshop.flights(row, run) == {"version": 0, "steps": [1]}
+    workshop.close()
