@@ -117,8 +117,9 @@ class Check:
             heard = self._rest(seconds)
         asked, contact = MOVES[move], self._profile.channels.continuity
         moved_v = {name: float(np.max(np.abs(volts - np.median(rest[name])))) for name, volts in heard.items()}
-        # 12 standard deviations: noise alone reaches 5 in some 1e5 samples; the ball's circuit has to open
-        least_v = {name: 12.0 * float(np.std(volts)) for name, volts in rest.items()}
+        # 12 standard deviations: noise reaches 5 in some 1e5 samples, or one code of an input that stands still; the
+        # ball's circuit has to open
+        least_v = {name: max(12.0 * float(np.std(v)), 4.0 * self._backend.scales[name][0]) for name, v in rest.items()}
         if move == "lift" and contact is not None:
             least_v = dict.fromkeys(rest, 0.5 * abs(contact.swing_v))
         seen = ", ".join(f"{name} by {volts:.3g} V" for name, volts in moved_v.items())

@@ -153,6 +153,14 @@ def test_a_hand_shows_which_terminal_is_what(move: str, volts: dict[str, float],
     assert passed or found.remedy
 
 
+def test_a_single_code_is_no_tap() -> None:
+    """An input that stands still at rest, and then changes by one code, has not answered."""
+    rig = Touched(accelerometer=0.0004)
+    rig._factors = {"accelerometer": 0.0}
+    found = Check(load("simulated")[0], rig).moved("tap", lambda: None, 1.5)
+    assert found.passed is False and "nothing answered" in found.remedy
+
+
 class Tapped(Crooked):
     """The simulated rig whose table rings from when it is struck on."""
 
