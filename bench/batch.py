@@ -22,6 +22,7 @@ import numpy as np
 
 from daq.files.json_values import json_object
 from daq.files.whole_file import Journal, whole
+from daq.recording.notebook import state_of
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from model.surveys.workers import outcomes
@@ -191,11 +192,10 @@ class Batch:
     anyway: bool = False
 
     def key(self, path: Path) -> str:
-        """Hash of what a row depends on: the file as it is now, what is done, the profile, and the software."""
+        """Hash of what a row depends on: file and events as they are now, what is done, profile and software."""
         try:
-            state = path.stat()
-            file = [path.resolve().as_posix(), state.st_size, state.st_mtime_ns]
-        except OSError:
+            file = state_of(path)
+        except (OSError, InputError):
             file = [path.as_posix()]
         text = "" if self.profile is None else self.profile.read_text(encoding="utf-8")
         made = [software_version(), software_commit()]

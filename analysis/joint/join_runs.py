@@ -36,6 +36,7 @@ from analysis.thresholds import FROZEN, LEADING_P, Thresholds
 from daq.files.whole_file import Journal
 from daq.recording import open_recording
 from daq.recording.header import refuse_repeated
+from daq.recording.notebook import state_of
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
@@ -129,13 +130,11 @@ class _Passes:
         return out
 
     def _key(self, path: Path, point: Point) -> str:
-        """What a summary depends on: the file as it is now, the point, the setup, the effects, and the software."""
-        state = path.stat()
-        file = [path.resolve().as_posix(), state.st_size, state.st_mtime_ns]
+        """What a summary depends on: file and events as they are now, point, setup, effects and software."""
         effects = [(r.effect.name, r.effect.parameters) for r in registry()]
         made = [software_version(), software_commit(), effects, self.limits]
         here = [*(sorted(x.items()) for x in (point.priors, point.shared, point.population)), self.setup]
-        return hashlib.sha256(repr([file, here, made]).encode()).hexdigest()[:24]
+        return hashlib.sha256(repr([state_of(path), here, made]).encode()).hexdigest()[:24]
 
 
 @dataclass

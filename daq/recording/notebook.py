@@ -223,6 +223,19 @@ def event_changes_of(recording: Recording) -> tuple[EventChange, ...]:
     return remarks.events if remarks.events and stored_id(recording) == remarks.identity else ()
 
 
+def state_of(recording: Path) -> list[object]:
+    """What a result from a file depends on: its place, size, time of change, and events changed by hand.
+
+    Raises
+    ------
+    OSError, InputError
+        Where there is no such file, or its side file does not read.
+    """
+    state = recording.stat()
+    events = read_remarks(side_file(recording)).events
+    return [recording.resolve().as_posix(), state.st_size, state.st_mtime_ns, *events]
+
+
 def with_event(remarks: Remarks, change: EventChange | None) -> Remarks:
     """Remarks with one more changed event; for None, without the last one (raises InputError)."""
     if change is None and not remarks.events:

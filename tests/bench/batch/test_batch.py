@@ -10,6 +10,8 @@ import shakerbench as sb
 from bench.batch import Batch, find_recordings, run_batch, write_table
 from bench.cli import app
 from daq.files.whole_file import Journal
+from daq.recording.event_changes import made_now
+from daq.recording.notebook import change_remarks, with_event
 from daq.setup.errors import InputError
 
 PARTS = ("reprocess", "compare")
@@ -126,3 +128,15 @@ def test_the_catalogue_knows_the_verdicts_of_a_batch(tmp_path):
     assert done.exit_code == 0, done.output
     listed = CliRunner().invoke(app, ["runs", str(tmp_path), "--json", "-"])
     assert [row["loop"]["verdict"] for row in json.loads(listed.stdout)["runs"]] == ["nothing_missing"]
+
+
+def test_a_row_is_made_anew_after_an_event_was_changed_by_hand(tmp_path):
+    """What names a row depends on the recording's events by hand; undone, the earlier row counts again."""
+    run = tmp_path / "run.h5"
+    run.write_bytes(b"any")
+    batch = Batch([run], ("reprocess",))
+    before = batch.key(run)
+    change_remarks(run, "", lambda now: with_event(now, made_now("impact", None, 0.5)))
+    assert batch.key(run) != before
+    change_remarks(run, "", lambda now: with_event(now, None))
+    assert batch.key(run) == before
