@@ -15,7 +15,9 @@ from daq.setup.errors import InputError
 
 
 def command(
-    profile: str | None = typer.Argument(None, help="A profile's path or name, offered first."),
+    profile: str | None = typer.Argument(
+        None, help="A profile's path or name, for a folder in which none was chosen yet."
+    ),
     runs: Path = typer.Option(Path(), "--runs", metavar="DIR", help="Folder of the recordings."),
     host: Host = "127.0.0.1",
     port: Port = None,

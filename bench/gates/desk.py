@@ -10,20 +10,22 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-from bench.gates.inputs import GATES, inputs_of
-from bench.gates.state import Message, Result, State, load_state, save_state
+from bench.gates.inputs import GATES, Inputs, inputs_of
+from bench.gates.state import Message, Result, State, load_state, now, save_state
 from bench.gates.view import scales_of, view_of
 from bench.gates.work import Job, work
 from bench.live.pages import Desk
 from bench.live.processes import asked_of
 from bench.live.watched_run import SILENT_S
 from bench.profiles.edit import with_values
+from bench.profiles.fields import value_of
 from bench.profiles.find import find_profile, scenario_names, shipped_names
 from bench.profiles.new import new_profile, with_preset
+from bench.profiles.plan import refuse_forbidden
 from bench.web.browsers import Browser
 from daq.files.whole_file import write_whole
 from daq.recording import verify
@@ -44,24 +46,29 @@ class Gates:
     live
         Shows runs, and starts them.
     offered
-        A profile's path or name to begin with; None leaves the choice to the person.
+        A profile's path or name, taken where none was chosen in the folder yet; None leaves the choice to the person.
     """
 
     def __init__(self, folder: Path, live: Desk, offered: str | None) -> None:
-        self.folder, self.live = folder, live
-        self.state, self._offered = load_state(folder), offered
+        self.folder, self.live, self._offered = folder, live, offered
+        self.state, self.fault = load_state(folder)  # the fault: why there is no profile, or no state
         self.profile: Profile | None = None
-        self.fault = ""  # why there is no profile
         self.job: Message | None = None  # what is being done: gate, kind, words, whether it waits for an answer
         self._pipe: Any = None
         self._process: Any = None
+        self._tried: Inputs = {}  # what the job began with
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Look after jobs and runs while the server runs."""
-        if self._offered is not None and not self.state.profile:
-            self._choose({"like": self._offered})
         self._read_profile()
+        if self._offered is not None and not self.state.profile:
+            lost = self.fault
+            try:
+                self._choose({"like": self._offered})
+                self.fault = self.fault or lost
+            except (InputError, OSError) as error:
+                self.fault = f"{lost}\n{error}".strip()
         if self.state.run is not None:  # of a server that died
             self.live.attach(self.state.run)
         ticking = asyncio.create_task(self._tick_for_ever())
@@ -74,8 +81,13 @@ class Gates:
 
     async def _tick_for_ever(self) -> None:
         while True:
-            self._look_at_job()
-            self._look_at_run()
+            try:
+                self._look_at_job()
+                self._look_at_run()
+            except (InputError, OSError) as error:  # the disk refuses: the run's end is looked at again
+                if self.fault != str(error):
+                    self.fault = str(error)
+                    self.tell()
             await asyncio.sleep(TICK_S)
 
     async def talk(self, browser: Browser) -> None:
@@ -96,24 +108,23 @@ class Gates:
             "choose": self._choose, "job": self._start_job, "answer": self._answer, "accept": self._accept,
             "set": self._set, "undo": self._undo, "preset": self._preset, "start": self._start_run,
             "again": self._again, "exchange": self._exchange, "turn": self._turn, "later": self._later,
+            "now": self._end_job,
         }  # fmt: skip
-        command = commands.get(str(said.get("do")))
-        if command is None:
-            if said.get("do") == "now":
-                self._end_job("stopped by hand")
+        do = str(said.get("do"))
+        if do == "now" or do not in commands:
             self.live.obey(browser, said)
+        if do not in commands:
             return
         refusal = ""
-        if not self.live.hub.lease.may(browser.name):
-            refusal = "another browser holds the controls"
-        else:
-            try:
-                command(said)
-            except (InputError, OSError) as error:
-                refusal = str(error)
+        try:
+            if do != "now" and not self.live.hub.lease.may(browser.name):
+                raise InputError("another browser holds the controls")
+            commands[do](said)
+        except (InputError, OSError) as error:
+            refusal = str(error)
+        self.tell()
         if refusal:
             browser.send(json.dumps({"kind": "refused", "why": refusal}))
-        self.tell()
 
     # the profile
 
@@ -151,9 +162,9 @@ class Gates:
         self.state = state
 
     def _read_profile(self) -> None:
-        self.profile, self.fault = None, ""
         if not self.state.profile:
             return
+        self.profile, self.fault = None, ""
         try:
             self.profile = parse_profile(read_toml_text(self.path), self.state.profile)
         except (InputError, OSError) as error:
@@ -192,8 +203,6 @@ class Gates:
 
     def _set(self, said: Message) -> None:
         """A key of the profile, as the person typed it."""
-        from bench.profiles.fields import value_of
-
         key = str(said.get("key", ""))
         self._change({key: value_of(key, str(said.get("text", "")))})
 
@@ -232,6 +241,7 @@ class Gates:
     def _refuse_closed(self, gate: str) -> None:
         """Refuse a gate while something else is under way, or one before it is not green."""
         self._refuse_busy()
+        self._read_profile()  # an editor may have changed the file
         self._known()
         for before in GATES[: GATES.index(gate)]:
             if not self.is_green(before):
@@ -247,9 +257,9 @@ class Gates:
         recording = improved = None
         if gate == "verdict":
             recording = self.folder / self.state.results["ramp"].file
-            earlier = sum(one["recording"] != recording.name for one in self.state.rounds)
             stem = self.path.stem.partition("-improved")[0]
-            improved = self.folder / f"{stem}-improved-{earlier + 1}.toml"
+            names = (self.folder / f"{stem}-improved-{n}.toml" for n in count(1))
+            improved = next(path for path in names if not path.exists())
         rig = self.rig
         job = Job(gate, kind, self.path, rig.get("scenario") or None, rig.get("seed", 0), recording, improved)
         context = multiprocessing.get_context("spawn")
@@ -258,6 +268,7 @@ class Gates:
         self._process.start()
         theirs.close()
         self.job = {"gate": gate, "kind": kind, "words": "", "asks": False}
+        self._tried = {} if gate == "verdict" else inputs_of(gate, self._known(), rig, self.state.device)
 
     def _answer(self, said: Message) -> None:
         """A person has done what was asked."""
@@ -266,40 +277,39 @@ class Gates:
             with contextlib.suppress(OSError):
                 self._pipe.send(True)
 
-    def _end_job(self, why: str) -> None:
-        if self.job is not None and self._process is not None:
+    def _end_job(self, said: Message) -> None:
+        """End the job that is being done; anyone may."""
+        if self.job is not None:
             self._process.terminate()
-            self._conclude({"error": why})
+            self._conclude({"error": "stopped by hand"})
 
     def _look_at_job(self) -> None:
         """Take in what the process of a job says."""
-        if self.job is None:
-            return
-        try:
-            while self.job is not None and self._pipe.poll():
+        while self.job is not None:
+            try:
+                if not self._pipe.poll():
+                    return
                 what, answer = self._pipe.recv()
-                if what == "done":
-                    self._conclude(answer)
-                else:
-                    self.job |= {"words": answer, "asks": what == "ask"}
-                    self.tell()
-        except (EOFError, OSError):
-            self._conclude({"error": "it ended with an error of its own; see the terminal"})
+            except (EOFError, OSError):
+                what, answer = "done", {"error": "it ended with an error of its own; see the terminal"}
+            if what == "done":
+                self._conclude(answer)
+            else:
+                self.job |= {"words": answer, "asks": what == "ask"}
+                self.tell()
 
     def _conclude(self, answer: Message) -> None:
         """The outcome of a job becomes the result of its gate."""
         job, self.job = self.job or {}, None
         self._read_profile()  # a calibration has changed it
-        gate, state = job["gate"], self.state
+        gate, state = job["gate"], replace(self.state, device=answer.get("device", self.state.device))
         if self.profile is None:
             self.tell()
             return
         rows = list(answer.get("rows", []))
         if answer.get("error"):
             rows.append({"what": job["kind"] or gate, "seen": answer["error"], "passed": False, "remedy": ""})
-        if gate == "card" and "device" in answer:
-            state = replace(state, device=answer["device"])
-        inputs = {} if gate == "verdict" else inputs_of(gate, self.profile, self.rig, state.device)
+        inputs = self._tried
         passed = all(row["passed"] is not False for row in rows)
         if gate == "wiring" and job["kind"] != "drive":  # both moves have to be answered, by the same wires
             before = state.results.get("wiring")
@@ -307,9 +317,9 @@ class Gates:
             rows = list({row["what"]: row for row in rows}.values())
             done = {row["what"].partition(":")[0] for row in rows if row["passed"]}
             passed = {"tap", "lift"} <= done and all(row["passed"] is not False for row in rows)
-        if gate == "calibrate":
-            passed = False  # until a person takes them
-        result = Result(passed, inputs, _now(), tuple(rows))
+        if gate == "calibrate":  # passed when a person takes what is now in the profile
+            passed, inputs = False, inputs_of(gate, self.profile, self.rig, state.device)
+        result = Result(passed, inputs, now(), tuple(rows))
         if gate == "verdict" and "round" in answer:
             result = replace(result, file=answer["round"]["recording"])
             others = [one for one in state.rounds if one["recording"] != result.file]
@@ -321,14 +331,11 @@ class Gates:
         """The person takes the scales as they are; old or missing ones only when that is said."""
         self._refuse_closed("calibrate")
         profile = self._known()
-        rows = scales_of(profile)
-        doubtful = [row["key"] for row in rows if row["state"] != "good"]
+        doubtful = ", ".join(row["key"] for row in scales_of(profile) if row["state"] != "good")
         if doubtful and said.get("anyway") is not True:
-            raise InputError(
-                f"{', '.join(doubtful)}: not calibrated, or long ago; calibrate, or say that you take them"
-            )
+            raise InputError(f"{doubtful}: not calibrated, or long ago; calibrate, or say that you take them")
         inputs = inputs_of("calibrate", profile, self.rig, self.state.device)
-        self._keep(self.state.passed("calibrate", Result(True, inputs, _now())))
+        self._keep(self.state.passed("calibrate", Result(True, inputs, now())))
 
     # runs
 
@@ -343,6 +350,7 @@ class Gates:
         seed = self.state.seed + len(self.state.rounds)  # a second run has other noise
         asked = asked_of(said | {"seed": str(seed)}, self.folder, Path(self.state.profile).stem)
         inputs = inputs_of("ramp", self._known(), self.rig, self.state.device)
+        refuse_forbidden(self.state.profile, self._known())
         run = self.live.start(self.path, self.rig.get("scenario") or None, asked)
         self._keep(replace(self.state, run=run | {"inputs": inputs}))
 
@@ -367,12 +375,13 @@ class Gates:
             if how == "incomplete" and time.time() - out.stat().st_mtime < SILENT_S:
                 return  # it goes on, and cannot be watched
             ended = {"how": how, "why": "" if how == "complete" else f"{out.name} is {how}"}
-        kept = out.is_file()
-        passed = kept and ended["how"] in ("complete", "stopped")
+        is_there = out.is_file()
+        passed = is_there and ended["how"] in ("complete", "stopped")
         row = {"what": "ramp", "seen": f"{ended['how']} {ended['why']}".strip(), "passed": passed, "remedy": ""}
-        result = Result(passed, run["inputs"], _now(), (row,), out.name if kept else "")
+        result = Result(passed, run["inputs"], now(), (row,), out.name if is_there else "")
         queue = self.state.queue if ended["how"] == "complete" else ()
         self._keep(replace(self.state.passed("ramp", result), run=None, queue=queue[1:]))
+        self._read_profile()
         if queue and self.is_green("ramp"):
             with contextlib.suppress(InputError, OSError):
                 self._drive(queue[0])
@@ -388,7 +397,3 @@ class Gates:
             raise InputError(f"{name}: no such profile in {self.folder}; close the loop again")
         self._keep(replace(self.state, profile=name, undo=()))
         self._read_profile()
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")

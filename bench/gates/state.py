@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
-from bench.gates.inputs import GATES, Inputs
+from pydantic import TypeAdapter, ValidationError
+
+from bench.gates.inputs import Inputs
 from daq.files.json_values import json_text
 from daq.files.whole_file import write_whole
 
@@ -44,9 +47,9 @@ class State:
     undo
         Earlier texts of the profile, oldest first.
     run
-        The run that is under way: its board, profile and recording; None without one.
+        The run that is under way: its board, profile, recording and inputs; None without one.
     queue
-        Runs to follow: gammas and reason of each.
+        Runs to follow: the note of each.
     rounds
         Verdicts of this profile and its improved ones, oldest first.
     """
@@ -70,23 +73,30 @@ class State:
         return replace(self, undo=(*self.undo, before)[-MOST_UNDO:])
 
 
-def load_state(folder: Path) -> State:
-    """The state in a folder; a new one where there is none, or the file is no state (which is then set aside)."""
+def now() -> str:
+    """The time of a result (ISO 8601, UTC)."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def load_state(folder: Path) -> tuple[State, str]:
+    """The state in a folder, and a fault; where the file holds no state it is set aside, and the fault says where to.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be read or set aside.
+    """
     path = folder / FILE
     if not path.is_file():
-        return State()
+        return State(), ""
     try:
-        read = json.loads(path.read_text(encoding="utf-8"))
-        results = {
-            gate: Result(**{**one, "rows": tuple(one["rows"])})
-            for gate, one in read.pop("results").items()
-            if gate in GATES
-        }
-        lists = {key: tuple(read[key]) for key in ("undo", "queue", "rounds")}
-        return State(**{**read, **lists}, results=results)
-    except (ValueError, TypeError, KeyError, AttributeError):
-        path.replace(path.with_suffix(".json.unreadable"))
-        return State()
+        return TypeAdapter(State).validate_json(path.read_bytes()), ""
+    except ValidationError as error:
+        aside = next(one for n in count(1) if not (one := path.with_name(f"{FILE}.unreadable-{n}")).exists())
+        path.rename(aside)
+        place = ".".join(str(part) for part in error.errors()[0]["loc"]) or "the file"
+        why = f"{place}: {error.errors()[0]['msg']}"
+        return State(), f"{path}: holds no state of the gates ({why}); it is now {aside.name}, and the gates begin anew"
 
 
 def save_state(folder: Path, state: State) -> None:

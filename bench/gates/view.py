@@ -98,11 +98,12 @@ def _plan(profile: Profile) -> Message:
     except InputError as error:
         return {"fault": str(error), "steps": [], "limits": {}, "faults": []}
     every, limits = -(-len(rows) // MOST_DRAWN), profile.limits
-    steps = [
-        [step.first_sample / programme.rate_hz, step.end_sample / programme.rate_hz, step.gamma, asked.drive_v,
-         1e3 * asked.displacement_m, asked.acceleration_mps2]
-        for step, asked in rows[::every]
-    ]  # fmt: skip
+    steps = []
+    for at in range(0, len(rows), every):  # several steps are drawn as one, with the highest of each peak
+        some = [step for step, _ in rows[at : at + every]]
+        peaks = [(a.drive_v, 1e3 * a.displacement_m, a.acceleration_mps2) for _, a in rows[at : at + every]]
+        start_s, end_s = some[0].first_sample / programme.rate_hz, some[-1].end_sample / programme.rate_hz
+        steps.append([start_s, end_s, *map(max, zip(*peaks, strict=True))])
     return {
         "fault": "", "faults": faults[:5], "n_steps": len(rows), "steps": steps,
         "duration_s": programme.n_samples / programme.rate_hz, "frequency_hz": profile.forcing.frequency_hz,

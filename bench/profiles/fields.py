@@ -47,7 +47,8 @@ def fields_of(text: str) -> list[Field]:
         held = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"not valid TOML: {error}") from error
-    kind = held.get("backend", {}).get("kind", "simulated")
+    backend = held.get("backend")
+    kind = str(backend.get("kind", "simulated")) if isinstance(backend, dict) else "simulated"
     return [one for one in _walk(_schema(), "", held, kind) if one["key"] != "backend.kind"]
 
 

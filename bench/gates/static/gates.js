@@ -25,7 +25,9 @@ const WORDS = {
 const STATES = { green: "passed", open: "open", closed: "closed" };
 let socket = null, view = null, mine = false, chosen = null, runState = null, shownKey = "";
 
-const send = (command) => { if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(command)); };
+// What was refused stands on the page until the next thing is asked; why there is no profile, until there is one.
+const clear = () => { $("refused").textContent = view?.fault; $("refused").hidden = !view?.fault; };
+const send = (command) => { clear(); if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(command)); };
 
 function connect() {
   socket = new WebSocket(socketAddress("/gates/socket"));
@@ -40,10 +42,10 @@ const handlers = {
     if (view && m.profile !== view.profile) chosen = null;
     if (!m.run) runState = null;
     const was = view && current();
+    const faulty = m.fault || view?.fault;
     view = m;
+    if (faulty) clear();
     if (chosen && was === chosen && gateOf(chosen).state === "green") chosen = null; // on to the next
-    $("refused").hidden = !m.fault;
-    if (m.fault) $("refused").textContent = m.fault;
     draw();
   },
   lease(m) { mine = showLease(m, $); draw(); },
@@ -67,7 +69,7 @@ function draw() {
     const item = make("li"), button = make("button", TITLES[one.name], { type: "button", class: one.state, id: `step-${one.name}` });
     if (one.name === name) button.setAttribute("aria-current", "step");
     button.append(make("small", STATES[one.state]));
-    button.addEventListener("click", () => { chosen = one.name; $("refused").hidden = true; draw(); });
+    button.addEventListener("click", () => { chosen = one.name; clear(); draw(); });
     item.append(button);
     return item;
   }));
@@ -110,7 +112,7 @@ function status() {
 const button = (words, command, { go = false, id = "", off = false } = {}) => {
   const one = make("button", words, { type: "button", ...(go ? { class: "go" } : {}), ...(id ? { id } : {}) });
   one.disabled = !mine || busy() || off;
-  one.addEventListener("click", () => { $("refused").hidden = true; const said = typeof command === "function" ? command() : command; if (said) send(said); });
+  one.addEventListener("click", () => send(typeof command === "function" ? command() : command));
   return one;
 };
 function labelled(words, field, tick = false) {
@@ -248,7 +250,7 @@ async function fields() {
       field.value = one.text;
     }
     field.disabled = !mine || busy();
-    field.addEventListener("change", () => { if (field.value !== one.text) { $("refused").hidden = true; send({ do: "set", key: one.key, text: field.value }); } });
+    field.addEventListener("change", () => { if (field.value !== one.text) { send({ do: "set", key: one.key, text: field.value }); } });
     cell.append(field);
     row.append(make("td", one.key), cell, make("td", one.unit), make("td", one.limit), make("td", one.help));
     return row;

@@ -51,7 +51,7 @@ export function rigPicture(gate, view) {
 
 // Drive, plate displacement and acceleration over the time of the ramp, against their limits.
 export function rampPictures(plan) {
-  const kinds = [["drive", "V", 3, "drive_v"], ["plate displacement", "mm", 4, "displacement_mm"], ["plate acceleration", "m/s\u00b2", 5, "plate_mps2"]];
+  const kinds = [["drive", "V", 2, "drive_v"], ["plate displacement", "mm", 3, "displacement_mm"], ["plate acceleration", "m/s\u00b2", 4, "plate_mps2"]];
   return kinds.map(([name, unit, column, key]) => {
     const limit = plan.limits[key], highest = Math.max(...plan.steps.map((step) => step[column])), top = 1.08 * Math.max(limit, highest);
     const end = plan.steps.at(-1)[1], x = (t) => (300 * t) / end, y = (v) => 100 - (100 * v) / top;

@@ -4,7 +4,7 @@
   const NAMES = { en: "English", de: "Deutsch", fr: "Fran\u00e7ais" };
   const NUMBER = /[-\u2212+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?/g, LETTERS = /\p{L}{2}/u, NAME = /^\S*[._]\S*$/, ATTRIBUTES = ["title", "aria-label", "placeholder"];
   const given = new URLSearchParams(location.search).get("language") ?? localStorage.getItem("language");
-  const language = given ?? navigator.languages.map((x) => x.slice(0, 2)).find((x) => x in NAMES) ?? "en";
+  const language = [given].find((x) => x in NAMES || x === "pseudo") ?? navigator.languages.map((x) => x.slice(0, 2)).find((x) => x in NAMES) ?? "en";
   const pseudo = language === "pseudo", comma = localStorage.getItem("decimal") === "comma";
   let words = null, starts = []; // starts: of texts that end with a name, written with * in the catalogue
   const missing = new Set();

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import multiprocessing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from bench.gates import desk
 from bench.gates.desk import Gates
-from bench.gates.inputs import GATES, changed
-from bench.gates.state import FILE, State, load_state
+from bench.gates.inputs import GATES, changed, inputs_of
+from bench.gates.state import FILE, Result, State, load_state, now
 from bench.gates.view import view_of
+from bench.gates.work import Job
 from bench.live.pages import Desk
+from bench.profiles.edit import with_values
 from daq.setup.errors import InputError
+from rig.programme.ramp import peaks
 from tests.bench.gates.passed import passed
 
 
@@ -61,13 +69,95 @@ def test_another_device_closes_the_wiring(tmp_path: Path) -> None:
     assert gates.is_green("card") and not any(gates.is_green(gate) for gate in GATES[1:])
 
 
-def test_state_outlives_the_server_and_a_torn_file_is_set_aside(tmp_path: Path) -> None:
-    """What was saved is read again as it was; a file that is no state leaves a new one, and is not lost."""
+def test_state_outlives_the_server(tmp_path: Path) -> None:
+    """What was saved is read again as it was."""
     state = passed(tmp_path, scenario="friction", queue=({"note": ""},), undo=("a",), rounds=({"recording": "a.h5"},))
-    assert load_state(tmp_path) == state
-    (tmp_path / FILE).write_text("{", encoding="utf-8")
-    assert load_state(tmp_path) == State()
-    assert (tmp_path / f"{FILE}.unreadable").read_text(encoding="utf-8") == "{"
+    assert load_state(tmp_path) == (state, "")
+
+
+@pytest.mark.parametrize(
+    "content", [b"{", b"[]", b"\xff", b'{"profile": 3}', b'{"run": 5}', b'{"results": {"card": 1}}']
+)
+def test_a_file_that_is_no_state_is_set_aside(tmp_path: Path, content: bytes) -> None:
+    """The page says where the broken file is now; a second one does not replace the first; the gates begin anew."""
+    for n in (1, 2):
+        (tmp_path / FILE).write_bytes(content)
+        gates = opened(tmp_path)
+        assert gates.state == State() and f"{FILE}.unreadable-{n}" in view_of(gates)["fault"]
+        assert (tmp_path / f"{FILE}.unreadable-{n}").read_bytes() == content and not (tmp_path / FILE).exists()
+
+
+def test_a_refusal_is_the_last_word(tmp_path: Path) -> None:
+    """A browser is sent why it was refused after the state, which would replace it on the page."""
+    said: list[str] = []
+    passed(tmp_path)
+    gates, browser = opened(tmp_path), SimpleNamespace(name="a", reads_only=False, send=lambda m, **_: said.append(m))
+    gates.live.hub.browsers.append(browser)  # type: ignore[arg-type]
+    gates._obey(browser, {"do": "start", "hands_off": True})  # type: ignore[arg-type]
+    assert [json.loads(one)["kind"] for one in said] == ["gates", "refused"]
+    assert "holds the controls" in said[-1]
+
+
+def test_a_profile_changed_in_an_editor_closes_the_ramp(tmp_path: Path) -> None:
+    """A ramp is driven only with the file that was checked, though the page has not seen it change."""
+    passed(tmp_path)
+    gates = opened(tmp_path)
+    text = (tmp_path / "rig.toml").read_text(encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(with_values(text, {"limits.drive_v": 9.0}, "rig.toml"), encoding="utf-8")
+    with pytest.raises(InputError, match="closed until check is green"):
+        gates._start_run({"hands_off": True})
+
+
+@pytest.mark.parametrize(("key", "text", "why"), [("ramp.gamma", "[9.0, 90.0]", "closed until"),
+                                                  ("ramp.hold_cycles", "100000000", "would end after")])  # fmt: skip
+def test_a_ramp_that_cannot_be_is_refused_before_its_process_begins(
+    tmp_path: Path, key: str, text: str, why: str
+) -> None:
+    """A ramp beyond what was checked, or one of months, is refused in words, and no run is under way."""
+    passed(tmp_path)
+    gates = opened(tmp_path)
+    gates._set({"key": key, "text": text})
+    with pytest.raises(InputError, match=why):
+        gates._start_run({"hands_off": True})
+    assert gates.state.run is None and gates.live.watch is None
+
+
+def test_a_disk_that_refuses_a_result_is_named_and_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the result of a job cannot be saved the page says so, and goes on looking at jobs and runs."""
+    passed(tmp_path)
+    gates = opened(tmp_path)
+    ours, theirs = multiprocessing.Pipe()
+    theirs.send(("done", {"rows": []}))
+
+    def refuse(*_: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(desk, "save_state", refuse)
+    gates._pipe, gates.job = ours, {"gate": "check", "kind": "", "words": "", "asks": False}
+
+    async def tick() -> None:
+        task = asyncio.create_task(gates._tick_for_ever())
+        await asyncio.sleep(0)
+        assert not task.done()
+        task.cancel()
+
+    asyncio.run(tick())
+    assert gates.fault == "disk full" and gates.job is None
+
+
+def test_a_long_ramp_is_drawn_with_its_highest_peaks(tmp_path: Path) -> None:
+    """Of a thousand steps, several are drawn as one: the highest is among them, and the whole time is covered."""
+    passed(tmp_path)
+    gates = opened(tmp_path)
+    gammas = [0.5] * 1000
+    gammas[700] = 2.0
+    gates._set({"key": "ramp.gamma", "text": str(gammas)})
+    plan = view_of(gates)["plan"]
+    steps, highest = plan["steps"], peaks(gates._known(), 2.0)
+    assert len(steps) <= 400 < plan["n_steps"] and steps[-1][1] == pytest.approx(plan["duration_s"])
+    assert max(step[2] for step in steps) == pytest.approx(highest.drive_v)
 
 
 @pytest.mark.parametrize("said", [{}, {"hands_off": 1}, {"hands_off": "true"}])
@@ -99,6 +189,42 @@ def test_only_profiles_of_the_folder_are_chosen(tmp_path: Path, like: str) -> No
     """A name that is no profile of the folder is refused."""
     with pytest.raises(InputError):
         opened(tmp_path)._choose({"profile": like})
+
+
+def test_a_verdict_never_replaces_an_improved_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An improved profile that is there, of rounds before another rig was chosen, stays; the next number is taken."""
+    jobs: list[Job] = []
+
+    def process(args: tuple[Any, Job], **_: Any) -> SimpleNamespace:
+        jobs.append(args[1])
+        return SimpleNamespace(start=lambda: None)
+
+    context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=process)
+    monkeypatch.setattr(desk.multiprocessing, "get_context", lambda _: context)
+    (tmp_path / "rig-improved-1.toml").write_text("mine", encoding="utf-8")
+    passed(tmp_path)
+    gates = opened(tmp_path)
+    inputs = inputs_of("ramp", gates._known(), gates.rig, gates.state.device)
+    gates.state = gates.state.passed("ramp", Result(True, inputs, now(), file="a.h5"))
+    gates._start_job({"gate": "verdict"})
+    assert jobs[0].improved == tmp_path / "rig-improved-2.toml" and jobs[0].recording == tmp_path / "a.h5"
+
+
+@pytest.mark.parametrize("torn", [False, True])
+def test_a_profile_that_cannot_be_offered_is_a_fault_on_the_page(tmp_path: Path, torn: bool) -> None:
+    """The server starts with a broken profile, and the page says what is wrong with it, and with a torn state."""
+    (tmp_path / "broken.toml").write_text("rate", encoding="utf-8")
+    (tmp_path / "runs").mkdir()
+    if torn:
+        (tmp_path / "runs" / FILE).write_text("{", encoding="utf-8")
+    gates = Gates(tmp_path / "runs", Desk(None), str(tmp_path / "broken.toml"))
+
+    async def start() -> None:
+        async with gates.running():
+            pass
+
+    asyncio.run(start())
+    assert "not valid TOML" in gates.fault and ("unreadable" in gates.fault) == torn
 
 
 def test_changes_are_named() -> None:

@@ -85,13 +85,17 @@ def opened(chromium: Any, address: str) -> Any:
 def test_run_is_started_watched_noted_paused_and_stopped(
     chromium: Any, bench: Any, profile: Path, tmp_path: Path
 ) -> None:
-    """A start, a note, a pause and going on; whoever sees the page stops it; the log outlives a reload."""
+    """A refusal, a start, a note, a pause and going on; whoever sees the page stops it; the log outlives a reload."""
     passed(tmp_path, profile.name)
     _, url = bench("live", "--runs", tmp_path)
     page, other = opened(chromium, f"{url}gates"), opened(chromium, f"{url}live")
     wait_for(page, "#lease-word", "you hold the controls")
     wait_for(other, "#lease-word", "another browser holds")
     assert page.locator("#go").is_disabled()  # before it was said that hands are off
+    page.click("#profile-box summary")
+    page.fill("[data-key='limits.drive_v']", "-1")
+    page.press("[data-key='limits.drive_v']", "Tab")
+    wait_for(page, "#refused", "limits.drive_v")  # and it stays, until the next thing is asked
     page.fill("#run-name", "first")
     page.fill("#run-note", "before")
     page.check("#hands")

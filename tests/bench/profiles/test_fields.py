@@ -33,6 +33,14 @@ def test_unit_limit_help_and_choices_come_from_the_schema() -> None:
     assert all(one["help"] for one in fields.values())
 
 
+def test_a_broken_back_end_leaves_the_other_keys() -> None:
+    """A profile whose back end is no table is shown, so that it can be mended."""
+    assert any(
+        one["key"] == "limits.drive_v" and one["text"] == "9.0"
+        for one in fields_of("backend = 3\n[limits]\ndrive_v = 9.0")
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "value"), [("2", 2), ("1.5", 1.5), ("[0.5, 0.7]", [0.5, 0.7]), ("up", "up"), ('"x"', "x"), ("true", True)]
 )
