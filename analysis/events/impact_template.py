@@ -229,7 +229,8 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     if not loud[peak]:
         return None
     begin = int(np.flatnonzero(loud)[0]) - FINE
-    power = np.convolve(quick**2, np.ones(width) / width, mode="same")
+    brief = min(width, fine.size)  # at the rate of an oscilloscope a template may be shorter
+    power = np.convolve(quick**2, np.ones(brief) / brief, mode="same")
     last = np.flatnonzero(loud & (power > RINGS * sigma_v**2))
     end = min(max(peak, int(last[-1]) if last.size else 0) + FINE + 1, fine.size)
     rings_on = end + LEAST_DECAY * width > fine.size

@@ -53,8 +53,8 @@ def ringing_in_words(mode: PlateMode, gamma: Floats, span_s: Floats, drive_mps: 
     order = np.argsort(gamma)
     gamma, span_s, drive_mps = gamma[order], span_s[order], drive_mps[order]
     part = parts_of_drive(mode, span_s, drive_mps, np.ones(3))
-    kept = np.flatnonzero(part < UNTRUE)
-    first = int(kept[-1]) + 1 if len(kept) else 0
+    true = np.flatnonzero(part < UNTRUE)
+    first = int(true[-1]) + 1 if len(true) else 0
     words = (
         f"the plate rings at {mode.frequency_hz:.3g} Hz under the ball (damping {mode.damping:.2g}, the ball weighs "
         f"{100.0 * mode.mass_ratio:.2g} % of what moves): {100.0 * part[-1]:.2g} % of the drive's speed at gamma "

@@ -25,7 +25,7 @@ def test_settings_of_other_causes_are_tried_one_after_another_and_own_starts_whe
         [{}, *({E0: 0.1 * i} for i in range(1, 9))],
         [{}, *({MU: 0.1 * i} for i in range(1, 5))],
     ]
-    apart = Valley().lowest(axes, jointly=False)
+    singly = Valley().lowest(axes, jointly=False)
     few, tried = len(tried), []
-    assert apart == Valley().lowest(axes, jointly=True) and apart[1] == {SIZE: 1.0, E0: 0.5, MU: 0.2}
+    assert singly == Valley().lowest(axes, jointly=True) and singly[1] == {SIZE: 1.0, E0: 0.5, MU: 0.2}
     assert 4 * few < len(tried) == 12 * 9 * 5

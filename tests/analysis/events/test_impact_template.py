@@ -57,6 +57,15 @@ def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
     assert np.max(np.abs(waveform.fine[(LEAD + 10) * FINE :])) < 0.2 * largest
 
 
+def test_a_template_shorter_than_its_smoothing_is_one() -> None:
+    """48 samples at 100 kHz, half a millisecond: the brief ring in them is what is known."""
+    points = np.arange(48 * FINE)
+    ring = np.where((points > LEAD * FINE) & (points < (LEAD + 13) * FINE), np.cos(points / 5.0), 0.0)
+    known = ringing_part(ring, 1e-4, 100_000.0)
+    assert known is not None and known.size == points.size
+    assert known == pytest.approx(ring, abs=0.05)
+
+
 def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
     """Under a brief ring, what a plate's motion left slopes on to the end of what was learnt: none of it is kept."""
     points = np.arange(128 * FINE)

@@ -26,8 +26,8 @@ def verdict(one: OneRun | None) -> JointVerdict:
 def test_the_one_run_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     """JSON and terminal name the run, its value and what the others say together."""
     found = verdict(OneRun(2, 5e-5, 0.0035))
-    told = joint_json(found)["parameters"][0]["one_run"]
-    assert told == {"recording": "c.h5", "others": 5e-5, "others_sigma": 0.0035}
+    one_run = joint_json(found)["parameters"][0]["one_run"]
+    assert one_run == {"recording": "c.h5", "others": 5e-5, "others_sigma": 0.0035}
     show_runs(found)
     out = " ".join(capsys.readouterr().out.split())
     assert "drive_gain.relative is different in one run: c.h5 has 0.01420 +- 0.00020, all others together 0.0" in out
