@@ -7,6 +7,7 @@ sampled template over it, and taken away before the next is sought. Decision 473
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +81,17 @@ class Impacts:
 NO_IMPACTS = Impacts(np.zeros(0), np.zeros(0), np.zeros(0))
 
 
+class _Bank(NamedTuple):
+    """A template for the kernels: what the filter gives about an impact of size 1, from `LENGTH` samples before it on,
+    `FINE` points a sample; the template; its shifts, white and of norm 1, (`LENGTH`, r); their norms; the whitener."""
+
+    response: Floats
+    fine: Floats
+    columns: Floats
+    norms: Floats
+    white: Floats
+
+
 class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
@@ -92,16 +104,19 @@ class ImpactScan:
         shifts = np.arange(-SHIFTS, SHIFTS + 1)
         points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, len(template.fine) - 1)
         bank = template.fine[points] @ template.whitener.T
-        self._norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
-        bank = bank / self._norms[:, None]
-        self._columns = np.ascontiguousarray((bank @ template.whitener).T)
-        self._white = np.ascontiguousarray(template.whitener.T)
+        norms = np.maximum(np.linalg.norm(bank, axis=1), 1e-300)
+        bank = bank / norms[:, None]
         slope = np.gradient(bank, axis=0) * FINE
         self._steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
-        # what the filter gives about an impact of size 1, from `LENGTH` samples before it on, `FINE` points a sample
         spread = np.zeros((LENGTH, FINE))
         spread[:, 0] = template.taps[::-1]
-        self._response = np.append(np.zeros(FINE), np.convolve(template.fine, spread.ravel()))
+        self._bank = _Bank(
+            response=np.append(np.zeros(FINE), np.convolve(template.fine, spread.ravel())),
+            fine=template.fine,
+            columns=np.ascontiguousarray((bank @ template.whitener).T),
+            norms=norms,
+            white=np.ascontiguousarray(template.whitener.T),
+        )
         self._found = np.zeros((0, MARGIN + 1))
 
     def add(self, volts: Volts, first: int, pad: int, count: int) -> Integers:
@@ -119,8 +134,7 @@ class ImpactScan:
         recent = self._found[-RECENT:]
         out = np.zeros((RECENT + score.size // APART, MARGIN + 1))
         out[: len(recent)] = recent
-        bank = self._response, self.template.fine, self._columns, self._norms, self._white
-        total = _search(volts, first - pad, pad, score, count, self.template.threshold, *bank, out, len(recent))
+        total = _search(volts, first - pad, pad, score, count, self.template.threshold, self._bank, out, len(recent))
         new = out[len(recent) : total].copy()
         self._found = np.concatenate([self._found, new])
         return np.rint(self._recorded(new[:, 0])).astype(np.int64)
@@ -228,30 +242,28 @@ def _ringing(table, skip, at, fine, out, doubt):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _fit(own, index, fine, columns, norms, white, room, row):  # type: ignore[no-untyped-def]
+def _fit(own, index, bank, room, row):  # type: ignore[no-untyped-def]
     """Put place, size, score and margin of the impact in a snippet ``own`` (`LENGTH`,) filtered at ``index`` into
     ``row``; ``room`` (2, `LENGTH`) is overwritten."""
-    shifts = columns.shape[1]
+    shifts = bank.columns.shape[1]
     score = np.empty(shifts)
-    _products(columns, own, score)
+    _products(bank.columns, own, score)
     best = min(max(int(np.argmax(score)), 1), shifts - 2)
     left, middle, right = score[best - 1], score[best], score[best + 1]
     curvature = min(left - 2.0 * middle + right, -1e-300)
     vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
-    row[PLACE], row[SIZE], row[SCORE] = index + (best - SHIFTS + vertex) / FINE, middle / norms[best], middle
+    row[PLACE], row[SIZE], row[SCORE] = index + (best - SHIFTS + vertex) / FINE, middle / bank.norms[best], middle
     rest = room[0]
     rest[:] = own
-    _echo((SHIFTS - best) / FINE, -row[SIZE], fine, rest)
-    _products(white, rest, room[1])
+    _echo((SHIFTS - best) / FINE, -row[SIZE], bank.fine, rest)
+    _products(bank.white, rest, room[1])
     misfit = np.sqrt(max(np.sum(room[1, :BEGINNING] ** 2) - BEGINNING, 0.0))
     # three times over: a sensor at its end shows only a part of what the template missed
     row[MARGIN] = max(ECHO_MARGIN, 3.0 * misfit / max(middle, 1e-300))
 
 
 @njit(error_model="numpy")
-def _search(  # type: ignore[no-untyped-def]
-    x, offset, pad, score, count, limit, response, fine, columns, norms, white, out, n
-):
+def _search(x, offset, pad, score, count, limit, bank, out, n):  # type: ignore[no-untyped-def]
     """Find impacts in the filter's output ``score`` from ``x[pad]`` on, the loudest of those near each other first.
 
     What each one adds to the output is taken away before the next is sought, so that a bounce is found in the ringing
@@ -259,7 +271,9 @@ def _search(  # type: ignore[no-untyped-def]
     impacts before; the number of rows filled is returned. Those after ``count`` outputs belong to the next piece.
     """
     own, echo, doubt, room = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty((2, LENGTH))
-    row, longest, before = np.empty(out.shape[1]), fine.shape[0] // FINE, n
+    row, longest, before = np.empty(out.shape[1]), bank.fine.shape[0] // FINE, n
+    for k in range(n):  # what rings into the piece from before it hides no bounce at its beginning
+        _take_away(score, out[k, PLACE] - offset - pad, out[k, SIZE], bank.response)
     i = first_beyond(score, 0, np.float32(limit), True)
     while i < score.shape[0] and n < out.shape[0]:
         top = i
@@ -271,11 +285,11 @@ def _search(  # type: ignore[no-untyped-def]
         if i >= count:
             break
         index = top + pad
-        last = _ringing(out[:n], -1, index + offset, fine, echo, doubt)
+        last = _ringing(out[:n], -1, index + offset, bank.fine, echo, doubt)
         own[:] = x[index - LEAD : index - LEAD + LENGTH]
         own -= echo
-        _fit(own, index + offset, fine, columns, norms, white, room, row)
-        loud, doubtful = _size(white, echo, room[0]), _size(white, doubt, room[0])
+        _fit(own, index + offset, bank, room, row)
+        loud, doubtful = _size(bank.white, echo, room[0]), _size(bank.white, doubt, room[0])
         if last >= 0 and row[PLACE] - out[last, PLACE] <= 2 * longest:
             # of a ringing that outlasts the template a tenth of the score is left at most
             loud = max(loud, 0.1 * out[last, SCORE])
@@ -300,35 +314,36 @@ def _search(  # type: ignore[no-untyped-def]
                 out[k] = out[k - 1]
             out[place] = row
             n += 1
-            _take_away(score, row[PLACE] - offset - pad, row[SIZE], response)
+            _take_away(score, row[PLACE] - offset - pad, row[SIZE], bank.response)
         i = first_beyond(score, i, np.float32(limit), True)
-    return _fitted_together(x, offset, pad + count, fine, columns, norms, white, out[:n], before)
+    return _fitted_together(x, offset, pad + count, bank, out[:n], before)
 
 
 @njit(error_model="numpy")
 def _take_away(score, place, size, response):  # type: ignore[no-untyped-def]
     """Subtract what an impact at output ``place`` adds to the filter's output."""
     begin = max(int(np.ceil(place)) - LENGTH + 1, 0)
-    for i in range(begin, min(int(place) + response.shape[0] // FINE - LENGTH, score.shape[0])):
+    for i in range(begin, min(int(np.floor(place)) + response.shape[0] // FINE - LENGTH, score.shape[0])):
         at = (i - place + LENGTH) * FINE
         j = int(at)
         score[i] -= np.float32(size * (response[j] + (at - j) * (response[j + 1] - response[j])))
 
 
 @njit(error_model="numpy")
-def _fitted_together(x, offset, stop, fine, columns, norms, white, table, before):  # type: ignore[no-untyped-def]
+def _fitted_together(x, offset, stop, bank, table, before):  # type: ignore[no-untyped-def]
     """Fit impacts near others anew with those taken away; the number of rows before ``x[stop]``."""
     own, echo, doubt, room = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty((2, LENGTH))
     row = np.empty(table.shape[1])
     for _ in range(SWEEPS):
         for k in range(before, table.shape[0]):
-            if k + 1 == table.shape[0] or table[k + 1, PLACE] - table[k, PLACE] > LENGTH:
+            single = k == 0 or table[k, PLACE] - table[k - 1, PLACE] > LENGTH
+            if single and (k + 1 == table.shape[0] or table[k + 1, PLACE] - table[k, PLACE] > LENGTH):
                 continue
             index = int(np.rint(table[k, PLACE])) - offset
-            _ringing(table, k, index + offset, fine, echo, doubt)
+            _ringing(table, k, index + offset, bank.fine, echo, doubt)
             own[:] = x[index - LEAD : index - LEAD + LENGTH]
             own -= echo
-            _fit(own, index + offset, fine, columns, norms, white, room, row)
+            _fit(own, index + offset, bank, room, row)
             if abs(row[PLACE] - table[k, PLACE]) < 1.0:
                 table[k, :ECHO] = row[:ECHO]
     n = table.shape[0]

@@ -88,6 +88,19 @@ def test_a_bounce_that_cancels_the_ringing_of_the_one_before_is_found(waveform: 
     assert found == pytest.approx(np.sort(np.append(first, second)), abs=0.5)
 
 
+@pytest.mark.parametrize(("periods", "after"), [(2.5, 8), (2.5, 24), (3.5, 36), (1.5, 20), (1.5, 40)])
+def test_impacts_do_not_depend_on_where_a_piece_ends(waveform: ImpactTemplate, periods: float, after: int) -> None:
+    """A piece ends ``after`` samples behind an impact, before or behind its bounce in antiphase: both, and no other."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        at = 2000.0 + rng.random() + np.array([0.0, periods * RATE_HZ / 1700.0])
+        volts = ringing(4000, at[:1], rng) + ringing(4000, at[1:], rng, 0.6 * np.exp(-periods / 1.7))
+        scan, middle = ImpactScan(waveform, RATE_HZ), 2000 + after
+        scan.add(volts[: middle + PAD], PAD, PAD, middle - PAD)
+        scan.add(volts[middle - PAD :], middle, PAD, 4000 - middle - PAD)
+        assert scan.impacts().time_s * RATE_HZ == pytest.approx(at, abs=0.5)
+
+
 def test_what_a_converters_filter_rings_long_before_an_impact_is_none(waveform: ImpactTemplate) -> None:
     """45 samples before an impact of 14,000 standard deviations something of 9 is no impact; far from any it is one."""
     rng = np.random.default_rng(6)
