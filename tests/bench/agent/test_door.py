@@ -6,6 +6,7 @@ import asyncio
 import os
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -187,5 +188,6 @@ def test_an_agent_plans_and_is_refused_over_the_protocol(tmp_path: Path) -> None
             refused = await session.call_tool("ramp", {"profile": "soundcard", "name": "run"})
             assert refused.is_error and "no person has armed it" in refused.content[0].text
 
-    asyncio.run(talk())
+    with ThreadPoolExecutor(1) as own:  # tests of pages leave an event loop running in this thread
+        own.submit(lambda: asyncio.run(talk())).result()
     assert not (tmp_path / "run.h5").exists()
