@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from bench.predict.profile_ramp import ramp_json, with_profile
 from bench.predict.request import GivenProfile, Request, gamma_peak_over_gamma
-from model.bifurcations.sweep import find_bifurcations
+from model.bifurcations.events import find_bifurcations
 from model.orbits import make_ball as balls
 from model.orbits.attractor import Attractor, Ball
 from model.orbits.attractor import attractor as attractor_at

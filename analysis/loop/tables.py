@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.flights.compare import FirstBifurcation, first_bifurcation
+from analysis.flights.first_bifurcation import FirstBifurcation, first_bifurcation
 from analysis.flights.table import Flights
 from analysis.loop.result import (
     AddedEffect,

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.flights.assemble import flights_of
-from analysis.flights.compare import compare, first_bifurcation
+from analysis.flights.compare import compare
+from analysis.flights.first_bifurcation import first_bifurcation
 from analysis.flights.table import FlightFlag, write_csv
 from analysis.report.figures import style
 from analysis.report.figures.flights import draw_bifurcations, draw_return_maps

@@ -17,7 +17,7 @@ from bench.predict.request import Request, ball_for, forcing_of, gamma_peak_over
 from bench.terminal.console import write_json
 from daq.setup.errors import InputError
 from model.bifurcations.continuation import cycle_branches
-from model.bifurcations.sweep import find_bifurcations
+from model.bifurcations.events import find_bifurcations
 from model.orbits.attractor import Ball
 
 

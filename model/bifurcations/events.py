@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -20,41 +19,17 @@ from kernels.errors import InputError
 from model.bifurcations import itinerary_windows
 from model.bifurcations.itinerary_windows import Search, Window
 from model.bifurcations.locked_windows import locked_from, locked_within
+from model.bifurcations.sweep import LONGEST, Bifurcation, Side, check_range, observed_bifurcations
 from model.flight.branches import TWO_PI
-from model.orbits.attractor import State
+from model.orbits.attractor import Ball, State
 from model.orbits.cycles import FLIGHTS, PERIOD
-from model.orbits.exact_ball import ExactBall, Itinerary
+from model.orbits.exact_ball import ExactBall, FrictionBall, IdealBall, Itinerary
 
-NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
-LONGEST = 32  # flights of the longest cycle looked for
+BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
+NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 SAME = 1e-9  # two edges nearer than this are one event
 BEYOND = 8  # doubles past an edge at which the other side is looked at
-
-
-@dataclass(frozen=True)
-class Side:
-    """The cycle on one side of a bifurcation; all None where none of those looked for is there."""
-
-    period: int | None = None
-    flights: int | None = None
-    resets: int | None = None
-
-
-@dataclass(frozen=True)
-class Bifurcation:
-    """One change of the attractor: where in gamma, its type, and the cycles just below and above.
-
-    ``type`` is one of: ``take-off``, ``new take-off window``, ``take-off windows merge``, ``lock`` (a cycle with a
-    reset stops sticking, or a locked 1-cycle is born at a fold), ``stick lost``, ``stick gained``, ``flight lost``,
-    ``flight gained`` (one of zero length, at the end of a take-off window), ``grazing`` (a landing jumps), ``period
-    doubling``, ``fold``, ``accumulation``, ``basin`` (the orbit from rest goes to another cycle; neither changes).
-    """
-
-    gamma: float
-    type: str
-    before: Side
-    after: Side
 
 
 def bifurcations(
@@ -90,10 +65,26 @@ def bifurcations(
     return sorted(events, key=lambda e: e.gamma)
 
 
-def check_range(low: float, high: float) -> None:
-    """Refuse a range of gamma that is empty, negative or not finite (ValueError)."""
-    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
-        raise InputError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
+def find_bifurcations(
+    ball: Ball, low: float, high: float, *, narrowest: float | None = None, sweep: str | None = None
+) -> list[Bifurcation]:
+    """Bifurcations between ``low`` and ``high`` of the attractor reached from rest, or carried along by ``sweep``.
+
+    Parameters
+    ----------
+    narrowest
+        Width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution `BOUNCING`. A sweep and
+        an integrated ball are looked at step by step instead (`model.bifurcations.sweep`).
+
+    Raises
+    ------
+    ValueError
+        If the range is empty, negative or not finite.
+    """
+    if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
+        finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
+        return bifurcations(ball, low, high, narrowest=finest)
+    return observed_bifurcations(ball, low, high, sweep=sweep)
 
 
 def cycle_windows(

@@ -1,4 +1,4 @@
-"""Bifurcations of any ball in order: by the map's own equations where there are some, else as a bench meets them.
+"""Bifurcations of any ball as a bench meets them, in order.
 
 A bench steps gamma, finds the attractor, and bisects a change. The state is carried from step to step (a sweep, with
 its hysteresis) or each step starts from rest; where the change is a period doubling it is then solved for by its own
@@ -14,13 +14,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from kernels.errors import InputError
 from model.bifurcations.continuation import doubling_near
-from model.bifurcations.events import LONGEST, NARROWEST, Bifurcation, Side, bifurcations, check_range
 from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
-from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
+LONGEST = 32  # flights of the longest cycle looked for
 MOST_FLIGHTS = 2048
 SHARP = 1e-12  # gamma
 ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
@@ -31,6 +31,31 @@ TYPES = frozenset(("take-off", "rest", "period doubling", "lock", "stick lost", 
 
 
 @dataclass(frozen=True)
+class Side:
+    """The cycle on one side of a bifurcation; all None where none of those looked for is there."""
+
+    period: int | None = None
+    flights: int | None = None
+    resets: int | None = None
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """One change of the attractor: where in gamma, its type, and the cycles just below and above.
+
+    ``type`` is one of: ``take-off``, ``new take-off window``, ``take-off windows merge``, ``lock`` (a cycle with a
+    reset stops sticking, or a locked 1-cycle is born at a fold), ``stick lost``, ``stick gained``, ``flight lost``,
+    ``flight gained`` (one of zero length, at the end of a take-off window), ``grazing`` (a landing jumps), ``period
+    doubling``, ``fold``, ``accumulation``, ``basin`` (the orbit from rest goes to another cycle; neither changes).
+    """
+
+    gamma: float
+    type: str
+    before: Side
+    after: Side
+
+
+@dataclass(frozen=True)
 class _Sweep:
     ball: Ball
     carry: bool
@@ -38,6 +63,12 @@ class _Sweep:
 
     def look(self, gamma: float, start: State) -> Attractor:
         return attractor(self.ball, gamma, start if self.carry else AT_REST, MOST_FLIGHTS)
+
+
+def check_range(low: float, high: float) -> None:
+    """Refuse a range of gamma that is empty, negative or not finite (ValueError)."""
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
+        raise InputError(f"gamma must range from a smaller to a larger number, neither negative, not {low} to {high}")
 
 
 def observed_bifurcations(
@@ -158,28 +189,3 @@ def _side(found: Attractor) -> Side:
     if _irregular(found):
         return Side()
     return Side(found.period, found.flights, found.resets)
-
-
-BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
-
-
-def find_bifurcations(
-    ball: Ball, low: float, high: float, *, narrowest: float | None = None, sweep: str | None = None
-) -> list[Bifurcation]:
-    """Bifurcations between ``low`` and ``high`` of the attractor reached from rest, or carried along by ``sweep``.
-
-    Parameters
-    ----------
-    narrowest
-        Width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution `BOUNCING`. A sweep and
-        an integrated ball are looked at step by step instead (`model.bifurcations.sweep`).
-
-    Raises
-    ------
-    ValueError
-        If the range is empty, negative or not finite.
-    """
-    if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
-        finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
-        return bifurcations(ball, low, high, narrowest=finest)
-    return observed_bifurcations(ball, low, high, sweep=sweep)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.flights.compare import Comparison, ball_on
+from analysis.flights.compare import Comparison
+from analysis.flights.first_bifurcation import ball_on
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style

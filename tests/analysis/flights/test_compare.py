@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import flights_of
-from analysis.flights.compare import compare, first_bifurcation
+from analysis.flights.compare import compare
+from analysis.flights.first_bifurcation import first_bifurcation
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from model.effects.routing import accelerometer_response, ball_effects, plate_gain, shapes_the_plate
