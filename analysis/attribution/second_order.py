@@ -35,13 +35,14 @@ def slopes_of(
     at: Values,
     keys: Sequence[ParameterId],
     step: float = STEP,
+    raw: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K).
 
-    ``step`` is that of the finite differences.
+    ``step`` is that of the finite differences; ``raw`` are the residuals there where they are known.
     """
     base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
-    raw = whitener.stacked(model.residuals(base))
+    raw = whitener.stacked(model.residuals(base)) if raw is None else raw
     out = np.zeros((len(raw), len(keys)))
     for j, key in enumerate(keys):
         x = fitter.to_x(key, base[key])
@@ -60,8 +61,15 @@ def slopes_at(
     out = np.zeros((len(raw), len(places)))
     for shapes in dict.fromkeys(shapes for _, shapes in places):
         rows = [j for j, place in enumerate(places) if place[1] == shapes]
-        out[:, rows] = slopes_of(model, fitter, whitener, {**at, **dict(shapes)}, [places[j][0] for j in rows])[1]
+        here, keys, known = {**at, **dict(shapes)}, [places[j][0] for j in rows], _unchanged(raw, at, shapes)
+        out[:, rows] = slopes_of(model, fitter, whitener, here, keys, raw=known)[1]
     return raw, out
+
+
+def _unchanged(raw: Floats, at: Values, shapes: Sequence[tuple[ParameterId, float]]) -> Floats | None:
+    """The residuals at ``at`` where ``shapes`` change nothing, as the sizes of their effects are zero; else None."""
+    names = {name for (name, _), _ in shapes}
+    return raw if all(x == null_value_of(key) for key, x in at.items() if key[0] in names) else None
 
 
 def secants_at(
@@ -87,7 +95,8 @@ def secants_at(
             continue
         known = float(np.sum(whitener.white_slopes(slopes[:, [j]], raw) ** 2))
         step = min(max(known**-0.5, STEP), LARGEST_STEP) if known > 0.0 else LARGEST_STEP
-        out[:, [j]] = slopes_of(model, fitter, whitener, {**at, **dict(shapes)}, [key], step)[1]
+        here, unchanged = {**at, **dict(shapes)}, _unchanged(raw, at, shapes)
+        out[:, [j]] = slopes_of(model, fitter, whitener, here, [key], step, unchanged)[1]
     return out
 
 

@@ -130,7 +130,11 @@ def discover(
     every = explanation.candidates
     for named in (still,) if len(still) == len(every) else (still, every):
         found += _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
-        best = _least_curved(found, limits)
+        # of the terms within chance of the best the least curved; of its curves, that of least scatter
+        least = min(p.held_out for p in found) + limits.gain_nats
+        able = [p for p in found if p.held_out < least]
+        term = min(able, key=lambda p: p.curve.total_curvature).curve.term
+        best = min((p for p in able if p.curve.term == term), key=lambda p: p.scatter)
         if best.scatter < limits.base_rms:
             break
     gain = LogScoreDifference.of(named_loss(model, explanation, train), best.per_step, train)
@@ -146,14 +150,6 @@ def discover(
         return None
     others = [p for p in found if p is not best and tied(best.per_step, p.per_step, train, limits)]
     return _discovery(best, gain, constant, others, tables, limits)
-
-
-def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
-    """Of the terms within chance of the best held-out loss the least curved; of its curves, that of least scatter."""
-    least = min(p.held_out for p in found) + limits.gain_nats
-    term = min((p for p in found if p.held_out < least), key=lambda p: p.curve.total_curvature).curve.term
-    same = [p for p in found if p.curve.term == term and p.held_out < least]
-    return min(same, key=lambda p: p.scatter)
 
 
 def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:

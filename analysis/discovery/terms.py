@@ -79,7 +79,6 @@ def _penalty(places: tuple[float, ...]) -> Floats:
 
 
 FIRST_KNOTS, MOST_INSIDE = 12, 23  # knots of a term within the flight, at first and at most
-POINTS = 45  # at which a curve is reported
 FIRST_VALUE = "c0"  # first of the values at the knots, in the effects that carry a curve
 
 
@@ -252,7 +251,8 @@ class Curve:
     @property
     def points(self) -> Floats:
         """Where the curve is reported: its knots where these are few, else evenly between the outer ones."""
-        return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], POINTS)
+        # points at which a curve is reported
+        return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], 45)
 
 
 def label(term: Term) -> tuple[str, str, float]:

@@ -31,6 +31,7 @@ from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own,
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
+from analysis.residuals.observations import Observations
 from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import FROZEN, LEADING_P, Thresholds
 from daq.files.whole_file import Journal
@@ -60,7 +61,7 @@ def join_runs(
     Parameters
     ----------
     recordings
-        At least three; one is in memory at a time.
+        At least three; one is in memory at a time, and the flights of the first ones.
     setup
         Replaces the setups stored in the recordings.
     limits
@@ -101,6 +102,7 @@ class _Passes:
     journal: Journal | None
     progress: Progress
     done: int = 0
+    known: dict[Path, Observations] = field(default_factory=dict)
 
     def priors(self) -> dict[ParameterId, Prior]:
         """Priors of calibrations that cover what every run states."""
@@ -121,7 +123,9 @@ class _Passes:
             key = self._key(path, point)
             row = None if self.journal is None else self.journal.rows.get(key)
             if row is None:
-                summary = summarise(path, point, self.limits, self.setup)
+                # flights of the first recordings stay in memory, about 100 MB of them; the others are read in each pass
+                few = path in self.known or sum(map(len, self.known.values())) < 200_000
+                summary = summarise(path, point, self.limits, self.setup, self.known if few else None)
                 if self.journal is not None:
                     self.journal.add(key, summary.as_row())
             else:

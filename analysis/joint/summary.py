@@ -6,7 +6,7 @@ A recording is read, reduced, fitted for its own calibrations, linearised there 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.noise.whitening import Whitener
-from analysis.residuals.observations import observations_from
+from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import Thresholds
@@ -154,7 +154,13 @@ class RunSummary:
         return cls(columns=columns, options=options, quadratic=quadratic, **flat)
 
 
-def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None = None) -> RunSummary:
+def summarise(
+    path: Path,
+    point: Point,
+    limits: Thresholds,
+    setup: Setup | None = None,
+    known: MutableMapping[Path, Observations] | None = None,
+) -> RunSummary:
     """Reduce one recording to its summary.
 
     Parameters
@@ -165,8 +171,8 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
         Where it is linearised; its own calibrations are fitted first.
     limits
         Thresholds of the verdict.
-    setup
-        Replaces the setup stored in the recording.
+    setup, known
+        As in `analysis.residuals.observations.observations_from`.
 
     Raises
     ------
@@ -175,7 +181,7 @@ def summarise(path: Path, point: Point, limits: Thresholds, setup: Setup | None 
     """
     with open_recording(path) as opened:
         started = str(opened.attrs.get("started") or "")
-    observations = observations_from([path], setup=setup)
+    observations = observations_from([path], setup=setup, known=known)
     if len(observations.steps) < LEAST_STEPS or not len(observations.plate):
         raise InputError(
             f"{path}: wanted at least {LEAST_STEPS} steps whose plate motion can be measured, found "

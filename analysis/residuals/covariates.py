@@ -95,6 +95,10 @@ def covariates_of(ev: Observations, late_s: tuple[Floats, Floats], reading: Comp
     def previous(x: Floats) -> Floats:
         return np.where(linked, x[before], np.nan)
 
+    index, begun = np.arange(len(step)), np.full(int(step.max(initial=0)) + 1, np.inf)
+    rested = np.maximum.accumulate(np.where(events.relaunched & linked, 0, index))
+    np.minimum.at(begun, step, land)
+
     return {
         "gamma": ev.steps.gamma[step],
         "time_in_run_s": ev.time_s,
@@ -108,10 +112,10 @@ def covariates_of(ev: Observations, late_s: tuple[Floats, Floats], reading: Comp
         "takeoff_phase_rad": _phase(plate, step, start),
         "launch_mps": launch,
         "plate_speed_at_takeoff_mps": at_start,
-        "flights_since_rest": _since_rest(events.relaunched & linked),
-        "turn": np.arange(len(step)) % 2.0,
+        "flights_since_rest": (index - rested).astype(np.float64),
+        "turn": index % 2.0,
         "step_number": ev.steps.number[step].astype(np.float64),
-        "time_in_step_s": land - _first_of_step(step, land),
+        "time_in_step_s": land - begun[step],
         "flight_s": lasts,
         "impact_mps": impact,
         "landing_phase_rad": _phase(plate, step, land),
@@ -155,15 +159,3 @@ def _height(g: float, plate: PlateSteps, step: Integers, start: Floats, lasts: F
         x, _, _ = _plate(plate, step, start + s)
         best = np.maximum(best, (launch + v0) * s - 0.5 * g * s * s - (x - x0))
     return best
-
-
-def _since_rest(relaunched: Bools) -> Floats:
-    """Number of flights since the last rest, (n,)."""
-    index = np.arange(len(relaunched))
-    return np.asarray(index - np.maximum.accumulate(np.where(relaunched, 0, index)), dtype=np.float64)
-
-
-def _first_of_step(step: Integers, t: Floats) -> Floats:
-    first = np.full(int(step.max(initial=0)) + 1, np.inf)
-    np.minimum.at(first, step, t)
-    return first[step]

@@ -36,10 +36,7 @@ from model.integrator.problem import Measured, PlateSteps
 NOT_EVENTS = FlightFlag.FALSE
 NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
-SHORTEST_REST_S = 1.2e-3  # shorter contacts are impacts from which the ball leaves at once
 MAX_TONES = 8
-OF_FORCING = 0.005  # of a multiple, by which a tone of the forcing may be off
-TINY_S = 5e-4  # shorter rebounds are the tail of a chatter: followed, not scored
 
 
 @dataclass(frozen=True)
@@ -282,7 +279,8 @@ def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
 def _of_forcing_only(steps: Steps) -> Steps:
     """The steps with the forcing and its multiples as their only tones."""
     turns = steps.plate.omega_radps * steps.plate.period_s[:, None] / (2.0 * np.pi)
-    own = np.abs(turns - np.round(turns)) < OF_FORCING
+    # a tone of the forcing may be off a multiple by so much
+    own = np.abs(turns - np.round(turns)) < 0.005
     plate = replace(steps.plate, acceleration_mps2=np.where(own, steps.plate.acceleration_mps2, 0.0))
     return replace(steps, plate=plate, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
 
@@ -306,8 +304,10 @@ def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, B
     before = np.maximum(np.arange(n) - 1, 0)
     linked = (np.arange(n) > 0) & (step == step[before]) & ((flags[before] & MISLEADING) == 0)
     rest = opening - landing[before]
-    relaunched = linked & ((rest < SHORTEST_REST_S) | ((flags & FlightFlag.RELAUNCHED) != 0))
-    tiny = relaunched & (landing - opening < TINY_S)
+    # shorter contacts are impacts from which the ball leaves at once
+    relaunched = linked & ((rest < 1.2e-3) | ((flags & FlightFlag.RELAUNCHED) != 0))
+    # shorter rebounds are the tail of a chatter: followed, not scored
+    tiny = relaunched & (landing - opening < 5e-4)
     scored = linked & ~tiny & ((flags & NOT_SCORED) == 0) & ((flags[before] & FlightFlag.SETTLING) == 0)
     measured = Measured(
         opening, landing, relaunched, linked, step.astype(np.int64), scored, other_row[keep], share[keep]

@@ -15,12 +15,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from typer.testing import CliRunner
 
 from analysis.joint.join_runs import join_runs
 from analysis.loop.close_loop import close_loop
-from bench.cli import app
 from benchmarks.plants import other_plant as plant
+from benchmarks.plants.handed_over import imported
 from benchmarks.spent import peak_mb
 
 SPREADS = {"drive_gain.relative": 0.004, "accelerometer_gain.relative": 0.0025, "phase_lag.delay_s": 1e-5}
@@ -40,18 +39,14 @@ def short_runs(
         own = {name: spread * rng.standard_normal() for name, spread in SPREADS.items()}
         gammas = tuple(np.round(np.linspace(0.6, 2.2, 10), 4).tolist())
         run = plant.Run(gammas=gammas, seed=int(rng.integers(2**31)), hidden={**own, **hidden})
-        where = folder / f"run{i}"
-        csv = plant.write(run, where)
-        profile, recording = where / "profile.toml", where / "run.h5"
+        profile, where = plant.profile_of(run), folder / f"run{i}"
         if latency_us is not None:
             known = f"delay_s = {{ value = 0.0, uncertainty = {1e-6 * latency_us}, source = 'two edges on a scope' }}"
-            with profile.open("a", encoding="utf-8") as text:
-                text.write(f"\n[declared.contact_latency]\n{known}\n")
-        done = CliRunner().invoke(app, ["import", str(csv), "--profile", str(profile), "--out", str(recording)])
-        if done.exit_code:
-            raise RuntimeError(done.output)
-        csv.unlink()
-        out.append(recording)
+            profile += f"\n[declared.contact_latency]\n{known}\n"
+        where.mkdir(parents=True)
+        path = imported(plant.simulate(run), profile, where)
+        (where / "recording.npz").unlink()
+        out.append(path)
     return out
 
 

@@ -21,9 +21,7 @@ from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
 LONGEST = 32  # flights of the longest cycle looked for
-MOST_FLIGHTS = 2048
 SHARP = 1e-12  # gamma
-ROUGHLY = 1e-9  # gamma, for a ball whose integration has a tolerance
 TYPES = frozenset(("take-off", "rest", "period doubling", "lock", "stick lost", "stick gained")) | frozenset(
     ("flight lost", "flight gained", "jump")
 )
@@ -62,7 +60,7 @@ class _Sweep:
     sharp: float
 
     def look(self, gamma: float, start: State) -> Attractor:
-        return attractor(self.ball, gamma, start if self.carry else AT_REST, MOST_FLIGHTS)
+        return attractor(self.ball, gamma, start if self.carry else AT_REST, 2048)
 
 
 def check_range(low: float, high: float) -> None:
@@ -111,7 +109,8 @@ def each_observed(
     check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
-    walk = _Sweep(ball, sweep is not None, max(sharp, SHARP if exact else ROUGHLY))
+    # coarser for a ball whose integration has a tolerance
+    walk = _Sweep(ball, sweep is not None, max(sharp, SHARP if exact else 1e-9))
     # each orbit of such a ball costs an integration: a quarter of the steps
     grid = np.linspace(*ends, (steps if exact else steps // 4) + 1)
     here = walk.look(float(grid[0]), AT_REST)

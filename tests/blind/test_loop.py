@@ -10,43 +10,55 @@ import numpy as np
 import pytest
 
 from analysis.loop.close_loop import close_loop
+from analysis.loop.verdict_json import loop_json
 from benchmarks.analysis.shaker_parts import recorded
+from benchmarks.plants import other_plant
+from benchmarks.plants.handed_over import imported
 from benchmarks.plants.shaker import BALL_KG, Shaker
 
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
+GAMMAS = {1: (0.5, 2.6, 22), 2: (0.2, 1.5, 22), 3: (0.1, 0.8, 22)}
 
 
-def verdict_on(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
-    """The written verdict on a recording of the other plant, and where the sealed truth lies."""
+def verdict_on(folder: Path, c: int, seed: int, effect: str = "", strength: str = "strong", **rig: Any) -> Any:
+    """The verdict, as JSON, on a recording of the other plant with an effect hidden in it."""
+    gammas = np.random.default_rng(seed).permutation(np.round(np.linspace(*GAMMAS[c]), 4))
+    hidden = other_plant.hidden_by(effect, strength) if effect else {}
+    run = other_plant.Run(c=c, gammas=tuple(gammas.tolist()), seed=seed, hidden=hidden, **rig)
+    return loop_json(close_loop([imported(other_plant.simulate(run), other_plant.profile_of(run), folder)]))
+
+
+def verdict_by_commands(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
+    """The same by the commands, each a process: plant, import and loop share files only; and where the truth lies."""
     plant = [sys.executable, "-m", "benchmarks.plants.other_plant", str(folder), "--shuffle", *options]
-    subprocess.run(plant, check=True, capture_output=True)
-    raw, profile, out = folder / "recording.csv", folder / "profile.toml", folder / "r.h5"
-    subprocess.run(
-        [*BENCH, "import", str(raw), "--profile", str(profile), "--out", str(out)], check=True, capture_output=True
-    )
-    report = folder / "verdict.json"
-    subprocess.run([*BENCH, "close-loop", str(out), "--json", str(report)], check=True, capture_output=True)
+    raw, profile, out, report = (folder / name for name in ("recording.csv", "profile.toml", "r.h5", "verdict.json"))
+    for command in (
+        plant,
+        [*BENCH, "import", str(raw), "--profile", str(profile), "--out", str(out)],
+        [*BENCH, "close-loop", str(out), "--json", str(report)],
+    ):
+        subprocess.run(command, check=True, capture_output=True)
     return json.loads(report.read_text(encoding="utf-8")), folder / "truth.json"
 
 
 @pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
     """On a clean recording the verdict is that nothing is missing, and the error is the noise."""
-    verdict, sealed = verdict_on(tmp_path, "--c", "1", "--seed", "31")
+    verdict = verdict_on(tmp_path, 1, 31)
     assert verdict["verdict"] == "nothing_missing"
     assert verdict["effects"] == [] and verdict["tie_set"] == []
     assert verdict["after"]["landing_rms_us"] < 1.3 * verdict["noise_floor_us"]
-    assert json.loads(sealed.read_text(encoding="utf-8"))["hidden"] == {}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("c", "frequency", "jitter_us"), [("2", "40", "5"), ("3", "25", "0"), ("1", "20", "20")])
+@pytest.mark.parametrize(("c", "frequency", "jitter_us"), [(2, 40.0, 5.0), (3, 25.0, 0.0), (1, 20.0, 20.0)])
 def test_a_drive_of_whole_samples_a_period_hides_nothing(
-    tmp_path: Path, c: str, frequency: str, jitter_us: str
+    tmp_path: Path, c: int, frequency: float, jitter_us: float
 ) -> None:
     """Where edges fall at the same places between samples in every cycle, their rounding is not taken for an effect."""
-    drive = ("--frequency", frequency, "--jitter-us", jitter_us, "--spikes", "--closure-ms", "0.1")
-    verdict, _ = verdict_on(tmp_path, "--c", c, *drive, "--seed", "34")
+    verdict = verdict_on(
+        tmp_path, c, 34, frequency_hz=frequency, jitter_s=1e-6 * jitter_us, spikes=True, closure_s=1e-4
+    )
     assert verdict["verdict"] == "nothing_missing"
     assert verdict["remainder"]["rms_standardised_residual"] < 1.25
 
@@ -55,7 +67,7 @@ def test_a_drive_of_whole_samples_a_period_hides_nothing(
 def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
     """A friction declared nowhere is named alone, sized within its interval, and brings the error to the noise."""
     hidden = ("--effect", "coulomb_friction", "--strength", "strong")
-    verdict, sealed = verdict_on(tmp_path, "--c", "2", *hidden, "--seed", "32")
+    verdict, sealed = verdict_by_commands(tmp_path, "--c", "2", *hidden, "--seed", "32")
     assert verdict["verdict"] == "explained"
     assert [e["name"] for e in verdict["effects"]] == ["coulomb_friction"]
     true = json.loads(sealed.read_text(encoding="utf-8"))["hidden"]["coulomb_friction.mu"]
@@ -69,12 +81,12 @@ def test_a_hidden_friction_is_named_with_its_size(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("effect", "c"), [("accelerometer_lag", "1"), ("mains_pickup", "2"), ("accelerometer_high_pass", "2")]
+    ("effect", "c"), [("accelerometer_lag", 1), ("mains_pickup", 2), ("accelerometer_high_pass", 2)]
 )
-def test_a_fault_of_the_accelerometer_is_no_doing_of_ball_or_contact(tmp_path: Path, effect: str, c: str) -> None:
+def test_a_fault_of_the_accelerometer_is_no_doing_of_ball_or_contact(tmp_path: Path, effect: str, c: int) -> None:
     """A reading that is late, one with mains in it, and one behind a high-pass are named as such: no early contact, no
     plate that hums, no late contact."""
-    verdict, _ = verdict_on(tmp_path, "--c", c, "--effect", effect, "--strength", "medium", "--seed", "35")
+    verdict = verdict_on(tmp_path, c, 35, effect, "medium")
     assert verdict["verdict"] == "explained"
     assert [e["name"] for e in verdict["effects"]] == [effect]
 
@@ -82,7 +94,7 @@ def test_a_fault_of_the_accelerometer_is_no_doing_of_ball_or_contact(tmp_path: P
 @pytest.mark.slow
 def test_what_has_no_name_is_not_called_explained(tmp_path: Path) -> None:
     """A pull that sets in above a height is outside the library: something is left, and the verdict says so."""
-    verdict, _ = verdict_on(tmp_path, "--c", "2", "--effect", "upper_stop", "--strength", "strong", "--seed", "33")
+    verdict = verdict_on(tmp_path, 2, 33, "upper_stop")
     assert verdict["verdict"] == "unexplained"
     assert verdict["remainder"]["p_lack_of_fit"] < 1e-4
 

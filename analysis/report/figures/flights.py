@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 
 GAMMAS = 500  # points of the model's diagram
-ZONE_GAMMAS = 60  # points of the forbidden zones
 CYCLES = 4.0  # of the forcing, in the trajectory
 
 
@@ -86,12 +85,13 @@ def _draw_model(
     unit = 1e3 / plate.omega_radps
     declared = setup.declared_values()
     forcing = ball_on(plate, setup, declared)[1]
-    above = [zone[zone[:, 1] > 0.0] for zone in zones_over(forcing, np.linspace(low, high, ZONE_GAMMAS))]
+    above = [zone[zone[:, 1] > 0.0] for zone in zones_over(forcing, np.linspace(low, high, 60))]
     draw_zones(ax, [zone for zone in above if len(zone)], scale, unit, None)
     ax.fill_between([], [], [], color=style.ZONE, label="forbidden to the ideal ball")
     models: list[tuple[Effects, str, str]] = [(declared, "declared model", style.MODEL)]
-    if improved := _improved(declared, loop):
-        models.append((improved, "improved model", style.IMPROVED))
+    added = () if loop is None or loop.verdict != "explained" else loop.selection.names
+    if loop is not None and ball_effects({name: {} for name in added}):
+        models.append((loop.improved_effects(), "improved model", style.IMPROVED))
     top = 0.0
     for effects, what, color in models:
         ball = ball_on(plate, setup, effects)[0]
@@ -103,18 +103,6 @@ def _draw_model(
         ax.plot([], [], ".", ms=8, mew=0, color=color, label=name)
         top = max(top, float(np.nanmax(y)) if np.isfinite(y).any() else 0.0)
     return top
-
-
-def _improved(declared: Effects, loop: ClosedLoop | None) -> Effects:
-    """The declared effects with those that an explained loop added; none where no effect on the ball was added."""
-    if loop is None or loop.verdict != "explained":
-        return {}
-    added = {
-        one.name: {name: value for name, (value, _, _) in one.parameters.items()} for one in loop.selection.effects
-    }
-    if not ball_effects(added):
-        return {}
-    return {**declared, **{name: {**declared.get(name, {}), **values} for name, values in added.items()}}
 
 
 def draw_return_maps(shown: Measured, figure: Figure) -> None:

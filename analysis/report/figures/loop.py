@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 
-MOST_ROWS = 16  # candidates in the figure
-
-
 def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
     """Robust landing error of each step, before and after, over gamma, with the noise floor and the held-out steps."""
     figure.set_size_inches(7.2, 3.6)
@@ -60,7 +57,8 @@ def _by_step(loop: ClosedLoop, x: Floats, summary: Any) -> Floats:
 
 def draw_candidates(loop: ClosedLoop, figure: Canvas) -> None:
     """Held-out gain of every candidate of the first round with its standard error, and the gain required."""
-    rows = list(gains(loop).items())[:MOST_ROWS][::-1]
+    # more candidates have no room in the figure
+    rows = list(gains(loop).items())[:16][::-1]
     if not rows:
         return
     figure.set_size_inches(7.2, 1.1 + 0.26 * len(rows))

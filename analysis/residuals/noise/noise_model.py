@@ -22,10 +22,9 @@ from kernels.arrays import Bools, Floats, Integers
 
 FREEDOM = 5.0  # degrees of freedom of Student's t: robust, and close to normal in the middle
 T_PEAK = 0.3796  # density of that t at its centre
-LARGEST_EXCESS_S = 2e-2
 FEW = 4  # densities whose product neither overflows nor vanishes
 NEVER = -np.inf
-EXCESSES_S = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, LARGEST_EXCESS_S, 45)])
+EXCESSES_S = np.concatenate([[LEAST_EXCESS_S], np.geomspace(1e-6, 2e-2, 45)])
 EXCESSES_OF_PLATE = np.concatenate([[0.0], np.geomspace(0.3, 1e4, 40)])  # in the median uncertainty
 
 

@@ -33,14 +33,10 @@ from model.integrator.slopes import Slopes
 
 Kicks = tuple[tuple[float, float], ...]
 
-KICK = 0.25  # impact speed in units of gravity times the period: half a typical impact
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
-BENT = 0.5  # second order over an event's own uncertainty, beyond which it is flown anew
 NEAR_SWITCH = 4.0  # changes within which a ball that leaves at once might rest before, or the reverse
-SHORT_S = 2e-3  # flights that a small change may hide from the contact circuit
-IN_TURN = 3  # flights in a row of which each begins as the last one ends, and a rounded landing is carried on
 HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
 BEFORE = 3  # events before one that is flown anew, on which an elastic ball's prediction leans
 
@@ -139,7 +135,8 @@ def kicks_of(model: ForwardModel, values: Values) -> Kicks:
         return ()
     row = rows[int(np.argmax(np.abs(rows[:, place[0]])))]  # where it is struck most: it may drift
     omega, _, ratio = plate_mode(row)
-    speed = KICK * ratio * model.gravity * float(np.median(model.observations.steps.plate.period_s))
+    # half a typical impact, in units of gravity times the period
+    speed = 0.25 * ratio * model.gravity * float(np.median(model.observations.steps.plate.period_s))
     return (speed / omega, 0.0), (0.0, speed)
 
 
@@ -165,10 +162,12 @@ def second_order(slopes: Slopes, changes: Floats) -> Floats:
 def _doubtful(slopes: Slopes, changes: Floats, bent: Floats, own: Floats, lasts_s: Floats) -> Bools:
     """Events whose derivatives do not tell what a change of one sigma does, (n,)."""
     most = np.max(np.abs(changes), axis=0, initial=0.0)
-    out = (slopes.info[:, 0] == 0.0) | np.any(np.max(bent, axis=0, initial=0.0) > BENT * own, axis=1)
+    # flown anew where the second order exceeds half of an event's own uncertainty
+    out = (slopes.info[:, 0] == 0.0) | np.any(np.max(bent, axis=0, initial=0.0) > 0.5 * own, axis=1)
     out |= np.max(most, axis=1) > LARGEST_CHANGE_S / NEAR_SWITCH
     out |= slopes.info[:, 6] < NEAR_SWITCH * np.maximum(most[:, 0], own[:, 0])
-    return np.asarray(out | ~(lasts_s > SHORT_S))
+    # a small change may hide a shorter flight from the contact circuit
+    return np.asarray(out | ~(lasts_s > 2e-3))
 
 
 def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
@@ -281,7 +280,8 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) ->
     """
     ev, predicted = model.observations, np.stack([base.opening_s, base.landing_s], axis=1)
     out, sampling_s = predicted, ev.scatters[1].sampling_s
-    for _ in range(IN_TURN):
+    # a rounded landing is carried on through so many flights that begin as the last one ends
+    for _ in range(3):
         error = np.clip(np.nan_to_num(ev.measured.landing_s - out[:, 1]), -sampling_s, sampling_s)
         out = predicted - sum(slope * _earlier(error, back)[:, None] for back, slope in enumerate(edges, start=1))
     return np.asarray(out)

@@ -31,7 +31,6 @@ from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.one_step import Predicted
 from model.integrator.problem import PlateSteps
 
-KNOWN = 0.99  # least part of a window's time in which the mode is followed
 LEAST = 1e-6  # least driven part of a tone
 SMALL = 1e-3  # relative change for which a load's contribution is taken as linear
 # relative uncertainty of the contribution: the impact template absorbs a part; more of it where flights tell the motion
@@ -343,6 +342,7 @@ class Ringing:
         own = np.where(self._own[step, 1 : self.omega_radps.shape[1]], self.seen_mps2[step], 0.0)
         power = np.sum(np.abs(own) ** 2, axis=1)
         change = 2.0 * np.sum((np.conj(own) * left[:, 1 : self.omega_radps.shape[1]]).real, axis=1)
-        value, known = change / np.where(power > 0.0, power, 1.0), part > KNOWN
+        # windows in whose whole time the mode is followed
+        value, known = change / np.where(power > 0.0, power, 1.0), part > 0.99
         usual = float(np.sqrt(np.mean(value[known] ** 2))) if known.any() else 0.0
         return np.where(known, value, 0.0), np.where(known, inexact * np.abs(value), usual)

@@ -51,12 +51,19 @@ def test_few_data_of_unknown_scatter_tell_less(fly_ramp: Callable[..., ForwardMo
     assert large < 0.1 * 1e4 * small and less.max() < 0.1
 
 
+@pytest.fixture(scope="module")
+def limit_mps2(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """The adhesion that a clean run of another plant states as its detection limit."""
+    clean = close_loop(short_runs(tmp_path_factory.mktemp("clean"), 1, 560, {}))
+    return clean.detection.sizes["adhesion.a_mps2"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("part", "seen"), [(0.4, False), (1.7, True)])
-def test_runs_of_another_plant_confirm_the_limit_of_adhesion(tmp_path: Path, part: float, seen: bool) -> None:
+def test_runs_of_another_plant_confirm_the_limit_of_adhesion(
+    tmp_path: Path, limit_mps2: float, part: float, seen: bool
+) -> None:
     """Of three runs well beyond the limit most name the adhesion, of three well below none does."""
-    clean = close_loop(short_runs(tmp_path / "clean", 1, 560, {})[:1])
-    limit = clean.detection.sizes["adhesion.a_mps2"]
-    paths = short_runs(tmp_path / "hidden", 3, 561, {"adhesion.pull_g": part * limit / G_MPS2})
+    paths = short_runs(tmp_path, 3, 561, {"adhesion.pull_g": part * limit_mps2 / G_MPS2})
     named = [any("adhesion" in names for names in close_loop([path]).selection.ties) for path in paths]
     assert sum(named) >= 2 if seen else not any(named)

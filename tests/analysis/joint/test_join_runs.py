@@ -21,6 +21,17 @@ from daq.setup.errors import InputError
 BELOW = {"viscous_damping.rate_per_s": 0.1}  # one such run's detection limit of 0.15 /s
 
 
+Three = tuple[list[Path], Path, JointVerdict]
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> Three:
+    """Three clean runs, the journal of their summaries, and their verdict."""
+    where = tmp_path_factory.mktemp("three")
+    paths, journal = short_runs(where, 3, 503, {}), where / "runs.rows"
+    return paths, journal, join_runs(paths, journal=Journal(journal))
+
+
 def parameter(found: JointVerdict, name: str) -> int:
     """Place of a parameter in the result."""
     return [f"{x.effect}.{x.parameter}" for x in found.parameters].index(name)
@@ -65,23 +76,22 @@ def test_an_effect_that_differs_has_a_value_for_each_run(tmp_path: Path) -> None
     assert named.values == pytest.approx(rates, abs=0.2)
 
 
-def test_summaries_are_kept_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_summaries_are_kept_and_gone_on_with(three: Three, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second verdict from the same summaries reads no recording again, and is the same."""
-    paths = short_runs(tmp_path, 3, 503, {})
-    first = join_runs(paths, journal=Journal(tmp_path / "runs.rows"))
+    paths, journal, first = three
     monkeypatch.setattr("analysis.joint.join_runs.summarise", None)
-    assert join_runs(paths, journal=Journal(tmp_path / "runs.rows")) == first
-    row = next(iter(Journal(tmp_path / "runs.rows").rows.values()))
+    assert join_runs(paths, journal=Journal(journal)) == first
+    row = next(iter(Journal(journal).rows.values()))
     again = RunSummary.from_row(RunSummary.from_row(row).as_row())
     assert np.array_equal(again.quadratic.information, RunSummary.from_row(row).quadratic.information)
 
 
-def test_runs_together_show_smaller_sizes(tmp_path: Path) -> None:
+def test_runs_together_show_smaller_sizes(three: Three) -> None:
     """The verdict states what all runs could have shown: less than what one of them could."""
-    paths = short_runs(tmp_path, 3, 505, {})
-    one, all_three = close_loop(paths[:1]).detection.sizes, join_runs(paths).detection
+    paths, _, found = three
+    one = close_loop(paths[:1]).detection.sizes
     for name in ("viscous_damping.rate_per_s", "adhesion.a_mps2"):
-        assert 0.2 * one[name] < all_three[name] < one[name]
+        assert 0.2 * one[name] < found.detection[name] < one[name]
 
 
 def test_two_runs_are_refused(tmp_path: Path) -> None:
@@ -98,8 +108,9 @@ def test_two_runs_are_refused(tmp_path: Path) -> None:
         (["--runs-differ"], "at least 3 recordings"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options: list[str], told: str, tmp_path: Path) -> None:
+def test_options_that_do_not_go_together_are_refused(
+    options: list[str], told: str, three: Three, tmp_path: Path
+) -> None:
     """The command names the option and leaves with status 2."""
-    path = short_runs(tmp_path, 1, 504, {})[0]
-    done = CliRunner().invoke(app, ["close-loop", str(path), *(o.format(tmp_path) for o in options)])
+    done = CliRunner().invoke(app, ["close-loop", str(three[0][0]), *(o.format(tmp_path) for o in options)])
     assert done.exit_code == 2 and told in done.stderr

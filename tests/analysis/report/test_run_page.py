@@ -23,6 +23,8 @@ from analysis.flights.assemble import flights_of
 from analysis.flights.table import FlightFlag, Flights
 from analysis.loop.result import ClosedLoop, Source
 from analysis.loop.storage import save_verdict
+from analysis.report.figures import loop as of_loop
+from analysis.report.figures import recording as of_recording
 from analysis.report.figures.flights import draw_bifurcations
 from analysis.report.figures.measured import Measured
 from analysis.report.figures.style import name_flights
@@ -51,6 +53,21 @@ def measured(path: Path) -> tuple[Recording, Flights]:
     """It, open, and its flights."""
     recording = open_recording(path)
     return recording, flights_of(recording)
+
+
+@pytest.fixture(scope="module")
+def plain(measured: tuple[Recording, Flights], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the recording without a closed loop."""
+    out = tmp_path_factory.mktemp("plain") / "r.html"
+    page_of(Run(measured[0], VerifyReport("complete"), measured[1], None, "left out"), out)
+    return out
+
+
+@pytest.fixture
+def two_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages with two figures of a recording and none of a loop, for what is not about figures."""
+    monkeypatch.setattr(of_recording, "FIGURES", of_recording.FIGURES[:2])
+    monkeypatch.setattr(of_loop, "FIGURES", ())
 
 
 class Page(HTMLParser):
@@ -87,10 +104,9 @@ def test_the_page_stands_alone(measured: tuple[Recording, Flights], closed_loop:
     assert "default-src &#39;none&#39;" in text and "prefers-color-scheme" not in text and "@media print" in text
 
 
-def test_the_points_name_their_flights(measured: tuple[Recording, Flights], tmp_path: Path) -> None:
+def test_the_points_name_their_flights(measured: tuple[Recording, Flights], plain: Path) -> None:
     """Every point of the diagram carries its flight's row; what the pointer says of it is the flight's time."""
-    recording, flights = measured
-    text = page_of(Run(recording, VerifyReport("complete"), flights, None, "left out"), tmp_path / "r.html")
+    flights, text = measured[1], plain.read_text(encoding="utf-8")
 
     def told(name: str) -> Any:
         found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', text, flags=re.DOTALL)
@@ -186,6 +202,7 @@ def test_the_diagram_has_both_models(measured: tuple[Recording, Flights], closed
     assert legend(unexplained) == legend(None) == ["forbidden to the ideal ball", "declared model: ideal", "measured"]
 
 
+@pytest.mark.usefixtures("two_figures")
 def test_a_saved_answer_has_to_belong(
     measured: tuple[Recording, Flights], closed_loop: ClosedLoop, tmp_path: Path
 ) -> None:
@@ -212,6 +229,7 @@ def test_a_saved_answer_has_to_belong(
     assert json.loads(told.stdout)["runs"][0]["loop"] == "saved"
 
 
+@pytest.mark.usefixtures("two_figures")
 def test_two_runs_are_compared(path: Path, make: Callable[..., Any], tmp_path: Path) -> None:
     """A table at the top with a row each, and a section each whose names do not collide."""
     other = make(np.array([0.6, 0.9, 1.2]), settle=4, hold=8, seed=2).path
@@ -256,10 +274,8 @@ def test_a_browser_that_fails_leaves_no_pdf(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.skipif(bench.jobs.report.browser() is None, reason="no Chromium, Chrome or Edge on this machine")
-def test_a_real_browser_prints_the_page(measured: tuple[Recording, Flights], tmp_path: Path) -> None:
+def test_a_real_browser_prints_the_page(plain: Path, tmp_path: Path) -> None:
     """Chromium makes a PDF of several pages with text, whose figures are vectors."""
-    recording, flights = measured
-    page_of(Run(recording, VerifyReport("complete"), flights, None, "left out"), tmp_path / "r.html")
-    bench.jobs.report.print_pdf(tmp_path / "r.html", tmp_path / "r.pdf")
+    bench.jobs.report.print_pdf(plain, tmp_path / "r.pdf")
     made = (tmp_path / "r.pdf").read_bytes()
     assert made.startswith(b"%PDF") and made.count(b"/Type /Page\n") + made.count(b"/Type /Page/") >= 2

@@ -8,7 +8,7 @@ import shakerbench as sb
 from bench.batch import PARTS, Batch, run_batch, write_table
 from daq.files.whole_file import Journal
 
-RECORDINGS = 6
+RECORDINGS = 3
 SMALL = {"ramp.gamma": [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0], "ramp.settle_cycles": 6, "ramp.hold_cycles": 12}
 
 
@@ -43,13 +43,13 @@ def kill_a_busy_worker(cluster, client):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # Dask's own
 def test_a_killed_worker_changes_no_table(recordings, tmp_path):
-    """Four workers, one killed after the first row: the table is that of one process, to the byte."""
+    """Three workers, one killed after the first row: the table is that of one process, to the byte."""
     distributed = pytest.importorskip("distributed")
     parts = PARTS
     alone = run_batch(Batch(recordings, parts), Journal(tmp_path / "alone.rows"))
     killed = []
     with (
-        distributed.LocalCluster(n_workers=4, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
 
