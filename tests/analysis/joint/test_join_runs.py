@@ -1,4 +1,4 @@
-"""Joint verdicts on recordings: what one run cannot show, ten runs name; what differs between runs is told."""
+"""Joint verdicts on recordings: what one run cannot show, six runs name; what differs between runs is said."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def parameter(found: JointVerdict, name: str) -> int:
 
 
 @pytest.mark.slow
-def test_ten_runs_name_what_one_cannot_show(tmp_path: Path) -> None:
-    """An effect below every single run's limit is in the set that ten runs name, while calibrations differ."""
-    found = join_runs(short_runs(tmp_path, 10, 501, BELOW))
+def test_six_runs_name_what_one_cannot_show(tmp_path: Path) -> None:
+    """An effect below every single run's limit is in the set that six runs name, while calibrations differ."""
+    found = join_runs(short_runs(tmp_path, 6, 501, BELOW))
     assert found.verdict == "explained"
     assert ("viscous_damping",) in found.ties
     named = found.parameters[0]
