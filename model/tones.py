@@ -142,3 +142,16 @@ class Plate:
         t = np.asarray(t_s, dtype=np.float64)[..., None]
         z = self.acceleration / (1j * self.omega_radps) ** integrals
         return np.asarray((z * np.exp(1j * self.omega_radps * t)).real.sum(axis=-1))
+
+
+def relative_height(forcing: Forcing, gamma: float, phi0: ArrayLike, tau: ArrayLike, v0: ArrayLike = 0.0) -> Floats:
+    """Height above the plate ``tau`` after a take-off at ``phi0`` with relative speed ``v0`` (the paper's eq. 4).
+
+    For pictures and checks: plain arithmetic, any ``tau`` (negative too), arrays broadcast, units g/w^2.
+    """
+    start, t, v = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in (phi0, tau, v0)))
+    n, b, p = forcing.tones.T
+    angle = n * start[..., None] + p
+    x = n * t[..., None]
+    moved = (b * (np.sin(angle) + x * np.cos(angle) - np.sin(angle + x))).sum(axis=-1)
+    return np.asarray(gamma * moved + v * t - 0.5 * t * t)

@@ -22,12 +22,11 @@ from analysis.flights.first_bifurcation import (
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from daq.setup.setup import Setup
-from kernels.arrays import Floats
+from kernels.arrays import Floats, Integers
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.effects.registry import resolve
 from model.effects.routing import Effects
 from model.orbits.attractor import AT_REST, Attractor, attractor
-from model.orbits.contact_sensor import Instrument, observe
 from model.tones import Forcing
 
 MAX_FLIGHTS = 2048  # flights computed before a step is called chaotic
@@ -230,6 +229,14 @@ def as_detected(found: Attractor, frequency_hz: float, flights: Flights) -> Floa
         takeoff[i] = landed + max(wait, 0.0)
         landed = takeoff[i] + tau[i]
     takeoff_s, landing_s = takeoff * unit, np.minimum((takeoff + tau) * unit, np.append(takeoff[1:] * unit, np.inf))
-    shown = observe(takeoff_s, landing_s, Instrument(rate_hz=flights.plate.rate_hz))
-    first, last = shown.first, shown.last
+    first, last = seen_open(takeoff_s, landing_s, flights.plate.rate_hz)
     return np.asarray((landing_s[last] - takeoff_s[first])[1:]) if first.size > 1 else np.zeros(0)
+
+
+def seen_open(takeoff_s: Floats, landing_s: Floats, rate_hz: float) -> tuple[Integers, Integers]:
+    """First and last of the flights (n,) that make one visible flight each, to a contact circuit read once a sample."""
+    # an event on a sample belongs to it, rounding or not
+    opens, closes = (np.ceil(x * rate_hz * (1.0 - 4e-16)).astype(np.int64) for x in (takeoff_s, landing_s))
+    open_once = np.flatnonzero(closes > opens)
+    begins = np.append(True, opens[open_once[1:]] > closes[open_once[:-1]])[: len(open_once)]
+    return open_once[begins], open_once[np.roll(begins, -1)]

@@ -12,7 +12,7 @@ import numpy as np
 from bench.terminal.console import CYCLES, print_lines, write_json
 from daq.setup.errors import InputError
 from model.flight.branches import q_and_slope
-from model.flight.first_landing import turning_points
+from model.flight.windows import turning_points
 from model.orbits.attractor import Attractor, Ball, attractor, sweep
 from model.orbits.make_ball import make_ball
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from model.flight.first_landing import first_landing, take_off_phases
+from benchmarks.model.first_landing import first_landing, take_off_phases
 from model.tones import Forcing
 
 KINDS = ("threshold", "tiny", "take-off", "graze", "bounce", "long", "tones")

@@ -26,10 +26,10 @@ from scipy.stats import beta
 from benchmarks.model import peers
 from benchmarks.model.adversarial import flights_of
 from benchmarks.model.every_flight import every_flight
+from benchmarks.model.first_landing import first_landing
 from benchmarks.model.kernels import GRIDS, J_FLIGHTS, KEPT, TRANSIENT, WRONG, own
 from benchmarks.model.landings import is_first
 from benchmarks.model.reference import Exact
-from model.flight.first_landing import first_landing
 from model.orbits.exact_ball import IdealBall
 from model.tones import Forcing
 

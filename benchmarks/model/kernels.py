@@ -16,8 +16,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from model.flight import friction
-from model.flight.first_landing import turning_points
 from model.flight.numerics import FrictionRestitution
+from model.flight.windows import turning_points
 from model.orbits.attractor import AT_REST, FEW_FLIGHTS, Ball
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.surveys.diagram import diagram

@@ -14,9 +14,9 @@ import mpmath as mp
 import numpy as np
 
 from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flights_of
+from benchmarks.model.first_landing import FlightFlag, Landing, first_landing
 from benchmarks.model.reference import Exact, lifted_until, stays_above
-from model.flight.first_landing import FlightFlag, Landing, first_landing, relative_height
-from model.tones import Forcing
+from model.tones import Forcing, relative_height
 
 
 def is_first(forcing: Forcing, gamma: float, phi0: float, v0: float, at: bool, landing: Landing) -> int | None:

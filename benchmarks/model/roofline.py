@@ -67,7 +67,7 @@ class Counted(float):
 def operations(c: int, n: int) -> float:
     """Additions, multiplications and divisions of a flight from the first threshold, mean over ``n`` gammas."""
     from benchmarks.model.one_number import in_python
-    from model.flight import first_landing
+    from model.flight import windows
     from model.flight.lanes.edge_table import TABLE
     from model.flight.lanes.ideal_lanes import land_lanes
     from model.flight.segment import shape
@@ -76,7 +76,7 @@ def operations(c: int, n: int) -> float:
     plain_shape = in_python(shape)
     Counted.done = flown = 0
     for gamma in GRIDS[c][:: 2000 // n]:
-        edge, windows = first_landing.edges(forcing, float(gamma))
+        edge, windows = windows.edges(forcing, float(gamma))
         if windows == 0:
             continue
         table = np.zeros(TABLE * edge.size)
@@ -117,7 +117,7 @@ def fused_per_second() -> float:
 
 def every_flight(c: int, mu: float, e: float, runs: int) -> float:
     """Flights a second when all of J's flights are flown."""
-    from model.flight import first_landing
+    from model.flight import windows
     from model.surveys import cycle_batch
 
     forcing, gammas = Forcing.superposition(c), GRIDS[c]
@@ -125,7 +125,7 @@ def every_flight(c: int, mu: float, e: float, runs: int) -> float:
     batch = cycle_batch.ideal_batch if mu == e == 0.0 else cycle_batch.friction_batch
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
     kept = np.empty((gammas.size, 1))
-    turning, flown = first_landing.turning_points(forcing), 0
+    turning, flown = windows.turning_points(forcing), 0
     points = cycle_batch.Points(forcing.tones, turning, gammas, laws, False, outcome, kept)
 
     def fly() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from kernels.arrays import Floats, Integers
-from model.flight import first_landing, ideal
+from model.flight import ideal, windows
 from model.flight.branches import TWO_PI, branch_of, fold, q_and_slope
 from model.flight.numerics import compiled
 from model.tones import Forcing
@@ -43,7 +43,7 @@ def forbidden_zones(forcing: Forcing, gamma: float) -> Floats:
     ValueError
         If gamma is negative or not finite.
     """
-    edge, n_windows = first_landing.edges(forcing, gamma)
+    edge, n_windows = windows.edges(forcing, gamma)
     reached: list[tuple[float, float]] = []
     for window in range(n_windows):
         reached += _pieces(forcing, gamma, edge, n_windows, float(edge[2 * window]), float(edge[2 * window + 1]))

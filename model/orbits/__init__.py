@@ -1,4 +1,4 @@
 """Long-run motion at one gamma, and what a contact circuit shows of it.
 
-Other rooms take `attractor`, `make_ball`, `exact_ball`, `contact_sensor`, `landing_map`.
+Other rooms take `attractor`, `make_ball`, `exact_ball`, `landing_map`.
 """

@@ -264,12 +264,3 @@ def sweep(ball: Ball, gammas: Iterable[float], start: State = AT_REST) -> list[A
         found.append(attractor(ball, gamma, start))
         start = found[-1].last
     return found
-
-
-def same_attractor(one: Attractor, other: Attractor, tolerance: float = 1e-6) -> bool:
-    """Whether two attractors at one gamma are the same, wherever their cycles are entered."""
-    if (one.kind, one.period, one.flights, one.resets) != (other.kind, other.period, other.flights, other.resets):
-        return False
-    if one.kind == "chaotic" or one.flights == 0:
-        return True
-    return any(bool(np.all(np.abs(np.roll(one.tau, k) - other.tau) < tolerance)) for k in range(one.flights))

@@ -16,7 +16,7 @@ import numpy as np
 
 from kernels.arrays import Bools, Floats, Integers
 from kernels.errors import InputError
-from model.flight import first_landing
+from model.flight import windows
 from model.flight.branches import TWO_PI
 from model.flight.numerics import EdgeTables, FrictionRestitution
 from model.flight.precision import check_gamma, lengthened
@@ -72,7 +72,7 @@ class ExactBall:
 
         Friction raises them all by ``1 + mu_up``.
         """
-        turning = first_landing.turning_points(self.forcing)
+        turning = windows.turning_points(self.forcing)
         q = _q(self.forcing, turning)
         # a window is born where gamma times a maximum of q reaches 1, and two merge at a minimum
         before, after = _q(self.forcing, turning - 1e-3), _q(self.forcing, turning + 1e-3)
@@ -82,7 +82,7 @@ class ExactBall:
 
     def _tables(self, gamma: float) -> EdgeTables:
         check_gamma(self.forcing, gamma, lengthened(self.law.mu_down, self.law.e0))
-        return self.cycles.tables_of(self.forcing.tones, first_landing.turning_points(self.forcing), gamma, self.law)
+        return self.cycles.tables_of(self.forcing.tones, windows.turning_points(self.forcing), gamma, self.law)
 
     def _fly(self, gamma: float, tables: EdgeTables, start: State, max_flights: int) -> tuple[Flown, int, int, State]:
         """The flights, the first of the cycle, its periods, and the state in which the ball was left."""
@@ -134,14 +134,14 @@ class ExactBall:
         """Codes (`model.orbits.cycles`) of the orbits from rest at each gamma, shape (m, CODE_SIZE)."""
         check_gamma(self.forcing, gammas, lengthened(self.law.mu_down, self.law.e0))
         out = np.empty((len(gammas), CODE_SIZE), dtype=np.int64)
-        turning = first_landing.turning_points(self.forcing)
+        turning = windows.turning_points(self.forcing)
         grid = np.ascontiguousarray(gammas)
         self.cycles.itinerary_codes(self.forcing.tones, turning, grid, self.law, room_for(max_flights), out)
         return out
 
     def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
         """See `model.orbits.cycles.locked_family_of`; for a ball that does not rebound."""
-        turning = first_landing.turning_points(self.forcing)
+        turning = windows.turning_points(self.forcing)
         return self.cycles.locked_family(self.forcing.tones, turning, gamma, self.law, window, after, n)
 
     def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
@@ -179,7 +179,7 @@ class IdealBall(ExactBall):
     @property
     def peak(self) -> float:
         """``max(-a_p) / g`` at gamma = 1."""
-        q = _q(self.forcing, first_landing.turning_points(self.forcing))
+        q = _q(self.forcing, windows.turning_points(self.forcing))
         return float(q.max()) if q.size else 0.0
 
 

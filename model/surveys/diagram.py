@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kernels.arrays import Bools, Floats
 from kernels.errors import InputError
-from model.flight import first_landing
+from model.flight import windows
 from model.flight.precision import check_gamma, lengthened
 from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
 from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
@@ -102,7 +102,7 @@ def exact_rows(
     """Rows of exact balls, ``laws`` (m, 4): few one at a time, many in lanes; what those leave open as `attractor`."""
     lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
-    tones, turning = forcing.tones, first_landing.turning_points(forcing)
+    tones, turning = forcing.tones, windows.turning_points(forcing)
     rows = empty_rows(gammas, keep)
     # the kernels in lanes take half a minute to compile, once: few rows are flown one at a time
     if gammas.size < 1000:

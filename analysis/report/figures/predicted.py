@@ -10,11 +10,10 @@ import numpy as np
 from analysis.flights.table import Flights
 from analysis.report.figures.style import HARMONICS, MODEL, PLATE
 from kernels.arrays import Floats
-from model.flight.first_landing import relative_height
 from model.orbits.attractor import attractor
 from model.orbits.exact_ball import IdealBall
 from model.orbits.landing_map import LandingMap, branch_of
-from model.tones import Forcing
+from model.tones import Forcing, relative_height
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from analysis.flights.assemble import flights_of
-from analysis.flights.compare import compare
+from analysis.flights.compare import compare, seen_open
 from analysis.flights.first_bifurcation import first_bifurcation
 from daq.recording import open_recording
 from daq.setup.errors import InputError
@@ -97,3 +99,18 @@ def test_a_plate_at_a_million_g_is_not_compared(make: Callable[..., Any]) -> Non
     wrong = replace(flights, plate=replace(flights.plate, steps=steps))
     with pytest.raises(ValueError, match=r"step 1: the accelerometer reads gamma = 1e\+06.*sensitivity"):
         compare(wrong, setup)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(1_000_000, 5_000_000_000) | st.integers(1, 100).map(lambda n: 50_000_000 * n), min_size=2))
+@example([5_000_000_000, 5_000_000_000, 150_000_000, 3_906_250_000])
+def test_visible_flights_are_those_of_a_look_at_every_sample(gaps_ps: list[int]) -> None:
+    """Flights whose contact in between falls on no sample of 20 kHz are one: as a scan in whole picoseconds finds."""
+    times_ps = np.cumsum(gaps_ps[: len(gaps_ps) // 2 * 2])
+    takeoff_ps, landing_ps = times_ps[::2], times_ps[1::2]
+    first, last = seen_open(takeoff_ps / 1e12, landing_ps / 1e12, 20000.0)
+    read_ps = 50_000_000 * np.arange(landing_ps[-1] // 50_000_000 + 3)
+    inside = (read_ps[:, None] >= takeoff_ps) & (read_ps[:, None] < landing_ps)
+    steps = np.flatnonzero(np.diff(inside.any(axis=1).astype(int))) + 1
+    assert list(first) == [int(np.argmax(inside[k])) for k in steps[::2]]
+    assert list(last) == [int(np.argmax(inside[k - 1])) for k in steps[1::2]]

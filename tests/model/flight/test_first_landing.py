@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.model.every_flight import every_flight
-from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
+from benchmarks.model.first_landing import FlightFlag, first_landing, take_off_phases
 from model.orbits.exact_ball import IdealBall
 from model.tones import Forcing
 

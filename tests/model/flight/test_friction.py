@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.model.every_flight import every_flight
+from benchmarks.model.first_landing import take_off_phases
 from benchmarks.model.friction_reference import ExactRough, march
 from model.flight import friction
 from model.flight.bounces import PHASE_BOUND, tail_of_chatter
-from model.flight.first_landing import take_off_phases, turning_points
 from model.flight.ideal import RESTS
 from model.flight.numerics import FrictionRestitution
 from model.flight.segment import UNDECIDED
+from model.flight.windows import turning_points
 from model.orbits.attractor import State
 from model.orbits.cycles import CHATTERS, FRICTION, room_for
 from model.orbits.exact_ball import FrictionBall, IdealBall

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.model.adversarial import HEIGHT_ROUNDING, KINDS, allowed, flights_of
+from benchmarks.model.first_landing import FlightFlag, first_landing, take_off_phases
 from benchmarks.model.reference import Exact, lifted_until, stays_above
-from model.flight.first_landing import FlightFlag, first_landing, relative_height, take_off_phases
 from model.orbits.attractor import AT_REST
 from model.orbits.exact_ball import IdealBall
-from model.tones import Forcing
+from model.tones import Forcing, relative_height
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
+from benchmarks.model.first_landing import FlightFlag, first_landing, take_off_phases
 from model.bifurcations.events import bifurcations
-from model.flight.first_landing import FlightFlag, first_landing, take_off_phases
 from model.flight.precision import PROVEN_PHASE, largest_gamma
 from model.orbits.attractor import attractor
 from model.orbits.exact_ball import IdealBall

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kernels.lanes import WIDTH
-from model.flight import first_landing
+from model.flight import windows
 from model.flight.friction import MOST_SEGMENTS, edge_tables, land_with_friction, rebound_or_rest
 from model.flight.lanes.edge_table import FOUND, TABLE, fill_tables
 from model.flight.numerics import FrictionRestitution
@@ -21,7 +21,7 @@ FLIGHTS = 60
 
 def _begun(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitution):
     """An orbit begun in each lane that is lifted."""
-    tones, turning = forcing.tones, first_landing.turning_points(forcing)
+    tones, turning = forcing.tones, windows.turning_points(forcing)
     size = turning.size + 2
     lanes, found = at.room_for_lanes(size, FLIGHTS), np.zeros(FOUND * size * WIDTH)
     both = lanes.both
@@ -97,7 +97,7 @@ def _checked(kernel, forcing: Forcing, gammas: np.ndarray, law: FrictionRestitut
     compared = 0
     flights, marks, lifted = _flown(kernel, forcing, gammas, law)
     for lane in np.flatnonzero(lifted):
-        tables = edge_tables(forcing.tones, first_landing.turning_points(forcing), gammas[lane], law)
+        tables = edge_tables(forcing.tones, windows.turning_points(forcing), gammas[lane], law)
         v = 0.0
         for k in range(FLIGHTS):
             phi0, reset = flights[at.PHASES, lane, k], marks[at.THRESHOLDS, lane, k] >= 0

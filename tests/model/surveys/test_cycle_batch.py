@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.flight import first_landing
+from model.flight import windows
 from model.orbits.attractor import FEW_FLIGHTS, MAX_FLIGHTS, attractor
 from model.orbits.exact_ball import IdealBall
 from model.surveys import cycle_batch
@@ -15,7 +15,7 @@ from model.tones import Forcing
 def _batch(batch, forcing: Forcing, gammas: np.ndarray, laws: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """``outcome`` and ``kept``."""
     outcome, kept = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64), np.empty((gammas.size, 16))
-    turning = first_landing.turning_points(forcing)
+    turning = windows.turning_points(forcing)
     batch(cycle_batch.Points(forcing.tones, turning, gammas, laws, True, outcome, kept), most)
     return outcome, kept
 

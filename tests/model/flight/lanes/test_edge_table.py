@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from kernels.lanes import WIDTH
-from model.flight import first_landing
 from model.flight.branches import fill_edges
 from model.flight.lanes.edge_table import FOUND, TABLE, fill_tables
+from model.flight.windows import turning_points
 from model.tones import Forcing
 
 
 def _tables(forcing: Forcing, gammas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The tables (gammas, edges, 3) and the numbers of windows."""
-    turning = first_landing.turning_points(forcing)
+    turning = turning_points(forcing)
     size = turning.size + 2
     table, windows = np.zeros(gammas.size * TABLE * size), np.zeros(gammas.size, dtype=np.int64)
     fill_tables(forcing.tones, turning, gammas, table, windows, np.zeros(FOUND * size * WIDTH))
@@ -26,7 +26,7 @@ def _tables(forcing: Forcing, gammas: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def test_edges_are_exact_to_rounding(c):
     """Every edge lies within rounding of the root of ``gamma q = 1`` in 40 digits, and none is missing."""
     forcing = Forcing.superposition(c)
-    turning = first_landing.turning_points(forcing)
+    turning = turning_points(forcing)
     gammas = np.linspace(0.1, 8.0, 2 * WIDTH)
     tables, windows = _tables(forcing, gammas)
     tones = [tuple(map(mp.mpf, map(float, tone))) for tone in forcing.tones]

@@ -1,6 +1,6 @@
-"""The ideal ball on a plate of tones: take-off phases and one flight; dimensionless (see `model.tones`).
+"""The compiled kernels of the ideal ball for tests and benchmarks, a flight at a time; dimensionless.
 
-The readable face of the compiled kernels (`model.flight.branches`, `model.flight.ideal`), with checked arguments.
+Arguments are checked, and what is special about a flight has a name.
 """
 
 from __future__ import annotations
@@ -8,14 +8,10 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from kernels.arrays import Floats
 from model.flight import branches, ideal, segment
-from model.flight.precision import check_gamma, check_harmonics
+from model.flight.windows import edges
 from model.tones import Forcing
 
 
@@ -45,54 +41,10 @@ class Landing:
     flag: FlightFlag
 
 
-@lru_cache(maxsize=64)
-def turning_points(forcing: Forcing) -> Floats:
-    """Phases in [0, 2 pi) where the plate's jerk vanishes: gamma-independent, so computed once for each forcing.
-
-    Raises
-    ------
-    ValueError
-        If a harmonic is no integer.
-    """
-    if not forcing.periodic:
-        raise ValueError(f"harmonics {forcing.harmonic} are not all integers: the motion has no period of 2 pi")
-    if not forcing.moves:
-        return np.empty(0)
-    check_harmonics(forcing)
-    return np.asarray(branches.turning_points(forcing.tones, 0.0, branches.TWO_PI))
-
-
-def edges(forcing: Forcing, gamma: float) -> tuple[Floats, int]:
-    """The kernels' table of window edges and their number (`model.flight.branches.fill_edges`).
-
-    Raises
-    ------
-    ValueError
-        If gamma is negative, not finite or too large (`model.flight.precision`), or the forcing not periodic.
-    """
-    check_gamma(forcing, gamma)
-    turning = turning_points(forcing)
-    table = np.zeros(turning.size + 2)
-    return table, branches.fill_edges(forcing.tones, turning, gamma, table)
-
-
 def take_off_phases(forcing: Forcing, gamma: float) -> Windows:
     """Every take-off window of a period: where ``gamma sum_j b_j n_j^2 sin(n_j phi + p_j) >= 1``; may be none."""
     table, n = edges(forcing, gamma)
     return Windows(table[0 : 2 * n : 2].copy(), table[1 : 2 * n : 2].copy())
-
-
-def relative_height(forcing: Forcing, gamma: float, phi0: ArrayLike, tau: ArrayLike, v0: ArrayLike = 0.0) -> Floats:
-    """Height above the plate ``tau`` after a take-off at ``phi0`` with relative speed ``v0`` (the paper's eq. 4).
-
-    For pictures and checks: plain arithmetic, any ``tau`` (negative too), arrays broadcast, units g/w^2.
-    """
-    start, t, v = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in (phi0, tau, v0)))
-    n, b, p = forcing.tones.T
-    angle = n * start[..., None] + p
-    x = n * t[..., None]
-    moved = (b * (np.sin(angle) + x * np.cos(angle) - np.sin(angle + x))).sum(axis=-1)
-    return np.asarray(gamma * moved + v * t - 0.5 * t * t)
 
 
 def first_landing(forcing: Forcing, gamma: float, phi0: float, v0: float = 0.0) -> Landing:
