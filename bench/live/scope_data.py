@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.pyramid.build import empty_extremes, fold_samples
+from daq.pyramid import empty_extremes, fold_samples
 from kernels import njit
 from kernels.arrays import Floats
 

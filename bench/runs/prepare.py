@@ -24,7 +24,7 @@ from bench.runs.folder import PLACE
 from bench.runs.query import Row
 from daq.files.json_values import json_values
 from daq.files.whole_file import write_whole
-from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
+from daq.pyramid import build_pyramid, has_pyramid, pyramid_key
 from daq.recording import open_recording
 from daq.recording.event_changes import EventChange, in_words
 from daq.recording.header import stored_id

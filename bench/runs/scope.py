@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.runs.events import on_recording
-from daq.pyramid.view import Pyramid
+from daq.pyramid import Pyramid
 from daq.recording import Recording, open_recording
 from daq.recording.opening import open_quickly
 from daq.setup.errors import InputError

@@ -74,7 +74,7 @@ def catalogue(folder: Path, n: int) -> None:
 def long_recording(folder: Path, minutes: float) -> None:
     """Raw read, pyramid, opening and zooms of a long recording with four channels."""
     from bench.runs.scope import Scope
-    from daq.pyramid.build import build_pyramid
+    from daq.pyramid import build_pyramid
 
     path, pyramid = folder / "long.h5", folder / "long.pyramid"
     record(path, 60 * minutes, channels=4)

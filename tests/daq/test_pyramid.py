@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from daq.files.tables import Block
-from daq.pyramid import build as build_module
-from daq.pyramid.build import build_pyramid, has_pyramid, pyramid_key
-from daq.pyramid.view import Pyramid
+from daq.pyramid import Pyramid, build_pyramid, has_pyramid, pyramid_key
 from daq.recording import BLOCK_DTYPE, CHANNELS, STEP_DTYPE, Recording, open_recording
 from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
@@ -43,9 +41,9 @@ def record(path: Path, lengths: list[int], lost: list[int], seed: int = 0) -> np
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pieces so small that buckets and stretches run over their ends."""
-    monkeypatch.setattr(build_module, "PIECE", 1000)
-    monkeypatch.setattr("daq.pyramid.build.TOP_BUCKETS", 4)
+    """Pieces so small that buckets and stretches run over their ends, and buckets of more samples than the smallest."""
+    monkeypatch.setattr("daq.pyramid.PIECE", 1000)
+    monkeypatch.setattr("daq.pyramid.MOST_BUCKETS", 40)
 
 
 def opened(path: Path) -> Pyramid:
@@ -57,29 +55,19 @@ def opened(path: Path) -> Pyramid:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_every_bucket_holds_the_extremes_of_its_samples(tmp_path: Path, small: None, seed: int) -> None:
-    """At every level the extremes are exactly those of the samples of one stretch without a gap."""
+    """The extremes are exactly those of the samples of one stretch without a gap."""
     rng = np.random.default_rng(seed)
     lengths = rng.integers(1, 3000, 9).tolist()
     lost = [0, *np.where(rng.random(8) < 0.6, rng.integers(1, 5000, 8), 0).tolist()]
     codes = record(tmp_path / "r.h5", lengths, lost, seed)
     pyramid = opened(tmp_path / "r.h5")
     layout = pyramid.layout
-    assert layout.levels > 2
+    assert layout.bucket > 64
     assert layout.places == len(codes) + sum(lost)
-    for level in range(layout.levels):
-        for c, _ in enumerate(CHANNELS):
-            wanted = []
-            for a, b in zip(layout.starts[:-1], layout.starts[1:], strict=True):
-                own = codes[a:b, c]
-                wanted += [
-                    (x.min(), x.max())
-                    for x in np.split(own, range(layout.bucket(level), len(own), layout.bucket(level)))
-                ]
-            got = [
-                np.fromfile(pyramid.path, "<i2", len(wanted), offset=pyramid._begin + layout.offset(level, c, most))
-                for most in (0, 1)
-            ]
-            assert np.array_equal(np.stack(got, 1), wanted)
+    for c, got in enumerate(pyramid._extremes):
+        stretches = [codes[a:b, c] for a, b in zip(layout.starts[:-1], layout.starts[1:], strict=True)]
+        buckets = [x for own in stretches for x in np.split(own, range(layout.bucket, len(own), layout.bucket))]
+        assert np.array_equal(np.stack(got, 1), [(x.min(), x.max()) for x in buckets])
 
 
 @pytest.mark.parametrize("width", [1, 3, 40, 200])
