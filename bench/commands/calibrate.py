@@ -31,23 +31,14 @@ def command(
     Exits 0 when the values were written, 1 when the device failed, 2 when the call was wrong or nothing could be
     measured; the profile is then left as it was.
     """
-    import datetime
-
     from rich.table import Table
 
-    from bench.jobs import calibrate
-    from bench.jobs.run_ramp import open_rig
-    from bench.profiles.edit import write_into
+    from bench.jobs.calibrate import calibrate_into
 
     if kind not in KINDS:
         raise InputError(f"{kind}: wanted one of {', '.join(KINDS)}")
     check_outputs(Edited("--into", into), File("--json", json, JSON), inputs=[scenario], overwrite=overwrite)
-    profile, backend = open_rig(into, "calibrate", scenario, seed)
-    if kind == "accelerometer":
-        measured = calibrate.accelerometer(profile, backend, _ask)
-    else:
-        measured = (calibrate.drive if kind == "drive" else calibrate.contact)(profile, backend)
-    write_into(into, measured, datetime.date.today())
+    profile, backend, measured = calibrate_into(into, kind, scenario, seed, _ask)
     answer = {"profile": into, "simulated": backend.simulated, "measured": measured}
     if not write_json(answer, json):
         return

@@ -17,14 +17,14 @@ from typing import Any
 from bench.gates.inputs import GATES, Inputs, inputs_of
 from bench.gates.state import Message, Result, State, load_state, now, save_state
 from bench.gates.view import scales_of, view_of
-from bench.gates.work import Job, work
+from bench.gates.work import KINDS, Job, row_of, work
 from bench.live.pages import Desk
 from bench.live.processes import asked_of
 from bench.live.watched_run import SILENT_S
 from bench.profiles.edit import with_values
 from bench.profiles.fields import value_of
-from bench.profiles.find import find_profile, scenario_names, shipped_names
-from bench.profiles.new import new_profile, with_preset
+from bench.profiles.find import scenario_names
+from bench.profiles.new import profile_in, with_preset
 from bench.profiles.plan import refuse_forbidden
 from bench.web.browsers import Browser
 from daq.files.whole_file import write_whole
@@ -173,16 +173,11 @@ class Gates:
     def _choose(self, said: Message) -> None:
         """Take a profile of the folder, or make one like a shipped one, a file or a recording's."""
         self._refuse_busy()
-        scenario, seed = str(said.get("scenario", "")), said.get("seed", 0)
+        scenario, seed, name = str(said.get("scenario", "")), said.get("seed", 0), str(said.get("profile", ""))
         if scenario not in ("", *scenario_names()) or not isinstance(seed, int) or not 0 <= seed < 10**9:
             raise InputError("the simulated rig: expected one of its scenarios, and a whole number as its seed")
-        like, name = str(said.get("like", "")), str(said.get("profile", ""))
-        if like:
-            shipped = like in shipped_names()
-            given = find_profile(like).resolve()
-            name = given.name if not shipped and given.parent == self.folder else f"my-{given.stem}.toml"
-            if not (self.folder / name).exists():
-                write_whole(self.folder / name, new_profile(Path(name).stem, like))
+        if like := str(said.get("like", "")):
+            name = profile_in(self.folder, like)
         if name not in self.profiles():
             raise InputError(f"{name or 'no name'}: no such profile in {self.folder}; choose one of the list")
         undo = self.state.undo if name == self.state.profile else ()
@@ -191,6 +186,7 @@ class Gates:
 
     def _write(self, text: str, undo: tuple[str, ...] | None = None) -> None:
         """Replace the profile by one that is checked; what it was can be had again by undo."""
+        self._refuse_busy()
         parse_profile(text, self.state.profile)
         before = read_toml_text(self.path)
         write_whole(self.path, text)
@@ -198,7 +194,6 @@ class Gates:
         self._read_profile()
 
     def _change(self, values: Message) -> None:
-        self._refuse_busy()
         self._write(with_values(read_toml_text(self.path), values, self.state.profile))
 
     def _set(self, said: Message) -> None:
@@ -207,12 +202,10 @@ class Gates:
         self._change({key: value_of(key, str(said.get("text", "")))})
 
     def _undo(self, said: Message) -> None:
-        self._refuse_busy()
         if self.state.undo:
             self._write(self.state.undo[-1], self.state.undo[:-1])
 
     def _preset(self, said: Message) -> None:
-        self._refuse_busy()
         self._write(with_preset(read_toml_text(self.path), str(said.get("name", "")), self.state.profile))
 
     def _exchange(self, said: Message) -> None:
@@ -250,8 +243,7 @@ class Gates:
     def _start_job(self, said: Message) -> None:
         """Do what a gate does, in a process of its own."""
         gate, kind = str(said.get("gate", "")), str(said.get("kind", ""))
-        kinds = {"wiring": ("drive", "tap", "lift"), "calibrate": ("accelerometer", "drive", "contact")}
-        if gate not in GATES or gate == "ramp" or kind not in kinds.get(gate, ("",)):
+        if kind not in KINDS.get(gate, ()):
             raise InputError(f"{gate} {kind}: no such work")
         self._refuse_closed(gate)
         recording = improved = None
@@ -308,9 +300,8 @@ class Gates:
             return
         rows = list(answer.get("rows", []))
         if answer.get("error"):
-            rows.append({"what": job["kind"] or gate, "seen": answer["error"], "passed": False, "remedy": ""})
-        inputs = self._tried
-        passed = all(row["passed"] is not False for row in rows)
+            rows.append(row_of(job["kind"] or gate, answer["error"], False))
+        inputs, passed = self._tried, all(row["passed"] is not False for row in rows)
         if gate == "wiring" and job["kind"] != "drive":  # both moves have to be answered, by the same wires
             before = state.results.get("wiring")
             rows = [*(before.rows if before is not None and before.inputs == inputs else ()), *rows]
@@ -377,23 +368,31 @@ class Gates:
             ended = {"how": how, "why": "" if how == "complete" else f"{out.name} is {how}"}
         is_there = out.is_file()
         passed = is_there and ended["how"] in ("complete", "stopped")
-        row = {"what": "ramp", "seen": f"{ended['how']} {ended['why']}".strip(), "passed": passed, "remedy": ""}
-        result = Result(passed, run["inputs"], now(), (row,), out.name if is_there else "")
-        queue = self.state.queue if ended["how"] == "complete" else ()
+        rows = (row_of("ramp", f"{ended['how']} {ended['why']}".strip(), passed),)
+        result = Result(passed, run["inputs"], now(), rows, out.name if is_there else "")
+        queue = self.state.queue
         self._keep(replace(self.state.passed("ramp", result), run=None, queue=queue[1:]))
         self._read_profile()
-        if queue and self.is_green("ramp"):
-            with contextlib.suppress(InputError, OSError):
-                self._drive(queue[0])
+        self._repeat(queue, result, ended["how"])
         self.tell()
+
+    def _repeat(self, queue: tuple[Message, ...], result: Result, how: str) -> None:
+        """Drive the first of a queue; where that cannot be, none is driven, and the ramp's rows say why."""
+        if not queue:
+            return
+        try:
+            if how != "complete" or not self.is_green("ramp"):
+                raise InputError("the run before was not complete, or the rig has changed since")
+            self._drive(queue[0])
+        except (InputError, OSError) as error:
+            rows = (*result.rows, row_of("once more", f"{len(queue)} not driven: {error}", None))
+            self._keep(replace(self.state.passed("ramp", replace(result, rows=rows)), queue=()))
 
     def _again(self, said: Message) -> None:
         """Take the improved profile of the last verdict, to drive it."""
         self._refuse_busy()
-        if not self.state.rounds:
-            raise InputError("no verdict yet")
-        name = str(self.state.rounds[-1]["improved"])
-        if not (self.folder / name).is_file():
-            raise InputError(f"{name}: no such profile in {self.folder}; close the loop again")
+        name = str(self.state.rounds[-1]["improved"]) if self.state.rounds else "no verdict yet"
+        if name not in self.profiles():
+            raise InputError(f"{name}: no improved profile in {self.folder}; close the loop again")
         self._keep(replace(self.state, profile=name, undo=()))
         self._read_profile()

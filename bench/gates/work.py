@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
@@ -71,13 +70,13 @@ def _card(job: Job, ask: Ask, tell: Ask) -> Message:
         words = [f"{one['name']} ({one['inputs']} in, {one['outputs']} out)" for one in found["cards"]]
         cards = [Card(**{key: one[key] for key in Card.__dataclass_fields__}) for one in found["cards"]]
         fitting = [card for card in cards if fits(profile, card)]
-        rows.append(_row(
+        rows.append(row_of(
             "sound card", ", ".join(words) or found["problem"] or "none", len(fitting) > 0,
             "backend.device: write words of the name of one that is there; it needs the inputs and the output named",
         ))  # fmt: skip
         device = asdict(fitting[0]) if fitting else {}
     rows += [asdict(one) for one in Check(profile, backend).card()]
-    rate = _row("rate", f"{profile.sampling.rate_hz:g} Hz, of every channel", True)
+    rate = row_of("rate", f"{profile.sampling.rate_hz:g} Hz, of every channel", True)
     return {"rows": [*rows, rate], "device": device}
 
 
@@ -95,21 +94,14 @@ def _wiring(job: Job, ask: Ask, tell: Ask) -> Message:
 
 def _calibrate(job: Job, ask: Ask, tell: Ask) -> Message:
     """`bench calibrate`: measured values, written into the profile."""
-    from bench.jobs import calibrate
-    from bench.jobs.run_ramp import open_rig
-    from bench.profiles.edit import write_into
+    from bench.jobs.calibrate import calibrate_into
 
     def lay(over: bool) -> None:
         how = "upside down" if over else "as it is mounted"
         ask(f"Lay the accelerometer {how}, its axis plumb, and let it lie still.")
 
-    profile, backend = open_rig(job.profile, "calibrate", _scenario(job), job.seed)
-    if job.kind == "accelerometer":
-        measured = calibrate.accelerometer(profile, backend, lay)
-    else:
-        measured = (calibrate.drive if job.kind == "drive" else calibrate.contact)(profile, backend)
-    write_into(job.profile, measured, datetime.date.today())
-    return {"rows": [_row(one.key, f"{one.value:.6g} \u00b1 {one.uncertainty:.2g}", True) for one in measured]}
+    _, _, measured = calibrate_into(job.profile, job.kind, _scenario(job), job.seed, lay)
+    return {"rows": [row_of(one.key, f"{one.value:.6g} \u00b1 {one.uncertainty:.2g}", True) for one in measured]}
 
 
 def _check(job: Job, ask: Ask, tell: Ask) -> Message:
@@ -143,10 +135,16 @@ def _scenario(job: Job) -> Path | None:
     return Path(job.scenario) if job.scenario else None
 
 
-def _row(what: str, seen: str, passed: bool | None, remedy: str = "") -> Message:
+def row_of(what: str, seen: str, passed: bool | None, remedy: str = "") -> Message:
     """A line of a gate's table, as `rig.checks.check.Finding` has it."""
     return {"what": what, "seen": seen, "passed": passed, "remedy": remedy}
 
+
+KINDS = {
+    "card": ("",), "wiring": ("drive", "tap", "lift"), "calibrate": ("accelerometer", "drive", "contact"),
+    "check": ("",), "verdict": ("",),
+}  # fmt: skip
+"""Kinds of a gate's work."""
 
 JOBS: dict[str, Callable[[Job, Ask, Ask], Message]] = {
     "card": _card, "wiring": _wiring, "calibrate": _calibrate, "check": _check, "verdict": _verdict,

@@ -7,6 +7,7 @@ and read by the analysis' own estimators. What could not be measured is refused,
 from __future__ import annotations
 
 import cmath
+import datetime
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -17,8 +18,8 @@ import numpy as np
 from analysis.events.impact_detection import ONSET_S
 from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.motion import StepPlate
-from bench.jobs.run_ramp import record
-from bench.profiles.edit import Measured
+from bench.jobs.run_ramp import open_rig, record
+from bench.profiles.edit import Measured, write_into
 from bench.profiles.plan import refuse_forbidden
 from daq.recording import open_recording
 from daq.setup.errors import InputError
@@ -31,6 +32,41 @@ from rig.programme.ramp import peaks
 DRIVE_PEAKS = (0.2, 0.35, 0.5)  # of g: the block stays on, even if the drive is twice as strong as believed
 SETTLE_CYCLES, HOLD_CYCLES = 15, 60
 LEAST_PAIRS = 20  # of impacts and edges
+
+
+def calibrate_into(
+    path: Path, kind: str, scenario: Path | None, seed: int, ask: Callable[[bool], None]
+) -> tuple[Profile, Backend, list[Measured]]:
+    """Do what `bench calibrate` does, and write it into the profile's file.
+
+    Parameters
+    ----------
+    path
+        Of the profile.
+    kind
+        accelerometer, drive or contact.
+    scenario, seed
+        Of a simulated rig.
+    ask
+        Called before the accelerometer is laid upside down (True) and back (False).
+
+    Returns
+    -------
+    tuple
+        The profile as it was, its back end, and what was measured.
+
+    Raises
+    ------
+    InputError, BackendError
+        When the device failed or nothing could be measured; the file is left as it was.
+    """
+    profile, backend = open_rig(path, "calibrate", scenario, seed)
+    if kind == "accelerometer":
+        measured = accelerometer(profile, backend, ask)
+    else:
+        measured = (drive if kind == "drive" else contact)(profile, backend)
+    write_into(path, measured, datetime.date.today())
+    return profile, backend, measured
 
 
 def accelerometer(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[Measured]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
 from bench.profiles.edit import with_values
-from bench.profiles.find import find_profile, load
+from bench.profiles.find import find_profile, load, shipped_names
 from bench.profiles.next_run import profile_text
+from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 from daq.setup.strict_toml import read_toml_text
 from rig.profile import parse_profile
@@ -40,6 +42,20 @@ def new_profile(name: str, like: str) -> str:
             text = re.sub(rf"(?m)^{key} *=.*$", f"{key} = {value}", text)
     parse_profile(text, like)
     return text
+
+
+def profile_in(folder: Path, like: str) -> str:
+    """The name in ``folder`` of the profile ``like``; one from elsewhere is written there, as `new_profile`, first.
+
+    A new profile takes a free name, ``my-simulated.toml`` or ``my-simulated-2.toml``. Raises `InputError`, OSError.
+    """
+    given = find_profile(like).resolve()
+    if like not in shipped_names() and given.parent == folder:
+        return given.name
+    stems = itertools.chain([f"my-{given.stem}"], (f"my-{given.stem}-{n}" for n in itertools.count(2)))
+    stem = next(stem for stem in stems if not (folder / f"{stem}.toml").exists())
+    write_whole(folder / f"{stem}.toml", new_profile(stem, like))
+    return f"{stem}.toml"
 
 
 def text_of(name: str) -> str:

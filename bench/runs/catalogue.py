@@ -26,7 +26,7 @@ from daq.recording.notebook import ENDING, Entry, Remarks, change_remarks, noteb
 from daq.recording.subprocess_reader import in_subprocess
 from daq.setup.errors import InputError
 
-VERSION = 3
+VERSION = 4
 
 
 class Catalogue(Closing):
@@ -199,9 +199,12 @@ class Catalogue(Closing):
 
     def notebook(self, row: Row) -> tuple[Entry, ...]:
         """All notes of a run, from its file and its side file (raises InputError)."""
-        path = self.file_of(row)
-        found = [header for _, header in read_headers([path]) if isinstance(header, Header)]
-        return notebook(found[0] if found else None, read_remarks(side_file(path)))
+        found = [header for _, header in read_headers([self.file_of(row)]) if isinstance(header, Header)]
+        return notebook(found[0] if found else None, self.remarks(row))
+
+    def remarks(self, row: Row) -> Remarks:
+        """Tags, later notes and changed events of a run, from its side file (raises InputError)."""
+        return read_remarks(side_file(self.file_of(row)))
 
     def change_remarks(self, row: Row, change: Callable[[Remarks], Remarks]) -> Remarks:
         """Change tags and notes of a run in its side file, one process at a time.

@@ -19,6 +19,7 @@ from analysis.loop.verdicts import VERDICTS, short_verdict
 from bench.runs.events import on_scope
 from bench.runs.rows import quantity, unit_of
 from daq.files.json_values import json_object
+from daq.recording.event_changes import BY_HAND
 from daq.recording.subprocess_reader import Tell
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
@@ -56,6 +57,7 @@ def _verdict(loop: ClosedLoop) -> dict[str, Any]:
         "before_us": loop.errors.before.landing_rms_us,
         "after_us": loop.errors.after.landing_rms_us,
         "floor_us": loop.errors.landing_floor_us,
+        "by_hand": [line for line in loop.notes if BY_HAND in line],
         "quantities": [
             quantity(f"{effect}.{parameter}", value, sigma, unit_of(effect, parameter), "verdict")
             for effect, parameter, value, sigma in quantities

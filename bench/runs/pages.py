@@ -141,9 +141,15 @@ class Pages:
         row = self._row(request)
         try:
             notes = [asdict(note) for note in self.catalogue.notebook(row)]
+            said = set(in_words(self.catalogue.remarks(row).events))
         except InputError:
-            notes = []  # the row says why
-        return _json({"run": row, "notes": notes, "loops": self.catalogue.loops(row["identity"])})
+            notes, said = [], set()  # the row says why
+        loops = []
+        for loop in self.catalogue.loops(row["identity"]):
+            # a verdict on several recordings has the sentences of all of them
+            same = said == set(loop["by_hand"]) if loop["together"] == 1 else said <= set(loop["by_hand"])
+            loops.append(loop | {"outdated": not same})
+        return _json({"run": row, "notes": notes, "loops": loops})
 
     def open(self, request: Request) -> Response:
         """Facts that a run's scope needs; they are made at the first call and asked for again."""

@@ -201,7 +201,7 @@ function rows(name, gate) {
   $("rows").hidden = !shown.length;
   $("rows").tBodies[0].replaceChildren(...shown.map(([passed, what, seen]) => {
     const row = make("tr"), [word, colour] = mark(passed);
-    row.append(make("td", word, { class: colour }), make("td", what), make("td", seen, { translate: "no" }));
+    row.append(make("td", word, { class: colour }), make("td", what), make("td", seen));
     return row;
   }));
 }
@@ -229,7 +229,7 @@ function rounds(name) {
   const effects = (one) => one.effects.map((e) => make("div", `${e.name}: ${Object.entries(e.parameters).map(([p, v]) => `${p} = ${v.value.toPrecision(3)}`).join(", ")}`));
   $("rounds").tHead.replaceChildren(line("run", (one) => make("a", one.recording, { href: `/runs/file?path=${encodeURIComponent(one.recording)}` })));
   $("rounds").tBodies[0].replaceChildren(
-    line("finding", (one) => make("span", one.headline, { translate: "no" })), line("missing effects", (one) => (one.effects.length ? effects(one) : "none")),
+    line("finding", (one) => make("span", one.headline)), line("missing effects", (one) => (one.effects.length ? effects(one) : "none")),
     line("landings missed by, before", (one) => us(one.before)), line("after", (one) => us(one.after)),
     line("noise alone", (one) => us(one.floor_us)), line("improved profile", (one) => [make("div", one.improved), ...one.lines.map((words) => make("div", words))]),
   );
@@ -252,7 +252,8 @@ async function fields() {
     field.disabled = !mine || busy();
     field.addEventListener("change", () => { if (field.value !== one.text) { send({ do: "set", key: one.key, text: field.value }); } });
     cell.append(field);
-    row.append(make("td", one.key), cell, make("td", one.unit), make("td", one.limit), make("td", one.help));
+    cell.translate = false;
+    row.append(make("td", one.key, { translate: "no" }), cell, make("td", one.unit), make("td", one.limit, { translate: "no" }), make("td", one.help));
     return row;
   }));
   if (focus) document.querySelector(`[data-key="${focus}"]`)?.focus();

@@ -197,7 +197,9 @@ function verdict(m) {
 function log(text, name, at = Date.now() / 1e3) {
   const row = el("li", undefined, name), time = el("time", new Date(1e3 * at).toLocaleTimeString([], { hour12: false }));
   row.dataset.at = at;
-  row.append(time, el("span", text));
+  const words = el("span", text);
+  words.translate = !/^(note|finishing this step; next): /.test(text); // a person's own words
+  row.append(time, words);
   const before = [...$("log").children].find((one) => Number(one.dataset.at) <= at);
   $("log").insertBefore(row, before ?? null);
   while ($("log").children.length > 200) $("log").lastChild.remove();

@@ -39,8 +39,8 @@ function verdicts(loops) {
       return one;
     };
     const summary = number(loop.summary, "rivals");
-    summary.translate = false;
     line.append(summary, "\n", "landings: ", number(us(loop.before_us), "steps"), " before, ", number(us(loop.after_us), "steps"), " after", ...rest);
+    if (loop.outdated) line.append(make("span", "Events were changed by hand since: close the loop again.", { class: "warn" }));
     return line;
   });
   byId("verdict").replaceChildren(...(said.length ? said
@@ -99,7 +99,7 @@ async function openScope() {
     byId("scope").dataset.seen = `${seen.start_s} ${seen.stop_s} ${seen.samples_per_point}`;
   });
   scope.annotate(notes);
-  new Events(scope, api, () => openDiagram());
+  new Events(scope, api, async () => { openDiagram(); verdicts((await ask(api)).loops); });
   why = new Why(scope, api);
   const at = Number(new URLSearchParams(location.search).get("at") ?? NaN);
   if (isFinite(at)) scope.look([at - 0.01, at + 0.09]);

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.io import wavfile
+from typer.testing import CliRunner
 
+from bench.cli import app
 from tests.bench.contrast import too_pale
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -145,31 +147,25 @@ def test_impacts_are_dragged_added_and_taken_away(chromium: Any, bench: Any, tap
     assert page.faults == [] and other.faults == [] and too_pale(page) == []
 
 
-def test_a_folder_without_a_drop_says_what_to_do(chromium: Any, bench: Any, tmp_path: Path) -> None:
-    """Where the folder holds nothing of a drop, the page is not empty: it says what belongs there."""
-    page = opened(chromium, bench("live", "simulated", "--runs", tmp_path), "drop")
-    page.wait_for_selector("#none", timeout=1e3 * PATIENCE_S)
-    assert "put one there" in page.inner_text("#none") and page.faults == []
-
-
-def test_a_file_of_the_desk_is_opened_with_what_was_kept(chromium: Any, bench: Any, tap: Path) -> None:
-    """The desk offers the folder's files; one opens with its corrections, and a wrong option is said, not followed."""
-    url = bench("drop", tap, "--page")
-    page = opened(chromium, url)
-    results(page, 1)
-    last = len(impacts(page))
-    page.locator(".impacts button").nth(last - 1).click()
-    results(page, 2)
-    page.click("#save")
-    until(page, "document.querySelector('#saved').textContent.includes('kept')")
-    (tap.parent / ".hidden.wav").write_bytes(tap.read_bytes())
-    desk = opened(chromium, bench("live", "--runs", tap.parent), "drop")
+def test_a_file_of_the_desk_is_opened_with_what_was_kept(chromium: Any, bench: Any, tap: Path, tmp_path: Path) -> None:
+    """An empty folder says what belongs there; a file opens with its corrections, and a wrong option is refused."""
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    desk = opened(chromium, bench("live", "--runs", folder), "drop")
+    desk.wait_for_selector("#none", timeout=1e3 * PATIENCE_S)
+    assert "put one there" in desk.inner_text("#none")
+    for name in ("tap.wav", ".hidden.wav"):
+        (folder / name).write_bytes(tap.read_bytes())
+    given = ["drop", str(folder / "tap.wav"), "--ignore", f"{IMPACTS[-1]:.5f}", "--no-pictures"]
+    kept = CliRunner().invoke(app, [*given, "--json", str(folder / "tap.wav.drop.json")])
+    assert kept.exit_code == 0, kept.output
+    desk.reload()
     desk.locator("#files label").first.wait_for(timeout=1e3 * PATIENCE_S)
     assert desk.locator("#files label").all_inner_texts() == [" tap.wav"]
     desk.locator("#files input").check()
     desk.click("#open")
     results(desk, 1)
-    assert len(impacts(desk)) == last - 1
+    assert len(impacts(desk)) == len(IMPACTS) - 1
     desk.fill("[name=mass_kg]", "0.0027")
     desk.click("text=measure again")
     until(desk, "document.querySelector('#refused').textContent.includes('--diameter')")

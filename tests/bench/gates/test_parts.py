@@ -191,6 +191,33 @@ def test_only_profiles_of_the_folder_are_chosen(tmp_path: Path, like: str) -> No
         opened(tmp_path)._choose({"profile": like})
 
 
+def test_a_new_profile_never_takes_the_name_of_one_that_is_there(tmp_path: Path) -> None:
+    """A profile of that name stays as it is, and the new one takes the next name; one of the folder is taken itself."""
+    (tmp_path / "my-simulated.toml").write_text("mine", encoding="utf-8")
+    gates = opened(tmp_path)
+    gates._choose({"like": "simulated"})
+    assert gates.state.profile == "my-simulated-2.toml" and gates._known().name == "my-simulated-2"
+    assert (tmp_path / "my-simulated.toml").read_text(encoding="utf-8") == "mine"
+    gates._choose({"like": str(tmp_path / "my-simulated-2.toml")})
+    assert len(gates.profiles()) == 2
+
+
+@pytest.mark.parametrize("how", ["complete", "failed"])
+def test_a_repetition_that_is_not_driven_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    """Where a queue cannot go on, it is emptied, and the ramp's rows say how many runs were not driven, and why."""
+    passed(tmp_path, queue=({"note": ""}, {"note": ""}))
+    gates = opened(tmp_path)
+    inputs = inputs_of("ramp", gates._known(), gates.rig, gates.state.device)
+    gates.state = replace(gates.state, run={"out": "a.h5", "inputs": inputs})
+    (tmp_path / "a.h5").touch()
+    monkeypatch.setattr(gates.live, "outcome_of", lambda _: {"how": how, "why": ""})
+    monkeypatch.setattr(gates.live, "start", lambda *_: (_ for _ in ()).throw(InputError("the disk is full")))
+    gates._look_at_run()
+    (_, row) = gates.state.results["ramp"].rows
+    assert row["seen"].startswith("2 not driven: ") and not gates.state.queue and gates.state.run is None
+    assert ("the disk is full" in row["seen"]) == (how == "complete")
+
+
 def test_a_verdict_never_replaces_an_improved_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An improved profile that is there, of rounds before another rig was chosen, stays; the next number is taken."""
     jobs: list[Job] = []

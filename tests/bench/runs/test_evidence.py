@@ -17,6 +17,8 @@ from bench.runs.pages import section
 from bench.web.access import Access
 from bench.web.application import make_app
 from bench.web.section import Place
+from daq.recording.event_changes import made_now
+from daq.recording.notebook import change_remarks, with_event
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import verdict_on
 from tests.bench.runs.test_pages import OWN, ready
@@ -43,7 +45,10 @@ def test_every_number_has_its_rows(closed_loop: ClosedLoop) -> None:
 
 
 def test_a_page_opens_the_evidence_of_the_saved_verdict(folder: Path, closed_loop: ClosedLoop) -> None:
-    """The page gives steps and rivals of the latest verdict, then the flights of one step; without one it says so."""
+    """The page gives steps and rivals of the latest verdict, then the flights of one step; without one it says so.
+
+    An event that is changed after a verdict is said of it.
+    """
     run = folder / "one" / "a.h5"
     keep_verdict(verdict_on(closed_loop, run), [run])
     with TestClient(make_app(Access("127.0.0.1", 8625), [section(Place(folder.resolve()))]), base_url=OWN) as client:
@@ -54,3 +59,8 @@ def test_a_page_opens_the_evidence_of_the_saved_verdict(folder: Path, closed_loo
         step = ready(client, f"{address}?step=4")
         assert step["step"] == [4] * 12 and len(step["declared_us"]) == len(step["takeoff_s"]) == 12
         assert client.get(f"/runs/api/{run_id('two/c.h5')}/why").status_code == 404
+        details = f"/runs/api/{run_id('one/a.h5')}"
+        assert not client.get(details).json()["loops"][0]["outdated"]
+        identity = client.get(details).json()["run"]["identity"]
+        change_remarks(run, identity, lambda now: with_event(now, made_now("landing", 0.1, 0.2)))
+        assert client.get(details).json()["loops"][0]["outdated"]

@@ -27,6 +27,11 @@ from tests.bench.runs.recordings import record, verdict_on
 AXE = (Path(axe_playwright_python.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
 LANGUAGES = Path(bench.web.__file__).parent / "static" / "languages"
 RUN = run_id("a.h5")
+AT_REST = """() => new Promise((done) => {
+  let waiting = setTimeout(done, 400);
+  const again = () => { clearTimeout(waiting); waiting = setTimeout(done, 400); };
+  new MutationObserver(again).observe(document, { subtree: true, childList: true, characterData: true });
+})"""  # nothing was written for 0.4 s
 SERVE = """
 from pathlib import Path
 import sys
@@ -66,7 +71,7 @@ def opened(page: Any, address: str) -> None:
     """A page, once its language is there and it is at rest."""
     page.goto(address)
     page.wait_for_selector("html[data-language]", timeout=120_000)
-    page.wait_for_timeout(1000)
+    page.evaluate(AT_REST)
 
 
 def violations(page: Any) -> list[str]:
