@@ -121,7 +121,7 @@ def test_run_is_started_watched_noted_paused_and_stopped(
     left = page.locator("#state-left").inner_text()
     step = int(page.locator("#state-step").inner_text().split()[1])
     wait_for(other, "#cycle", f"step {step}: 1-cycle")
-    page.wait_for_function("window.deskCounts.flights > 10", timeout=1e3 * PATIENCE_S)
+    page.wait_for_function("() => window.deskCounts.flights > 10", timeout=1e3 * PATIENCE_S)
     assert page.locator("#state-word").inner_text() == "PAUSED" and page.locator("#state-left").inner_text() == left
     assert too_pale(page) == []
     log = page.locator("#log-panel").bounding_box()

@@ -19,8 +19,14 @@ import axe_playwright_python
 import pytest
 
 import bench.web
+import tests.loops
 from analysis.loop.result import ClosedLoop
+from analysis.loop.verdict import Failed
+from analysis.report.narrative import headline
 from bench.jobs.loops.keep_verdict import keep_verdict
+from bench.jobs.run_ramp import check_rig, open_rig
+from bench.profiles.fields import fields_of
+from bench.profiles.find import load
 from bench.runs.folder import run_id
 from tests.bench.runs.recordings import record, verdict_on
 
@@ -32,6 +38,7 @@ AT_REST = """() => new Promise((done) => {
   const again = () => { clearTimeout(waiting); waiting = setTimeout(done, 400); };
   new MutationObserver(again).observe(document, { subtree: true, childList: true, characterData: true });
 })"""  # nothing was written for 0.4 s
+KNOWN = "texts => { desk.missing.clear(); texts.forEach(desk.say); return [...desk.missing]; }"
 SERVE = """
 from pathlib import Path
 import sys
@@ -74,6 +81,16 @@ def opened(page: Any, address: str) -> None:
     page.evaluate(AT_REST)
 
 
+def said_by_the_desk(loop: ClosedLoop) -> list[str]:
+    """Help of the profile's keys, what a check finds with its remedies, and the words of verdicts."""
+    said = [key["help"] for name in ("simulated", "soundcard", "c3") for key in fields_of(load(name)[1])]
+    for found in check_rig(*open_rig("simulated", "check", None, 0)):
+        said += [found.what, found.seen, found.remedy]
+    left = tests.loops.changed(loop, verdict="unexplained", failed=(Failed("plate", 1.7, 1.5),))
+    none = tests.loops.changed(loop, verdict="nothing_missing", effects=())
+    return [*filter(None, said), *map(headline, (loop, left, none))]
+
+
 def violations(page: Any) -> list[str]:
     """What axe-core finds on a page, in words."""
     page.evaluate(AXE)
@@ -92,7 +109,9 @@ def test_catalogues_have_the_same_texts() -> None:
 
 
 @pytest.mark.slow
-def test_every_page_is_whole_for_a_screen_reader_and_in_another_language(desk: str, chromium: Any) -> None:
+def test_every_page_is_whole_for_a_screen_reader_and_in_another_language(
+    desk: str, chromium: Any, closed_loop: ClosedLoop
+) -> None:
     """No violation by axe-core; no text that the catalogues lack, in the pseudo language; then German, with comma."""
     page = chromium.new_page(viewport={"width": 1280, "height": 800})
     opened(page, f"{desk}/runs")
@@ -122,6 +141,7 @@ def test_every_page_is_whole_for_a_screen_reader_and_in_another_language(desk: s
             lacking[path] = missing
         faults += violations(page)
     assert lacking == {} and faults == []
+    assert page.evaluate(KNOWN, said_by_the_desk(closed_loop)) == []
     page.evaluate("localStorage.setItem('language', 'de'); localStorage.setItem('decimal', 'comma')")
     opened(page, f"{desk}/runs/{RUN}")
     assert page.get_attribute("html", "lang") == "de" and "Warum?" in page.inner_text("main")
