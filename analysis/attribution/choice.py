@@ -207,8 +207,12 @@ class Judge:
         close = [top, *(x for x in after if self.tied(top, x) and self.refusal(best, x, depth, chance) is None)]
         if len(close) > 1:
             close = [x for x in close if x.noise_like(self.limits.noise_like_ratio)] or close
+        return self.cheapest(close)
+
+    def cheapest(self, close: Sequence[Hypothesis]) -> Hypothesis:
+        """Of hypotheses that tie with the first one, that of lowest penalised loss."""
         costs = [x.fitted.prior_penalty + self.limits.tie_nats * len(x.free) for x in close]
-        return close[penalised_best(top.per_step, [x.per_step for x in close], costs, self.train)]
+        return close[penalised_best(close[0].per_step, [x.per_step for x in close], costs, self.train)]
 
     def rejected(
         self,

@@ -319,6 +319,11 @@ class Fitted:
         """Negative log prior of calibrations and nuisances, nats."""
         return self.state.prior_penalty(self.x)
 
+    def moved_calibrations(self, sigmas: float) -> set[ParameterId]:
+        """What is always free and was fitted by more than ``sigmas`` from where it is stated."""
+        away = np.abs((self.x - self.state.mean) * self.state.inverse)
+        return {k for k, d in zip(self.keys, away, strict=True) if k not in self.free and d > sigmas}
+
     def covariance(self) -> Floats:
         """Of all coordinates."""
         normal, _ = self._normal(self.state.mask)

@@ -27,6 +27,7 @@ from analysis.thresholds import FROZEN, Thresholds
 
 Progress = Callable[[str, float], None]
 
+MOVED_SIGMAS = 2.0  # of its stated uncertainty, from which a calibration is tried as the cause
 MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
 
 
@@ -179,8 +180,10 @@ class StepwiseSelection:
             best = self.refits.again(kept)
             chain.append(best)
         # an effect may have been needed only while others were missing
-        best = chain[-1] = self.pruning.without_null(best, rounds)
-        ties = self._ties(before, best, rivals)
+        best = self.pruning.without_null(best, rounds)
+        best, exchanged = self._exchanged(best, rounds)
+        chain[-1] = best
+        ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:
             best = self.pruning.without_excess(best)
             ties = (best, *ties[1:])
@@ -243,6 +246,32 @@ class StepwiseSelection:
         if clear or kept.names != accepted.names:
             return None
         return self.judge.refusal(best, kept, depth, null)
+
+    def _exchanged(self, best: Hypothesis, rounds: list[str]) -> tuple[Hypothesis, list[Hypothesis]]:
+        """The hypothesis with a cause exchanged for a calibration that the fit moved far, where that does as well.
+
+        A cause may have been chosen beside another that was taken back later. Of causes that data do not distinguish
+        that one is named which leaves the calibrations where they are stated; the others are its rivals.
+        """
+        moved = best.fitted.moved_calibrations(MOVED_SIGMAS)
+        close = [best]
+        for own in [c for c in best.candidates if len(c.names) == 1]:
+            rest = tuple(c for c in best.candidates if c is not own)
+            if any(set(own.names) & set(c.names) for c in rest):  # its drift, or a second form
+                continue
+            for c in self.library:
+                if len(c.names) > 1 or not set(c.free) <= moved:
+                    continue
+                free = tuple(k for x in (*rest, c) for k in x.free)
+                start = {k: v for k, v in best.fitted.values.items() if k in best.free and k not in own.free}
+                x = self.refits.attempted((*rest, c), self.refits.converged, (*rest, c), best.whitener, free, start)
+                if x is not None and self.judge.tied(best, x) and not self.judge.refuted(x, best):
+                    close.append(x)
+        chosen = self.judge.cheapest(close)
+        if chosen is not best:
+            gone, new = (set(a.names) - set(b.names) for a, b in ((best, chosen), (chosen, best)))
+            rounds.append(f"{' + '.join(new)} in place of {' + '.join(gone)}: as good, with calibrations as stated")
+        return chosen, [x for x in close if x is not chosen]
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """The best and every rival as good as it that is not the same motion with an idle parameter."""

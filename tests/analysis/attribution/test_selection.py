@@ -328,6 +328,21 @@ def test_a_cause_whose_interval_holds_nothing_in_the_end_goes(selection_of: Call
     assert rounds == ["step back: the 95 % intervals of quadratic_drag hold the values of no effect"]
 
 
+def test_a_cause_that_moves_two_calibrations_gives_way_to_one_of_them(
+    selection_of: Callable[..., StepwiseSelection],
+) -> None:
+    """A sensor that reads 2.5 % low, chosen as a weaker gravity with calibrations at their limits, is named."""
+    gain = ("accelerometer_gain", "relative")
+    selection = selection_of({gain: -0.025}, 3)
+    gravity = added(selection, named(selection, "local_gravity"))
+    assert gravity.fitted.moved_calibrations(2.0) >= {gain}
+    rounds: list[str] = []
+    chosen, rivals = selection._exchanged(gravity, rounds)
+    assert chosen.names == ("accelerometer_gain",) and [x.names for x in rivals] == [("local_gravity",)]
+    assert abs(chosen.fitted.values[gain] + 0.025) < 4.0 * chosen.fitted.sigma(gain)
+    assert rounds == ["accelerometer_gain in place of local_gravity: as good, with calibrations as stated"]
+
+
 def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
     fly_ramp: Callable[..., ForwardModel],
     fitter_of: Callable[[ForwardModel], Fitter],
