@@ -88,8 +88,8 @@ MUTANTS = {
     "a dead recorder not looked for": (
         "recorder_dies",
         "rig.execution.run",
-        "        if self._recording:\n            try:  #",
-        "        if self._recording and pending:\n            try:  #",
+        "        self._write(lambda: self._writer.append(*pending))",
+        "        if pending:\n            self._write(lambda: self._writer.append(*pending))",
     ),
     "heartbeat not watched": ("stall", "rig.execution.interlock", "HEARTBEAT_S = 0.5", "HEARTBEAT_S = 1e9"),
     "stuck sensor not seen": (

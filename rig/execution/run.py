@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,7 +19,7 @@ from daq.files.tables import Block, note_rows
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording.writer import RecordingWriter
 from daq.setup.clock import SYSTEM, Clock
-from kernels.arrays import Bools
+from kernels.arrays import Bools, Floats
 from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.branch_hold import BranchHold
@@ -184,15 +185,19 @@ class _Run:
         if self._instruments.hold is not None:
             highest = max(step.gamma for step in self._instruments.programme.steps)
             self._instruments.hold.check_delay(self.account.lag_samples + 2 * self._block, highest)
+        block: Callable[[], object] = self._exchange
         try:
             while not self._sequencer.done:
                 self._apply_requests()
-                self._exchange()
+                block()
                 self._watcher.progress(self._status())
             if self._sequencer.given_up:
                 self.end("stopped", f"held for {LONGEST_PAUSE_S:g} s, without being resumed")
+        except Exception:
+            block = self._play  # what raised would raise again
+            raise
         finally:
-            self._ramp_down()
+            self._ramp_down(block)
             self._release(everything=True)
 
     def summary(self, wall_s: float) -> RunSummary:
@@ -209,7 +214,7 @@ class _Run:
             self._instruments.hold.unheld if self._instruments.hold else "",
         )
 
-    def _ramp_down(self) -> None:
+    def _ramp_down(self, block: Callable[[], object]) -> None:
         """Ramp the drive to zero while the device answers; where it was lost, note where the step ended."""
         if self._device_lost:
             self._record(self.account.flush())
@@ -220,7 +225,7 @@ class _Run:
         if not self._sequencer.done:
             self._sequencer.stop(Stop.RAMP_DOWN)
         while not self._sequencer.done:
-            self._exchange()
+            block()
         self._record(self.account.flush())
 
     def _apply_requests(self) -> None:
@@ -242,14 +247,11 @@ class _Run:
     def _note(self, texts: list[str]) -> None:
         """Write the operator's words, or the holder's, into the recording."""
         self.flush()
-        if self._recording:
-            try:
-                self._writer.mark_rows("notes", note_rows(self._writer.n_samples, texts, self._watcher.clock.unix_ns()))
-            except OSError as error:
-                self._disk_failed(error)
+        rows = note_rows(self._writer.n_samples, texts, self._watcher.clock.unix_ns())
+        self._write(lambda: self._writer.mark_rows("notes", rows))
 
-    def _exchange(self) -> None:
-        """One block: drive out through the clamp, frames in, on record, watched."""
+    def _play(self) -> tuple[Floats, Block, float]:
+        """One block: drive out through the clamp, frames in, on record; and the seconds that the frames took."""
         drive = self._interlock.clamp(self._sequencer.take(self._block))
         self.account.played(drive)
         self._device_lost = True  # until it has answered
@@ -258,6 +260,11 @@ class _Run:
         waited_s = self._watcher.clock.monotonic_s() - asked
         self._device_lost = False
         self._record(self.account.heard(block, len(drive)))
+        return drive, block, waited_s
+
+    def _exchange(self) -> None:
+        """One block, watched."""
+        drive, block, waited_s = self._play()
         circuit = self._interlock.circuit(block.codes)
         self._touching, landed = circuit if circuit is not None else (None, None)
         self._motion = self._instruments.watch.update(
@@ -314,11 +321,8 @@ class _Run:
     def flush(self) -> None:
         """Hand what waits to the recorder; a disk that refuses stops the run, softly."""
         pending, self._pending = self._pending, []
-        if self._recording:
-            try:  # without blocks, too: a recorder that is gone is noticed while losses are searched for
-                self._writer.append(*pending)
-            except OSError as error:
-                self._disk_failed(error)
+        # without blocks, too: a recorder that is gone is noticed while losses are searched for
+        self._write(lambda: self._writer.append(*pending))
 
     def _release(self, *, everything: bool = False) -> None:
         """Write the rows of steps whose losses are settled, and of the changes of the drive."""
@@ -328,27 +332,30 @@ class _Run:
         fades, self._sequencer.fades = self._sequencer.fades, []
         if ready or fades or everything:
             self.flush()
+        if fades:
+            self._write(lambda: self._writer.mark_drive(change_rows(self._profile, fades)))
+        for _, step, achieved in ready:
+            self._write(partial(self._mark, step, achieved))
+
+    def _write(self, write: Callable[[], object]) -> None:
+        """Call the recorder, as long as it takes what it gets; what it raises ends the recording, the drive softly."""
         if not self._recording:
             return
         try:
-            if fades:
-                self._writer.mark_drive(change_rows(self._profile, fades))
-            for _, step, achieved in ready:
-                self._mark(step, achieved)
-        except OSError as error:
-            self._disk_failed(error)
-
-    def _disk_failed(self, error: OSError) -> None:
-        self._recording = False
-        self.end("failed", f"recording: {error}")
-        self._sequencer.stop(Stop.RAMP_DOWN)
+            write()
+        except Exception as error:
+            self._recording = False
+            if not isinstance(error, OSError):
+                raise
+            self.end("failed", f"recording: {error}")
+            self._sequencer.stop(Stop.RAMP_DOWN)
 
     def _mark(self, step: Step, achieved: tuple[float, float]) -> None:
         """Write a step's row: as planned when it begins, as driven when it ends."""
         first = self.account.recorded(step.first_sample)
         n = self.account.recorded(step.end_sample) - first
         settle = self.account.recorded(step.first_sample + step.settle_samples) - first
-        if n <= 0 or not self._recording:
+        if n <= 0:
             return
         self._steps = step.index + 1
         gamma, uncertainty = achieved

@@ -9,6 +9,7 @@ from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from rig.execution.operator import StopRequest
 from rig.execution.run import run_ramp
+from rig.execution.tone_meter import ToneMeter
 from rig.programme.ramp import plan
 from rig.programme.sequencer import State, Stop
 from tests.fakes.commanded_drive import commanded, fades_of_changes, fades_of_steps
@@ -75,21 +76,30 @@ def test_an_unplugged_device_fails_the_run_and_keeps_the_data(make_profile, fake
         assert last["first_sample"] + last["n_samples"] == recording.n_samples
 
 
-def test_an_exception_of_our_own_lands_softly(make_profile, fake_rig, recording_path) -> None:
-    """A screen that crashes does not jolt the plate: the drive fades to zero, the recording says failed."""
+@pytest.mark.parametrize("where", ["the screen", "the recorder", "a measurement"])
+def test_an_exception_of_our_own_lands_softly(make_profile, fake_rig, recording_path, monkeypatch, where: str) -> None:
+    """Whatever raises an error in each block, the plate is not jolted: the drive fades, the recording says failed."""
     profile = make_profile()
     rig = fake_rig(profile)
+    rig.simulated = False  # each block is written as it comes
 
-    def crash(status) -> None:
-        if status.sample > 700:
-            raise RuntimeError("the screen is gone")
+    def crash(*arguments) -> None:
+        if len(rig.drive_v) > 700:
+            raise RuntimeError(f"{where} is gone")
+        if where == "the recorder":
+            append(*arguments)
 
-    with pytest.raises(RuntimeError, match="the screen is gone"):
-        record(profile, rig, recording_path, progress=crash)
+    append = RecordingWriter.append
+    if where == "the recorder":
+        monkeypatch.setattr(RecordingWriter, "append", crash)
+    if where == "a measurement":
+        monkeypatch.setattr(ToneMeter, "add", crash)
+    with pytest.raises(RuntimeError, match=f"{where} is gone"):
+        record(profile, rig, recording_path, progress=crash if where == "the screen" else None)
     assert not np.any(rig.drive_v[-40:]) and np.abs(np.diff(rig.drive_v)).max() < 0.06
     assert not rig.running
     with open_recording(recording_path) as recording:
-        assert recording.attrs["ended"] == "failed" and "the screen is gone" in recording.attrs["why"]
+        assert recording.attrs["ended"] == "failed" and f"{where} is gone" in recording.attrs["why"]
 
 
 def test_a_full_disk_stops_the_drive_softly(make_profile, fake_rig, recording_path, monkeypatch) -> None:
