@@ -15,6 +15,7 @@ import numpy as np
 
 from analysis.drop.falls.fall import Fall, with_balls
 from analysis.drop.load import load_all
+from analysis.drop.outcome import with_interval
 from bench.jobs.drop_test import Request, measure
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
@@ -46,14 +47,15 @@ def row(name: str, request: Request) -> str:
     try:
         payload = measure(request).outcome.payload
     except InputError as error:
-        return f"| {name} | refused: {str(error).removeprefix(f'{request.files[0]}: ')[:WORDS]} | | | |"
+        return f"| {name} | refused: {str(error).removeprefix(f'{request.files[0]}: ')[:WORDS]} | | | | |"
     unit = "m" if payload["kind"] == "falls" else "ms"
     models = {model["name"]: model for model in payload["models"]}
     errors = [models[which][f"held_out_rms_{unit}"] for which in (payload["models"][0]["name"], payload["best"])]
     before, after = ("-" if error is None else f"{error:.3g} {unit}" for error in errors)
     others = ", ".join(model for model in payload["tie_set"] if model != payload["best"]) or "none"
+    known = [f"{key} {with_interval(entry)}" for key, entry in models[payload["best"]]["parameters"].items()]
     left = "; ".join(payload["unexplained_because"])[:WORDS] or "the verdict names nothing"
-    return f"| {name} | {payload['best']} (ties: {others}) | {before} | {after} | {left} |"
+    return f"| {name} | {payload['best']} (ties: {others}) | {', '.join(known)} | {before} | {after} | {left} |"
 
 
 def sweep(path: Path) -> str:
@@ -74,7 +76,7 @@ def sweep(path: Path) -> str:
         left = [up[part] - basis @ size for basis, size in zip((pure, full), sizes, strict=True)]
         squares.append([float((one[~fitted] ** 2).mean()) for one in left])
     before, after = np.sqrt(np.median(squares, axis=0))
-    numbers = f"harmonics 2 to {HARMONICS} | {before:.3g} g | {after:.3g} g"
+    numbers = f"harmonics 2 to {HARMONICS} | - | {before:.3g} g | {after:.3g} g"
     return f"| shaker, {path.stem[3:22]} ({len(squares)} steps) | {numbers} | an amplitude that is being controlled |"
 
 
@@ -133,7 +135,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--only", default="", help="rows whose name holds this text")
     asked = parser.parse_args()
-    print("| measured | cause | before | after (not fitted) | unexplained |\n|---|---|---|---|---|")
+    print("| measured | cause | parameters | before | after (not fitted) | unexplained |\n" + "|---" * 6 + "|")
     for name, request in rows_of(asked.folder):
         if asked.only in name:
             print(row(name, request), flush=True)

@@ -28,8 +28,8 @@ def test_harmonics_of_a_sweep_are_found_on_samples_held_out(tmp_path: Path) -> N
     lines = [f"{a:.6f},40,0.5,0,0,0,{z:.5f}" for a, z in zip(t, up, strict=True)]
     (tmp_path / "os_x.csv").write_text("Timestamp,Freq,Drive_Amp,Channel,X,Y,Z\n" + "\n".join(lines), encoding="utf-8")
     cells = sweep(tmp_path / "os_x.csv").split(" | ")
-    assert float(cells[2].split()[0]) == pytest.approx(0.1 / np.sqrt(2.0), rel=0.05)
-    assert float(cells[3].split()[0]) < 1e-3
+    assert float(cells[3].split()[0]) == pytest.approx(0.1 / np.sqrt(2.0), rel=0.05)
+    assert float(cells[4].split()[0]) < 1e-3
 
 
 def test_a_law_of_the_speed_flies_along_a_drop() -> None:
