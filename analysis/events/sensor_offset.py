@@ -7,13 +7,14 @@ combined by their uncertainties.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.events.crossings import CLOSES
 from analysis.events.edges import Edges
-from analysis.events.impact_detection import Impacts
+from analysis.events.impact_detection import ONSET_S, Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
 from analysis.statistics import mad_sigma, nearest
 from kernels.arrays import Floats
@@ -53,6 +54,7 @@ def calibrate(
     landing_sigma_s: Floats,
     edge_bias_s: float,
     sampling_s: float,
+    elsewhere: SensorOffset | None = None,
 ) -> tuple[Impacts, SensorOffset]:
     """Impacts on the time axis of the contact edges, and the offset between the sensors.
 
@@ -69,11 +71,12 @@ def calibrate(
         Error that all edges may share.
     sampling_s : float
         Interval between the samples of the recording.
+    elsewhere : SensorOffset, optional
+        What other recordings of the rig show, taken where these landings show none.
     """
-    unknown = SensorOffset(0.0, np.inf, 0)
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
-        return _with_bias(impacts, 1.0, impacts.onset_s), unknown
+        return _not_shown(impacts, elsewhere)
     delay_s = _delay_s(impacts.time_s, landing_s)
     begin = np.searchsorted(impacts.time_s, takeoff_s + delay_s - REACH_S + SHORTEST_MASK_S)
     end = np.searchsorted(impacts.time_s, landing_s + delay_s + REACH_S)
@@ -85,7 +88,7 @@ def calibrate(
     d, own = d[near], own[near]
     # of two landings no half is closer together than the other: neither offset nor spread is known
     if d.size < 3:
-        return _with_bias(impacts, 1.0, impacts.onset_s), unknown
+        return _not_shown(impacts, elsewhere)
     ordered = np.sort(d)
     width = ordered[(d.size - 1) // 2 + np.arange(d.size - (d.size - 1) // 2)] - ordered[: d.size - (d.size - 1) // 2]
     k = int(np.argmin(width))
@@ -96,7 +99,7 @@ def calibrate(
     # a chatter ends at any distance, so that at a large offset most landings must have their impact there
     chance = abs(centre) > SMALL_OFFSET_S and float(np.mean(shared < CORE_SPREADS * spread)) < 0.5
     if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
-        return _with_bias(impacts, 1.0, impacts.onset_s), unknown
+        return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
@@ -105,6 +108,29 @@ def calibrate(
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
     offset = SensorOffset(centre, own_sigma, int(core.sum()), spread)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
+
+
+def _not_shown(impacts: Impacts, elsewhere: SensorOffset | None) -> tuple[Impacts, SensorOffset]:
+    """Impacts by the offset that other recordings show, or none."""
+    if elsewhere is None:
+        return _with_bias(impacts, 1.0, impacts.onset_s), SensorOffset(0.0, np.inf, 0)
+    moved = replace(impacts, time_s=impacts.time_s - elsewhere.offset_s)
+    return _with_bias(moved, 1.0, elsewhere.uncertainty_s), elsewhere
+
+
+def common_offset(offsets: Sequence[SensorOffset]) -> SensorOffset | None:
+    """The offset of recordings of one rig, uncertain by as much as they differ; None where none shows it.
+
+    Each has a template with an onset of its own.
+    """
+    known = [x for x in offsets if math.isfinite(x.uncertainty_s)]
+    if not known:
+        return None
+    place, sigma = (np.array([getattr(x, name) for x in known]) for name in ("offset_s", "uncertainty_s"))
+    centre = float(np.average(place, weights=sigma**-2.0))
+    scatter = max(mad_sigma(place - np.median(place)), ONSET_S) if len(known) > 2 else float(np.ptp(place)) + ONSET_S
+    own = float(np.hypot(scatter, sigma.min()))
+    return SensorOffset(centre, own, sum(x.pairs for x in known), float(np.median([x.spread_s for x in known])))
 
 
 def _delay_s(impact_s: Floats, landing_s: Floats) -> float:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from analysis.events.crossings import CLOSES, DIP, OPENS
 from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
-from analysis.events.sensor_offset import calibrate, combine_with_impacts
+from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts
 from analysis.events.short_contacts import refine_short_contacts
 from analysis.flights.by_hand import changed_edges, changed_impacts, given_by_hand
 from analysis.flights.denied_impacts import denied
@@ -31,16 +31,23 @@ from kernels.arrays import Bools, Floats, Integers
 
 __all__ = ["FlightFlag", "Flights", "flights_of", "write_csv"]
 
-
 _Intervals = tuple[Floats, Floats, Floats, Floats, Integers]
 _Table = tuple[Floats, Floats, Floats, Floats, Floats, Integers, EdgeReport]
 
 GLITCH_S = 2e-4  # shortest flight
 BOUNCE_AFTER_S = 2e-3
+CHATTER_S = 1e-3  # longest opening of a contact that chatters, where no impact ends it; no rebound so short matters
+LAUNCHES = 0.8  # of g, downward acceleration of the plate below which a ball at rest would have stayed
 HIDDEN_POINTS, HIDDEN_BEFORE = 33, 27  # points of a flight, and those far enough from its own landing
 
 
-def flights_of(recording: Recording, *, progress: Progress | None = None, high_pass_hz: float | None = None) -> Flights:
+def flights_of(
+    recording: Recording,
+    *,
+    progress: Progress | None = None,
+    high_pass_hz: float | None = None,
+    elsewhere: SensorOffset | None = None,
+) -> Flights:
     """Flights and plate motion of a recording, in one pass and bounded memory.
 
     Parameters
@@ -51,6 +58,8 @@ def flights_of(recording: Recording, *, progress: Progress | None = None, high_p
         Called with the part done, 0 to 1, after each piece.
     high_pass_hz : float, optional
         Corner of a high-pass behind the accelerometer; None: the declared one.
+    elsewhere : SensorOffset, optional
+        As in `analysis.events.sensor_offset.calibrate`.
 
     Raises
     ------
@@ -58,7 +67,7 @@ def flights_of(recording: Recording, *, progress: Progress | None = None, high_p
         When there is no accelerometer channel, or the file with events changed by hand does not read.
     """
     changes = event_changes_of(recording)
-    found = scan(recording, progress, high_pass_hz)
+    found = replace(scan(recording, progress, high_pass_hz), elsewhere=elsewhere)
     return assemble(found, recording.setup, recording.rate_hz, recording.n_samples, changes)
 
 
@@ -66,21 +75,23 @@ def assemble(
     found: Scan, setup: Setup, rate_hz: float, n_samples: int, changes: tuple[EventChange, ...] = ()
 ) -> Flights:
     """Flights and their flags from the result of the pass, with the events that a person changed."""
-    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(
-        found, setup.g_mps2.value, rate_hz, n_samples, changes
-    )
+    g = setup.g_mps2.value
+    table = _in_air(found, g, rate_hz, n_samples, changes)
+    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = table
     flags[given_by_hand(takeoff, changes) | given_by_hand(landing, changes)] |= int(FlightFlag.BY_HAND)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
     plate = found.plate
-    takeoff, takeoff_sigma = _unseen_contacts(
-        plate, setup.g_mps2.value, takeoff, takeoff_sigma, landing, step, unseen_contact_s(report, rate_hz)
-    )
+    unseen_s = unseen_contact_s(report, rate_hz)
+    takeoff, takeoff_sigma = _unseen_contacts(plate, g, takeoff, takeoff_sigma, landing, step, unseen_s)
+    if report.sensor_offset is not None:  # the accelerometer shows impacts
+        quick = _back_at_once(takeoff, landing, CHATTER_S) & np.isnan(strength) & (flags < int(FlightFlag.BY_HAND))
+        flags[quick & (-plate.acceleration_mps2(takeoff, step) < LAUNCHES * g)] |= int(FlightFlag.FALSE)
     true = (flags & FlightFlag.FALSE) == 0
     contact = _contacts(takeoff, landing, true)
-    flags |= _launch_flags(plate, setup.g_mps2.value, takeoff, landing, contact, step, true)
+    flags |= _launch_flags(plate, g, takeoff, landing, contact, step, true)
     flags |= _unresolved(strength, flags, report)
-    flags |= _hidden(plate, setup.g_mps2.value, takeoff, landing, contact, step, flags)
+    flags |= _hidden(plate, g, takeoff, landing, contact, step, flags)
     return Flights(
         takeoff_s=takeoff,
         landing_s=landing,
@@ -112,7 +123,7 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
     impacts, offset = NO_IMPACTS, None
     if found.survey.template is not None:
         own = takeoff[whole], landing[whole], landing_sigma[whole]
-        impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s, 1.0 / rate_hz)
+        impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s, 1.0 / rate_hz, found.elsewhere)
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
@@ -147,11 +158,14 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
     if last_cut:
         flags[-1] |= FlightFlag.CUT
     duration = landing - takeoff
-    since = takeoff - np.append(-np.inf, landing[:-1])
-    # a flight shorter than 0.4 ms soon after a landing is contact bounce
-    false = (duration < GLITCH_S) | ((duration < 4e-4) & (since < BOUNCE_AFTER_S))
-    flags[false] |= FlightFlag.FALSE
+    flags[(duration < GLITCH_S) | _back_at_once(takeoff, landing, 4e-4)] |= FlightFlag.FALSE
     return takeoff, landing, takeoff_sigma, landing_sigma, flags
+
+
+def _back_at_once(takeoff: Floats, landing: Floats, most_s: float) -> Bools:
+    """Intervals in the air shorter than ``most_s`` soon after a landing, as a contact that chatters makes them."""
+    since = takeoff - np.append(-np.inf, landing[:-1])
+    return np.asarray((landing - takeoff < most_s) & (since < BOUNCE_AFTER_S))
 
 
 def _undenied(
@@ -295,8 +309,7 @@ def _contacts(takeoff: Floats, landing: Floats, true: Bools) -> Floats:
     """Time since the last true landing; NaN before the first."""
     contact = np.full(takeoff.size, np.nan)
     index = np.flatnonzero(true)
-    if index.size > 1:
-        contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]
+    contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]
     return contact
 
 
@@ -322,8 +335,7 @@ def _launch_flags(
     flags[brief & (contact < 1.5e-3) & (landed >= 1.0)] |= int(FlightFlag.RELAUNCHED)
     # a double hit is back within half a period
     back_soon = landing - takeoff < 0.5 / plate.frequency_hz(step)
-    # below 0.8 g of downward acceleration a ball at rest would have stayed
-    flags[brief & (leaving < 0.8) & back_soon] |= int(FlightFlag.DOUBLE_HIT)
+    flags[brief & (leaving < LAUNCHES) & back_soon] |= int(FlightFlag.DOUBLE_HIT)
     return flags
 
 

@@ -17,6 +17,7 @@ from analysis.events.crossings import OPENS, Crossings, CrossingScan
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
 from analysis.events.impact_template import ImpactTemplate
 from analysis.events.levels import Levels, measure_levels
+from analysis.events.sensor_offset import SensorOffset
 from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.motion import PlateMotion, StepPlate
@@ -86,6 +87,8 @@ class Scan:
         Samples at which an edge of the contact is known to have been missed.
     filled_spans_s : array, shape (n, 2)
         Intervals whose samples or drive were filled in by the recorder.
+    elsewhere : SensorOffset, optional
+        As in `analysis.events.sensor_offset.calibrate`.
     """
 
     survey: Survey
@@ -96,6 +99,7 @@ class Scan:
     plate: PlateMotion
     missed: Integers
     filled_spans_s: Floats
+    elsewhere: SensorOffset | None = None
 
 
 def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import Scatter, raised_together
+from analysis.events.sensor_offset import SensorOffset, common_offset
 from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
@@ -171,18 +172,27 @@ def observations_from(
         Where a file is no recording or holds no flights and no plate motion, or two hold the same samples.
     """
     refuse_repeated(paths)
-    parts = {} if known is None else known
-    for path in paths:
-        if path in parts:
-            continue
+    parts, offsets = {} if known is None else known, dict[Path, SensorOffset]()
+
+    def read(path: Path, elsewhere: SensorOffset | None = None) -> None:
         with open_recording(path) as recording:
             if setup is not None:
                 recording.measure_with(setup)
             say = None if progress is None else partial(progress, path.name)
-            flights = flights_of(recording, progress=say, high_pass_hz=high_pass_hz)
+            flights = flights_of(recording, progress=say, high_pass_hz=high_pass_hz, elsewhere=elsewhere)
             if on_flights is not None:
                 on_flights(recording, flights)
             parts[path] = observed(recording, flights)
+            if flights.edges.sensor_offset is not None:
+                offsets[path] = flights.edges.sensor_offset
+
+    for path in paths:
+        if path not in parts:
+            read(path)
+    if (common := common_offset(list(offsets.values()))) is not None:
+        for path, own in offsets.items():
+            if not np.isfinite(own.uncertainty_s):  # its contact never closed in a landing, as in one step of a ramp
+                read(path, common)
     return parts[paths[0]] if len(paths) == 1 else join([parts[path] for path in paths])
 
 

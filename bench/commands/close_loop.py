@@ -92,10 +92,14 @@ def _check_recordings(recordings: list[Path]) -> None:
 
     for path in recordings:
         require_file(path)
+    found: dict[str, list[Path]] = {}
     for path in recordings:
         with open_recording(path) as recording:
             for doubt in warnings_at_start(recording.setup, str(recording.attrs.get("started", ""))):
-                warn(f"{path}: {doubt}")
+                found.setdefault(doubt, []).append(path)
+    for doubt, those in found.items():
+        more = f" and {len(those) - 1} more" if len(those) > 1 else ""
+        warn(f"{those[0]}{more}: {doubt}")
 
 
 @dataclass(frozen=True)

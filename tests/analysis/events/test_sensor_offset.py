@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from analysis.events.crossings import CLOSES
 from analysis.events.edges import Edges
 from analysis.events.impact_detection import Impacts
-from analysis.events.sensor_offset import calibrate, combine_with_impacts
+from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts, common_offset
 
 SAMPLING_S = 5e-5
 ROUNDING_S = SAMPLING_S / np.sqrt(12.0)
@@ -82,3 +84,22 @@ def test_a_contact_that_jitters_is_not_believed_where_it_errs_most() -> None:
     error = combine_with_impacts(edges, moved, offset).time_s - exact
     assert offset.spread_s == pytest.approx(2.9e-5, rel=0.3)
     assert np.abs(error - np.median(error)).max() < 2.5e-5
+
+
+def test_a_recording_whose_contact_never_closes_takes_the_offset_that_others_of_the_rig_show() -> None:
+    """Three recordings of one step each show it, a fourth, in which no landing closes the contact, is corrected by it;
+    three that differ by 6 us say no more than that."""
+    exact, impact_s, edges = closings(False)
+    impacts = Impacts(impact_s + 4e-4, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
+    rest = edges.uncertainty_s, 0.0, SAMPLING_S
+    shown = calibrate(impacts, edges.time_s - 0.02, edges.time_s, *rest)[1]
+    others = [replace(shown, offset_s=shown.offset_s + more_s) for more_s in (-6e-6, 0.0, 6e-6)]
+    silent = SensorOffset(0.0, np.inf, 0)
+    common = common_offset([*others, silent])
+    assert common is not None
+    assert common_offset([silent]) is None
+    nothing = np.zeros(0)
+    moved, own = calibrate(impacts, nothing, nothing, nothing, 0.0, SAMPLING_S, common)
+    assert np.abs(moved.time_s - exact).max() < 1e-5
+    assert 6e-6 < own.uncertainty_s < 1.2e-5
+    assert np.all(moved.uncertainty_s > 6e-6)

@@ -14,6 +14,7 @@ from analysis.flights.scan import scan
 from daq.files.tables import Block
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
+from daq.setup.setup import Setup
 
 GAMMAS = np.linspace(1.2, 2.4, 5)
 FRICTION = {"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}}
@@ -46,6 +47,16 @@ def read(path: Path) -> Flights:
         return flights_of(recording)
 
 
+def written(path: Path, setup: Setup, codes: dict[str, np.ndarray], steps: np.ndarray) -> Path:
+    """A recording of these codes."""
+    writer = RecordingWriter(path, setup, profile_text="", channels=list(codes), backend="simulated", simulated=True)
+    writer.append(Block(0, np.rint(np.column_stack(list(codes.values()))).clip(-32768, 32767).astype(np.int16)))
+    for row in steps:
+        writer.mark_step(row)
+    writer.close()
+    return path
+
+
 @pytest.fixture(scope="module")
 def true_landings(make) -> np.ndarray:
     """What happened, behind no instrument: the same at every noise."""
@@ -76,18 +87,26 @@ def test_a_recording_that_others_resampled_holds_the_same_flights(
     with open_recording(make(GAMMAS, effects=FRICTION).path) as recording:
         setup, channels, steps = recording.setup, list(recording.channels), recording.steps.copy()
         codes = [resample_poly(recording.codes(name, 0, recording.n_samples), 12, 5) for name in channels]
-    path = tmp_path / "resampled.h5"
     setup = setup.model_copy(update={"sampling": setup.sampling.model_copy(update={"rate_hz": 48000.0})})
-    writer = RecordingWriter(path, setup, profile_text="", channels=channels, backend="simulated", simulated=True)
-    writer.append(Block(0, np.rint(np.column_stack(codes)).clip(-32768, 32767).astype(np.int16)))
     for name in ("first_sample", "n_samples", "settle_samples", "fade_samples"):
         steps[name] = steps[name] * 12 // 5
-    for row in steps:
-        writer.mark_step(row)
-    writer.close()
-    flights = read(path)
+    flights = read(written(tmp_path / "resampled.h5", setup, dict(zip(channels, codes, strict=True)), steps))
     assert strangers(landings(flights), true_landings) == []
     assert strangers(plain_landings, landings(flights)) == []
+
+
+def test_a_contact_that_opens_once_more_after_a_landing_makes_no_flight(make, tmp_path: Path) -> None:
+    """From .2 to .8 ms after each landing at which the ball comes to rest; no impact ends that."""
+    with open_recording(make([0.9, 1.1, 1.3], effects=FRICTION).path) as recording:
+        flights, rate_hz = flights_of(recording), recording.rate_hz
+        codes = {name: recording.codes(name, 0, recording.n_samples) for name in recording.channels}
+        setup, steps = recording.setup, recording.steps.copy()
+    rests = np.append(flights.contact_s[1:], 0.0) > 5e-3
+    at = np.rint(flights.landing_s[rests] * rate_hz).astype(int)[:, None]
+    codes["continuity"][at + np.arange(round(2e-4 * rate_hz), round(8e-4 * rate_hz))] = codes["continuity"].max()
+    chattering = read(written(tmp_path / "chatters.h5", setup, codes, steps))
+    assert rests.sum() > 40
+    assert landings(chattering) == pytest.approx(landings(flights), abs=1e-4)
 
 
 def test_a_knock_in_mid_flight_cuts_no_flight_that_the_contact_circuit_shows(make) -> None:
