@@ -24,6 +24,7 @@ from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.programme.sequencer import Stop
 
 PAGE = "page"
+STATE_S = 0.05
 STOPS = {
     "finish": (Stop.FINISH_STEP, "page: step finished"), "ramp_down": (Stop.RAMP_DOWN, "page: ramped down"),
     "now": (Stop.NOW, "page: stopped now"),
@@ -96,8 +97,9 @@ class RunSide:
         now = self._clock.monotonic_s()
         state = (status.state, status.step.index, self._request.pause, self._request.wanted)
         # twenty states a second at most: a simulation's blocks come far faster than a page shows them
-        if now - self._sent_at >= 0.05 or state != self._sent:
-            self._sent_at, self._sent = now, state
+        if now - self._sent_at >= STATE_S or state != self._sent:
+            # due at even times: counted from the last one, a state would come with every sixth block, 17 a second
+            self._sent_at, self._sent = max(self._sent_at + STATE_S, now - STATE_S), state
             self._board.events.put(state_of(status, self._request))
         if self._also is not None:
             self._also(status)

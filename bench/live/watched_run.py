@@ -25,6 +25,7 @@ from rig.programme.sequencer import STILL
 LIMIT_UNITS = {"drive_v": "V", "plate_mps2": "m/s\u00b2", "velocity_mps": "m/s", "displacement_m": "m"}
 STANDING = tuple(state.value for state in STILL)
 SILENT_S = 20.0  # a run says something twenty times a second
+FEW_S = 0.01  # of the scope: less is not held back
 FOLLOWS_S = 2.0  # after which nothing follows a run that ended
 Tell = Callable[..., None]
 
@@ -65,6 +66,8 @@ class WatchedRun:
         self._next_sample = -1
         self._shifted = 0  # samples lost so far
         self._recent: list[NDArray[np.int16]] = []
+        self._bins = np.zeros((0, 2, 0), np.int16)  # of the scope, not sent yet
+        self._bins_end = 0  # samples before the end of the last one, lost ones counted
         self._spectrum_at = 0.0
         self._pipe, self._analyst = start_analyst(profile, board.name, pictures=True)
         self._say(self._plan())
@@ -90,8 +93,10 @@ class WatchedRun:
         for event in self.board.events.read()[0]:
             self._heard_at = time.monotonic()
             self._take_in(event)
-        if self._ring is not None and (blocks := self._ring.read()):
-            self._send_scope(blocks)
+        if self._ring is not None:
+            if blocks := self._ring.read():
+                self._read_frames(blocks)
+            self._send_bins(len(self._bins) // 2)
         self._read_analyst()
 
     def close(self, *, leave: bool = False) -> None:
@@ -162,6 +167,7 @@ class WatchedRun:
         self._height = PlateHeight(self._rate_hz, profile.forcing.frequency_hz, self._mps2, self._least_m)
         self._bin = max(1, int(np.ceil(self._rate_hz / MOST_BINS_PER_S)))
         self._extremes = MinMax(self._bin, len(channels) + 1)
+        self._bins = np.zeros((0, 2, len(channels) + 1), np.int16)
         self._say({**event, "out": self.out, "traces": self._traces(event), "at": time.time()})
         with contextlib.suppress(OSError):  # over before it was looked at
             self._ring = RingReader(*event["ring"])
@@ -183,26 +189,36 @@ class WatchedRun:
         out.append({"name": "plate height", "volts": height, "si": height})
         return out
 
-    def _send_scope(self, blocks: Sequence[Block]) -> None:
-        """New frames as pieces of the scope, and the spectrum once a second."""
-        pieces, first = [], -1
+    def _send_bins(self, n: int) -> None:
+        """Send the first ``n`` bins of the scope that wait, or all where few would be left.
+
+        Half of them at each tick: a run hands frames over when their losses are settled, 1.3 cycles at a time, and a
+        scope that got them as they come would stand still between.
+        """
+        bin_s = self._bin / self._rate_hz
+        if (len(self._bins) - n) * bin_s < FEW_S:
+            n = len(self._bins)
+        if n:
+            first_s = self._bins_end / self._rate_hz - len(self._bins) * bin_s
+            self._tell(scope_piece(first_s, bin_s, self._bins[:n]), passing=True)
+            self._bins = self._bins[n:]
+
+    def _read_frames(self, blocks: Sequence[Block]) -> None:
+        """Add new frames to the bins of the scope, and send the spectrum once a second."""
         for block in blocks:
-            self._shifted += block.lost_before
             if block.first_sample != self._next_sample or block.lost_before:
+                self._send_bins(len(self._bins))
                 self._extremes.clear()
+                self._shifted += block.lost_before
+                self._bins_end = block.first_sample + self._shifted
             height = self._height.add(np.ascontiguousarray(block.codes[:, self._accelerometer]))
             if self._stands:
                 height[:] = -32768  # the code of a height that is not known
             found = self._extremes.add(np.column_stack([block.codes, height]))
             self._next_sample = block.first_sample + len(block.codes)
-            if len(found) and first < 0:
-                first = self._next_sample - len(found) * self._bin
-            pieces.append(found)
+            self._bins_end += len(found) * self._bin
+            self._bins = np.concatenate([self._bins, found])
             self._recent.append(np.ascontiguousarray(block.codes[:, self._accelerometer]))
-        extremes = np.concatenate(pieces)
-        if len(extremes):
-            bin_s = self._bin / self._rate_hz
-            self._tell(scope_piece((first + self._shifted) / self._rate_hz, bin_s, extremes), passing=True)
         now = time.monotonic()
         if now - self._spectrum_at > 1.0:
             recent = np.concatenate(self._recent)[-(1 << 15) :]

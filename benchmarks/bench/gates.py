@@ -97,7 +97,7 @@ class Way:
         field = self.page.locator(f"[data-key='{key}']")
         field.fill(text)
         field.press("Tab")
-        self.page.locator("#undo:enabled").wait_for()
+        self.page.locator(f"[data-key='{key}'][value='{text}']").wait_for()  # drawn anew with what was taken
         self.clicks += 2
 
     def picture(self, name: str) -> None:

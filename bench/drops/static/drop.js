@@ -91,6 +91,7 @@ const handlers = {
 
 function done(m) {
   $("working").hidden = true;
+  $("command").translate = !m.command;
   $("command").textContent = m.command ?? "corrections differ from file to file: no one command says this; the kept JSON does";
   document.body.dataset.state = "done";
   document.body.dataset.results = Number(document.body.dataset.results ?? 0) + 1;

@@ -21,7 +21,7 @@ const residuals = new Residuals($("residual")), spectrum = new Spectrum($("spect
 const pictures = [scope, diagram, map, residuals, spectrum];
 let shared = "";
 let socket = null, plan = null, run = null, mine = false, running = false, pausing = false, offer = null, last = null, present = -1;
-export const counts = { updates: 0, draws: 0, flights: 0, since: performance.now() };
+export const counts = { updates: 0, scopes: 0, draws: 0, flights: 0, since: performance.now() };
 window.deskCounts = counts; // for measurements
 window.deskTable = () => diagram.table();
 
@@ -102,6 +102,7 @@ function binary(buffer) {
   const view = new DataView(buffer), kind = view.getUint8(0);
   counts.updates++;
   if (kind === 1) {
+    counts.scopes++;
     scope.add(view.getFloat64(8, true), view.getFloat64(16, true), view.getUint8(1), new Int16Array(buffer, 24));
   } else if (kind === 2) {
     const n = view.getUint32(4, true), column = (k) => new Float32Array(buffer, 16 + 4 * n * k, n);

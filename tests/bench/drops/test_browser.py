@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,29 +18,6 @@ from tests.bench.contrast import too_pale
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 PATIENCE_S = 90.0  # of a machine that runs tests beside
 IMPACTS = 0.5 + np.concatenate(([0.0], np.cumsum(0.4 * 0.85 ** np.arange(9))))
-
-
-@pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Callable[..., str]]:
-    """Start a command that serves a page; gives the page's address."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*arguments: object) -> str:
-        call = [sys.executable, "-m", "bench.cli", *map(str, arguments), "--port", "0"]
-        process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        started.append(process)
-        assert process.stdout is not None
-        said = []
-        for line in process.stdout:
-            said.append(line)
-            if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
-                return found.group()
-        raise AssertionError("".join(said))
-
-    yield start
-    for process in started:
-        process.terminate()
-        process.communicate(timeout=PATIENCE_S)
 
 
 @pytest.fixture
@@ -103,7 +76,7 @@ def place(page: Any, when: float) -> tuple[float, float]:
 
 def test_impacts_are_dragged_added_and_taken_away(chromium: Any, bench: Any, tap: Path) -> None:
     """Each correction makes the verdict anew, undo takes it back, and the JSON keeps it for the next time."""
-    url = bench("drop", tap, "--page")
+    _, url = bench("drop", tap, "--page")
     page, other = opened(chromium, url), opened(chromium, url)
     results(page, 1)
     first = impacts(page)
@@ -144,6 +117,11 @@ def test_impacts_are_dragged_added_and_taken_away(chromium: Any, bench: Any, tap
     assert kept["options"]["corrections"][0]["add_s"] == [pytest.approx(first[2] + 0.003, abs=1e-5)]
     assert len(kept["options"]["corrections"][0]["ignore_s"]) == 1
     assert kept["models"][0]["parameters"]["e0"]["value"] is not None
+    other.evaluate("localStorage.setItem('language', 'pseudo')")
+    other.reload()
+    impacts(other)
+    other.wait_for_selector("html[data-language=pseudo]", timeout=1e3 * PATIENCE_S)
+    assert other.evaluate("[...desk.missing]") == []  # the catalogues have every text
     assert page.faults == [] and other.faults == [] and too_pale(page) == []
 
 
@@ -151,7 +129,7 @@ def test_a_file_of_the_desk_is_opened_with_what_was_kept(chromium: Any, bench: A
     """An empty folder says what belongs there; a file opens with its corrections, and a wrong option is refused."""
     folder = tmp_path / "runs"
     folder.mkdir()
-    desk = opened(chromium, bench("live", "--runs", folder), "drop")
+    desk = opened(chromium, bench("live", "--runs", folder)[1], "/drop")
     desk.wait_for_selector("#none", timeout=1e3 * PATIENCE_S)
     assert "put one there" in desk.inner_text("#none")
     for name in ("tap.wav", ".hidden.wav"):

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -43,36 +42,6 @@ def profile(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str], str]]]:
-    """Start a command that serves a page; gives the process and the page's address."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*arguments: object) -> tuple[subprocess.Popen[str], str]:
-        call = [sys.executable, "-c", "from bench.cli import main; main()", *map(str, arguments), "--port", "0"]
-        process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path)
-        started.append(process)
-        assert process.stdout is not None
-        said = []
-        for line in process.stdout:
-            said.append(line)
-            found = re.search(r"http://127\.0\.0\.1:\d+/", line)
-            if found:
-                return process, found.group()
-        raise AssertionError("".join(said))
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.terminate()
-        try:
-            process.communicate(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:  # a run that a failed test has left goes on
-            process.kill()
-            process.communicate()
-            raise
-
-
 def wait_for(page: Any, selector: str, text: str) -> None:
     """Until an element has a text."""
     page.locator(selector, has_text=re.compile(text)).wait_for(timeout=1e3 * PATIENCE_S)
@@ -93,7 +62,7 @@ def test_run_is_started_watched_noted_paused_and_stopped(
     """A refusal, a start, a note, a pause and going on; whoever sees the page stops it; the log outlives a reload."""
     passed(tmp_path, profile.name)
     _, url = bench("live", "--runs", tmp_path)
-    page, other = opened(chromium, f"{url}gates"), opened(chromium, f"{url}live")
+    page, other = opened(chromium, f"{url}/gates"), opened(chromium, f"{url}/live")
     wait_for(page, "#lease-word", "you hold the controls")
     wait_for(other, "#lease-word", "another browser holds")
     assert page.locator("#go").is_disabled()  # before it was said that hands are off
@@ -163,7 +132,7 @@ def test_own_steps_are_next_on_the_same_page(chromium: Any, bench: Any, profile:
     """Blocks of `bench explore` on one page: held, refused beyond the limits, replaced by own steps, and stopped."""
     out = tmp_path / "found"
     process, url = bench("explore", profile, "--out", out, "--live", "--hold", "20")
-    page = opened(chromium, f"{url}live")
+    page = opened(chromium, f"{url}/live")
     wait_for(page, "#lease-word", "you hold")
     wait_for(page, "#state-step", r"\(last 3\)")
     page.keyboard.press("p")
@@ -191,12 +160,12 @@ def test_death_of_page_and_browser_leaves_the_run_alone(bench: Any, profile: Pat
         pytest.skip("no chromium on this machine (Debian: apt-get install chromium)")
     out = tmp_path / "run.h5"
     process, url = bench("ramp", profile, "--out", out, "--live")
-    call = [CHROMIUM, "--headless", "--no-sandbox", f"--user-data-dir={tmp_path / 'browser'}", f"{url}live"]
+    call = [CHROMIUM, "--headless", "--no-sandbox", f"--user-data-dir={tmp_path / 'browser'}", f"{url}/live"]
     browser = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     time.sleep(2.0)
     os.killpg(browser.pid, signal.SIGKILL)
     browser.wait()
-    port = int(url.rstrip("/").rpartition(":")[2])
+    port = int(url.rpartition(":")[2])
     os.kill(_listener(process.pid, port), signal.SIGKILL)
     process.communicate(timeout=PATIENCE_S)
     report = verify(out)
@@ -251,7 +220,7 @@ def test_page_without_a_run_is_legible_and_gives_other_sites_nothing(
 ) -> None:
     """Other origins and names read nothing and open no websocket; screens of each size hold all, plots are saved."""
     process, url = bench("live", profile, "--runs", tmp_path)
-    host = url.removeprefix("http://").rstrip("/")
+    host = url.removeprefix("http://")
     with ThreadingHTTPServer(("127.0.0.1", 0), _Hostile) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         page = chromium.new_page()
@@ -264,7 +233,7 @@ def test_page_without_a_run_is_legible_and_gives_other_sites_nothing(
     answer = rebound.goto(f"http://rebound.localhost:{port}/live")  # Chromium resolves every .localhost to this machine
     assert answer is not None and answer.status == 421
     rebound.close()
-    page = opened(chromium, f"{url}live")
+    page = opened(chromium, f"{url}/live")
     wait_for(page, "#connection", "^connected$")
     for width, height in ((390, 844), (1280, 800), (3840, 2160)):
         page.set_viewport_size({"width": width, "height": height})

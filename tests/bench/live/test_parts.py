@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,12 @@ from analysis.flights.classify import classify
 from analysis.residuals.observations import Observations
 from bench.jobs.blocks import Chosen, by_person
 from bench.jobs.run_ramp import make_backend, record
+from bench.live import watched_run
 from bench.live.analyst import Analyst
 from bench.live.board import EVENT_SLOTS, Board
 from bench.live.reduce import DOUBTFUL, PLAIN, ReducedStep, cut_to, reduce_run
 from bench.live.run_side import RunSide
-from bench.live.scope_data import MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
+from bench.live.scope_data import SCOPE, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
 from bench.live.verdict import predicted, verdict_of
 from bench.profiles.find import load, shipped_folder
 from bench.web.browsers import GONE_S, SILENT_S, Lease
@@ -272,3 +274,39 @@ def test_messages_are_what_the_page_unpacks() -> None:
     n = struct.unpack("<I", piece[4:8])[0]
     hz, density = np.frombuffer(piece, "<f4", n, 8), np.frombuffer(piece, "<f4", n, 8 + 4 * n)
     assert hz[np.argmax(density)] == pytest.approx(1000.0, rel=0.05)
+
+
+def test_a_scope_gets_frames_at_every_tick_though_they_come_in_bursts(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six blocks at once every 59 ms: each of the ticks, 50 ms apart, sends a piece, and all pieces are the frames."""
+    pipe = SimpleNamespace(poll=lambda: False, close=lambda: None)
+    gone = SimpleNamespace(terminate=lambda: None, join=lambda _: None)
+    monkeypatch.setattr(watched_run, "start_analyst", lambda *_, **__: (pipe, gone))
+    pieces: list[bytes] = []
+    profile = load("simulated")[0]
+    watch = watched_run.WatchedRun(profile, board, lambda m, **_: pieces.append(m) if isinstance(m, bytes) else None)
+    ring = Ring(256, 197, 3)
+    names = ["continuity", "accelerometer", "drive"]
+    event = {"kind": "run", "out": "a.h5", "channels": names, "scales": dict.fromkeys(names, (1e-3, 0.0))}
+    board.events.put(event | {"ring": [ring.slots, 197, 3, ring.name]})
+    codes = np.random.default_rng(3).integers(-9999, 9999, (197 * 6 * 90, 3)).astype(np.int16)
+    sent = 0
+    for tick in range(100):
+        while sent * 197 / 20_000 + 0.059 < tick * 0.05:  # handed over, six together
+            for _ in range(6):
+                ring.put(Block(197 * sent, codes[197 * sent : 197 * (sent + 1)]))
+                ring.take()
+                sent += 1
+        before = len(pieces)
+        watch.tick()
+        assert tick < 3 or [one[0] for one in pieces[before:]].count(SCOPE) == 1
+    for _ in range(8):
+        watch.tick()
+    bins = [np.frombuffer(one[24:], "<i2").reshape(-1, 2, 4) for one in pieces if one[0] == SCOPE]
+    shown = np.concatenate(bins)
+    assert np.array_equal(shown[:, 0, :3], codes[: len(shown)]) and len(shown) == 197 * sent
+    firsts = [struct.unpack_from("<d", one, 8)[0] for one in pieces if one[0] == SCOPE]
+    assert np.allclose(np.diff(firsts) * 20_000, [len(one) for one in bins[:-1]])
+    watch.close()
+    ring.close()

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,35 +19,12 @@ from tests.bench.runs.recordings import RATE_HZ, record, verdict_on
 
 pytestmark = pytest.mark.slow
 HOSTILE = '</td><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
-SERVE = """
-from pathlib import Path
-import sys
-from bench.web.section import Place
-from bench.web.serve import bind, serve
-if __name__ == "__main__":
-    listening, access = bind(port=0)
-    print(access.url, flush=True)
-    serve(listening, access, ["bench.runs.pages"], Place(Path(sys.argv[1]).resolve()))
-"""
 
 
 @pytest.fixture
-def server(folder: Path, tmp_path: Path) -> Iterator[str]:
-    """The pages' address, served by a process of their own."""
-    script = tmp_path / "serve.py"
-    script.write_text(SERVE, encoding="utf-8")
-    with subprocess.Popen([sys.executable, str(script), str(folder)], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        url = process.stdout.readline().strip().rstrip("/")
-        host, port = url.removeprefix("http://").split(":")
-        for _ in range(200):
-            with socket.socket() as probe:
-                if probe.connect_ex((host, int(port))) == 0:
-                    break
-            time.sleep(0.05)
-        yield url
-        process.terminate()
-        process.wait(20)
+def server(bench: Any, folder: Path) -> str:
+    """The address of the desk on a folder of runs."""
+    return str(bench("live", "--runs", folder)[1])
 
 
 @pytest.fixture

@@ -7,11 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,39 +34,15 @@ AT_REST = """() => new Promise((done) => {
   new MutationObserver(again).observe(document, { subtree: true, childList: true, characterData: true });
 })"""  # nothing was written for 0.4 s
 KNOWN = "texts => { desk.missing.clear(); texts.forEach(desk.say); return [...desk.missing]; }"
-SERVE = """
-from pathlib import Path
-import sys
-from bench.live.processes import sections
-from bench.web.section import Place
-from bench.web.serve import bind, serve
-if __name__ == "__main__":
-    listening, access = bind(port=0)
-    print(access.url, flush=True)
-    serve(listening, access, sections(starts=True), Place(Path(sys.argv[1]).resolve()))
-"""
 
 
 @pytest.fixture
-def desk(tmp_path: Path, closed_loop: ClosedLoop) -> Iterator[str]:
+def desk(bench: Any, tmp_path: Path, closed_loop: ClosedLoop) -> str:
     """The address of the whole desk on a folder with one run and a verdict on it."""
     run = tmp_path / "runs" / "a.h5"
     record(run, gammas=(0.6, 0.8))
     keep_verdict(verdict_on(closed_loop, run), [run])
-    script = tmp_path / "serve.py"
-    script.write_text(SERVE, encoding="utf-8")
-    with subprocess.Popen([sys.executable, script, run.parent], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        url = process.stdout.readline().strip().rstrip("/")
-        host, port = url.removeprefix("http://").split(":")
-        for _ in range(200):
-            with socket.socket() as probe:
-                if probe.connect_ex((host, int(port))) == 0:
-                    break
-            time.sleep(0.05)
-        yield url
-        process.terminate()
-        process.wait(20)
+    return str(bench("live", "--runs", run.parent)[1])
 
 
 def opened(page: Any, address: str) -> None:
