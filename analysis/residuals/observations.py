@@ -250,7 +250,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         ),
         mode=mode,
         pushed=(mode.known_plate,) if mode and mode.known_plate else (),
-        closure_s=closure_s(measured),
+        closure_s=closure_s(measured, flights.heard()[keep]),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,

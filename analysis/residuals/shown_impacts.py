@@ -39,7 +39,11 @@ def weak_mps(measured: Measured, plate: PlateSteps, flights: Flights, keep: Bool
     return np.where(rings, np.maximum(usual, DETECTED * ECHO_MARGIN * speed * before), usual)
 
 
-def closure_s(measured: Measured) -> float:
-    """Middle of the contacts from which the ball left at once; 0 where there are few."""
-    brief = (measured.opening_s[1:] - measured.landing_s[:-1])[measured.relaunched[1:] & measured.linked[1:]]
+def closure_s(measured: Measured, heard: Bools) -> float:
+    """Middle of the contacts from which the ball left at once; 0 where there are few.
+
+    A contact that only the accelerometer shows (``heard`` at the landing, (n,)) counts as no closed time.
+    """
+    brief = np.where(heard[:-1], 0.0, measured.opening_s[1:] - measured.landing_s[:-1])
+    brief = brief[measured.relaunched[1:] & measured.linked[1:]]
     return float(np.median(brief)) if len(brief) >= FEW_CONTACTS else 0.0
