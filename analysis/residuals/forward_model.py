@@ -34,7 +34,6 @@ from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Detection, Measured, PlateSteps, active
-from model.integrator.slopes import Slopes, slopes_of
 
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 256}  # stored results: of predictions, plate data and hooks
 
@@ -304,11 +303,6 @@ class ForwardModel:
     def detection_at(self, x: Inputs) -> Detection:
         ev = self.observations
         return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
-
-    def slopes(self, values: Values) -> tuple[Inputs, Slopes]:
-        """Inputs of a prediction, and its derivatives: `model.integrator.slopes.slopes_of`."""
-        x, found = self.inputs(values), self.predicted(values)
-        return x, slopes_of(self.measured_at(x), x.plate, x.rows, self.detection_at(x), found)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, stored: what touches plate data only needs no new flight."""

@@ -14,11 +14,7 @@ from model.integrator.records import Law, Mode, Plate, Start, StepEnds, compiled
 WAIT_PARTS = 3  # parts of a step at which a ball at rest is looked at: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0
 MOST_SECANTS = 40
-# columns of a noted step: time since take-off, its `StepEnds`, direction of friction, whether forces and friction are
-# constant in the segment, the part of the step that is flown, and how that ends
-NODE_S, STEP_S, H0, V0, A0, H1, V1, A1, DIRECTION, CONSTANT, FLOWN, ENDED = range(12)
-NODE_COLUMNS = 12
-GOES_ON, LANDS, STANDS = 0, 1, 2  # values of ENDED
+GOES_ON, LANDS, STANDS = 0, 1, 2  # how a segment ends
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
 Coefficients = tuple[float, float, float, float, float, float]
@@ -260,33 +256,6 @@ def _runge_kutta(
     return dev, devd
 
 
-@compiled
-def note(nodes: Floats, s: float, ends: StepEnds, direction: float, closed: bool) -> None:
-    """Append a step of the integration, s after take-off, to ``nodes``, whose first number counts them."""
-    k = int(nodes[0, 0]) + 1
-    nodes[0, 0] = k
-    if k >= nodes.shape[0]:
-        return
-    nodes[k, NODE_S] = s
-    nodes[k, STEP_S], nodes[k, H0], nodes[k, V0], nodes[k, A0] = ends.d, ends.h0, ends.v0, ends.a0
-    nodes[k, H1], nodes[k, V1], nodes[k, A1] = ends.h1, ends.v1, ends.a1
-    nodes[k, DIRECTION], nodes[k, CONSTANT], nodes[k, FLOWN], nodes[k, ENDED] = direction, closed, 1.0, GOES_ON
-
-
-@inlined
-def ends_of(node: Floats) -> StepEnds:
-    """The two ends of a noted step."""
-    return StepEnds(node[STEP_S], node[H0], node[V0], node[A0], node[H1], node[V1], node[A1])
-
-
-@compiled
-def note_end(nodes: Floats, z: float, ended: int) -> None:
-    """Mark the last step in ``nodes`` as the last of its segment."""
-    k = int(nodes[0, 0])
-    if k < nodes.shape[0]:
-        nodes[k, FLOWN], nodes[k, ENDED] = z, ended
-
-
 @inlined
 def _is_constant(fr: float, direction: float, p: Floats) -> bool:
     """Whether dry friction ``fr`` is Coulomb's: the same at two other places and speeds."""
@@ -320,7 +289,7 @@ def segment(
     halved = (law.forced or law.rubbed) and not constant
     if not halved:
         turn_twice_as_far(moving, turning)
-    s, opened, noted = 0.0, -1.0, law.nodes.shape[0] > 0
+    s, opened = 0.0, -1.0
     while s < LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s:
         se = s + step
         middle = _coasting(s + 0.5 * step, start, turned(moving, turning), g) if halved else (0.0, 0.0, 0.0, 0.0)
@@ -335,20 +304,14 @@ def segment(
         h1, v1 = hb1 + dev, vb1 + devd
         a1 = ab1 + f1
         ends = StepEnds(step, h, v, a, h1, v1, a1)
-        if noted:
-            note(law.nodes, s0 + s, ends, direction, not halved)
         if opened < 0.0 and h1 > gap >= h:
             opened = s0 + s if gap == 0.0 else s0 + s + step * crossing(gap, 0.0, 1.0, ends)
         touch = first_touch(ends)
         if law.rubbed:
             z = first_standstill(ends, direction)
             if z >= 0.0 and (touch < 0.0 or z < touch):
-                if noted:
-                    note_end(law.nodes, z, STANDS)
                 return STANDS, s0 + s + z * step, max(hermite5(z, ends)[0], 0.0), 0.0, opened
         if touch >= 0.0:
-            if noted:
-                note_end(law.nodes, touch, LANDS)
             return LANDS, s0 + s + touch * step, 0.0, hermite5(touch, ends)[1], opened
         s, h, v, a, f0 = se, h1, v1, a1, f1
         if step < law.step_s:  # by halves of it, exactly

@@ -68,7 +68,6 @@ class Predicted:
     mode_amplitudes: Complexes
     projection: Complexes
     observed_s: Floats
-    table: Floats | None = None
 
 
 def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
@@ -194,7 +193,6 @@ def one_ahead(
         mode_amplitudes=amplitudes,
         projection=projection,
         observed_s=observed_s,
-        table=out,
     )
 
 
@@ -272,7 +270,7 @@ def law_of(effects: Mapping[str, Mapping[str, float]], g_mps2: float) -> Law:
     """What acts on a ball with ``effects`` by name and parameter, for `flown`; raises as `simulate` does."""
     rows = row(effects, g_mps2)
     acting = active(rows, "force"), active(rows, "dry_friction")
-    return Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)), np.empty((0, 12)))
+    return Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)))
 
 
 def flown(

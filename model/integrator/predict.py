@@ -35,13 +35,10 @@ from model.integrator.records import (
 from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
 
 # columns of the table of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over
-# and kind (-1 none) as predicted; of the measured flight itself launch velocity and impact speed
-TAKEOFF, LAUNCH, LANDING, IMPACT, OPENING, HIDDEN, KIND, OWN_LAUNCH, OWN_IMPACT = range(9)
-# by how much later the landing may be seen; the measured flight's start; how its impact speed was found; weak impacts
-AMBIGUITY, OWN_START, WAY, PASSED = range(9, 13)
-OUT_COLUMNS = 13
-# values of WAY
-FROM_REST, TWO_POINTS, AS_PREDICTED, MEASURED = 1.0, 2.0, 3.0, 4.0
+# and kind (-1 none) as predicted; of the measured flight itself launch velocity and impact speed; by how much later the
+# landing may be seen
+TAKEOFF, LAUNCH, LANDING, IMPACT, OPENING, HIDDEN, KIND, OWN_LAUNCH, OWN_IMPACT, AMBIGUITY = range(10)
+OUT_COLUMNS = 10
 
 
 @compiled
@@ -95,7 +92,6 @@ def _measured(
     event: Event, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
 ) -> tuple[float, float, float, float, float]:
     """Start, launch velocity and impact speed of a measured flight itself, and the mode's state at the start."""
-    out[WAY] = FROM_REST
     opening, landing, bounces, p = event.opening, event.landing, event.bounces, law.p
     pressed = (event.pressed_mps if event.linked else np.nan, event.pressed_at)  # else it has acted
     direct, start, lasts, v0, hit = event.relaunched and event.linked, last.t, -1.0, 0.0, 0.0
@@ -111,7 +107,6 @@ def _measured(
             start, q, qd = last.t, last.q, last.qd
         # the prediction is a flight whose landing is known: a start for the secant
         near = out[LAUNCH] if passed == 0 and out[KIND] == 1.0 and event.relaunched else -1.0
-        out[WAY] = TWO_POINTS
         v0, hit = launch_of(start, landing, near, out[LANDING], with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
@@ -120,10 +115,10 @@ def _measured(
 def _impact(event: Event, v0: float, hit: float, several: bool, rings: bool, out: Floats) -> float:
     """Impact speed of a measured flight: as flown (``hit``), predicted where it is several flights, or measured."""
     if several:  # only the prediction knows its end
-        hit, out[WAY] = out[IMPACT], AS_PREDICTED
+        hit = out[IMPACT]
     if rings and not np.isnan(event.gained_mps):
+        # by the accelerometer's integral over the flight
         hit = event.gained_mps - (v0 if event.bounces and event.relaunched else 0.0)
-        out[WAY] = MEASURED  # by the accelerometer's integral over the flight
     return max(hit, 0.0)
 
 
@@ -160,7 +155,7 @@ def one_ahead(
     """
     rows, forced, rubbed = acting
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
-    turning, nodes = np.empty((steps.tones.shape[1] + 1, 6)), np.empty((0, 12))
+    turning = np.empty((steps.tones.shape[1] + 1, 6))
     lengths = step_lengths(steps)
     om, ze, ratio = plate_mode(rows[0])
     n = events.landing.shape[0]
@@ -170,7 +165,7 @@ def one_ahead(
         measured = not np.isnan(events.mode[i, 2])
         if len(rows) > 1:
             om, ze, ratio = plate_mode(p)
-        out[i, KIND], out[i, AMBIGUITY], out[i, WAY], out[i, PASSED] = -1.0, 0.0, 0.0, 0.0
+        out[i, KIND], out[i, AMBIGUITY] = -1.0, 0.0
         # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
         soon = (i + 1 < n and events.wanted[i + 1]) or (i + 2 < n and events.wanted[i + 2])
         needed = (ratio != 0.0 and not measured) or (bounces and soon)
@@ -180,7 +175,7 @@ def one_ahead(
             continue
         tones, length = plate_of(i, events, steps, lengths)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
-        law = Law(p, length, forced, rubbed, turning, nodes)
+        law = Law(p, length, forced, rubbed, turning)
         event = Event(
             events.opening[i], landing, events.relaunched[i], events.linked[i], bounces, events.gap_m[i],
             events.weak_mps[i], events.gained_mps[i], events.pressed_mps[i], events.pressed_at[i],
@@ -191,7 +186,6 @@ def one_ahead(
             last = begin_chain(event, steps.period[m], last, bare, p, events.mode[i], kick)
         elif (events.wanted[i] or bounces) and (last.known or not bounces):
             passed = _predict(event, last, bare, law, seen, out[i])
-        out[i, PASSED] = passed
         if not (needed or (bounces and events.wanted[i])):
             if not measured:
                 after_q, after_qd = last.q, last.qd
@@ -200,7 +194,7 @@ def one_ahead(
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
         several = passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < seen.passable_s
         hit = _impact(event, v0, hit, several, ratio != 0.0, out[i])
-        out[i, OWN_LAUNCH], out[i, OWN_IMPACT], out[i, OWN_START] = v0, hit, start
+        out[i, OWN_LAUNCH], out[i, OWN_IMPACT] = v0, hit
         flying = with_state(bare, q, qd)
         if ratio != 0.0 and events.linked[i]:
             project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
@@ -221,7 +215,7 @@ def simulate(
     p = bare.p
     om, ze, _ = plate_mode(p)
     plate = Plate(tones, Mode(0.0, 0.0, om, ze))
-    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)), bare.nodes)
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)))
     seen = Visibility(0.0, unseen_s, 0.0, 0.0)
     t = start_s
     for i in range(out.shape[0]):

@@ -24,20 +24,6 @@ def inlined(function: _F) -> _F:
     return cast(_F, njit(error_model="numpy", forceinline=True)(function))
 
 
-@compiled
-def clear(values: Floats) -> None:
-    """Set numbers (n,) to zero: an assignment to a slice takes seconds to compile."""
-    for j in range(len(values)):
-        values[j] = 0.0
-
-
-@compiled
-def clear_rows(values: Floats) -> None:
-    """Set numbers (m, n) to zero."""
-    for i in range(len(values)):
-        clear(values[i])
-
-
 class Mode(NamedTuple):
     """A free damped oscillator: displacement, velocity, angular frequency, damping ratio."""
 
@@ -60,8 +46,7 @@ class Plate(NamedTuple):
 class Law(NamedTuple):
     """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction.
 
-    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`; ``nodes`` (r, 12) is room
-    for the steps of one flight, see `model.integrator.flight.note`: of size 0 where they are not needed.
+    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`.
     """
 
     p: Floats
@@ -69,7 +54,6 @@ class Law(NamedTuple):
     forced: bool
     rubbed: bool
     turning: Floats
-    nodes: Floats
 
 
 class Acting(NamedTuple):

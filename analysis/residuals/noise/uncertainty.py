@@ -1,8 +1,7 @@
 """Uncertainty of predicted events: that of edges and of the plate's tones, carried through the prediction.
 
-Derivatives of the prediction carry it, without another flight. A plate mode, and what fades tell of it, is moved and
-flown; so are events whose second order is not small (near grazes, tangent take-offs), or that have no derivative: each
-number on which they depend is moved by one standard deviation. Decisions 63 and 162.
+Each number on which events depend is moved by one standard deviation, either way, and the events are predicted anew:
+what is odd in that is the change, what is even its second order, large near grazes and tangent take-offs. Decision 534.
 
 A contact circuit that is read once a sample rounds the time of an edge. The error depends on the edge's place between
 two samples only, so that edges at the same place err alike: in every cycle, where the drive's period is a whole number
@@ -29,16 +28,14 @@ from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Measured, PlateSteps, active, columns_of
-from model.integrator.slopes import Slopes
 
 Kicks = tuple[tuple[float, float], ...]
 
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
-NEAR_SWITCH = 4.0  # changes within which a ball that leaves at once might rest before, or the reverse
 HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
-BEFORE = 3  # events before one that is flown anew, on which an elastic ball's prediction leans
+BEFORE = 3  # events before one on which an elastic ball's prediction depends
 
 
 @dataclass(frozen=True)
@@ -81,25 +78,14 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     tones, kicks = _tone_changes(model, values), kicks_of(model, values)
     own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
     again = ev.measured.wanted & (base.kind >= 0)
-    if active(model.inputs(values).rows, "plate_mode"):  # it rings on from flight to flight, what fades tell with it
-        shape = (len(tones) + len(kicks), len(ev), 2)
-        edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
-        if again.any():
-            found = _FlownAgain(model, values, again).one_by_one(tones, kicks)
-            edges[:, again], changes[:, again], bent[:, again] = found
-    else:
-        x, slopes = model.slopes(values)
-        moved = [model.inputs(values, ev.steps.plate.acceleration_mps2 + by).plate.acceleration_mps2 for by in tones]
-        linear = [by_tones(slopes, z - x.plate.acceleration_mps2, ev.measured.step) for z in moved]
-        every = np.array(linear).reshape(len(moved), len(ev), 3)
-        bent, changes = second_order(slopes, every), every[..., :2].copy()
-        # at a graze the derivative diverges, and would make any error of a landing infinite
-        edges = np.stack([np.clip(by[:, :2], -STEEPEST, STEEPEST) for by in (slopes.landing, slopes.landing_before)])
-        faded = np.zeros(len(ev), dtype=np.bool_) if ev.measured.share is None else ev.measured.share > 0.0
-        again &= faded | _doubtful(slopes, changes, bent, own, base.landing_s - base.takeoff_s)
-        if again.any():
-            found = _FlownAgain(model, values, again).together(x, moved)
-            edges[:, again], changes[:, again], bent[:, again] = found
+    shape = (len(tones) + len(kicks), len(ev), 2)
+    edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
+    if again.any():
+        moves = _Moves(model, values, again)
+        # a plate mode rings on from flight to flight, what fades tell with it
+        rings = active(model.inputs(values).rows, "plate_mode")
+        found = moves.one_by_one(tones, kicks) if rings else moves.together(tones)
+        edges[:, again], changes[:, again], bent[:, again] = found
     times = _from_exact_landings(model, base, edges)
     opening, landing = (
         rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s) for i, seen in enumerate(ev.scatters)
@@ -140,36 +126,6 @@ def kicks_of(model: ForwardModel, values: Values) -> Kicks:
     return (speed / omega, 0.0), (0.0, speed)
 
 
-def by_tones(slopes: Slopes, change_mps2: Complexes, step: Integers) -> Floats:
-    """Changes of opening, landing and impact speed, (n, 3), for changes (m, k) of the plate's tones."""
-    parts = np.stack([change_mps2.real, change_mps2.imag], axis=-1)[step]
-    return np.asarray(np.einsum("nckp,nkp->nc", slopes.tones, parts))
-
-
-def second_order(slopes: Slopes, changes: Floats) -> Floats:
-    """Size of the second order, (q, n, 2), of openings and landings where changes (q, n, 3) are the first.
-
-    A take-off's is that of what throws the ball. A landing's is where the parabola of the end of the flight meets the
-    plate, lower by what the change of the take-off costs in height.
-    """
-    _, rate, bend, lasts, acceleration, velocity, _ = slopes.info.T
-    speed = np.where(velocity < 0.0, -velocity, np.inf)
-    opening, landing, impact = np.moveaxis(changes, -1, 0)
-    lower = 0.5 * acceleration * landing**2 + impact * landing + 0.5 * rate * lasts * opening**2
-    return np.stack([np.abs(bend) * opening**2, np.abs(lower) / speed], axis=-1)
-
-
-def _doubtful(slopes: Slopes, changes: Floats, bent: Floats, own: Floats, lasts_s: Floats) -> Bools:
-    """Events whose derivatives do not tell what a change of one sigma does, (n,)."""
-    most = np.max(np.abs(changes), axis=0, initial=0.0)
-    # flown anew where the second order exceeds half of an event's own uncertainty
-    out = (slopes.info[:, 0] == 0.0) | np.any(np.max(bent, axis=0, initial=0.0) > 0.5 * own, axis=1)
-    out |= np.max(most, axis=1) > LARGEST_CHANGE_S / NEAR_SWITCH
-    out |= slopes.info[:, 6] < NEAR_SWITCH * np.maximum(most[:, 0], own[:, 0])
-    # a small change may hide a shorter flight from the contact circuit
-    return np.asarray(out | ~(lasts_s > 2e-3))
-
-
 def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
     """One sigma of each number that the plate's measured tones depend on, as changes of the tones (m, k)."""
     steps, base = model.observations.steps, model.predicted(values)
@@ -183,8 +139,8 @@ def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
 
 
 @dataclass(frozen=True)
-class _FlownAgain:
-    """Events ``again`` (n,) flown with each number moved by one sigma, and each landing by `EDGE_STEP_S`.
+class _Moves:
+    """Events ``again`` (n,) predicted with each number moved by one sigma, and each landing by `EDGE_STEP_S`.
 
     Derivatives by the landing before and the one before that, (2, r, 2), changes by each number, (q, r, 2), and their
     second orders; r events, openings and landings.
@@ -215,9 +171,13 @@ class _FlownAgain:
     def _events(self, p: Predicted) -> Floats:
         return np.stack([p.opening_s[self.again], p.landing_s[self.again]], axis=1)
 
-    def together(self, x: Inputs, moved: list[Complexes]) -> tuple[Floats, Floats, Floats]:
-        """All moves in one prediction, of copies of the few flights that the events lean on."""
-        n = len(self.again)
+    def together(self, changes: list[Complexes]) -> tuple[Floats, Floats, Floats]:
+        """All moves in one prediction, of copies of the flights that the events depend on."""
+        n, measured, x = len(self.again), self.model.observations.steps.plate, self.model.inputs(self.values)
+        # an effect of the drive may change what is added to a tone
+        moved = [
+            self.model.inputs(self.values, measured.acceleration_mps2 + by).plate.acceleration_mps2 for by in changes
+        ]
         few = self.again.copy()
         for back in range(1, BEFORE + 1):
             few[:-back] |= self.again[back:]
