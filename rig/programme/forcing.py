@@ -96,10 +96,7 @@ def synthesise(clock: PhaseClock, multiples: tuple[int, ...], fade: Fade, first_
         # The m-th tone is a clock of its own: m turns for each turn, still a whole-number count.
         step = multiple * clock.num % clock.den
         phase = multiple * clock.phase(first_sample) % clock.den
-        _add_tone(
-            out, phase, step, clock.den, first_sample - fade.first_sample, fade.n_samples,
-            start.real, start.imag, end.real, end.imag,
-        )  # fmt: skip
+        _add_tone(out, (phase, step, clock.den), first_sample - fade.first_sample, fade.n_samples, start, end)
     return out
 
 
@@ -115,23 +112,17 @@ def _weight(since: int, length: int) -> float:
 
 
 @njit()
-def _add_tone(
-    out: Floats,
-    phase: int,
-    step: int,
-    den: int,
-    since: int,
-    length: int,
-    re0: float,
-    im0: float,
-    re1: float,
-    im1: float,
-) -> None:
-    """Add ``Re[V exp(i 2 pi phase / den)]`` to ``out``, V fading from (re0, im0) to (re1, im1)."""
+def _add_tone(out: Floats, turns: tuple[int, int, int], since: int, length: int, start: complex, end: complex) -> None:
+    """Add ``Re[V exp(i 2 pi phase / den)]`` to ``out``, V fading from ``start`` to ``end``.
+
+    ``turns`` is the phase of the first sample, its step from sample to sample, and ``den``.
+    """
+    phase, step, den = turns
     for i in range(out.size):
         w = _weight(since + i, length)
         cosine, sine = _cos_sin_turns(phase / den)
-        out[i] += (re0 + w * (re1 - re0)) * cosine - (im0 + w * (im1 - im0)) * sine
+        real, imag = start.real + w * (end.real - start.real), start.imag + w * (end.imag - start.imag)
+        out[i] += real * cosine - imag * sine
         phase += step
         if phase >= den:
             phase -= den
