@@ -18,6 +18,7 @@ GOES_ON, LANDS, STANDS = 0, 1, 2  # how a segment ends
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
 Coefficients = tuple[float, float, float, float, float, float]
+State = tuple[float, float, float, float]
 
 
 @inlined
@@ -213,7 +214,7 @@ def _effects(s: float, h: float, v: float, u: float, direction: float, p: Floats
 
 
 @inlined
-def _coasting(s: float, start: Start, plate: tuple[float, float, float], g: float) -> tuple[float, float, float, float]:
+def _coasting(s: float, start: Start, plate: tuple[float, float, float], g: float) -> State:
     """Under gravity, without forces, s after ``start``: height, velocity, the plate's velocity, relative acceleration.
 
     ``plate`` is its displacement, velocity and acceleration then.
@@ -225,20 +226,13 @@ def _coasting(s: float, start: Start, plate: tuple[float, float, float], g: floa
 
 @inlined
 def _runge_kutta(
-    s: float,
-    step: float,
-    deviation: tuple[float, float],
-    f0: float,
-    middle: tuple[float, float, float, float],
-    end: tuple[float, float, float, float],
-    direction: float,
-    p: Floats,
-    acting: tuple[bool, bool],
-) -> tuple[float, float]:
-    """The deviation from coasting and its rate, a step after s; ``middle`` and ``end`` are `_coasting` there."""
+    s: float, step: float, deviation: tuple[float, float], f0: float, coasting: tuple[State, State], direction: float,
+    law: Law,
+) -> tuple[float, float]:  # fmt: skip
+    """The deviation from coasting and its rate, a step after s; ``coasting`` is that half a step and a step after s."""
     dev, devd = deviation
-    hbm, vbm, um, _ = middle
-    hb1, vb1, ue, _ = end
+    (hbm, vbm, um, _), (hb1, vb1, ue, _) = coasting
+    p, acting = law.p, (law.forced, law.rubbed)
     half = 0.5 * step
     sm, se = s + half, s + step
     d1, e1 = devd, f0
@@ -265,13 +259,13 @@ def _is_constant(fr: float, direction: float, p: Floats) -> bool:
 
 @inlined
 def segment(
-    t0: float, s0: float, h0: float, v0: float, direction: float, plate: Plate, law: Law, gap: float
+    t0: float, s0: float, begin: tuple[float, float], direction: float, plate: Plate, law: Law, gap: float
 ) -> tuple[int, float, float, float, float]:
     """Fly until impact or, with dry friction, standstill.
 
-    ``s0`` is the time since take-off (and since the mode's state). Returns (ended, s, h, v, opened): ended is `LANDS`,
-    `STANDS`, or `GOES_ON` where neither comes; ``opened`` the time since take-off at which the height passed ``gap``,
-    or -1.
+    ``s0`` is the time since take-off (and since the mode's state), ``begin`` height and velocity then. Returns
+    (ended, s, h, v, opened): ended is `LANDS`, `STANDS`, or `GOES_ON` where neither comes; ``opened`` the time since
+    take-off at which the height passed ``gap``, or -1.
     """
     p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
     g = gravity(p)
@@ -280,8 +274,8 @@ def segment(
     turning = law.turning
     moving = start_turning(t0, s0, 0.5 * step, tones, mode, turning)
     x0, xd0, xdd0 = motion(moving, turning)
-    start = Start(h0, v0, x0, xd0)
-    dev, devd, h, v = 0.0, 0.0, h0, v0
+    h, v = begin
+    start, dev, devd = Start(h, v, x0, xd0), 0.0, 0.0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
     constant = law.rubbed and not law.forced and _is_constant(fr, direction, p)
     f0 = _effects(s0, h, v, xd0, direction, p, acting)
@@ -299,7 +293,7 @@ def segment(
         if constant:  # the deviation is known in closed form
             dev, devd, f1 = 0.5 * fr * se * se, fr * se, fr
         elif halved:
-            dev, devd = _runge_kutta(s0 + s, step, (dev, devd), f0, middle, end, direction, p, acting)
+            dev, devd = _runge_kutta(s0 + s, step, (dev, devd), f0, (middle, end), direction, law)
             f1 = _effects(s0 + se, hb1 + dev, vb1 + devd, vb1 + devd + ue, direction, p, acting)
         h1, v1 = hb1 + dev, vb1 + devd
         a1 = ab1 + f1
@@ -328,7 +322,7 @@ def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float) -> tuple[fl
     """
     s, h, v, opened, direction = 0.0, 0.0, v0, -1.0, 1.0
     for _ in range(200):
-        ended, s, h, v, o = segment(t0 + s, s, h, v, direction, plate, law, gap)
+        ended, s, h, v, o = segment(t0 + s, s, (h, v), direction, plate, law, gap)
         if opened < 0.0:
             opened = o
         if ended == LANDS:
