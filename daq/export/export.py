@@ -16,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 
 from daq.export.formats import (
-    Progress,
     columns,
     export_matlab,
     export_netcdf,
@@ -39,7 +38,6 @@ def export(
     recording: Recording | Resampled,
     out: Path,
     kind: Kind,
-    progress: Progress | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
@@ -56,8 +54,6 @@ def export(
         same as arrays, with ``rate_hz``, ``steps`` and ``setup_json``. ``nc``: NetCDF with units and coordinates.
         ``uff``: universal file, data set 58, binary. ``tdms``: LabVIEW's. ``h5``: the recording itself, compressed with
         gzip, which every HDF5 reader knows.
-    progress
-        Called with the samples done.
     overwrite
         Replace ``out`` where it exists, once the new file is whole.
 
@@ -73,22 +69,21 @@ def export(
         raise InputError(f"{out}: exists already and is never overwritten unasked; choose another name.")
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist; create it first.")
-    tell = progress if progress is not None else lambda _: None
     if isinstance(recording, Resampled) and kind in AS_RECORDED:
         raise InputError(
             f"{out}: {kind} holds the recording as it is; another rate is written as CSV, NPZ, Parquet, NetCDF or MAT."
         )
     if kind == "h5":
-        copy_columns(recording, out, recording.stored, tell, overwrite=overwrite, compression="gzip")  # type: ignore[arg-type]
+        copy_columns(recording, out, recording.stored, overwrite=overwrite, compression="gzip")  # type: ignore[arg-type]
         return
     with whole(out) as part:
         if kind == "csv":
-            _export_csv(recording, part, tell, packed=out.suffix == ".gz")
+            _export_csv(recording, part, packed=out.suffix == ".gz")
         else:
-            WRITERS[kind](recording, part, tell)
+            WRITERS[kind](recording, part)
 
 
-def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *, packed: bool) -> None:
+def _export_csv(recording: Recording | Resampled, part: Path, *, packed: bool) -> None:
     titles, formats, read = [], ["%.9f"], columns(recording)
     for title in read:
         if title[:1] in ("=", "+", "-", "@", "\t", "\r"):  # no spreadsheet may take a name for a formula
@@ -104,10 +99,9 @@ def _export_csv(recording: Recording | Resampled, part: Path, tell: Progress, *,
             # one format for all rows: several times as fast as row by row
             rows = np.column_stack([column(a, b) for column in read.values()])
             file.write(line * (b - a) % tuple(rows.ravel().tolist()))
-            tell(b)
 
 
-def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
+def _export_npz(recording: Recording | Resampled, part: Path) -> None:
     extras = {
         "rate_hz": np.float64(recording.rate_hz),
         "steps": recording.steps,
@@ -120,13 +114,12 @@ def _export_npz(recording: Recording | Resampled, part: Path, tell: Progress) ->
                 np.lib.format.write_array_header_1_0(file, header)
                 for a, b in pieces(recording.n_samples):
                     file.write(np.ascontiguousarray(read(a, b), "<f8").data)
-                    tell(b)
         for name, value in extras.items():
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, np.asarray(value), allow_pickle=False)
 
 
-WRITERS: dict[str, Callable[[Any, Path, Progress], None]] = {
+WRITERS: dict[str, Callable[[Any, Path], None]] = {
     "npz": _export_npz,
     "parquet": export_parquet,
     "nc": export_netcdf,

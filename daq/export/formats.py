@@ -34,7 +34,6 @@ STORED = (
     "started", "ended", "why", "note", "backend", "simulated", "software_version", "software_commit",
     "scenario_sha256", "imported_from", "setup_json", "profile_text", "extra_json",
 )  # fmt: skip
-Progress = Callable[[int], None]
 
 
 def columns(recording: Recording | Resampled) -> dict[str, Callable[[int, int], Floats]]:
@@ -64,7 +63,7 @@ def pieces(n: int, rows: int = CHUNK_SAMPLES) -> list[tuple[int, int]]:
     return [(a, min(a + rows, n)) for a in range(0, n, rows)]
 
 
-def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
+def export_parquet(recording: Recording | Resampled, part: Path) -> None:
     """Columns ``time_s`` and volts a channel; the step table and the facts are metadata of the file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -81,10 +80,9 @@ def export_parquet(recording: Recording | Resampled, part: Path, tell: Progress)
         for a, b in pieces(recording.n_samples):
             own = [pa.array(column(a, b)) for column in read.values()]
             writer.write_table(pa.table(own, schema=schema), row_group_size=b - a)
-            tell(b)
 
 
-def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
+def export_netcdf(recording: Recording | Resampled, part: Path) -> None:
     """Variables along ``time`` (seconds) with units; the step table along ``step``; the facts as attributes."""
     with package("h5netcdf", "NetCDF needs"):
         import h5netcdf
@@ -114,13 +112,12 @@ def export_netcdf(recording: Recording | Resampled, part: Path, tell: Progress) 
             for name, (variable, read) in channels.items():
                 variable[a:b] = read(name, a, b)
             disk.check()
-            tell(b)
 
 
 CLASSES = {"f8": "double", "i8": "int64", "i1": "int8"}
 
 
-def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) -> None:
+def export_matlab(recording: Recording | Resampled, part: Path) -> None:
     """Write the file; MATLAB opens it with ``load``."""
     n = recording.n_samples
     with (
@@ -136,7 +133,6 @@ def export_matlab(recording: Recording | Resampled, part: Path, tell: Progress) 
             for name, column in read.items():
                 file[name][0, a:b] = column(a, b)
             disk.check()
-            tell(b)
         for name, value in facts(recording).items():
             _put(file, name, value)
         group = file.create_group("steps")
@@ -167,7 +163,7 @@ def _put(file: Any, name: str, value: str | float | int) -> None:
 GROUP = "recording"
 
 
-def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
+def export_tdms(recording: Recording, part: Path) -> None:
     """Write the file, segment by segment."""
     with package("npTDMS", "TDMS needs"):
         from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
@@ -185,7 +181,6 @@ def export_tdms(recording: Recording, part: Path, tell: Progress) -> None:
                 properties = _properties(recording, name) if a == 0 else {}
                 channels.append(ChannelObject(GROUP, name, recording.codes(name, a, b), properties))
             writer.write_segment(channels)
-            tell(b)
         gaps = np.asarray(recording.gaps, np.int64)
         first, lost = (np.ascontiguousarray(gaps[:, i]) for i in (0, 1))
         tables = {"steps": step_columns(recording), "gaps": {"first_sample_after": first, "samples_lost": lost}}
@@ -222,7 +217,7 @@ LINE = 80
 TIME_RESPONSE, DOUBLE, TIME, GENERAL = 1, 4, 17, 1  # codes of the format
 
 
-def export_uff58(recording: Recording, part: Path, tell: Progress) -> None:
+def export_uff58(recording: Recording, part: Path) -> None:
     """Write the file, piece by piece; a piece ends where samples were lost."""
     cuts = sorted(
         {0, recording.n_samples, *map(int, recording.gaps[:, 0]), *range(0, recording.n_samples, CHUNK_SAMPLES)}
@@ -233,7 +228,6 @@ def export_uff58(recording: Recording, part: Path, tell: Progress) -> None:
             stamps = recording.timestamps_ns(a, b)
             for number, name in enumerate(recording.channels, 1):
                 _write_set(file, recording, number, name, a, stamps, lost.get(a, 0))
-            tell(b)
 
 
 def _write_set(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -256,13 +256,7 @@ def require_space(path: Path, n_samples: int, n_channels: int) -> None:
         )
 
 
-def copy_columns(
-    recording: Recording,
-    out: Path,
-    attributes: Mapping[str, Any],
-    progress: Callable[[int], None] | None = None,
-    **options: Any,
-) -> None:
+def copy_columns(recording: Recording, out: Path, attributes: Mapping[str, Any], **options: Any) -> None:
     """Write what an open recording holds as a column file.
 
     Parameters
@@ -272,8 +266,6 @@ def copy_columns(
         File to create.
     attributes
         Root attributes.
-    progress
-        Called with the samples done.
     options
         Of `ColumnWriter`.
 
@@ -284,16 +276,10 @@ def copy_columns(
     OSError
         When the disk refuses.
     """
-    _columns_of(recording, out, attributes, progress, **options).rename()
+    _columns_of(recording, out, attributes, **options).rename()
 
 
-def _columns_of(
-    recording: Recording,
-    out: Path,
-    attributes: Mapping[str, Any],
-    progress: Callable[[int], None] | None = None,
-    **options: Any,
-) -> ColumnWriter:
+def _columns_of(recording: Recording, out: Path, attributes: Mapping[str, Any], **options: Any) -> ColumnWriter:
     """The column file of a recording, written and checked, but not yet under its name; see `copy_columns`."""
     names, piece = recording.channels, PIECE_CHUNKS * CHUNK_SAMPLES
     dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
@@ -303,8 +289,6 @@ def _columns_of(
         for a in range(0, recording.n_samples, piece):
             b = min(a + piece, recording.n_samples)
             writer.append(recording.timestamps_ns(a, b), {name: recording.codes(name, a, b) for name in names})
-            if progress is not None:
-                progress(b)
         writer.check(recording.steps, recording.blocks, recording.side)
     # an interrupt as well: half a file must not stay
     except BaseException:
