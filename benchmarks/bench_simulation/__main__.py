@@ -2,6 +2,7 @@
 
     python -m benchmarks.bench_simulation --seeds 0:1000 --minutes 1
     python -m benchmarks.bench_simulation --plan '{...}'
+    python -m benchmarks.bench_simulation --mutant each --plans tests/benchmarks/simulated_plans.txt --seeds 0:5000
 
 A seed that fails is printed with its plan, shrunk to the fewest faults that still break something.
 """
@@ -12,10 +13,12 @@ import argparse
 import gc
 import logging
 import os
+import subprocess
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 
 from benchmarks.bench_simulation.disk import Disk, with_library
@@ -30,14 +33,16 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seeds", default="0:100", help="first and one past the last")
     parser.add_argument("--minutes", type=float, default=1.0, help="of the bench's own time, of a ramp")
     parser.add_argument("--plan", help="one plan, as a failure prints it")
-    parser.add_argument("--plans", type=Path, help="file of plans, one a line; lines that begin with # are words")
+    parser.add_argument("--plans", type=Path, help="file of plans, one a line (# words); of a mutant, before the seeds")
     parser.add_argument(
         "--only", help="plans with a fault of this kind (for an error put in: of the kind that shows it)"
     )
-    parser.add_argument("--mutant", choices=sorted(MUTANTS), help="with this error put into the product")
+    parser.add_argument("--mutant", choices=["each", *sorted(MUTANTS)], help="with this error in the product")
     parser.add_argument("--twice", type=int, default=10, help="every so many seeds is run twice and compared")
     parser.add_argument("--most", type=int, default=10, help="failures after which it ends")
     given = parser.parse_args(arguments)
+    if given.mutant == "each":
+        return sum(not _is_found(mutant, arguments) for mutant in MUTANTS)
     with_library(MODULE, arguments)
     only = given.only or (mutate(given.mutant) if given.mutant else "")
     from benchmarks.bench_simulation.judge import simulate, simulate_here
@@ -53,7 +58,8 @@ def main(arguments: list[str]) -> int:
             plans = (plan for plan in plans if any(fault.kind == only for fault in plan.faults))
         if given.plan or given.plans:
             lines = [given.plan] if given.plan else given.plans.read_text(encoding="utf-8").splitlines()
-            plans = [Plan.from_json(line) for line in lines if not line.startswith("#")]
+            written = [Plan.from_json(line) for line in lines if not line.startswith("#")]
+            plans = chain(written, plans) if given.mutant else written
         simulate_here(draw(0), disk)  # compiled before the clock runs
         gc.collect()
         gc.freeze()
@@ -78,6 +84,15 @@ def main(arguments: list[str]) -> int:
         return failed
     finally:
         disk.close()
+
+
+def _is_found(mutant: str, arguments: list[str]) -> bool:
+    """Whether a process of its own finds an error; the plan that shows it is printed."""
+    command = [sys.executable, "-m", MODULE, *arguments, "--mutant", mutant, "--most", "1", "--twice", "0"]
+    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    last = said.strip().splitlines()[-2:]
+    print(f"{mutant}: {said if 'seed ' in said else 'not found, '}{'; '.join(last)}", flush=True)
+    return "seed " in said
 
 
 def _processor_s() -> float:

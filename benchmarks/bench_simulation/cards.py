@@ -16,7 +16,7 @@ from rig.backends.soundcard import SoundcardBackend
 from rig.profile import Profile
 
 PERIOD = 128  # frames of a callback
-ROWS = 32  # in a serial frame
+ROWS = 64  # in a serial frame
 RANGE_V = 10.0
 START_S = 1.0  # until the ramp begins, about
 

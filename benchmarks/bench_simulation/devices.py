@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -60,8 +61,8 @@ class Plate:
         """Frames ``(n, 4)`` of samples from ``first`` on."""
         n = first + np.arange(len(drive_v))
 
-        def since(kind: str) -> np.ndarray:
-            return n >= self._at.get(kind, np.inf)
+        def since(kind: str) -> Any:
+            return n >= self._at[kind] if kind in self._at else np.False_
 
         loop_v = np.where(since("muted"), 0.0, drive_v)
         moved_g = G_PER_VOLT * np.where(since("weak"), 0.3, 1.0) * loop_v
@@ -69,14 +70,16 @@ class Plate:
         volts = np.zeros((len(n), 4))
         volts[:, 0] = 5.0 * is_open
         volts[:, 1] = np.where(since("dead"), 0.0, 0.1 * moved_g)
-        volts[:, 1] = np.where(since("clipped"), np.clip(volts[:, 1], -0.02, 0.02), volts[:, 1])
+        if "clipped" in self._at:
+            volts[:, 1] = np.where(since("clipped"), np.clip(volts[:, 1], -0.02, 0.02), volts[:, 1])
         volts[:, 2] = loop_v
         volts[:, :3] += 2e-4 * self._rng.standard_normal((len(n), 3))
         codes = np.clip(np.rint(volts / SCALE), -32768, 32767).astype(np.int16)
-        stuck = since("stuck")
-        if len(n) and not stuck[0]:
-            self._held = int(codes[~stuck][-1, 1])
-        codes[stuck, 1] = self._held
+        if "stuck" in self._at and len(n):
+            stuck = since("stuck")
+            if not stuck[0]:
+                self._held = int(codes[~stuck][-1, 1])
+            codes[stuck, 1] = self._held
         codes[:, 3] = spelled(n)
         return codes
 

@@ -11,7 +11,7 @@
 #include <sys/types.h>
 #include <unistd.h>
 
-enum { WRITE, TRUNCATE, SYNC, RENAME, UNLINK, OPEN, READ };
+enum { WRITE, TRUNCATE, SYNC, RENAME, UNLINK, OPEN };
 typedef long (*hook_t)(int call, int fd, const void *bytes, long n, long at);
 static hook_t hook;
 static char folder[256];
@@ -53,15 +53,6 @@ ssize_t write(int fd, const void *bytes, size_t n)
     if (v == -1000) { lseek(fd, (off_t)n, SEEK_CUR); return (ssize_t)n; }
     return v == 0 ? real(fd, bytes, n) : v > 0 ? real(fd, bytes, (size_t)v) : -1;
 }
-
-#define READ_AT(name, off) \
-ssize_t name(int fd, void *bytes, size_t n, off at) { \
-    REAL(ssize_t, #name, int, void *, size_t, off); \
-    if (!is_ours(fd)) return real(fd, bytes, n, at); \
-    long v = ask(READ, fd, 0, (long)n, (long)at); \
-    return v < 0 && v != -1000 ? -1 : real(fd, bytes, v > 0 ? (size_t)v : n, at); }
-READ_AT(pread, off_t)
-READ_AT(pread64, off64_t)
 
 #define ON_FD(name, call, ...) \
     REAL(int, #name, __VA_ARGS__); \

@@ -5,12 +5,8 @@ The file is opened by the product, as a user would; what comes out is compared w
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import json
 import os
-import sys
-import traceback
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +17,7 @@ from benchmarks.bench_simulation.devices import CHANNELS
 from benchmarks.bench_simulation.disk import Disk
 from benchmarks.bench_simulation.plan import DEVICE, DISK, RECORDER, Plan
 from benchmarks.bench_simulation.world import Stuck
+from benchmarks.forked import in_copy
 from daq.files.tables import BlockFlag
 from daq.recording import open_recording, verify
 from daq.recording.recover import recover
@@ -37,26 +34,8 @@ def simulate(plan: Plan, disk: Disk) -> tuple[list[str], str, float]:
 
     A copy of this process runs it: what a killed recorder leaves in HDF5's memory crashes a later run.
     """
-    ours, theirs = os.pipe()
-    child = os.fork()
-    if child == 0:
-        answer = b""
-        try:
-            answer = json.dumps(simulate_here(plan, disk)).encode()
-        except BaseException:  # noqa: BLE001 (a defect of the simulation, which only its own process can show)
-            traceback.print_exc()
-        finally:
-            with os.fdopen(theirs, "wb") as out:
-                out.write(answer)
-            sys.stderr.flush()
-            os._exit(0)
-    os.close(theirs)
-    with os.fdopen(ours, "rb") as come:
-        answer = come.read()
-    os.waitpid(child, 0)
-    if not answer:
-        return ["the simulation crashed"], "", 0.0
-    broken, print_, seconds = json.loads(answer)
+    answer = in_copy(lambda: simulate_here(plan, disk), patience_s=300.0)
+    broken, print_, seconds = answer or (["the simulation crashed"], "", 0.0)
     return broken, print_, seconds
 
 
@@ -67,10 +46,8 @@ def simulate_here(plan: Plan, disk: Disk) -> tuple[list[str], str, float]:
     found.drive()
     found.sensors()
     found.end()
-    # HDF5 may hang or crash of a file whose tables are damaged: another process reads it, as for a user
-    with contextlib.nullcontext() if left.power_failed else read_here():
-        found.file()
-        found.copies()
+    found.file()
+    found.copies()
     found.flipped()
     return [*left.said, *found.broken], found.fingerprint(), left.seconds
 
@@ -143,12 +120,12 @@ class Judge:
         if not path.exists():
             self._require(self._left.acknowledged == 0, "acknowledged, but there is no file")
             return
-        self._states.append(self._readable(path, self._left.acknowledged, whole=True))
+        self._states.append(self._looked(path, self._left.acknowledged, whole=True))
 
     def copies(self) -> None:
         """What others saw of the growing file."""
         for _, path, acknowledged in self._left.copies:
-            state = self._readable(path, acknowledged, whole=False)
+            state = self._looked(path, acknowledged)
             self._require(state not in ("complete", "stopped"), f"a growing file was called {state}")
             self._states.append(state)
 
@@ -163,12 +140,26 @@ class Judge:
             for k in range(at, min(at + (fault.n if fault.n % 2 else 1), len(data))):
                 data[k] ^= 1 + fault.n % 255
             path.write_bytes(bytes(data))
-            self._states.append(self._readable(path, 0, whole=False, is_damaged=True))
+            self._states.append(self._looked(path, 0, is_damaged=True))
 
-    def _readable(self, path: Path, acknowledged: int, *, whole: bool, is_damaged: bool = False) -> str:
+    def _looked(self, path: Path, acknowledged: int, *, whole: bool = False, is_damaged: bool = False) -> str:
         """What `verify` says, having compared with the truth what is read and what is recovered."""
-        name = path.name
         unsure = is_damaged or self._left.power_failed
+
+        def look() -> tuple[str, list[str], int]:
+            return self._readable(path, acknowledged, whole, unsure), self.broken, self._n_recovered
+
+        def look_here() -> tuple[str, list[str], int]:
+            with read_here():
+                return look()
+
+        # HDF5 may hang or crash of damaged tables: a copy of this process reads them, or one of its own, as for a user
+        copied = in_copy(look_here, patience_s=3.0) if unsure else look_here()
+        state, self.broken, self._n_recovered = copied or look()
+        return state
+
+    def _readable(self, path: Path, acknowledged: int, whole: bool, unsure: bool) -> str:
+        name = path.name
         try:
             report = verify(path)
         except InputError as error:
@@ -193,6 +184,7 @@ class Judge:
             return report.state
         self._n_recovered += 1
         out = path.with_name(f"recovered{self._n_recovered}.h5")
+        out.unlink(missing_ok=True)
         try:
             recover(path, out)
         except InputError as error:
