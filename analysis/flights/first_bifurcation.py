@@ -14,7 +14,7 @@ from analysis.plate.motion import StepPlate
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Floats, Integers
-from model.bifurcations.sweep import TYPES, each_observed
+from model.bifurcations.sweep import TYPES, observed_bifurcations
 from model.effects.registry import effect, resolve
 from model.effects.routing import Effects, accelerometer_response, ball_effects
 from model.orbits.attractor import Ball
@@ -139,7 +139,7 @@ def first_after_takeoff(flights: Flights, setup: Setup, seen: tuple[Change, ...]
     farthest = math.inf if measured is None else SAME_WITHIN * max(measured.gamma_before, measured.gamma_after)
     # the steps of a ramp are coarser than 1e-4 in gamma: a narrower window of the model cannot be seen
     fine = {"narrowest": 1e-4, "sharp": 1e-6}
-    for change in each_observed(ball, low, high, sweep="up", steps=200, **fine):
+    for change in observed_bifurcations(ball, low, high, sweep="up", steps=200, **fine):
         if change.type in STARTS:
             continue
         if found is not None and change.gamma > farthest:

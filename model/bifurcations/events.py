@@ -84,7 +84,7 @@ def find_bifurcations(
     if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
         finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
         return bifurcations(ball, low, high, narrowest=finest)
-    return observed_bifurcations(ball, low, high, sweep=sweep)
+    return list(observed_bifurcations(ball, low, high, sweep=sweep))
 
 
 def cycle_windows(

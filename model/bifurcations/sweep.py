@@ -70,29 +70,6 @@ def check_range(low: float, high: float) -> None:
 
 
 def observed_bifurcations(
-    ball: Ball, low: float, high: float, *, sweep: str | None = None, steps: int = STEPS, narrowest: float = 1e-6
-) -> list[Bifurcation]:
-    """Changes of the attractor between ``low`` and ``high`` in the order met.
-
-    Parameters
-    ----------
-    sweep
-        ``"up"`` or ``"down"``: the state is carried, and `before` and `after` follow the sweep; None: each gamma from
-        rest, upwards.
-    steps
-        Gammas looked at; a window narrower than a step is met by chance.
-    narrowest
-        A change is bisected to `SHARP`, windows between two changes in one step down to this width.
-
-    Raises
-    ------
-    ValueError
-        If the range is empty, negative or not finite.
-    """
-    return list(each_observed(ball, low, high, sweep=sweep, steps=steps, narrowest=narrowest))
-
-
-def each_observed(
     ball: Ball,
     low: float,
     high: float,
@@ -102,9 +79,24 @@ def each_observed(
     narrowest: float = 1e-6,
     sharp: float = 0.0,
 ) -> Iterator[Bifurcation]:
-    """Changes one by one as `observed_bifurcations` lists them; the search goes no farther than they are taken.
+    """Changes of the attractor between ``low`` and ``high`` in the order met; searched no farther than they are taken.
 
-    ``sharp``: width, in gamma, to which a change is bisected where less will do than the ball allows.
+    Parameters
+    ----------
+    sweep
+        ``"up"`` or ``"down"``: the state is carried, and `before` and `after` follow the sweep; None: each gamma from
+        rest, upwards.
+    steps
+        Gammas looked at; a window narrower than a step is met by chance.
+    narrowest
+        Width in gamma down to which windows between two changes in one step are found.
+    sharp
+        Width in gamma to which a change is bisected, where less will do than the ball allows.
+
+    Raises
+    ------
+    ValueError
+        If the range is empty, negative or not finite.
     """
     check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)

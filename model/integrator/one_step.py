@@ -92,7 +92,7 @@ class Problem:
     def predicted(self, tones: Complexes, wanted: Bools, probe: Probe) -> Floats:
         """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
         out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
-        seen = Visibility(0.0, self.detection.unseen_s, self.detection.passable_s, self.detection.closure_s)
+        seen = Visibility(0.0, self.detection.unseen_s, self.detection.closure_s)
         predict.one_ahead(self.events(wanted), self.steps(tones), self.acting, seen, self.kick, probe, out)
         return out
 

@@ -32,7 +32,7 @@ from model.integrator.records import (
     compiled,
     inlined,
 )
-from model.integrator.takeoff import launch_of, next_flight, thrown_before, weak_rebounds
+from model.integrator.takeoff import PASSABLE_S, launch_of, next_flight, thrown_before, weak_rebounds
 
 # columns of the table of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over
 # and kind (-1 none) as predicted; of the measured flight itself launch velocity and impact speed; by how much later the
@@ -74,7 +74,7 @@ def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility,
     """Write the prediction of an event from the landing before; return the weak impacts passed."""
     # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
-    own = Visibility(event.gap_m, shortest, seen.passable_s, seen.closure_s)
+    own = Visibility(event.gap_m, shortest, seen.closure_s)
     plate = with_state(bare, last.q, last.qd)
     found = next_flight(last.t, last.impact, plate, law, own, event.opening)
     land, hit, passed = found.landing, found.impact, 0
@@ -192,7 +192,7 @@ def one_ahead(
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
-        several = passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < seen.passable_s
+        several = passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < PASSABLE_S
         hit = _impact(event, v0, hit, several, ratio != 0.0, out[i])
         out[i, OWN_LAUNCH], out[i, OWN_IMPACT] = v0, hit
         flying = with_state(bare, q, qd)
@@ -216,7 +216,7 @@ def simulate(
     om, ze, _ = plate_mode(p)
     plate = Plate(tones, Mode(0.0, 0.0, om, ze))
     law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)))
-    seen = Visibility(0.0, unseen_s, 0.0, 0.0)
+    seen = Visibility(0.0, unseen_s, 0.0)
     t = start_s
     for i in range(out.shape[0]):
         found = next_flight(t, impact, plate, law, seen, -1e300)

@@ -91,9 +91,6 @@ class Detection:
         Height at which the circuit opens, one number or (n,).
     unseen_s
         Flights shorter than this are passed over: no instrument has seen them.
-    passable_s
-        Flights shorter than this may have escaped the instrument: they are passed over when they end before the
-        measured flight begins.
     closure_s
         How long an impact keeps the circuit closed, the ball gone or not: one passed over delays the opening.
     weak_mps
@@ -103,7 +100,6 @@ class Detection:
 
     gap_m: Floats | float = 0.0
     unseen_s: float = 1e-4
-    passable_s: float = 2e-3
     closure_s: float = 0.0
     weak_mps: Floats | float = 0.0
 

@@ -67,13 +67,11 @@ class Acting(NamedTuple):
 class Visibility(NamedTuple):
     """What the contact circuit shows of a flight.
 
-    The height at which it opens; flights no instrument has seen; flights that may have escaped it; how long an impact
-    keeps it closed.
+    The height at which it opens; flights no instrument has seen; how long an impact keeps it closed.
     """
 
     gap_m: float
     unseen_s: float
-    passable_s: float
     closure_s: float
 
 

@@ -21,6 +21,7 @@ from model.integrator.records import Flight, Law, Plate, Visibility, compiled, i
 
 MOST_BOUNCES = 400
 MOST_RESTITUTION = 0.999
+PASSABLE_S = 2e-3  # shorter flights may have escaped the contact circuit
 RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 
 
@@ -72,7 +73,7 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
 def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibility, after: float) -> Flight:
     """From an impact at time t to the next flight that an instrument sees.
 
-    Flights shorter than ``unseen_s`` are passed over, and those shorter than ``passable_s`` that end before ``after``;
+    Flights shorter than ``unseen_s`` are passed over, and those shorter than `PASSABLE_S` that end before ``after``;
     the impact that ends one keeps the circuit closed for ``closure_s``, wherever the ball is. The mode's state in
     ``plate`` is that just after the impact.
     """
@@ -86,7 +87,7 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
         lasts, v_hit, opened = flight(off, v0, flying, law, seen.gap_m)
         if lasts < 0.0:
             break
-        if lasts > seen.unseen_s and not (lasts < seen.passable_s and off + lasts < after):
+        if lasts > seen.unseen_s and not (lasts < PASSABLE_S and off + lasts < after):
             opens = off + max(opened, 0.0)
             if hidden > 0:
                 opens = max(opens, t + seen.closure_s)

@@ -4,7 +4,7 @@ from itertools import islice
 
 import pytest
 
-from model.bifurcations.sweep import TYPES, each_observed, observed_bifurcations
+from model.bifurcations.sweep import TYPES, observed_bifurcations
 from model.orbits.make_ball import make_ball
 from model.tones import Forcing
 
@@ -14,12 +14,12 @@ from model.tones import Forcing
 def test_every_type_is_listed(ratio, high, effects):
     """What is searched for by its type can be found: no change of a sweep has a type that is not in the list."""
     ball = make_ball(Forcing.superposition(ratio), effects)
-    found = observed_bifurcations(ball, 0.2, high, sweep="up", steps=120)
+    found = list(observed_bifurcations(ball, 0.2, high, sweep="up", steps=120))
     assert len(found) > 3 and {x.type for x in found} <= TYPES
 
 
 def test_the_first_changes_are_those_of_the_whole_sweep():
     """Who stops after two changes has the first two of the whole list."""
     ball = make_ball(Forcing.superposition(2), {})
-    whole = observed_bifurcations(ball, 0.2, 1.2, sweep="up", steps=120)
-    assert list(islice(each_observed(ball, 0.2, 1.2, sweep="up", steps=120), 2)) == whole[:2]
+    whole = list(observed_bifurcations(ball, 0.2, 1.2, sweep="up", steps=120))
+    assert list(islice(observed_bifurcations(ball, 0.2, 1.2, sweep="up", steps=120), 2)) == whole[:2]
