@@ -180,14 +180,12 @@ class StepwiseSelection:
             best = self.refits.again(kept)
             chain.append(best)
         # an effect may have been needed only while others were missing
-        best = self.pruning.without_null(best, rounds)
-        best, exchanged = self._exchanged(best, rounds)
+        best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds)
         chain[-1] = best
         ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:
             best = self.pruning.without_excess(best)
             ties = (best, *ties[1:])
-        left = [x for x in refused if not set(x.names) <= set(best.names)]
         return (
             SelectionResult(
                 before,
@@ -195,7 +193,7 @@ class StepwiseSelection:
                 ties,
                 tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried),
                 tuple(rounds),
-                max(left, key=lambda x: x.gain, default=None),
+                max((x for x in refused if not set(x.names) <= set(best.names)), key=lambda x: x.gain, default=None),
                 tuple(chance),
                 tuple(chain[:-1]),
             ),

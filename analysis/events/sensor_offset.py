@@ -103,8 +103,7 @@ def calibrate(
     core = np.abs(d - centre) < CORE_SPREADS * spread
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
-    left = (d[core] - centre) / own[core]
-    factor = max(1.0, mad_sigma(left))  # where the stated uncertainties are too small
+    factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
     offset = SensorOffset(centre, own_sigma, int(core.sum()), spread)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset

@@ -171,8 +171,7 @@ def simulate_steps(
             np.median(observations.steps.sigma_mps2[observations.steps.forcing])
         )
     part = (np.arange(m) + 0.5) / m - 0.5
-    forcing = np.zeros(w.shape, dtype=bool)
-    forcing[:, :k] = True
+    forcing = np.tile(np.arange(w.shape[1]) < k, (m, 1))
     ratio = np.full(m, setup.forcing.ratio)
     steps = Steps(np.zeros(m, dtype=np.int64), np.arange(m), gammas, ratio, part, plate, spread, forcing)
     measured = _flights(values, plate, part, setup.g_mps2.value, carried)
