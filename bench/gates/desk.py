@@ -256,7 +256,7 @@ class Gates:
         job = Job(gate, kind, self.path, rig.get("scenario") or None, rig.get("seed", 0), recording, improved)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=work, args=(theirs, job), name=gate, daemon=True)
+        self._process = context.Process(target=work, args=(theirs, job), name=gate)  # no daemon: it may record
         self._process.start()
         theirs.close()
         self.job = {"gate": gate, "kind": kind, "words": "", "asks": False}
@@ -273,6 +273,7 @@ class Gates:
         """End the job that is being done; anyone may."""
         if self.job is not None:
             self._process.terminate()
+            self._process.join(3.0)  # a drive is faded first
             self._conclude({"error": "stopped by hand"})
 
     def _look_at_job(self) -> None:

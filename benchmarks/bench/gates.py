@@ -30,7 +30,11 @@ from typing import Any
 
 GONE = re.compile(r"WebSocket connection to .* failed|net::ERR_(CONNECTION|EMPTY_RESPONSE|SOCKET)")
 PATIENCE_MS = 600_000
-ENTRIES = {"sampling.rate_hz": "20000", "backend.buffer_s": "0.15"}  # of a card on a machine that is busy
+ENTRIES = {  # of the virtual card, on a machine that is busy with other things
+    "sampling.rate_hz": "20000", "backend.output_range_v": "10.0", "channels.continuity.open_v": "5.0",
+    **{f"channels.{name}.coupling": '"dc"' for name in ("continuity", "accelerometer", "drive")},
+    **{f"channels.{name}.range_v": "10.0" for name in ("continuity", "accelerometer", "drive")},
+}  # fmt: skip
 QUICK = "{ start = 0.6, stop = 1.2, steps = 3 }"
 
 
@@ -95,9 +99,17 @@ class Way:
         if not self.page.locator("#fields").is_visible():
             self.click("#profile-box summary")
         field = self.page.locator(f"[data-key='{key}']")
-        field.fill(text)
-        field.press("Tab")
-        self.page.locator(f"[data-key='{key}'][value='{text}']").wait_for()  # drawn anew with what was taken
+        if field.evaluate("one => one.tagName") == "SELECT":
+            field.select_option(text)
+        else:
+            field.fill(text)
+            field.press("Tab")
+        self.page.wait_for_function(  # written, and the keys drawn anew
+            "([key, text]) => document.querySelector(`[data-key='${key}']`)?.value === text"
+            " && !document.getElementById('undo').disabled",
+            arg=[key, text],
+        )
+        self.page.wait_for_timeout(700)
         self.clicks += 2
 
     def picture(self, name: str) -> None:
@@ -113,8 +125,13 @@ class Way:
         self.times[name] = round(time.monotonic() - self._began, 1)
 
     def green(self, gate: str) -> None:
-        """Wait until a gate is passed."""
-        self.page.locator(f"#step-{gate}.green").wait_for(timeout=PATIENCE_MS)
+        """Wait until a gate is passed; raises RuntimeError, with what it found, where it is not."""
+        self.page.wait_for_timeout(400)
+        self.page.locator("#status").wait_for(state="hidden", timeout=PATIENCE_MS)
+        try:
+            self.page.locator(f"#step-{gate}.green").wait_for(timeout=10_000)
+        except Exception as error:
+            raise RuntimeError(f"{gate}: {self.page.locator('#work').inner_text()}") from error
         self.at(gate)
 
     def to_the_ramp(self, calibrations: tuple[str, ...]) -> None:
@@ -155,10 +172,12 @@ class Way:
 def virtual_card(profile: Path, name: str) -> Iterator[None]:
     """The card that the profile names, behind a JACK server of its own, with a rig that hides friction."""
     call = [sys.executable, "-m", "bench", "virtual", str(profile), "--scenario", "friction", "--server", name]
-    with subprocess.Popen([*call, "--period", "1024"], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
         print((process.stdout or sys.stdin).readline().strip(), file=sys.stderr)
-        yield
-        process.terminate()
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 def through(folder: Path, like: str, pictures: Path | None) -> dict[str, Any]:

@@ -219,10 +219,14 @@ def test_a_repetition_that_is_not_driven_is_said(tmp_path: Path, monkeypatch: py
 
 
 def test_a_verdict_never_replaces_an_improved_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An improved profile that is there, of rounds before another rig was chosen, stays; the next number is taken."""
+    """An improved profile that is there, of rounds before another rig was chosen, stays; the next number is taken.
+
+    The job's process may have children: a calibration on a device records by a process of its own.
+    """
     jobs: list[Job] = []
 
-    def process(args: tuple[Any, Job], **_: Any) -> SimpleNamespace:
+    def process(args: tuple[Any, Job], **more: Any) -> SimpleNamespace:
+        assert not more.get("daemon")
         jobs.append(args[1])
         return SimpleNamespace(start=lambda: None)
 
