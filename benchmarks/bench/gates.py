@@ -28,12 +28,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from bench.profiles.fields import fields_of
+
 GONE = re.compile(r"WebSocket connection to .* failed|net::ERR_(CONNECTION|EMPTY_RESPONSE|SOCKET)")
 PATIENCE_MS = 600_000
 ENTRIES = {  # of the virtual card, on a machine that is busy with other things
-    "sampling.rate_hz": "20000", "backend.output_range_v": "10.0", "channels.continuity.open_v": "5.0",
-    **{f"channels.{name}.coupling": '"dc"' for name in ("continuity", "accelerometer", "drive")},
+    "sampling.rate_hz": "20000", "backend.output_range_v": "10.0",
     **{f"channels.{name}.range_v": "10.0" for name in ("continuity", "accelerometer", "drive")},
+    **{f"channels.{name}.coupling": '"dc"' for name in ("continuity", "accelerometer", "drive")},
+    "channels.continuity.open_v": "5.0",
 }  # fmt: skip
 QUICK = "{ start = 0.6, stop = 1.2, steps = 3 }"
 
@@ -94,22 +97,19 @@ class Way:
             self.page.locator(selector).click(timeout=PATIENCE_MS)
             self.clicks += 1
 
-    def enter(self, key: str, text: str) -> None:
+    def enter(self, profile: Path, key: str, text: str) -> None:
         """Write a value into the profile; counts as two clicks."""
         if not self.page.locator("#fields").is_visible():
             self.click("#profile-box summary")
-        field = self.page.locator(f"[data-key='{key}']")
+        field = self.page.locator(f"[data-key='{key}']:enabled")
         if field.evaluate("one => one.tagName") == "SELECT":
             field.select_option(text)
         else:
             field.fill(text)
             field.press("Tab")
-        self.page.wait_for_function(  # written, and the keys drawn anew
-            "([key, text]) => document.querySelector(`[data-key='${key}']`)?.value === text"
-            " && !document.getElementById('undo').disabled",
-            arg=[key, text],
-        )
-        self.page.wait_for_timeout(700)
+        self.page.wait_for_timeout(1500)  # the keys are drawn anew
+        if (key, text) not in ((one["key"], one["text"]) for one in fields_of(profile.read_text("utf-8"))):
+            raise RuntimeError(f"{key} = {text}: {self.page.locator('#refused').inner_text()}")
         self.clicks += 2
 
     def picture(self, name: str) -> None:
@@ -196,7 +196,7 @@ def through(folder: Path, like: str, pictures: Path | None) -> dict[str, Any]:
             page.select_option("#rig", f"new:{like}")
             way.click("#choose")
             for key, text in ENTRIES.items():
-                way.enter(key, text)
+                way.enter(folder / f"my-{like}.toml", key, text)
             card.enter_context(virtual_card(folder / f"my-{like}.toml", os.environ["JACK_DEFAULT_SERVER"]))
         way.to_the_ramp(("accelerometer", "drive", "contact") if like == "simulated" else ("drive", "contact"))
         way.to_the_verdict("named")
