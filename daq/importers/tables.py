@@ -29,7 +29,7 @@ _POINT_GROUPED = re.compile(r"[+-]?\d{1,3}([.' \u202f\xa0]\d{3})+,\d*")
 _UNIT = re.compile(r"[(\[]\s*([^)\]]+?)\s*[)\]]|/\s*([^\s/]+)\s*$|[_ ]([^\s_()\[\]]+)\s*$")
 _UNITS = {
     "m", "cm", "mm", "s", "sec", "ms", "us", "px", "pixel", "pixels", "frame", "frames", "deg", "rad", "hz", "kg", "mv",
-    "1", "",
+    "ft", "in", "1", "",
 }  # fmt: skip
 _WORKBOOKS = (b"PK", b"\xd0\xcf\x11\xe0")  # beginnings of .xlsx and .xls
 

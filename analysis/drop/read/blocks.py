@@ -11,7 +11,7 @@ Rows = list[list[Cell]]
 
 _GROUP = {
     "drop", "run", "trial", "test", "set", "versuch", "messung", "fall", "lancio", "prova", "caduta", "essai",
-    "meting", "ensayo", "chute",
+    "meting", "ensayo", "chute", "ball", "kugel", "palla", "object",
 }  # fmt: skip
 _ALONG_ROWS = {"t", "time", "times", "zeit", "tempo", "temps", "dt", "interval", "intervall", "intervallo", "impact"}
 _LEAST_ROWS = 3
@@ -99,20 +99,27 @@ def _repeated(grid: Sheet) -> list[Sheet]:
 
 
 def _by_number(grid: Sheet) -> list[Sheet]:
-    """One long table with a column that numbers the drops, or names them: A, B."""
+    """One long table with columns that number the drops, or name them or their balls; a merged cell counts downward."""
     head = _heading(grid.rows) or []
     for j, cell in enumerate(head):
         if len(head) < 2 or not set(re.split(r"\W+", str(cell).lower())) & _GROUP:
             continue
-        body = [row for row in grid.rows if j < len(row) and row[j] != "" and _count(row)]
+        body = [list(row) for row in grid.rows if j < len(row) and _count(row)]
+        if body and isinstance(body[0][j], str) and body[0][j]:
+            for before, row in pairwise(body):
+                row[j] = before[j] if row[j] == "" else row[j]
+        body = [row for row in body if row[j] != ""]
         values = list(dict.fromkeys(row[j] for row in body))
         if 2 <= len(values) <= len(body) / _LEAST_ROWS:
             above = grid.rows[: grid.rows.index(head) + 1]
             parts = [above + [row for row in body if row[j] == value] for value in values]
-            return [
-                _named(grid, f"{cell} {_short(value)}", [[*row[:j], *row[j + 1 :]] for row in part])
-                for value, part in zip(values, parts, strict=True)
+            said = [_short(value) for value in values]
+            said = [own if own.lower().startswith(str(cell).lower()) else f"{cell} {own}" for own in said]
+            named = [
+                _named(grid, own, [[*row[:j], *row[j + 1 :]] for row in part])
+                for own, part in zip(said, parts, strict=True)
             ]
+            return [one for part in named for one in _by_number(part)]
     return [grid]
 
 

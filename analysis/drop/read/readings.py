@@ -24,7 +24,7 @@ _TIME = {
 _FRAME = {"frame", "frames", "bild", "bildnummer", "fotogramma", "image", "slice", "beeld", "step", "pas"}
 _HEIGHT = {
     "y", "h", "height", "höhe", "hoehe", "altezza", "hoogte", "hauteur", "altura", "z", "s", "position", "posizione",
-    "positie", "quota", "y1",
+    "positie", "quota", "y1", "distance", "distanza", "altitude", "depth", "weg",
 }  # fmt: skip
 _ACROSS = {"x", "x1"}
 _RUN = {"drop", "run", "trial", "lancio", "versuch", "ball", "kugel"}
@@ -36,8 +36,12 @@ _SUMMARY = {
     "mean", "average", "avg", "median", "std", "sd", "stdev", "sigma", "error", "err", "uncertainty", "mittelwert",
     "mittel", "media", "moyenne", "gemiddelde", "promedio", "fehler", "errore", "residual", "fit", "model",
 }  # fmt: skip
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3}
+_METRES = {
+    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "metri": 1.0,
+    "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+}  # fmt: skip
+_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "min": 60.0}
+_ANGLES = {"deg", "degree", "degrees", "°", "grad", "rad"}
 _LEAST_POSITIONS = 6
 
 
@@ -59,12 +63,16 @@ class Columns(Table):
 
     @property
     def words(self) -> list[set[str]]:
-        """Words of each heading, its unit in brackets left out."""
-        return [_words(heading) for heading in self.headings]
+        """Words of each heading, its unit left out."""
+        return [_words(split_unit(heading, _METRES | _SECONDS)[0]) for heading in self.headings]
 
     def second_s(self, j: int) -> float:
         """A column's unit of time, s."""
         return _SECONDS.get(split_unit(self.headings[j], _SECONDS)[1], 1.0)
+
+    def is_angle(self, j: int) -> bool:
+        """Whether a column is headed with a unit of angles, which are no heights."""
+        return split_unit(self.headings[j], _ANGLES)[1] in _ANGLES
 
 
 def _words(heading: str) -> set[str]:
@@ -138,8 +146,8 @@ def lone_events(label: str, columns: Columns) -> tuple[list[tuple[str, Floats]],
             why = "two impacts; a drop test needs three that follow each other"
         elif unnamed and words & _HEIGHT:
             why = "rebound heights without times; heights read off are not judged here: give impact times"
-        elif unnamed and not heading and np.all(np.diff(column) < 0.0):
-            why = "numbers that shrink may be intervals or rebound heights: write a heading over them, as interval (s)"
+        elif unnamed and not heading:
+            why = "bare numbers may be intervals or rebound heights: write a heading over them, as interval (s)"
         elif words & _INTERVAL or (not rising and np.all(column > 0)):
             steps = column[:-1] if column[-1] == 0.0 else column
             found.append((name, np.concatenate(([0.0], np.cumsum(steps))) * columns.second_s(j)))
@@ -195,7 +203,8 @@ def paths_of(label: str, columns: Columns) -> list[tuple[str, Floats | Points]]:
         if len(alike) >= 2 and _words(stem) & (_HEIGHT | _RUN) and not across:
             others = [j for j in range(len(stems)) if j not in alike]
             parts = [Columns([names[k] for k in [*others, j]], columns.values[:, [*others, j]]) for j in alike]
-            found = [(f"{label} {names[j]}".strip(), _positions(part)) for j, part in zip(alike, parts, strict=True)]
+            bare = [f"{label} {split_unit(names[j], _METRES)[0]}".strip() for j in alike]
+            found = [(name, _positions(part)) for name, part in zip(bare, parts, strict=True)]
             return [(name, points) for name, points in found if points is not None]
     points = _positions(columns)
     return [] if points is None else [(label, points)]
@@ -212,7 +221,7 @@ def _positions(columns: Columns) -> Points | None:
     chosen = clock if clock is not None else frames
     if chosen is None:
         chosen = next((j for j in every if _is_even(columns.numbers(j))), None)
-    others = [j for j in long if j not in (clock, frames, chosen)]
+    others = [j for j in long if j not in (clock, frames, chosen) and not columns.is_angle(j)]
     if chosen is None or not others:
         return None
     named = [j for j in others if words[j] & _HEIGHT]
@@ -224,9 +233,9 @@ def _positions(columns: Columns) -> Points | None:
     used = [chosen, height] if across is None else [chosen, height, across]
     rows = v[np.isfinite(v[:, used]).all(axis=1)]
     rows = rows[np.argsort(rows[:, chosen], kind="stable")]
-    if _is_rising(rows[:, height]):
-        return None  # what only grows with its row is a list of times
     unit = _METRES.get(split_unit(columns.headings[height], _METRES)[1])
+    if unit is None and _is_rising(rows[:, height]):
+        return None  # what only grows with its row is a list of times
     y = rows[:, height] * (unit or 1.0)
     x = rows[:, across] * (unit or 1.0) if across is not None else np.zeros_like(y)
     time = rows[:, chosen]
@@ -300,6 +309,8 @@ def read_tables(grids: list[Sheet], where: str) -> Contents:
         for table in tables:
             refuse_heights(table.columns, where)
     items = [item for table in tables for item in table.paths]
+    if not items and not strong and any(t.columns.is_angle(j) for t in tables for j in range(len(t.columns.headings))):
+        raise InputError(f"{where}: angles are no heights: give the ball's, as height (m), or its place in pixels")
     if strong or (not items and any(table.bare for table in tables)):
         return _of_times(tables, strong)
     if items:
@@ -307,12 +318,13 @@ def read_tables(grids: list[Sheet], where: str) -> Contents:
         return Contents(items, [table.neither for table in tables if not table.paths] + further)
     cells = [str(cell) for grid in grids for row in grid.rows for cell in row if isinstance(cell, str)]
     clocks = [cell for cell in cells if cell.count(":") == 2 and cell.replace(":", "")[-1:].isdigit()]
-    hint = f"; cells such as {clocks[0]!r} are times of day or dates: give seconds, as plain numbers" if clocks else ""
-    # from three cells like 00:00:01.5 on a table is taken to hold clock times
+    hint = ""
+    if len(clocks) >= 3:  # from three cells like 00:00:01.5 on a table is taken to hold clock times
+        hint = f"; cells such as {clocks[0]!r} are times of day or dates: give seconds, as plain numbers"
     raise InputError(
         f"{where}: neither impact times (event times with intervals, s) nor tracked positions (time or frame, height) "
         f"found in {len(grids)} sheet(s); first heading: {', '.join(tables[0].columns.headings[:6]) or 'none'}"
-        + (hint if len(clocks) >= 3 else "")
+        + hint
         + "".join(f"; {words}" for table in tables for words in table.words[:3])
     )
 

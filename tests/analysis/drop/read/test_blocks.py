@@ -51,6 +51,21 @@ def test_blocks_side_by_side(gap: int) -> None:
     _is_all_three(read_tables([Sheet("", rows)], "x").found)
 
 
+@pytest.mark.parametrize("merged", [False, True])
+def test_balls_and_drops_named_in_columns(merged: bool) -> None:
+    """A ball's name and a drop's number in two columns, written in each row or once in a merged cell."""
+    rows = [["ball", "trial", "t (s)", "h (m)"]]
+    for ball, tall in (("foam", 9.0), ("steel", 8.0)):
+        for n in ("a", "b"):
+            for k in range(12):
+                said = (ball, n) if k == 0 or not merged else ("", "")
+                rows.append([*said, k / 10, tall - 0.049 * k * k])
+    found = read_tables([Sheet("", rows)], "x").found
+    names = ["ball foam, trial a", "ball foam, trial b", "ball steel, trial a", "ball steel, trial b"]
+    assert [name for name, _ in found] == names
+    assert [path.y[0] for _, path in found] == [9.0, 9.0, 8.0, 8.0]
+
+
 def test_drops_numbered_in_a_column() -> None:
     """A long table with the drop's number in a column."""
     rows = [["Drop", "Time (s)", "Interval (s)"]]

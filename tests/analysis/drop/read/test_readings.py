@@ -31,6 +31,9 @@ PATHS = {
     "typographic minus": ("Zeit in s;Höhe in m\n", "{t:.3f};{y:.4f}\n", 1.0),
     "row numbers": (",time,height\n", "7,{t:.3f},{y:.4f}\n", 1.0),
     "no heading": ("", "{t:.3f} {y:.4f}\n", 1.0),
+    "feet": ("time [s],height [ft]\n", "{t:.3f},{foot:.5f}\n", 1.0),
+    "milliseconds and inches below": ("t,y\nms,in\n", "{ms:.1f},{inch:.4f}\n", 1.0),
+    "spelt out": ("Elapsed seconds,Altitude in metres\n", "{t:.3f},{y:.4f}\n", 1.0),
 }
 
 
@@ -54,7 +57,10 @@ def test_positions_in_any_dialect(tmp_path: Path, name: str) -> None:
     """Clock and height are found and scaled whatever they are called."""
     head, row, metre = PATHS[name]
     times = np.arange(20) / 100
-    lines = [row.format(t=t, y=1 - 4.9 * t * t, cm=100 - 490 * t * t) for t in times]
+    lines = [
+        row.format(t=t, ms=1e3 * t, y=y, cm=100.0 * y, foot=y / 0.3048, inch=y / 0.0254)
+        for t, y in zip(times, 1 - 4.9 * times**2, strict=True)
+    ]
     if name in ("German", "typographic minus"):
         lines = [line.replace(".", ",").replace("-", "\N{MINUS SIGN}") for line in lines]
     file = tmp_path / "path.csv"
@@ -63,6 +69,41 @@ def test_positions_in_any_dialect(tmp_path: Path, name: str) -> None:
     assert isinstance(found, Points) and found.in_seconds
     assert found.clock == pytest.approx(times)
     assert found.y * metre == pytest.approx(1 - 4.9 * times**2, abs=1e-4)
+
+
+def test_angles_are_no_heights(tmp_path: Path) -> None:
+    """A column of degrees is refused as what it is; with a column of heights it is passed over."""
+    for heading, more in (("time (s),elevation (deg)", ""), ("time (s),elevation (deg),height (m)", ",{h:.3f}")):
+        file = tmp_path / "angle.csv"
+        rows = [f"{t:.2f},{90 - 40 * t * t:.3f}" + more.format(h=20 - 4.9 * t * t) for t in np.arange(20) / 10]
+        file.write_text("\n".join([heading, *rows]), encoding="utf-8")
+        if more:
+            found = read_tables(read_sheets(file), "x").found[0][1]
+            assert isinstance(found, Points) and found.y[0] == 20.0
+        else:
+            with pytest.raises(InputError, match="angles are no heights"):
+                read_tables(read_sheets(file), "x")
+
+
+def test_distances_fallen_of_several_drops(tmp_path: Path) -> None:
+    """Numbered columns of a distance that grows, with cells missing, are drops of one ball and no lists of times."""
+    rows = ["t (s),distance 1 (m),distance 2 (m)"]
+    rows += [
+        f"{t:.2f},{4.9 * t * t:.4f},{'-' if k == 5 else f'{4.8 * t * t:.4f}'}" for k, t in enumerate(np.arange(30) / 20)
+    ]
+    file = tmp_path / "down.csv"
+    file.write_text("\n".join(rows), encoding="utf-8")
+    found = read_tables(read_sheets(file), "x").found
+    assert [(name, len(path.y)) for name, path in found] == [("distance 1", 30), ("distance 2", 29)]
+
+
+def test_heights_with_times_of_day_are_refused(tmp_path: Path) -> None:
+    """Below a logger's own lines they are not taken for intervals, and plain seconds are asked for."""
+    rows = [f"2026-05-01,12:00:{5 + k / 10:06.3f},{10 - 0.05 * k * k + 0.01 * (k % 2):.3f}" for k in range(12)]
+    file = tmp_path / "stamps.csv"
+    file.write_text("\n".join(["Logger 3000", "serial,1234", "Date,Time,Height m", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="times of day or dates"):
+        read_tables(read_sheets(file), "x")
 
 
 @pytest.mark.parametrize("separator", ["\t", " ", ","])
