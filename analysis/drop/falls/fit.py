@@ -90,7 +90,9 @@ def heights_m(values: Values, setting: Setting, falls: Sequence[Fall], times_s: 
     counts = [len(times) for times in times_s]
 
     def value(name: str, usual: float = 0.0) -> Floats:
-        own = values.get(name, {})
+        own = values.get(name)
+        if own is None:
+            return np.asarray(usual)
         return np.repeat([own.get(owner_of(name, fall), usual) for fall in falls], counts)
 
     drag, wind = (value("k_per_m"), value("c_per_s")), value("wind_mps")
@@ -103,8 +105,9 @@ def heights_m(values: Values, setting: Setting, falls: Sequence[Fall], times_s: 
     # Held until it moves: at rest at the apex of its path, or so far below it as its first speed is worth.
     fallen = np.where(since > np.sqrt(2.0 * np.maximum(below, 0.0) / setting.g_mps2), fallen, below)
     height = value("top_m") - fallen
-    wrong = [value(one) + value(own) for one, own in zip(AXIS, OWN_AXIS, strict=True)]
-    return np.asarray(height + (setting.axis.terms_m(height) * np.column_stack(wrong)).sum(axis=1))
+    for term, one, own in zip(setting.axis.terms_m(height).T, AXIS, OWN_AXIS, strict=True):
+        height = height + term * (value(one) + value(own))
+    return height
 
 
 def fit_falls(

@@ -42,12 +42,10 @@ class FallCandidate(Candidate):
 
     ADDED = True  # a light ball needs drag where a heavy one does not
     fit: FallFit
-    # held_out, between, uncalibrated: of each fall, read less predicted with what the other falls say, m; empty where
-    # there are none. What is a drop's own (release, axis) comes from all of it; from every other stretch of it, and the
-    # error is of the stretches between; or only its release is its own
-    held_out: list[Floats]
-    between: list[Floats]
-    uncalibrated: list[Floats]
+    noise: Noise
+    own: tuple[str, ...]  # parameters that are a drop's own, beyond its release
+    shared: list[Values | None]  # of each fall: what the other falls say; None where its ball was dropped once
+    held_out: list[Floats]  # of each fall: read less predicted with that, what is its own fitted to all of it, m
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Value and half of the 95 % interval of each parameter that is common to all falls."""
@@ -76,6 +74,10 @@ class Judged:
     setting: Setting
     noise: Noise
     verdict: Verdict[FallCandidate]
+    # between, uncalibrated: `held_out` of the model chosen, where a drop's own axis comes from every other stretch of
+    # it, and the error is of the stretches between; or where only its release is its own
+    between: list[Floats]
+    uncalibrated: list[Floats]
     # Fits of drag with the distortion of the axis, and how likely each is: `_OWN_AXES` one after the other.
     fits: list[FallFit]
     odds: Floats
@@ -150,7 +152,13 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
         # Nothing shows at which place of a distorted axis its scale is right: anywhere along it.
         gravity = value, float(np.hypot(sigma, value * 2.0 * abs(bend) / np.sqrt(3.0)))
     strays = count - sum(len(fall.time_s) for fall in falls)
-    return Judged(list(falls), setting, noise, replace(verdict, doubts=doubts), fits, odds, gravity, strays)
+    between = [_between(fall, best, shared, setting) for fall, shared in zip(falls, best.shared, strict=True)]
+    bare = [
+        np.empty(0) if shared is None else fit_falls([fall], (), setting, best.noise, shared, best.fit).left[0]
+        for fall, shared in zip(falls, best.shared, strict=True)
+    ]
+    verdict = replace(verdict, doubts=doubts)
+    return Judged(list(falls), setting, noise, verdict, between, bare, fits, odds, gravity, strays)
 
 
 def _with_bulk(names: Sequence[str], falls: Sequence[Fall], setting: Setting) -> tuple[str, ...]:
@@ -187,31 +195,30 @@ def _candidate(
     fit = fit_falls(falls, names, setting, noise, near=near)
     drops_of = Counter(fall.ball for fall in falls)
     own = tuple(name for name in names if name in (*OWN_AXIS, "below_m"))
-    none = np.empty(0)
-    scores = np.zeros(len(falls))
-    held_out, between, uncalibrated = ([none] * len(falls) for _ in range(3))
+    scores, shared = np.zeros(len(falls)), list[Values | None]([None] * len(falls))
+    held_out = [np.empty(0)] * len(falls)
     for i, fall in enumerate(falls):
         if drops_of[fall.ball] < 2:
             continue
         others = fit_falls([*falls[:i], *falls[i + 1 :]], names, setting, noise, near=fit)
         scores[i] = fit.evidence - others.evidence
-        shared = {name: table for name, table in others.values.items() if name not in own}
-        held_out[i] = fit_falls([fall], own, setting, noise, shared, fit).left[0]
-        uncalibrated[i] = fit_falls([fall], (), setting, noise, shared, fit).left[0] if own else held_out[i]
-        between[i] = _between(fall, own, setting, noise, shared, fit)
-    left = np.concatenate([*held_out, none])
+        shared[i] = {name: table for name, table in others.values.items() if name not in own}
+        held_out[i] = fit_falls([fall], own, setting, noise, shared[i], fit).left[0]
+    left = np.concatenate(held_out)
     rms = float(np.sqrt(np.mean(left**2))) if len(left) else float("nan")
-    return FallCandidate(model, scores, fit.rms_m, rms, bool(len(left)), fit, held_out, between, uncalibrated)
+    return FallCandidate(model, scores, fit.rms_m, rms, bool(len(left)), fit, noise, own, shared, held_out)
 
 
-def _between(fall: Fall, own: tuple[str, ...], setting: Setting, noise: Noise, shared: Values, near: FallFit) -> Floats:
+def _between(fall: Fall, best: FallCandidate, shared: Values | None, setting: Setting) -> Floats:
     """What is left of inner eighths of a drop whose release and own axis come from the rest of it, m.
 
     Not of the first and the last eighth: an axis is not foretold beyond what was seen of it.
     """
+    if shared is None:
+        return np.empty(0)
     part, left = np.arange(len(fall.time_s)) * 8 // len(fall.time_s), np.zeros(len(fall.time_s))
     for held in (np.isin(part, (1, 5)), np.isin(part, (2, 6)), np.isin(part, (3,)), np.isin(part, (4,))):
         seen = replace(fall, time_s=fall.time_s[~held], height_m=fall.height_m[~held])
-        values = {**shared, **fit_falls([seen], own, setting, noise, shared, near).values}
+        values = {**shared, **fit_falls([seen], best.own, setting, best.noise, shared, best.fit).values}
         left[held] = fall.height_m[held] - heights_m(values, setting, [fall], [fall.time_s[held]])
     return left[(part > 0) & (part < 7)]

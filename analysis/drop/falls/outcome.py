@@ -48,7 +48,7 @@ def of_falls(judged: Judged) -> outcome.Outcome:
                 ) if "own_scale" in fit.names else None,
                 "rms_m": _rms(fit.left, [i]),
                 "held_out_rms_m": _rms(best.held_out, [i]),
-                "held_out_uncalibrated_rms_m": _rms(best.uncalibrated, [i]),
+                "held_out_uncalibrated_rms_m": _rms(judged.uncalibrated, [i]),
             }
             for i, fall in enumerate(falls)
         ],
@@ -80,7 +80,7 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
         "rms_m": {"before": _rms(plain.fit.left, own), "after": _rms(best.fit.left, own)},
         "held_out_rms_m": {
             "before": _rms(plain.held_out, own), "after": _rms(best.held_out, own),
-            "after_between": _rms(best.between, own), "after_uncalibrated": _rms(best.uncalibrated, own),
+            "after_between": _rms(judged.between, own), "after_uncalibrated": _rms(judged.uncalibrated, own),
         },
         "k_per_m": None, "drag": "cannot be told", "terminal_mps": None, "drag_coefficient": None,
     }  # fmt: skip
@@ -133,7 +133,7 @@ def _in_words(judged: Judged, payload: dict[str, Any]) -> list[str]:
         )
         if is_own:
             between, bare = (
-                100 * (_rms(one, range(len(judged.falls))) or 0.0) for one in (best.between, best.uncalibrated)
+                100 * (_rms(one, range(len(judged.falls))) or 0.0) for one in (judged.between, judged.uncalibrated)
             )
             words.append(
                 f"Where its own axis comes from other stretches of it: {between:.0f} cm; where only the release is "

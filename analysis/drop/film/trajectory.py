@@ -128,13 +128,17 @@ def fit_shape(
     inside = np.where(np.isfinite(high) & np.isfinite(low), 1e-6 * (high - low), 0.0)
     begin = np.clip(begin, low + inside, high - inside)
     apexes, least = [_first_apex(flight, acceleration) for flight in flights], np.inf
+    last: tuple[Floats, list[Seen]] = (np.full(len(begin), np.nan), [])
 
     def seen_under(values: Floats) -> list[Seen]:
-        nonlocal apexes, least
+        nonlocal apexes, least, last
+        if np.array_equal(values, last[0]):  # the slopes, where the residuals have just been asked for
+            return last[1]
         found = [_seen(name, values, apex, f, noise) for apex, f in zip(apexes, flights, strict=True)]
         squares = sum(float(one.residual @ one.residual) for one in found) + float(prior @ values**2)
         if squares <= least:  # the next ones are near these
             apexes, least = [(one.at, one.top) for one in found], squares
+        last = (values.copy(), found)
         return found
 
     def left(values: Floats) -> Floats:

@@ -8,6 +8,7 @@ vectorised, work in any consistent units, and go over into the parabola as ``f``
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,17 +24,17 @@ class FlightLaw:
     friction: Numbers = 0.0  # Coulomb friction over the weight, ``0 <= f < 1``: at 1 the ball would hang on its rod
     drag_per_m: Numbers = 0.0  # ``k`` of ``-k |v| v``, 1/m
 
-    @property
+    @cached_property
     def _k(self) -> Numbers:
         """The drag; where there is none, so little that what is left is a parabola to its last digits."""
         return np.where(np.abs(self.drag_per_m) < 1e-12, 1e-12, self.drag_per_m)
 
-    @property
+    @cached_property
     def up_mps2(self) -> Numbers:
         """Deceleration on the way up at zero speed."""
         return self.g_mps2 * (1.0 + self.friction)
 
-    @property
+    @cached_property
     def down_mps2(self) -> Numbers:
         """Acceleration on the way down at zero speed."""
         return self.g_mps2 * (1.0 - self.friction)
@@ -79,10 +80,11 @@ class FlightLaw:
         t = np.asarray(duration_s, dtype=np.float64)
         v = t / (1.0 / self.up_mps2 + 1.0 / np.sqrt(self.up_mps2 * self.down_mps2))
         for _ in range(12):
-            u = np.maximum(self.return_speed_mps(v), 1e-12)
+            top = self.apex_m(v)
+            u = np.maximum(self.landing_speed_mps(top), 1e-12)
             growth = 1.0 + self._k * v * v / self.up_mps2
             slope = (1.0 + v / u) / (self.up_mps2 * growth)
-            moved = np.maximum(v + (t - self.duration_s(v)) / slope, 0.5 * v)
+            moved = np.maximum(v + (t - self.rise_s(v) - self.fall_s(top)) / slope, 0.5 * v)
             settled = np.all(np.abs(moved - v) <= 1e-12 * v)
             v = moved
             if settled:

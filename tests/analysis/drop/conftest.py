@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 
@@ -20,6 +21,14 @@ def synthetic() -> ModuleType:
         sys.modules["drop_synthetic"] = module
         spec.loader.exec_module(module)
     return sys.modules["drop_synthetic"]
+
+
+@pytest.fixture(scope="session")
+def plain_film(synthetic: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    """A film of 120 frames at 300 a second, with a rod, blur, flicker and noise, and the block's true rows."""
+    target = tmp_path_factory.mktemp("plain") / "drop.avi"
+    truth, camera = synthetic.Truth(friction=0.3), synthetic.Camera(fps=300.0)
+    return target, synthetic.film(target, truth, camera, 0.4, np.random.default_rng(3))
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,11 +40,18 @@ def _path(folder: Path) -> Path:
     return target
 
 
-def test_json_of_impact_times(tmp_path: Path) -> None:
-    """The JSON has the agreed keys, alone on standard output, and the numbers that were put in."""
-    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), "--json", "-", "--no-pictures"])
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A table of thirteen impact times, and what `bench drop --json -` writes of it."""
+    file = _events(tmp_path_factory.mktemp("whole"))
+    run = RUNNER.invoke(app, ["drop", str(file), "--json", "-", "--no-pictures"])
     assert run.exit_code == 0, run.output
-    result = json.loads(run.stdout)
+    return file, json.loads(run.stdout)
+
+
+def test_json_of_impact_times(whole: tuple[Path, dict[str, Any]]) -> None:
+    """The JSON has the agreed keys, alone on standard output, and the numbers that were put in."""
+    result = whole[1]
     assert {"impacts_s", "models", "chosen", "tie_set", "drop_height_m"} <= set(result)
     assert len(result["impacts_s"]) == 13
     model = result["models"][0]
@@ -76,13 +84,22 @@ def test_several_drops_are_fitted_together(tmp_path: Path) -> None:
     assert all(abs(drop["stated_height_m"]["sigmas_off"]) < 3.0 for drop in result["drops"])
 
 
-def test_the_result_goes_into_a_profile(tmp_path: Path) -> None:
-    """--into declares value, uncertainty, date and source, and the profile still loads with its comments."""
+def test_the_result_goes_into_a_profile_and_into_words(tmp_path: Path) -> None:
+    """--into declares value, uncertainty, date and source, and the profile still loads with its comments.
+
+    The restitution stands in a sentence with its interval; options, covariance and flights in the JSON.
+    """
     profile = tmp_path / "mine.toml"
     text = (ROOT / "rig_profiles" / "simulated.toml").read_text(encoding="utf-8")
     profile.write_text(text, encoding="utf-8")
-    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), "--into", str(profile), "--no-pictures"])
+    where = ["--into", str(profile), "--json", str(tmp_path / "o.json")]
+    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), *where, "--no-pictures"])
     assert run.exit_code == 0, run.output
+    assert "restitution e0 = 0.9" in run.stdout
+    result = json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))
+    assert result["options"]["gravity_mps2"] == 9.80665
+    assert len(result["drops"][0]["flights"]) == 12
+    assert result["models"][0]["covariance"]["of"] == ["e0"]
     loaded, _ = load_profile(profile)
     e0 = loaded.declared["restitution"]["e0"]
     assert e0.value == pytest.approx(0.9, abs=0.01) and e0.uncertainty > 0.0 and e0.date is not None
@@ -153,26 +170,13 @@ def test_the_same_recording_twice_is_refused(tmp_path: Path) -> None:
         assert run.exit_code == 2 and "counts twice" in run.stderr
 
 
-def test_the_terminal_shows_what_was_measured(tmp_path: Path) -> None:
-    """The restitution stands in a sentence with its interval; options, covariance and flights in the JSON."""
-    target = tmp_path / "o.json"
-    run = RUNNER.invoke(app, ["drop", str(_events(tmp_path)), "--no-pictures", "--json", str(target)])
-    assert "restitution e0 = 0.9" in run.stdout
-    result = json.loads(target.read_text(encoding="utf-8"))
-    assert result["options"]["gravity_mps2"] == 9.80665
-    assert len(result["drops"][0]["flights"]) == 12
-    assert result["models"][0]["covariance"]["of"] == ["e0"]
-
-
-def test_corrections_by_hand(tmp_path: Path) -> None:
+def test_corrections_by_hand(whole: tuple[Path, dict[str, Any]]) -> None:
     """--from, --until and --ignore leave events out, and the JSON keeps them."""
-    file = _events(tmp_path)
-    everything = ["drop", str(file), "--no-pictures", "--json", "-"]
-    whole = json.loads(RUNNER.invoke(app, everything).stdout)
-    last, third = whole["impacts_s"][-1], whole["impacts_s"][2]
+    file, all_of_it = whole
+    last, third = all_of_it["impacts_s"][-1], all_of_it["impacts_s"][2]
     part = ["--from", "1.1", "--until", str(last - 0.01), "--ignore", str(third)]
-    result = json.loads(RUNNER.invoke(app, [*everything, *part]).stdout)
-    assert len(result["impacts_s"]) == len(whole["impacts_s"]) - 3
+    result = json.loads(RUNNER.invoke(app, ["drop", str(file), "--no-pictures", "--json", "-", *part]).stdout)
+    assert len(result["impacts_s"]) == len(all_of_it["impacts_s"]) - 3
     assert third not in result["impacts_s"] and min(result["impacts_s"]) > 1.1
     assert result["options"]["corrections"][0]["ignore_s"] == [third]
 

@@ -7,11 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.drop.film.camera_fit import fit_camera
+from analysis.drop.film.camera_fit import CameraFit, fit_camera
 from analysis.drop.film.flights import Clip
 from analysis.drop.film.linking import ball_of
 from analysis.drop.film.outcome import Units, of_camera
 from analysis.drop.film.tracking import track_film
+from analysis.drop.film.video import open_film
 from analysis.drop.laws.choice import choose
 from daq.setup.errors import InputError
 
@@ -26,50 +27,54 @@ def _clip(synthetic: ModuleType, truth: object, fps: float, seconds: float, seed
     return Clip("x", track.clock, track.height, track.acceleration)
 
 
-def test_friction_and_restitution_at_the_papers_conditions(synthetic: ModuleType) -> None:
-    """At 1000 frames a second friction comes back to 0.01 g and restitution to 0.005, and friction is named."""
+@pytest.fixture(scope="module")
+def rubbed(synthetic: ModuleType) -> CameraFit:
+    """A drop with friction at the paper's conditions, 1000 frames a second."""
     truth = synthetic.Truth(e0=0.514, friction=0.3)
-    fit = fit_camera([_clip(synthetic, truth, 1000.0, 0.4, 1)], np.random.default_rng(0))
-    ties = choose(fit.candidates)
-    chosen = ties[0]
-    candidate = next(r for r in fit.candidates if r.model.name == chosen)
-    assert chosen == "coulomb_friction" and ties == ("coulomb_friction",)
-    assert fit.shapes["friction"].values[1] == pytest.approx(0.3, abs=0.01)
+    return fit_camera([_clip(synthetic, truth, 1000.0, 0.4, 1)], np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def free(synthetic: ModuleType) -> CameraFit:
+    """A drop without friction, 500 frames a second."""
+    truth = synthetic.Truth(e0=0.6, hold_s=0.02)
+    return fit_camera([_clip(synthetic, truth, 500.0, 0.45, 2)], np.random.default_rng(0))
+
+
+def test_friction_and_restitution_at_the_papers_conditions(rubbed: CameraFit) -> None:
+    """At 1000 frames a second friction comes back to 0.01 g and restitution to 0.005, and friction is named."""
+    ties = choose(rubbed.candidates)
+    candidate = next(r for r in rubbed.candidates if r.model.name == ties[0])
+    assert ties == ("coulomb_friction",)
+    assert rubbed.shapes["friction"].values[1] == pytest.approx(0.3, abs=0.01)
     assert candidate.law.theta[0] == pytest.approx(0.514, abs=0.005)
 
 
-def test_a_strong_drag_makes_no_gravity_larger(synthetic: ModuleType) -> None:
+def test_a_strong_drag_makes_no_gravity_larger(rubbed: CameraFit) -> None:
     """Flights of a few frames are straight lines under any gravity with drag enough; no shape is fitted so."""
-    fit = fit_camera(
-        [_clip(synthetic, synthetic.Truth(e0=0.514, friction=0.3), 1000.0, 0.4, 1)], np.random.default_rng(0)
-    )
-    true = fit.shapes["friction"].law.g_mps2
-    assert all(0.5 * true < shape.law.g_mps2 < 1.5 * true for shape in fit.shapes.values())
+    true = rubbed.shapes["friction"].law.g_mps2
+    assert all(0.5 * true < shape.law.g_mps2 < 1.5 * true for shape in rubbed.shapes.values())
 
 
-def test_no_friction_is_not_made_up(synthetic: ModuleType) -> None:
+def test_no_friction_is_not_made_up(synthetic: ModuleType, free: CameraFit) -> None:
     """Free fall with a constant restitution stays at the lowest candidate, with gravity measured and impacts timed."""
-    truth = synthetic.Truth(e0=0.6, hold_s=0.02)
-    fit = fit_camera([_clip(synthetic, truth, 500.0, 0.45, 2)], np.random.default_rng(0))
-    result = of_camera(["x"], fit, Units(1 / 500.0, SCALE_M, 9.80665), np.random.default_rng(0)).payload
-    _, impacts = synthetic.path(truth, np.array([0.45]), 2e-5)
+    result = of_camera(["x"], free, Units(1 / 500.0, SCALE_M, 9.80665), np.random.default_rng(0)).payload
+    _, impacts = synthetic.path(synthetic.Truth(e0=0.6, hold_s=0.02), np.array([0.45]), 2e-5)
     assert result["chosen"] == "constant_restitution"
     assert result["impacts_s"] == pytest.approx(impacts[: len(result["impacts_s"])], abs=3e-4)
     assert result["g_mps2"]["low"] < 9.80665 < result["g_mps2"]["high"]
     assert result["drop_height_m"]["value"] == pytest.approx(0.06, rel=0.01)
 
 
-def test_a_wrong_frame_rate_is_refused(synthetic: ModuleType) -> None:
+def test_a_wrong_frame_rate_is_refused(free: CameraFit) -> None:
     """With a scale, a frame rate off by two makes gravity four times wrong, and the error proposes the right one."""
-    fit = fit_camera([_clip(synthetic, synthetic.Truth(), 500.0, 0.4, 2)], np.random.default_rng(0))
     with pytest.raises(InputError, match=r"the frame rate 1000 or the scale .* is wrong; (499|50[0-9])"):
-        of_camera(["x"], fit, Units(1 / 1000.0, SCALE_M, 9.80665), np.random.default_rng(0))
+        of_camera(["x"], free, Units(1 / 1000.0, SCALE_M, 9.80665), np.random.default_rng(0))
 
 
-def test_without_a_frame_rate_only_ratios_are_given(synthetic: ModuleType) -> None:
+def test_without_a_frame_rate_only_ratios_are_given(free: CameraFit) -> None:
     """Frames alone give restitution and friction; times, speeds and heights are withheld, in words too."""
-    fit = fit_camera([_clip(synthetic, synthetic.Truth(e0=0.6), 500.0, 0.45, 3)], np.random.default_rng(0))
-    result = of_camera(["x"], fit, Units(None, None, 9.80665), np.random.default_rng(0))
+    result = of_camera(["x"], free, Units(None, None, 9.80665), np.random.default_rng(0))
     assert result.payload["impacts_s"] == [] and result.payload["drop_height_m"]["value"] is None
     assert result.payload["restitution"][0]["restitution"]["value"] == pytest.approx(0.6, abs=0.01)
     assert any("No frame rate" in sentence for sentence in result.sentences)
@@ -104,12 +109,14 @@ def test_two_movers_and_no_motion_are_refused(synthetic: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("codec", ["MJPG", "mp4v"])
-def test_a_film_is_tracked_to_a_tenth_of_a_pixel(synthetic: ModuleType, tmp_path: Path, codec: str) -> None:
+def test_a_film_is_tracked_to_a_tenth_of_a_pixel(
+    synthetic: ModuleType, plain_film: tuple[Path, np.ndarray], tmp_path: Path, codec: str
+) -> None:
     """Through a real codec, with blur, flicker, noise, a rod and up to 20 pixels a frame: 0.1 pixel rms."""
-    target = tmp_path / ("drop.avi" if codec == "MJPG" else "drop.mp4")
-    rows = synthetic.film(
-        target, synthetic.Truth(friction=0.3), synthetic.Camera(fps=300.0), 0.4, np.random.default_rng(3), codec
-    )
+    target, rows = plain_film
+    if codec == "mp4v":
+        target, truth, camera = tmp_path / "drop.mp4", synthetic.Truth(friction=0.3), synthetic.Camera(fps=300.0)
+        rows = synthetic.film(target, truth, camera, 0.4, np.random.default_rng(3), codec)
     tracked = track_film(target)
     found = -tracked.track.height
     off = found - rows[tracked.track.clock.astype(int)]
@@ -159,17 +166,11 @@ def test_a_still_film_a_cut_film_and_a_damaged_film_are_refused(tmp_path: Path) 
             track_film(tmp_path / f"{name}.avi")
 
 
-def test_a_folder_of_frames_is_a_film(synthetic: ModuleType, tmp_path: Path) -> None:
-    """Pictures in a folder are read in their numbers' order, not their names'."""
-    film = tmp_path / "drop.avi"
-    synthetic.film(film, synthetic.Truth(e0=0.6), synthetic.Camera(fps=300.0, rod=False), 0.3, np.random.default_rng(3))
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    reader = cv2.VideoCapture(str(film))
-    for k in range(90):
-        _, picture = reader.read()
-        (folder / f"frame{k}.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    reader.release()
-    there, here = track_film(film), track_film(folder)
-    assert here.fps is None
-    assert here.track.height == pytest.approx(there.track.height)
+def test_a_folder_of_frames_is_a_film(plain_film: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    """Pictures in a folder are read in their numbers' order, not their names', and state no frame rate."""
+    film = list(open_film(plain_film[0]).frames())[:14]
+    for k, picture in enumerate(film):
+        (tmp_path / f"frame{k}.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    folder = open_film(tmp_path)
+    assert folder.fps is None and folder.count == 14
+    assert all(np.array_equal(a, b) for a, b in zip(folder.frames(), film, strict=True))
