@@ -139,9 +139,10 @@ def main() -> None:
         sigmas.append((found - truth) / np.array(mode.sigmas()))
         other = {k: round(v, 3) for k, v in run.hidden.items() if "table" not in k}
         print(seed, truth.round(4), found.round(4), (100 * relative).round(1), "%", sigmas[-1].round(1), "sigmas")
+        further = "" if mode.second is None else f", a second mode of {mode.second.frequency_hz:.2f} Hz"
         print(
             f"     c={run.c} {other} {mode.before_mps2:.3f} -> {mode.remainder_mps2:.3f} m/s^2, {spent_s:.1f} s",
-            verdict,
+            f"{further} {verdict}",
         )
     print(f"{named} of {args.trials} found; processor s: median {np.median(seconds):.1f}, worst {max(seconds):.1f}")
     if errors and not args.without:

@@ -21,6 +21,7 @@ BALL_KG = 0.2492
 STEPS_PER_SAMPLE = 250  # 0.2 us at 20 kHz: the contact's own frequency is 5 kHz or more
 COIL = (30.0, 2.0, 3e-4)  # force over current, N/A; ohm; henry
 FADE_CYCLES = 2
+FLOOR_DAMPING = 0.05
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Shaker:
     ----------
     table_kg, suspension_hz, damping
         Moving mass, and the table's own frequency and damping ratio without the ball (the coil's apart).
+    floor_kg, floor_hz
+        What the shaker stands on, with a damping ratio of .05; a level in volts is set as if it stood still.
     voltage_driven
         The amplifier gives volts, and the coil's motion brakes it; else it gives current.
     level_set_bare
@@ -48,6 +51,8 @@ class Shaker:
     table_kg: float = 1e5
     suspension_hz: float = 8.0
     damping: float = 0.7
+    floor_kg: float = 1e15
+    floor_hz: float = 12.0
     voltage_driven: bool = False
     level_set_bare: bool = False
     contact_n_per_m: float = 1e9
@@ -65,22 +70,26 @@ class Shaker:
     seed: int = 0
 
     def parts(self) -> tuple[float, ...]:
-        """Mass, spring and dashpot of the table; spring and dashpot of the contact; friction, N; oil, N s/m."""
+        """Of table and floor mass, spring, dashpot; of the contact spring, dashpot; friction, N; oil, N s/m."""
+        floor = 2.0 * math.pi * self.floor_hz
         own = 2.0 * math.pi * self.suspension_hz
         dashpot = 2.0 * self.contact_damping * math.sqrt(self.contact_n_per_m * BALL_KG)
         return (
             self.table_kg, self.table_kg * own**2, 2.0 * self.damping * self.table_kg * own,
+            self.floor_kg, self.floor_kg * floor**2, 2.0 * FLOOR_DAMPING * self.floor_kg * floor,
             self.contact_n_per_m, dashpot, self.sliding_friction * BALL_KG * G, self.oil_per_s * BALL_KG,
         )  # fmt: skip
 
     def drive(self) -> Floats:
         """Amplitude and phase of force (N) or volts of each tone at gamma 1, shape (2, 2), as the operator set them."""
-        mass, spring, dashpot, *_ = self.parts()
+        mass, spring, dashpot, floor, floor_spring, floor_dashpot, *_ = self.parts()
         force_per_ampere, ohm, henry = COIL
         out = np.empty((2, 2))
         for i, multiple in enumerate((1, self.c)):
             s = 2j * math.pi * self.frequency_hz * multiple
-            asked = (mass + BALL_KG * (not self.level_set_bare)) * s * s + dashpot * s + spring
+            held = spring + dashpot * s
+            on_floor = held / (floor * s * s + floor_dashpot * s + floor_spring)
+            asked = (mass + BALL_KG * (not self.level_set_bare)) * s * s * (1.0 + on_floor) + held
             if self.voltage_driven:
                 asked = asked * (ohm + henry * s) / force_per_ampere + force_per_ampere * s
             asked *= G / (2.0 * math.pi * self.frequency_hz) ** 2
@@ -91,12 +100,13 @@ class Shaker:
 @njit()
 def _march(parts, coil, voltage_driven, drive, gammas, step_s, w, c, dt, plate, touching):
     """March table, ball and coil; fill the mean acceleration and the part in contact of the time before each sample."""
-    table, spring, dashpot, contact, contact_dashpot, friction, oil = parts
+    table, spring, dashpot, floor, floor_spring, floor_dashpot, contact, contact_dashpot, friction, oil = parts
     force_per_ampere, ohm, henry = coil
     fade_s, weight = FADE_CYCLES * 2.0 * math.pi / w, BALL_KG * G
-    x = -weight / spring  # of the table; y: of the ball, both from where the bare table rests
+    below = -weight / floor_spring  # the floor; x: the table, y: the ball, all from where they rest without the ball
+    x = below - weight / spring
     y = x - weight / contact
-    v = u = ampere = 0.0
+    v = u = ampere = sinking = 0.0
     together = BALL_KG * table / (BALL_KG + table)
     for k in range(1, plate.size):
         total, contacts = 0.0, 0
@@ -105,14 +115,17 @@ def _march(parts, coil, voltage_driven, drive, gammas, step_s, w, c, dt, plate, 
             asked = drive[0, 0] * math.sin(w * t + drive[0, 1]) + drive[1, 0] * math.sin(c * w * t + drive[1, 1])
             asked *= level_at(gammas, step_s, fade_s, t)[0]
             if voltage_driven:
-                ampere += dt * (asked - ohm * ampere - force_per_ampere * v) / henry
+                ampere += dt * (asked - ohm * ampere - force_per_ampere * (v - sinking)) / henry
                 asked = force_per_ampere * ampere
             push = max(contact * (x - y) + contact_dashpot * (v - u), 0.0) if x > y else 0.0
-            on_table, on_ball = asked - spring * x - dashpot * v - push, push - weight
+            held = spring * (x - below) + dashpot * (v - sinking) - asked  # between table and floor, coil and all
+            on_table, on_ball = -held - push, push - weight
             sticking = together * ((u - v) / dt + on_ball / BALL_KG - on_table / table)  # would leave no relative speed
             rod = min(max(sticking, -friction), friction) + oil * (u - v)
             a = (on_table + rod) / table
             v += dt * a
+            sinking += dt * (held - floor_spring * below - floor_dashpot * sinking) / floor
+            below += dt * sinking
             u += dt * (on_ball - rod) / BALL_KG
             x += dt * v
             y += dt * u

@@ -53,6 +53,7 @@ FEWEST_IMPACTS = 20
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
 HEAVY = 0.06  # mass ratio from which the motion is taken as recorded: a lighter one is better known from impacts
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
+LEFT_BY_TWO = 0.9  # of what one mode leaves of the acceleration, where a second one is said to be missing
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
 
@@ -72,6 +73,8 @@ class PlateMode:
         By how much the mode raises the likelihood, the remainder's correlation allowed for.
     pushed
         What the ball did to the plate, where the mode is sure.
+    second
+        Where one mode does not suffice: the mode that answers what the first one leaves, roughly.
     """
 
     frequency_hz: float
@@ -82,6 +85,7 @@ class PlateMode:
     before_mps2: float
     gain_nats: float
     pushed: PushedPlate | None = None
+    second: PlateMode | None = None
 
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of frequency, damping and mass ratio."""
@@ -154,8 +158,11 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         ends = int((worst + 1) * CLUSTER_S / block_s)
         record = record.without(int(worst * CLUSTER_S / block_s), ends)
         begun.append(min(ends, len(record.known) - 2))
-    mode = None if found is None else seen.judged(found, recording.setup.forcing.frequency_hz)
-    return replace(mode, pushed=whole.pushed(seen, found)) if mode and mode.sure and found is not None else mode
+    forcing_hz = recording.setup.forcing.frequency_hz
+    mode = None if found is None else seen.judged(found, forcing_hz)
+    if mode is None or found is None or not mode.sure:
+        return mode
+    return replace(mode, pushed=whole.pushed(seen, found), second=seen.without(found).second(forcing_hz))
 
 
 @dataclass(frozen=True)
@@ -304,16 +311,41 @@ class _Regression:
         columns = self.columns(*np.exp(x))
         return np.asarray(self.left - columns @ self.sizes(columns))
 
+    def slopes(self, x: Floats) -> Floats:
+        """Slopes of the fitted answer in the logarithms of frequency and damping, (k, 2)."""
+        sizes, h = self.sizes(self.columns(*np.exp(x))), 1e-4
+        ahead, behind = ([self.columns(*np.exp(x + d * e)) @ sizes for e in np.eye(2)] for d in (h, -h))
+        return np.asarray((np.array(ahead) - np.array(behind)).T / (2.0 * h))
+
+    def without(self, x: Floats) -> _Regression:
+        """The same with a mode, and small changes of it, among what is linear."""
+        known = np.column_stack([self.columns(*np.exp(x)), self.slopes(x)])
+        own = np.linalg.qr(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300))[0]
+        left = self.left - own @ (own.T @ self.left)
+        return replace(self, left=left, basis=np.hstack([self.basis, own]))
+
+    def second(self, forcing_hz: float) -> PlateMode | None:
+        """The mode that answers what a first one leaves; None where it explains little of that."""
+        gain, start = self.looked()[0]
+        if gain < 0.5 * (1.0 - LEFT_BY_TWO**2) * float(self.left @ self.left):
+            return None
+        mode = self.judged(self.followed([start]), forcing_hz)
+        return mode if mode and mode.sure and mode.remainder_mps2 < LEFT_BY_TWO * mode.before_mps2 else None
+
     def searched(self) -> Floats:
         """Logarithms of frequency and damping of the best mode of all."""
+        return self.followed([x for _, x in self.looked()[:STARTS]])
+
+    def looked(self) -> list[tuple[float, Floats]]:
+        """By how much modes of a grid lower the sum of squares, and their logarithms, the best of each rise first."""
         count = int(math.log(HIGHEST_HZ / LOWEST_HZ) / math.log(GRID))
-        looked = [np.log([LOWEST_HZ * GRID**k, d]) for k in range(count) for d in DAMPINGS]
-        loss = -np.array([self._gain_of_push(*np.exp(x)) for x in looked]).reshape(count, -1)
-        best = loss.min(axis=1)
-        # local minima: the best of the whole look would be neighbours of one
-        inner = [k for k in range(count) if best[k] <= min(best[max(k - 1, 0)], best[min(k + 1, count - 1)])]
-        starts = sorted(inner, key=lambda k: best[k])[:STARTS]
-        return self.followed([looked[k * len(DAMPINGS) + int(np.argmin(loss[k]))] for k in starts])
+        at = np.log([[(LOWEST_HZ * GRID**k, d) for d in DAMPINGS] for k in range(count)])
+        gain = np.array([[self._gain_of_push(*np.exp(x)) for x in row] for row in at])
+        best = np.pad(gain.max(axis=1), 1)
+        # local maxima: the best of the whole look would be neighbours of one
+        inner = [k for k in range(count) if best[k + 1] >= max(best[k], best[k + 2])]
+        found = [(float(best[k + 1]), np.asarray(at[k, np.argmax(gain[k])])) for k in inner]
+        return sorted(found, key=lambda pair: -pair[0])
 
     def _gain_of_push(self, frequency_hz: float, damping: float) -> float:
         """By how much the answer to the push lowers the sum of squares."""
@@ -341,14 +373,13 @@ class _Regression:
     def judged(self, x: Floats, forcing_hz: float) -> PlateMode | None:
         """The mode at the logarithms of frequency and damping with its covariance; None where it is none."""
         frequency, damping = (float(v) for v in np.exp(x))
-        columns, h = self.columns(*np.exp(x)), 1e-4
+        columns = self.columns(*np.exp(x))
         sizes = self.sizes(columns)
         left = self.left - columns @ sizes
-        slopes = [(self.columns(*np.exp(x + h * e)) - self.columns(*np.exp(x - h * e))) @ sizes for e in np.eye(2)]
-        jacobian = np.column_stack([slopes[0] / (2.0 * h), slopes[1] / (2.0 * h), columns])
+        jacobian = np.column_stack([self.slopes(x), columns])
         # columns of one size: frequency, damping and free states differ by many powers of ten
-        jacobian /= np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-        size = np.linalg.norm(np.column_stack([*slopes, columns[:, 0]]), axis=0) / [2.0 * h, 2.0 * h, 1.0]
+        norms = np.linalg.norm(jacobian, axis=0)
+        jacobian, size = jacobian / np.maximum(norms, 1e-300), norms[:3]
         inverse = pinv(jacobian.T @ jacobian, rcond=1e-10)
         scores = np.array([np.bincount(self.cluster, row) for row in (jacobian * left[:, None]).T])
         meat = scores @ scores.T

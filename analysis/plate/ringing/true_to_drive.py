@@ -55,11 +55,17 @@ def ringing_in_words(mode: PlateMode, gamma: Floats, span_s: Floats, drive_mps: 
     part = parts_of_drive(mode, span_s, drive_mps, np.ones(3))
     true = np.flatnonzero(part < UNTRUE)
     first = int(true[-1]) + 1 if len(true) else 0
+    loaded_hz = mode.frequency_hz / np.sqrt(1.0 + mode.mass_ratio)
     words = (
-        f"the plate rings at {mode.frequency_hz:.3g} Hz under the ball (damping {mode.damping:.2g}, the ball weighs "
-        f"{100.0 * mode.mass_ratio:.2g} % of what moves): {100.0 * part[-1]:.2g} % of the drive's speed at gamma "
-        f"{gamma[-1]:.3g}"
+        f"the plate rings at {mode.frequency_hz:.3g} Hz under the ball ({loaded_hz:.3g} Hz with the ball on it, "
+        f"damping {mode.damping:.2g}, the ball weighs {100.0 * mode.mass_ratio:.2g} % of what moves): "
+        f"{100.0 * part[-1]:.2g} % of the drive's speed at gamma {gamma[-1]:.3g}"
     )
+    if (more := mode.second) is not None:
+        words = (
+            f"one mode does not suffice, of the {more.before_mps2:.2g} m/s^2 that it leaves one of "
+            f"{more.frequency_hz:.2g} Hz explains all but {more.remainder_mps2:.2g}; {words}"
+        )
     if first == len(part):
         return f"{words}, nowhere lastingly above {100.0 * UNTRUE:g} %"
     cures = (

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +15,29 @@ from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from daq.recording import open_recording
 
+FRICTION = (("coulomb_friction.mu", 0.05),)
 
-def _found(
-    folder: Path, hidden: dict[str, float], missed: Sequence[int] = (), drive_share: float = 1.0
-) -> PlateMode | None:
-    gammas = np.random.default_rng(1).permutation(np.round(np.linspace(0.5, 2.6, 27), 4))
-    run = other_plant.Run(hidden=hidden, seed=1, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
-    volts = other_plant.simulate(run)
-    volts["drive_v"] *= drive_share
-    path = imported(volts, other_plant.profile_of(run), folder)
+
+def _mode(hz: float, damping: float, ratio: float) -> tuple[tuple[str, float], ...]:
+    return tuple((f"table_resonance.{k}", v) for k, v in (("hz", hz), ("damping", damping), ("ratio", ratio)))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Recordings of ``steps`` on a plate with something hidden, each made once; its drive channel by a factor."""
+
+    @functools.cache
+    def made(hidden: tuple[tuple[str, float], ...], steps: int = 14, drive_share: float = 1.0) -> Path:
+        gammas = np.random.default_rng(1).permutation(np.round(np.linspace(0.5, 2.6, steps), 4))
+        run = other_plant.Run(hidden=dict(hidden), seed=1, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
+        volts = other_plant.simulate(run)
+        volts["drive_v"] *= drive_share
+        return imported(volts, other_plant.profile_of(run), tmp_path_factory.mktemp("recorded"))
+
+    return made
+
+
+def _found(path: Path, missed: Sequence[int] = ()) -> PlateMode | None:
     with open_recording(path) as recording:
         flights = flights_of(recording)
         true = ~flights.has(FlightFlag.FALSE)
@@ -30,10 +45,9 @@ def _found(
         return identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], 1e-3)
 
 
-def test_a_mode_is_identified_from_recorded_volts(tmp_path: Path) -> None:
+def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path]) -> None:
     """Frequency, damping and mass ratio come out without a prediction of a flight."""
-    hidden = {"table_resonance.hz": 2.5, "table_resonance.damping": 0.02, "table_resonance.ratio": 0.25}
-    mode = _found(tmp_path, hidden)
+    mode = _found(recorded(_mode(2.5, 0.02, 0.25)))
     assert mode is not None
     assert mode.frequency_hz == pytest.approx(2.5, rel=0.01)
     assert mode.damping == pytest.approx(0.02, rel=0.15)
@@ -41,10 +55,9 @@ def test_a_mode_is_identified_from_recorded_volts(tmp_path: Path) -> None:
     assert mode.remainder_mps2 < 0.5 * mode.before_mps2
 
 
-def test_a_flight_that_was_missed_leaves_the_mode_and_its_error_as_they_are(tmp_path: Path) -> None:
+def test_a_flight_that_was_missed_leaves_the_mode_and_its_error_as_they_are(recorded: Callable[..., Path]) -> None:
     """Its push is unknown: the half second is left out, and the plate rings on from an unknown state."""
-    hidden = {"table_resonance.hz": 5.1, "table_resonance.damping": 0.0123, "table_resonance.ratio": 0.21}
-    mode = _found(tmp_path, hidden, missed=(260,))
+    mode = _found(recorded(_mode(5.1, 0.0123, 0.21)), missed=(130,))
     assert mode is not None
     off = np.array([mode.frequency_hz / 5.1, mode.damping / 0.0123, mode.mass_ratio / 0.21]) - 1.0
     assert (np.abs(off) < [0.01, 0.15, 0.03]).all()
@@ -52,16 +65,17 @@ def test_a_flight_that_was_missed_leaves_the_mode_and_its_error_as_they_are(tmp_
     assert (np.abs(off) < 3.0 * size).all()
 
 
-def test_more_missed_flights_than_pieces_may_be_left_out_give_a_wider_mode_or_none(tmp_path: Path) -> None:
+def test_more_missed_flights_than_pieces_may_be_left_out_give_a_wider_mode_or_none(
+    recorded: Callable[..., Path],
+) -> None:
     """Each tears the ringing; what stays unexplained is in the standard deviations."""
-    hidden = {"table_resonance.hz": 5.1, "table_resonance.damping": 0.0123, "table_resonance.ratio": 0.21}
-    mode = _found(tmp_path, hidden, missed=range(60, 460, 40))
+    mode = _found(recorded(_mode(5.1, 0.0123, 0.21)), missed=range(30, 230, 20))
     assert mode is None or abs(mode.frequency_hz - 5.1) < 4.0 * mode.sigmas()[0]
 
 
-def test_no_mode_is_found_where_only_a_friction_is_hidden(tmp_path: Path) -> None:
+def test_no_mode_is_found_where_only_a_friction_is_hidden(recorded: Callable[..., Path]) -> None:
     """A friction does not look like a ringing plate."""
-    assert _found(tmp_path, {"coulomb_friction.mu": 0.05}) is None
+    assert _found(recorded(FRICTION)) is None
 
 
 def test_the_answer_of_a_mode_is_that_of_its_differential_equation() -> None:
@@ -74,9 +88,9 @@ def test_the_answer_of_a_mode_is_that_of_its_differential_equation() -> None:
     np.testing.assert_allclose(answer(push, block_s, 5.0, damping), np.diff(speed) / block_s, atol=1e-9)
 
 
-def test_no_mode_is_found_where_the_drive_stands_still(tmp_path: Path) -> None:
+def test_no_mode_is_found_where_the_drive_stands_still(recorded: Callable[..., Path]) -> None:
     """A channel of zeros explains no acceleration, and ends no verdict."""
-    assert _found(tmp_path, {"coulomb_friction.mu": 0.05}, drive_share=0.0) is None
+    assert _found(recorded(FRICTION, drive_share=0.0)) is None
 
 
 def test_a_mode_at_the_least_damping_is_none() -> None:
@@ -87,3 +101,16 @@ def test_a_mode_at_the_least_damping_is_none() -> None:
         acceleration = 0.1 * answer(push, 1e-3, 5.0, damping) + 0.01 * rng.standard_normal(n)
         seen = _Regression.of(acceleration, np.zeros((n, 1)), push, known, 1e-3, [0])
         assert (seen.judged(np.log([5.0, damping]), 25.0) is not None) == is_mode
+
+
+def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() -> None:
+    """A table on a floor that shakes has two modes; noise that is left by one mode is none."""
+    rng, n = np.random.default_rng(5), 8000
+    push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
+    one = 0.1 * answer(push, 1e-3, 5.0, 0.05) + 0.01 * rng.standard_normal(n)
+    for acceleration, is_mode in ((one, False), (one + 0.01 * answer(push, 1e-3, 12.0, 0.03), True)):
+        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, known, 1e-3, [0])
+        second = seen.without(seen.searched()).second(25.0)
+        assert (second is not None) == is_mode
+    assert second is not None
+    assert (second.frequency_hz, second.mass_ratio) == pytest.approx((12.0, 0.01), rel=0.05)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,13 @@ def test_the_gamma_is_that_above_which_no_step_is_true() -> None:
     words = ringing_in_words(_struck(0.01), GAMMA[order], SPAN_S[order], DRIVE_MPS)
     assert f"from gamma {GAMMA[4]:.3g} on" in words and "with half the ball" in words
     assert "nowhere lastingly above 5 %" in ringing_in_words(_struck(0.001), GAMMA, SPAN_S, DRIVE_MPS)
+
+
+def test_a_second_mode_is_said_with_what_it_explains_of_the_first_ones_remainder() -> None:
+    """One mode is then no longer enough, and the operator reads where the next one lies."""
+    second = PlateMode(12.0, 0.03, 0.01, np.eye(3), 0.1, 0.25, 1e3)
+    words = ringing_in_words(replace(_struck(0.01), second=second), GAMMA, SPAN_S, DRIVE_MPS)
+    assert words.startswith(
+        "one mode does not suffice, of the 0.25 m/s^2 that it leaves one of 12 Hz explains all but 0.1"
+    )
+    assert "rings at 8 Hz under the ball (7.96 Hz with the ball on it" in words
