@@ -12,6 +12,7 @@ from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats
 
 LEAD_S = 1e-3  # before an impact, left out with it
+ANSWERED_S = (0.002, 0.005, 0.009, 0.014, 0.02)  # by which a plate's answer to its drive may be late
 
 
 def volts_in_blocks(recording: Recording, width: int) -> tuple[Floats, Floats]:
@@ -56,7 +57,9 @@ def drive_regressors(recording: Recording, drive_v: Floats, block_s: float) -> F
     columns = [*tones, *(level * z for z in tones), first**2, first**3]
     for further in tones[1:]:
         columns += [first * further, np.conj(first) * further, further**2]
-    whole = [drive_v, np.gradient(drive_v)]  # the tones' means over cycles lag in a fade
+    # the tones' means over cycles lag in a fade, in which a plate that a force drives answers what was asked before
+    before = (round(t / block_s) for t in ANSWERED_S)
+    whole = [drive_v, np.gradient(drive_v), *(np.pad(drive_v[: n - k], (k, 0)) for k in before)]
     table = np.concatenate([whole, *([z.real, z.imag] for z in columns)])
     size = np.sqrt(np.mean(table**2, axis=1))
     table = table[size > 0.0] / size[size > 0.0, None]

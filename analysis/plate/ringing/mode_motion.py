@@ -30,6 +30,21 @@ def turn_of(frequency_hz: float, damping: float) -> complex:
     return complex(-damping * w, w * math.sqrt(1.0 - damping**2))
 
 
+def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: float) -> Floats:
+    """Mean acceleration in each block, (n,), of a mode of mass ratio 1 under a push that is constant in each.
+
+    The transition from block to block is exact. The mode begins at rest under the first push.
+    """
+    turn = turn_of(frequency_hz, damping)
+    pole = np.exp(turn * block_s)
+    # velocity q' = sum over both poles; a step of the push makes q' = Im exp(turn t) / Im turn
+    step = np.exp(turn * block_s * np.array([0.0, 1.0])).imag / turn.imag
+    changes = np.diff(push_mps2, prepend=push_mps2[0])
+    speed = lfilter([0.0, step[1]], [1.0, -2.0 * pole.real, abs(pole) ** 2], changes)  # at the end of a block: step
+    following = np.append(speed[1:], 2.0 * pole.real * speed[-1] - abs(pole) ** 2 * speed[-2])
+    return np.asarray((following - speed) / block_s)
+
+
 @dataclass(frozen=True)
 class PushedPlate:
     """What the ball did to the plate of one recording, and how the plate answered.

@@ -23,12 +23,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import LEAD_S, drive_regressors, unmasked, volts_in_blocks
-from analysis.plate.ringing.mode_motion import TORN_S, ModeMotion, PushedPlate, turn_of
+from analysis.plate.ringing.mode_motion import TORN_S, ModeMotion, PushedPlate, answer, turn_of
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
 
@@ -215,7 +214,8 @@ class _Recorded:
         for rounds in range(ROUNDS):
             push = self.push(acceleration, impulses, ratio)
             impulses = push.impacts_mps2
-            seen = _Regression.of(acceleration, basis, push.contact_mps2 + impulses, known, self.block_s, begun)
+            shaken = push.contact_mps2 + impulses, self.linear[:, 0]
+            seen = _Regression.of(acceleration, basis, *shaken, known, self.block_s, begun)
             again = rounds == 1 and len(begun) == 1  # the first search did not know what is hidden
             x = seen.searched() if found is None or again else seen.followed([found])
             sizes = seen.sizes(seen.columns(*np.exp(x)))
@@ -233,6 +233,7 @@ class _Recorded:
         mode = seen.answers(*np.exp(x)) @ sizes
         left = (self.acceleration[skipped:] - mode)[seen.known]
         driven = self.linear @ lstsq(self.linear[skipped:][seen.known], left)[0]
+        driven += sizes[1] * answer(self.linear[:, 0], self.block_s, *np.exp(x))
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
         known, impulses = (float(np.exp(x[0])), float(np.exp(x[1])), float(sizes[0])), None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
@@ -244,31 +245,18 @@ class _Recorded:
         return plate
 
 
-def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: float) -> Floats:
-    """Mean acceleration in each block, (n,), of a mode of mass ratio 1 under a push that is constant in each.
-
-    The transition from block to block is exact. The mode begins at rest under the first push.
-    """
-    turn = turn_of(frequency_hz, damping)
-    pole = np.exp(turn * block_s)
-    # velocity q' = sum over both poles; a step of the push makes q' = Im exp(turn t) / Im turn
-    step = np.exp(turn * block_s * np.array([0.0, 1.0])).imag / turn.imag
-    changes = np.diff(push_mps2, prepend=push_mps2[0])
-    speed = lfilter([0.0, step[1]], [1.0, -2.0 * pole.real, abs(pole) ** 2], changes)  # at the end of a block: step
-    following = np.append(speed[1:], 2.0 * pole.real * speed[-1] - abs(pole) ** 2 * speed[-2])
-    return np.asarray((following - speed) / block_s)
-
-
 @dataclass(frozen=True)
 class _Regression:
     """Unmasked blocks with everything linear but the mode taken out of them.
 
+    The mode rings under the ball's ``push``, and under a force in proportion to the ``drive`` where its level changes.
     ``begun`` are the blocks at which the mode's state is free, so that it rings on from there whatever was before.
     """
 
     left: Floats
     basis: Floats  # orthonormal, (k, l)
     push: Floats
+    drive: Floats
     known: Bools
     block_s: float
     cluster: Integers
@@ -276,20 +264,22 @@ class _Regression:
 
     @classmethod
     def of(
-        cls, acceleration: Floats, basis: Floats, push: Floats, known: Bools, block_s: float, begun: Sequence[int]
-    ) -> _Regression:
+        cls, acceleration: Floats, basis: Floats, push: Floats, drive: Floats, known: Bools, block_s: float,
+        begun: Sequence[int],
+    ) -> _Regression:  # fmt: skip
         seen = acceleration[known]
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
-        return cls(seen - basis @ (basis.T @ seen), basis, push, known, block_s, cluster, tuple(begun))
+        return cls(seen - basis @ (basis.T @ seen), basis, push, drive, known, block_s, cluster, tuple(begun))
 
     def answers(self, frequency_hz: float, damping: float) -> Floats:
-        """The mode's answer to the push, and how it rings on from each free state, (n, 1 + 2 r)."""
+        """The mode's answers to push and drive, and how it rings on from each free state, (n, 2 + 2 r)."""
         n, turn = len(self.push), turn_of(frequency_hz, damping)
-        out = np.zeros((n, 1 + 2 * len(self.begun)))
+        out = np.zeros((n, 2 + 2 * len(self.begun)))
         out[:, 0] = answer(self.push, self.block_s, frequency_hz, damping)
+        out[:, 1] = answer(self.drive, self.block_s, frequency_hz, damping)
         for k, at in enumerate(self.begun):
             ringing = np.exp(turn * self.block_s * np.arange(n - at))
-            out[at:, 1 + 2 * k], out[at:, 2 + 2 * k] = ringing.real, ringing.imag
+            out[at:, 2 + 2 * k], out[at:, 3 + 2 * k] = ringing.real, ringing.imag
         return out
 
     def columns(self, frequency_hz: float, damping: float) -> Floats:
@@ -298,10 +288,10 @@ class _Regression:
         return np.asarray(x - self.basis @ (self.basis.T @ x))
 
     def sizes(self, columns: Floats) -> Floats:
-        """Mass ratio, not negative, and sizes of the free states."""
+        """Mass ratio, not negative, what the drive does, and sizes of the free states."""
         normal, side = columns.T @ columns, columns.T @ self.left
         out = pinv(normal, rcond=1e-12) @ side
-        # no mass is negative: the free states are then fitted without the push
+        # no mass is negative: the rest is then fitted without the push
         if out[0] < 0.0:
             out = np.append(0.0, pinv(normal[1:, 1:], rcond=1e-12) @ side[1:])
         return np.asarray(out)
@@ -376,6 +366,8 @@ class _Regression:
         columns = self.columns(*np.exp(x))
         sizes = self.sizes(columns)
         left = self.left - columns @ sizes
+        rest = columns[:, 1:]
+        before = self.left - rest @ (pinv(rest.T @ rest, rcond=1e-12) @ (rest.T @ self.left))
         jacobian = np.column_stack([self.slopes(x), columns])
         # columns of one size: frequency, damping and free states differ by many powers of ten
         norms = np.linalg.norm(jacobian, axis=0)
@@ -391,12 +383,12 @@ class _Regression:
         to_own = np.array([frequency, damping, 1.0])
         # of a correlated remainder fewer values are independent, by the ratio of both variances
         correlated = max(float(found[2, 2] / white[2, 2]), 1.0)
-        gain = 0.5 * (float(self.left @ self.left) / float(left @ left) - 1.0) * len(left) / correlated
+        gain = 0.5 * (float(before @ before) / float(left @ left) - 1.0) * len(left) / correlated
         at_bound = not 1.02 * LEAST_DAMPING < damping < 0.98 * MOST_DAMPING
         bound = at_bound or (damping > STRONG_DAMPING and frequency > forcing_hz)
         if sizes[0] <= 0.0 or gain < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
             return None
-        rms = [float(np.sqrt(np.mean(v**2))) for v in (left, self.left)]
+        rms = [float(np.sqrt(np.mean(v**2))) for v in (left, before)]
         blurred = np.diag(np.square([RESOLVED * damping, RESOLVED, RESOLVED_RATIO * sizes[0]]))
         covariance = (found + white + blurred) * np.outer(to_own, to_own)
         return PlateMode(frequency, damping, float(sizes[0]), covariance, rms[0], rms[1], gain)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.plate.ringing.modes import PlateMode, _Regression, answer, identified_mode
+from analysis.plate.ringing.mode_motion import answer
+from analysis.plate.ringing.modes import PlateMode, _Regression, identified_mode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from daq.recording import open_recording
@@ -99,7 +100,7 @@ def test_a_mode_at_the_least_damping_is_none() -> None:
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     for damping, is_mode in ((1e-3, False), (0.01, True)):
         acceleration = 0.1 * answer(push, 1e-3, 5.0, damping) + 0.01 * rng.standard_normal(n)
-        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, known, 1e-3, [0])
+        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, np.zeros(n), known, 1e-3, [0])
         assert (seen.judged(np.log([5.0, damping]), 25.0) is not None) == is_mode
 
 
@@ -109,7 +110,7 @@ def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() 
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     one = 0.1 * answer(push, 1e-3, 5.0, 0.05) + 0.01 * rng.standard_normal(n)
     for acceleration, is_mode in ((one, False), (one + 0.01 * answer(push, 1e-3, 12.0, 0.03), True)):
-        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, known, 1e-3, [0])
+        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, np.zeros(n), known, 1e-3, [0])
         second = seen.without(seen.searched()).second(25.0)
         assert (second is not None) == is_mode
     assert second is not None
