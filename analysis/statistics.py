@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from kernels.arrays import Floats, Integers
 
 MAD_TO_SIGMA = 1.4826  # standard deviation of normal deviations over their median absolute value
+Z95 = 1.96  # standard deviations to either end of a 95 % interval
 CORE = 0.98  # part of absolute deviations that `core_sigma` takes
 
 

@@ -46,6 +46,7 @@ from analysis.residuals.noise.noise_model import robust_loss
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId, Values
+from analysis.statistics import Z95
 from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
@@ -98,7 +99,7 @@ class RefinedTerm:
         noise = np.maximum(np.sum((basis @ self.covariance) * basis, axis=1), 0.0)
         # jackknife: (f - 1) / f times the sum of the squared deviations of f curves
         steps = (len(self.folds) - 1) * np.var(self.folds @ basis.T, axis=0)
-        return np.asarray(1.96 * np.sqrt(np.maximum(noise, steps)))
+        return np.asarray(Z95 * np.sqrt(np.maximum(noise, steps)))
 
     @property
     def held_out(self) -> float:

@@ -99,11 +99,7 @@ class Comparison:
 
 
 def compare(
-    flights: Flights,
-    setup: Setup,
-    *,
-    effects: Effects | None = None,
-    steps_table: npt.NDArray[np.void] | None = None,
+    flights: Flights, setup: Setup, *, effects: Effects | None = None, steps_table: npt.NDArray[np.void] | None = None
 ) -> Comparison:
     """Compare a recording's flights with the model.
 

@@ -68,13 +68,7 @@ def outcome_of(
 
 
 def _over_runs(
-    model: Aligned,
-    found: Population,
-    place: int,
-    key: ParameterId,
-    days: Floats,
-    level: float,
-    declared: Prior | None,
+    model: Aligned, found: Population, place: int, key: ParameterId, days: Floats, level: float, declared: Prior | None
 ) -> OverRuns:
     """One parameter over the runs."""
     values, sigmas = each_on_its_own(model.runs, found, place)

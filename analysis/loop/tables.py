@@ -27,6 +27,7 @@ from analysis.loop.result import (
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import TREND, ParameterId, Values
+from analysis.statistics import Z95
 from daq.recording import open_recording
 from daq.recording.header import stored_id
 from daq.setup.setup import Setup
@@ -34,8 +35,6 @@ from kernels.arrays import Bools
 from model.effects.registry import effect, resolve
 
 Effects = Mapping[str, Mapping[str, float]]
-
-Z95 = 1.96  # standard deviations to either end of a 95 % interval
 
 
 def step_table(model: ForwardModel, train: Bools) -> StepTable:

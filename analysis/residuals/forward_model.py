@@ -20,15 +20,7 @@ from analysis.residuals.plate_data.measured_mode import MeasuredMode
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
 from analysis.residuals.plate_data.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
-from analysis.residuals.values import (
-    TREND,
-    AllValues,
-    Own,
-    ParameterId,
-    Values,
-    calibrating_effects,
-    driving_effects,
-)
+from analysis.residuals.values import TREND, AllValues, Own, ParameterId, Values, calibrating_effects, driving_effects
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
@@ -79,10 +71,7 @@ class ForwardModel:
     """
 
     def __init__(
-        self,
-        observations: Observations,
-        base: Mapping[str, Mapping[str, float]],
-        like: ForwardModel | None = None,
+        self, observations: Observations, base: Mapping[str, Mapping[str, float]], like: ForwardModel | None = None
     ) -> None:
         self.observations, self.declared = observations, base
         self.base = {(e, q): v for e, table in base.items() for q, v in table.items()}

@@ -209,12 +209,7 @@ def _carried(model: ForwardModel, values: Values) -> tuple[Floats, Floats]:
     return opening, landing
 
 
-def innovation_covariance(
-    u: Uncertainty,
-    carried: tuple[Floats, Floats],
-    event: Integers,
-    landing: Bools,
-) -> Floats:
+def innovation_covariance(u: Uncertainty, carried: tuple[Floats, Floats], event: Integers, landing: Bools) -> Floats:
     """Covariance of one step's residuals, (k, k), s^2."""
     first = max(int(event.min()) - 2, 0)
     edges = np.arange(first, int(event.max()) + 1)

@@ -111,11 +111,7 @@ def _jumps(base: Predicted, moved: Predicted, far_s: float) -> Bools:
 
 
 def held_out_errors(
-    model: ForwardModel,
-    values: Mapping[ParameterId, float],
-    rows: Integers,
-    excluded_fraction: float,
-    seed: int = 0,
+    model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers, excluded_fraction: float, seed: int = 0
 ) -> Errors:
     """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
     ev = model.observations

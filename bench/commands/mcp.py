@@ -18,9 +18,7 @@ INSTRUCTIONS = (
 )
 
 
-def command(
-    runs: Path = typer.Option(Path(), "--runs", metavar="DIR", help="Folder of the recordings."),
-) -> None:
+def command(runs: Path = typer.Option(Path(), "--runs", metavar="DIR", help="Folder of the recordings.")) -> None:
     """Serve plan, check, ramp, explore, close-loop and the catalogue to an agent (Model Context Protocol, stdio).
 
     Example: bench mcp --runs runs

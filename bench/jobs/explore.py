@@ -190,11 +190,7 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: boo
 
 # -- what to drive next ------------------------------------------------------------------------------------------------
 def _next(
-    text: str,
-    judged: _Judged | None,
-    blocks: Sequence[Chosen],
-    offered: Callable[[int], Sequence[Option]],
-    aims: Aims,
+    text: str, judged: _Judged | None, blocks: Sequence[Chosen], offered: Callable[[int], Sequence[Option]], aims: Aims
 ) -> tuple[Chosen | None, str]:
     """The next block; or why there is none. ``offered`` gives the options by the cycles for which steps are held."""
     from analysis.explore.choice import Pool, best_block

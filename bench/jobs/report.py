@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from analysis.flights.assemble import Flights, flights_of
 from analysis.flights.compare import Comparison
@@ -74,11 +72,7 @@ def report(recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], 
 
 
 def _loop(
-    recording: Recording,
-    flights: Flights,
-    *,
-    say: Callable[[str], None],
-    bar: Callable[[str, float], None],
+    recording: Recording, flights: Flights, *, say: Callable[[str], None], bar: Callable[[str, float], None]
 ) -> tuple[ClosedLoop | None, str, str]:
     """The saved answer where it belongs to the recording, else a new one; its source; or why there is none."""
     from analysis.loop.close_loop import close_loop
@@ -196,9 +190,8 @@ def print_pdf(page: Path, pdf: Path) -> None:
 
 def flights_with_progress(opened: Recording, *, quiet: bool) -> Flights:
     """The flights, with a bar on standard error while the file is read."""
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
-        task = progress.add_task(f"reading {opened.path.name}", total=1.0)
-        return flights_of(opened, progress=lambda part: progress.update(task, completed=part))
+    with progress_bar(quiet) as bar:
+        return flights_of(opened, progress=lambda part: bar(f"reading {opened.path.name}", part))
 
 
 def draw(opened: Recording, table: Flights, folder: Path, held: Comparison | None = None) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict
 from analysis.loop.verdicts import VERDICTS, short_verdict
+from analysis.statistics import Z95
 from bench.runs.events import on_scope
 from bench.runs.rows import quantity, unit_of
 from daq.files.json_values import json_object
@@ -46,8 +47,7 @@ def _verdict(loop: ClosedLoop) -> dict[str, Any]:
     quantities = []
     for effect in loop.selection.effects:
         for parameter, (value, low, high) in effect.parameters.items():
-            # a 95 % interval is 1.96 standard deviations to either side
-            sigma = (high - low) / (2.0 * 1.959964)
+            sigma = (high - low) / (2.0 * Z95)
             quantities.append((effect.name, parameter, value, sigma if math.isfinite(sigma) else None))
     quantities += [(x.effect, x.parameter, x.value, x.sigma) for x in loop.selection.calibrations]
     return {

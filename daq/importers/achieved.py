@@ -16,8 +16,8 @@ import numpy as np
 from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, fit_tones
 from daq.setup.setup import Setup
-from daq.steps.find_steps import FoundStep, gamma_of
-from daq.steps.forcing_detection import Read, weights
+from daq.steps.find_steps import FoundStep
+from daq.steps.forcing_detection import Read, gamma_of, weights
 from daq.steps.tone_tracking import fit, tones_hz
 from kernels.arrays import Bools, Floats, Integers
 

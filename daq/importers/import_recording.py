@@ -49,8 +49,8 @@ from daq.recording.writer import root_attributes
 from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
-from daq.steps.forcing_detection import Read
+from daq.steps.find_steps import FoundStep, find_steps, given_step, step_table
+from daq.steps.forcing_detection import Read, gamma_of
 from kernels.arrays import Floats
 
 LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are stored in nanoseconds, in 64 bits

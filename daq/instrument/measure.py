@@ -14,8 +14,7 @@ from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
 from daq.instrument.saturation import NO_ENDS, STANDS, Ends, common_ends, share_at_an_end
 from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import Setup
-from daq.steps.find_steps import gamma_of
-from daq.steps.forcing_detection import Read
+from daq.steps.forcing_detection import Read, gamma_of
 from kernels.arrays import Bools, Floats, Integers
 
 STEPS, SAMPLES = 24, 1 << 16  # steps that are looked at, spread over the recording, and samples of each

@@ -7,7 +7,6 @@ The frequency is fitted to the phase over the whole hold, because every later ph
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from daq.files.tables import STEP_DTYPE
 from daq.lock_in import ToneFit
 from daq.setup.setup import Forcing
-from daq.steps.forcing_detection import Read, regions, weights
+from daq.steps.forcing_detection import Read, regions
 from daq.steps.tone_tracking import (
     SETTLE_CYCLES,
     SteadySegment,
@@ -101,15 +100,6 @@ def step_table(
     rows["direction"][1:] = np.sign(np.diff(known))
     rows["direction"][:1] = np.sign(known[:1])
     return rows
-
-
-def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
-    """Gamma from the tones' acceleration amplitudes in units of g: least squares on the forcing's shape.
-
-    ``|a_m| / g = gamma m^2 |d_m|`` with ``d_m`` the tones of ``x_p / A``.
-    """
-    shape = np.array([w for _, w in weights(forcing)])
-    return float(np.sum(shape * np.abs(amplitudes)) / np.sum(shape**2))
 
 
 def _read_ahead(read: Read, last: int) -> Read:

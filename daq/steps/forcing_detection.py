@@ -10,8 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import median
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.setup.setup import Forcing
 from kernels import njit
@@ -36,6 +38,15 @@ class Region:
 def weights(forcing: Forcing) -> tuple[tuple[int, float], ...]:
     """Expected relative acceleration of the tones, ``(multiple, amplitude)``: displacement times multiple squared."""
     return tuple((m, m * m * abs(z)) for m, z in forcing.displacement_tones() if abs(z) > 1e-12)
+
+
+def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
+    """Gamma from the tones' acceleration amplitudes in units of g: least squares on the forcing's shape.
+
+    ``|a_m| / g = gamma m^2 |d_m|`` with ``d_m`` the tones of ``x_p / A``.
+    """
+    shape = np.array([w for _, w in weights(forcing)])
+    return float(np.sum(shape * np.abs(amplitudes)) / np.sum(shape**2))
 
 
 def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[Region]:

@@ -17,6 +17,7 @@ from analysis.report.figures.style import AFTER, BAND, BEFORE, ERROR_BAR, FLOOR,
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
 from analysis.report.wording import plain
+from analysis.statistics import mad_sigma
 from kernels.arrays import Floats
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
     floor = _by_step(loop, loop.flights.after.landing_sigma_s, lambda x: np.sqrt(np.mean(x**2)))
     ax.semilogy(gamma, floor, "_", ms=11, mew=2.0, color=FLOOR, label="noise floor")
     for name, side, colour in sides(loop):
-        error = _by_step(loop, side.landing_residual_s, lambda x: 1.4826 * np.median(np.abs(x)))
+        error = _by_step(loop, side.landing_residual_s, mad_sigma)
         mark: dict[str, Any] = (
             {"mfc": "none", "marker": "s", "ms": 6.5} if colour == BEFORE else {"marker": "o", "ms": 4}
         )

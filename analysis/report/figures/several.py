@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
-from analysis.loop.tables import Z95
 from analysis.report.figures.style import BAND, HARMONICS, INK, MEASURED, MODEL, badge_text, save_picture
 from analysis.report.wording import plain
+from analysis.statistics import Z95
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -195,12 +195,7 @@ class _Moves:
 
 
 def _copies(
-    model: ForwardModel,
-    x: Inputs,
-    tones: Sequence[Complexes],
-    shift_s: Floats,
-    events: Integers,
-    wanted: Bools,
+    model: ForwardModel, x: Inputs, tones: Sequence[Complexes], shift_s: Floats, events: Integers, wanted: Bools
 ) -> Floats:
     """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
 

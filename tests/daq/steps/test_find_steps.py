@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from daq.setup.setup import Forcing
-from daq.steps.find_steps import FoundStep, find_steps, gamma_of, given_step, step_table
+from daq.steps.find_steps import FoundStep, find_steps, given_step, step_table
+from daq.steps.forcing_detection import gamma_of
 from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
