@@ -90,8 +90,7 @@ def _is_found(mutant: str, arguments: list[str]) -> bool:
     """Whether a process of its own finds an error; the plan that shows it is printed."""
     command = [sys.executable, "-m", MODULE, *arguments, "--mutant", mutant, "--most", "1", "--twice", "0"]
     said = subprocess.run(command, capture_output=True, text=True, check=False).stdout
-    last = said.strip().splitlines()[-2:]
-    print(f"{mutant}: {said if 'seed ' in said else 'not found, '}{'; '.join(last)}", flush=True)
+    print(f"{mutant}: {'' if 'seed ' in said else 'not found, '}{said}", flush=True)
     return "seed " in said
 
 
