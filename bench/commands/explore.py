@@ -151,7 +151,7 @@ class Driver:
         from rig.profile import parse_profile
 
         profile = parse_profile(block.text, "block")
-        backend = make_backend(profile, scenario=self.scenario, seed=self.seed + number, real_time=self.paced)
+        backend = make_backend(profile, scenario=self.scenario, seed=self.seed + number, watched=self.paced)
         request = StopRequest(partial(by_person, block))
         with nullcontext() if self.page is None else self.page.of_run(profile, block.text, block.reason) as onlooker:
             done = record(

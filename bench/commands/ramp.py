@@ -71,12 +71,12 @@ def command(
     for doubt in calibration_warnings(checked, datetime.date.today()):
         warn(f"{profile}: {doubt}")
     hold = branch_hold(checked) if hold_branch or (checked.control and checked.control.branch) else None
-    paced = real_time or live or watch
-    backend = make_backend(checked, scenario=scenario, seed=seed, real_time=paced, replay=replay)
+    watched = live or watch
+    backend = make_backend(checked, scenario=scenario, seed=seed, real_time=real_time, watched=watched, replay=replay)
     page = (host, port) if live else None
     with Onlookers(out.parent, page, watch=watch) as onlookers, onlookers.of_run(checked, text) as onlooker:
         summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-" or watch,
-                         paced=paced, onlooker=onlooker, hold=hold)  # fmt: skip
+                         paced=real_time or watched, onlooker=onlooker, hold=hold)  # fmt: skip
     _report(summary, backend, out, json)
 
 

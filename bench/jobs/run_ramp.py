@@ -52,9 +52,14 @@ def make_backend(
     scenario: Path | None = None,
     seed: int = 0,
     real_time: bool = False,
+    watched: bool = False,
     replay: Path | None = None,
 ) -> Backend:
-    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed."""
+    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed.
+
+    A simulated rig that is ``watched`` keeps to the clock, as a device does by itself.
+    """
+    real_time |= watched and profile.backend.kind == "simulated"
     if scenario is not None and profile.backend.kind == "simulated":
         scenario = find_scenario(scenario)
     return open_backend(profile, scenario=scenario, seed=seed, real_time=real_time, replay=replay)

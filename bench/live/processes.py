@@ -193,7 +193,7 @@ def _drive(checked: Profile, text: str, side: RunSide, scenario: str | None, ask
 
     refuse_forbidden(asked.out.name, checked)
     seed = asked.seed if checked.backend.kind == "simulated" else 0
-    backend = make_backend(checked, scenario=Path(scenario) if scenario else None, seed=seed, real_time=True)
+    backend = make_backend(checked, scenario=Path(scenario) if scenario else None, seed=seed, watched=True)
     request = StopRequest(check)
     record(
         checked, text, backend, asked.out, note=asked.note, extra=asked.keys or None, quiet=True, paced=True,

@@ -10,6 +10,7 @@ from bench.jobs.run_ramp import continued, make_backend, record
 from bench.profiles.find import load
 from daq.recording import open_recording
 from daq.setup.errors import InputError
+from rig.backends.simulated import SimulatedBackend
 from rig.profile import parse_profile
 from tests.fakes.faults import FaultyBackend, Unplugged
 
@@ -50,3 +51,11 @@ def test_another_ramp_or_step_is_refused(tmp_path: Path) -> None:
         continued(profile_of(0.4, 0.5)[0], tmp_path / "a.h5")
     with pytest.raises(InputError, match="steps 0 to 0"):
         continued(profile, tmp_path / "a.h5", 1)
+
+
+def test_a_watched_run_is_paced_on_the_simulated_rig_and_opens_a_device_as_any_other() -> None:
+    """The page's run on a sound card is not refused for keeping to the clock, which a card does by itself."""
+    assert make_backend(load("soundcard")[0], watched=True).name == "soundcard"
+    watched, free = (make_backend(load("simulated")[0], watched=on) for on in (True, False))
+    assert isinstance(watched, SimulatedBackend) and watched._real_time
+    assert isinstance(free, SimulatedBackend) and not free._real_time
