@@ -218,14 +218,17 @@ def assign(source: Source, mapping: Mapping[str, Column], described: Iterable[st
 def _mapped(source: Source, role: str, column: Column) -> Column:
     """A mapped column under the name that the source knows: its name, another case of it, its last part, or its number.
 
-    The last part is what follows the folders of an HDF5 file; numbers count from 1.
+    The last part is what follows the folders of an HDF5 file; a unit in brackets may be left out; numbers count from 1.
     """
     if column.name in source.names:
         match = column.name
     else:
         wanted = column.name.strip().lower()
-        same = [n for n in source.names if n.strip().lower() == wanted]
-        same = same or [n for n in source.names if n.strip().lower().rsplit("/", 1)[-1] == wanted]
+        names = [n.strip().lower() for n in source.names]
+        bare = [re.sub(r"\s*[(\[][^()\[\]]*[)\]]$", "", n) for n in names]
+        for forms in (names, [n.rsplit("/", 1)[-1] for n in names], bare, [n.rsplit("/", 1)[-1] for n in bare]):
+            if same := [n for n, form in zip(source.names, forms, strict=True) if form == wanted]:
+                break
         if len(same) == 1:
             match = same[0]
         elif column.name.isdigit() and 1 <= int(column.name) <= len(source.names):

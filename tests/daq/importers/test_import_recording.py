@@ -374,6 +374,15 @@ def test_a_name_inside_a_folder_is_enough(tmp_path: Path, setup: Setup, columns:
         bring_in(tmp_path / "a.h5", tmp_path / "q.h5", setup, [*maps[:2], "drive=CH3"], rate_hz=RATE_HZ)
 
 
+def test_a_unit_in_brackets_may_be_left_out(tmp_path: Path, columns: Columns) -> None:
+    """A column listed as "Log/Voltage_0 (V)" is found as it stands, without its unit, and by the last part of that."""
+    names = ["Time (s)", "Log/Voltage_0 (V)", "Log/Voltage_1 (m/s^2)", "Log/Voltage_2"]
+    source = open_source(write_csv(tmp_path / "a.csv", dict(zip(names, columns.values(), strict=True))))
+    maps = ["time=time", "continuity=Log/Voltage_0", "accelerometer=voltage_1", "drive=Voltage_2"]
+    found = assign(source, parse_map(maps))
+    assert [found[role].name for role in ("time", "continuity", "accelerometer", "drive")] == names
+
+
 def test_names_carry_units() -> None:
     """The unit at the end of a name, after an underscore or in brackets, is understood."""
     assert split_name("time_s") == ("time", "s")
