@@ -12,7 +12,12 @@ from analysis.attribution.candidates import Candidate, Prior
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.lack_of_fit import goodness_of_fit, plate_rms_standardised, rms_standardised
+from analysis.residuals.lack_of_fit import (
+    goodness_of_fit,
+    least_rms_standardised,
+    plate_rms_standardised,
+    rms_standardised,
+)
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
@@ -81,8 +86,10 @@ class Hypothesis:
         ``plate_ratio`` is that of plate data where it is another.
         """
         model, values = self.model, self.fitted.values
-        flights = rms_standardised(model, values, uncertainty_at(model, values))
-        return flights < ratio and plate_rms_standardised(model, values) < (plate_ratio or ratio)
+        if plate_rms_standardised(model, values) >= (plate_ratio or ratio):
+            return False
+        u = uncertainty_at(model, values)
+        return least_rms_standardised(model, values, u) < ratio and rms_standardised(model, values, u) < ratio
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether what it leaves passes the verdict's tests of flights, plate data and landings, on all steps."""

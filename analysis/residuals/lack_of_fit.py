@@ -129,15 +129,29 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
 
 def rms_standardised(model: ForwardModel, values: Values, u: Uncertainty) -> float:
     """Rms of residuals over uncertainty, clipped at `FARTHEST_SIGMAS`; the larger of openings and landings."""
-    r = model.residuals(values)
-    out, firm = [0.0], ~near_grazing(model, values)  # the others may or may not happen
-    for residual, sigma, rows in (
-        (r.opening_s, u.opening_total_s, model.from_rest & firm),
-        (r.landing_s, u.landing_total_s, model.observations.scored & firm),
-    ):
-        if rows.any():
-            out.append(float(np.sqrt(np.mean(_unit(residual, sigma)[rows] ** 2))))
-    return max(out)
+    firm = ~near_grazing(model, values)  # the others may or may not happen
+    return max(
+        (float(np.sqrt(np.mean(z[firm[rows]] ** 2))) for z, rows in _units(model, values, u) if firm[rows].any()),
+        default=0.0,
+    )
+
+
+def least_rms_standardised(model: ForwardModel, values: Values, u: Uncertainty) -> float:
+    """Bound of `rms_standardised` from below while at most half of the flights graze, without another flight.
+
+    It is that of the smaller half of the residuals.
+    """
+    halves = (np.sort(np.abs(z))[: (len(z) + 1) // 2] for z, _ in _units(model, values, u))
+    return max((float(np.sqrt(np.mean(z**2))) for z in halves if len(z)), default=0.0)
+
+
+def _units(model: ForwardModel, values: Values, u: Uncertainty) -> list[tuple[Floats, Integers]]:
+    """Residuals over uncertainty, clipped, and their events: of openings and of landings."""
+    r, openings, landings = model.residuals(values), *map(np.flatnonzero, (model.from_rest, model.observations.scored))
+    return [
+        (_unit(r.opening_s, u.opening_total_s)[openings], openings),
+        (_unit(r.landing_s, u.landing_total_s)[landings], landings),
+    ]
 
 
 def plate_rms_standardised(model: ForwardModel, values: Values) -> float:

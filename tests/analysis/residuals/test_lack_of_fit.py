@@ -11,7 +11,7 @@ from scipy import stats
 
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.lack_of_fit import goodness_of_fit, innovations
+from analysis.residuals.lack_of_fit import goodness_of_fit, innovations, least_rms_standardised, rms_standardised
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.thresholds import FROZEN
 
@@ -33,6 +33,19 @@ def test_probabilities_are_those_of_noise_on_noise(fly_ramp: Callable[..., Forwa
     assert stats.kstest(every, "uniform").pvalue > 1e-3
     assert min(serial) > 1e-3
     assert min(scatter) > 0.05  # the scale of the noise is granted an error
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.1])
+def test_the_smaller_half_of_the_residuals_is_a_bound_without_a_flight(
+    fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch, wrong: float
+) -> None:
+    """Below the whole for noise, and enough to refute a model without friction."""
+    model, values = fly_ramp(MU, 2), {k: v - wrong for k, v in MU.items()}
+    u = uncertainty_at(model, values)
+    whole = rms_standardised(model, values, u)
+    monkeypatch.setattr(model, "predict", None)
+    assert least_rms_standardised(model, values, u) <= whole
+    assert (least_rms_standardised(model, values, u) > FROZEN.noise_like_ratio) is (wrong > 0.0)
 
 
 def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., ForwardModel]) -> None:
