@@ -187,27 +187,12 @@ def joint_json(found: JointVerdict) -> dict[str, Any]:
 
 def _parameter(x: OverRuns, runs: Sequence[RunOutcome]) -> dict[str, Any]:
     test, one = x.constancy, x.one_run
-    return {
-        "effect": x.effect,
-        "parameter": x.parameter,
-        "unit": x.unit,
-        "kind": x.kind,
-        "value": x.value,
-        "sigma": x.sigma,
-        "spread": x.spread,
-        "differs": x.differs,
-        "one_run": None if one is None else _one_run(one, runs),
-        "chi_square": test.chi_square,
-        "degrees": test.degrees,
-        "p_constant": test.p,
-        "trend_per_day": test.slope,
-        "trend_sigma": test.slope_sigma,
-        "p_trend": test.p_trend,
-        "values": x.values,
-        "sigmas": x.sigmas,
-    }
-
-
-def _one_run(x: OneRun, runs: Sequence[RunOutcome]) -> dict[str, Any]:
-    recording = runs[x.place].recording
-    return {"recording": recording, "others": x.others, "others_sigma": x.others_sigma}
+    shown_by = None
+    if one is not None:
+        recording = runs[one.place].recording
+        shown_by = {"recording": recording, "others": one.others, "others_sigma": one.others_sigma}
+    own = {name: value for name, value in vars(x).items() if name != "constancy"}
+    return own | {
+        "one_run": shown_by, "chi_square": test.chi_square, "degrees": test.degrees, "p_constant": test.p,
+        "trend_per_day": test.slope, "trend_sigma": test.slope_sigma, "p_trend": test.p_trend,
+    }  # fmt: skip

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from analysis.loop.result import ClosedLoop, Predictions
+from analysis.report.figures.loop import by_step
 from analysis.report.figures.measured import Measured
 from analysis.report.gamma import GammaScale
 from analysis.report.numbers import fixed
+from analysis.statistics import mad_sigma
 
 HEADS = (
     "step", "gamma set", "reached", "+-", "measured", "model", "flights", "mean flight time (ms)", "over model",
@@ -34,7 +33,10 @@ def step_table(shown: Measured, scale: GammaScale) -> StepTable | None:
     if shown.compared is None:
         return None
     held = set(loop.held_out) if loop is not None else set()
-    before, after = ({}, {}) if loop is None else (_errors(loop, x) for x in (loop.flights.before, loop.flights.after))
+    errors = [] if loop is None else [
+        dict(zip(loop.steps.number.tolist(), by_step(loop, side.landing_residual_s, mad_sigma), strict=True))
+        for side in (loop.flights.before, loop.flights.after)
+    ]  # fmt: skip
     rows = []
     for own in shown.compared.steps:
         plate, stated = shown.flights.plate.steps[own.step], shown.recording.steps[own.step]
@@ -50,19 +52,6 @@ def step_table(shown: Measured, scale: GammaScale) -> StepTable | None:
             fixed(own.mean_ratio, 4),
             fixed(1e6 * own.rms_s, 1) + (f" ({own.unfit_reason})" if own.unfit_reason else ""),
         ]
-        if loop is not None:
-            cells += [fixed(errors.get(own.step, math.nan), 1) for errors in (before, after)]
-        rows.append(cells)
+        rows.append([*cells, *(fixed(of_side.get(own.step, math.nan), 1) for of_side in errors)])
     heads = [head.replace("gamma", scale.name) for head in HEADS] + (list(ERRORS) if loop is not None else [])
     return StepTable(heads, rows, bool(held))
-
-
-def _errors(loop: ClosedLoop, side: Predictions) -> dict[int, float]:
-    """Robust landing errors in microseconds by the step's number; steps without a scored flight are left out."""
-    out = {}
-    for row, number in enumerate(loop.steps.number):
-        x = side.landing_residual_s[(loop.flights.step == row) & loop.flights.scored]
-        x = x[np.isfinite(x)]
-        if len(x):
-            out[int(number)] = 1.4826e6 * float(np.median(np.abs(x)))
-    return out

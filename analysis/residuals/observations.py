@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -331,56 +332,39 @@ def _moved(measured: Measured, shift: int) -> Integers:
     return np.where(other_row >= 0, other_row + shift, -1)
 
 
-def _or(nothing: float, values: Floats | None, measured: Measured) -> Floats:
-    return np.full(len(measured.step), nothing) if values is None else values
-
-
 def join(parts: Sequence[Observations]) -> Observations:
     """One table of the observations of several recordings."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
 
-    def column(of: Callable[[Observations], NDArray[Any]]) -> NDArray[Any]:
-        return np.concatenate([of(p) for p in parts])
+    def columns(prefix: str, *names: str) -> dict[str, NDArray[Any]]:
+        return {name: np.concatenate([attrgetter(prefix + name)(p) for p in parts]) for name in names}
+
+    def filled(nothing: float, *names: str) -> dict[str, NDArray[Any]]:
+        """Columns that some recordings may lack."""
+        found = {name: [(getattr(p.measured, name), np.full(len(p), nothing)) for p in parts] for name in names}
+        return {name: np.concatenate([b if a is None else a for a, b in x]) for name, x in found.items()}
 
     measured = Measured(
-        opening_s=column(lambda p: p.measured.opening_s),
-        landing_s=column(lambda p: p.measured.landing_s),
-        relaunched=column(lambda p: p.measured.relaunched),
-        linked=column(lambda p: p.measured.linked),
+        **columns("measured.", "opening_s", "landing_s", "relaunched", "linked", "wanted"),
+        **filled(0.0, "share", "part", "ahead_s"),
+        **filled(np.nan, "gained_mps", "pressed_mps", "pressed_at"),
         step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
-        wanted=column(lambda p: p.measured.wanted),
         other_step=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
-        share=column(lambda p: _or(0.0, p.measured.share, p.measured)),
-        gained_mps=column(lambda p: _or(np.nan, p.measured.gained_mps, p.measured)),
-        pressed_mps=column(lambda p: _or(np.nan, p.measured.pressed_mps, p.measured)),
-        pressed_at=column(lambda p: _or(np.nan, p.measured.pressed_at, p.measured)),
-        part=column(lambda p: _or(0.0, p.measured.part, p.measured)),
-        ahead_s=column(lambda p: _or(0.0, p.measured.ahead_s, p.measured)),
     )
+    tones = columns("steps.plate.", "omega_radps", "acceleration_mps2", "period_s")
     table = Steps(
+        **columns("steps.", "number", "gamma", "ratio", "run_part", "spread_mps2", "forcing"),
         recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
-        number=column(lambda p: p.steps.number),
-        gamma=column(lambda p: p.steps.gamma),
-        ratio=column(lambda p: p.steps.ratio),
-        run_part=column(lambda p: p.steps.run_part),
-        plate=PlateSteps(
-            omega_radps=column(lambda p: p.steps.plate.omega_radps),
-            acceleration_mps2=column(lambda p: p.steps.plate.acceleration_mps2),
-            period_s=column(lambda p: p.steps.plate.period_s),
-        ),
-        spread_mps2=column(lambda p: p.steps.spread_mps2),
-        forcing=column(lambda p: p.steps.forcing),
+        plate=PlateSteps(tones["omega_radps"], tones["acceleration_mps2"], tones["period_s"]),
     )
     openings, landings = ([p.scatters[i] for p in parts] for i in (0, 1))
     swings = [p.modulation for p in parts if p.modulation]
     plate, wanders = with_wander(PlateData.join([p.plate for p in parts], shift), np.arange(len(table)))
     return Observations(
+        **columns("", "scored", "time_s", "weak_mps"),
         measured=measured,
         opening_sigma_s=np.concatenate(raised_together([p.opening_sigma_s for p in parts], openings)),
         landing_sigma_s=np.concatenate(raised_together([p.landing_sigma_s for p in parts], landings)),
-        scored=column(lambda p: p.scored),
-        time_s=column(lambda p: p.time_s),
-        weak_mps=column(lambda p: p.weak_mps),
         steps=table,
         plate=plate,
         setup=parts[0].setup,
@@ -392,6 +376,8 @@ def join(parts: Sequence[Observations]) -> Observations:
         closure_s=float(np.median([p.closure_s for p in parts])),
         modulation=AmplitudeModulation.join(swings) if swings else None,
         scatters=(Scatter.together(openings), Scatter.together(landings)),
-        run_part=column(lambda p: p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part),
-        heard=column(lambda p: np.zeros(len(p), dtype=np.bool_) if p.heard is None else p.heard),
+        run_part=np.concatenate(
+            [p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part for p in parts]
+        ),
+        heard=np.concatenate([np.zeros(len(p), dtype=np.bool_) if p.heard is None else p.heard for p in parts]),
     )

@@ -30,10 +30,10 @@ def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
     ax = figure.subplots()
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     gamma, held = shown.factor * loop.steps.gamma, loop.steps.held_out
-    floor = _by_step(loop, loop.flights.after.landing_sigma_s, lambda x: np.sqrt(np.mean(x**2)))
+    floor = by_step(loop, loop.flights.after.landing_sigma_s, lambda x: np.sqrt(np.mean(x**2)))
     ax.semilogy(gamma, floor, "_", ms=11, mew=2.0, color=FLOOR, label="noise floor")
     for name, side, colour in sides(loop):
-        error = _by_step(loop, side.landing_residual_s, mad_sigma)
+        error = by_step(loop, side.landing_residual_s, mad_sigma)
         mark: dict[str, Any] = (
             {"mfc": "none", "marker": "s", "ms": 6.5} if colour == BEFORE else {"marker": "o", "ms": 4}
         )
@@ -48,7 +48,7 @@ def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
     ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def _by_step(loop: ClosedLoop, x: Floats, summary: Any) -> Floats:
+def by_step(loop: ClosedLoop, x: Floats, summary: Any) -> Floats:
     """A summary of ``x`` (n,) over the scored flights of each step, in microseconds; NaN where there are none, (m,)."""
     flights = loop.flights
     known = flights.scored & np.isfinite(x)

@@ -15,6 +15,7 @@ from analysis.attribution.second_order import (
     gradient_and_information,
     secants_at,
     slopes_at,
+    slopes_of,
 )
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import NEVER
@@ -65,3 +66,19 @@ def test_a_pull_at_takeoff_is_told_by_its_secant(fly_ramp: Callable[..., Forward
     known = 1.0 / np.linalg.norm(whitener.white_slopes(slopes, raw))
     after = whitener.stacked(model.residuals({**at, pull: known * scale_of(pull)}))
     np.testing.assert_allclose(secants[:, 0] * known, after - raw, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_derivatives_at_a_shape_are_those_of_the_model_there(
+    fly_ramp: Callable[..., ForwardModel], size: float
+) -> None:
+    """Whether the effect has a size already or none, so that its shapes change nothing: as taken one by one."""
+    ratio, shapes = ("table_resonance", "mass_ratio"), (("frequency_hz", 9.0), ("damping", 0.1))
+    model = fly_ramp({}, 3)
+    fitter = Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
+    whitener, place = Whitener.of(model, {}), (ratio, tuple((("table_resonance", q), x) for q, x in shapes))
+    at = {ratio: size, ("table_resonance", "frequency_hz"): 7.0, ("table_resonance", "damping"): 0.2} if size else {}
+    raw, slopes = slopes_at(model, fitter, whitener, at, [place])
+    there = slopes_of(model, fitter, whitener, {**at, **dict(place[1])}, [ratio])
+    np.testing.assert_array_equal(slopes, there[1])
+    assert np.array_equal(raw, there[0], equal_nan=True) == (size == 0.0)
