@@ -265,8 +265,7 @@ class _Run:
     def _exchange(self) -> None:
         """One block, watched."""
         drive, block, waited_s = self._play()
-        circuit = self._interlock.circuit(block.codes)
-        self._touching, landed = circuit if circuit is not None else (None, None)
+        self._touching, landed = self._interlock.circuit(block.codes) or (None, None)
         self._motion = self._instruments.watch.update(
             block.codes[:, self._instruments.accelerometer], landed, self.account.lost_before
         )
@@ -297,12 +296,10 @@ class _Run:
         acceleration = np.asarray(block.codes[:, self._instruments.accelerometer], np.float64)
         measured = MeterBlock(first, acceleration * self._instruments.mps2_per_code, self._motion.quiet, self._touching)
         self._meter.add(measured)
-        if self._instruments.loop is not None:
-            fault = self._instruments.loop.observe(measured, sequencer)
-            if fault is not None:
-                self.end("stopped", f"closed loop: {fault}")
-                sequencer.stop(Stop.RAMP_DOWN)
-        hold = self._instruments.hold
+        loop, hold = self._instruments.loop, self._instruments.hold
+        if loop is not None and (fault := loop.observe(measured, sequencer)) is not None:
+            self.end("stopped", f"closed loop: {fault}")
+            sequencer.stop(Stop.RAMP_DOWN)
         if hold is not None and (noted := hold.observe(measured, sequencer, self._block)):
             self._note(noted)
 
@@ -326,8 +323,7 @@ class _Run:
 
     def _release(self, *, everything: bool = False) -> None:
         """Write the rows of steps whose losses are settled, and of the changes of the drive."""
-        settled = self.account.settled_sample
-        ready = [mark for mark in self._marks if everything or mark[0] <= settled]
+        ready = [mark for mark in self._marks if everything or mark[0] <= self.account.settled_sample]
         self._marks = self._marks[len(ready) :]
         fades, self._sequencer.fades = self._sequencer.fades, []
         if ready or fades or everything:
@@ -358,10 +354,8 @@ class _Run:
         if n <= 0:
             return
         self._steps = step.index + 1
-        gamma, uncertainty = achieved
         rate = 0.0
-        clocks = self._instruments.clocks
-        if clocks is not None:
+        if (clocks := self._instruments.clocks) is not None:
             for table, rows in clocks.rows(self.account.counted(first + (settle + n) // 2)):
                 self._writer.mark_rows(table, rows)
             rate = clocks.rate
@@ -372,8 +366,8 @@ class _Run:
                 "settle_samples": min(settle, n),
                 "fade_samples": step.fade_samples,
                 "gamma": step.gamma,
-                "achieved_gamma": gamma,
-                "achieved_gamma_uncertainty": uncertainty,
+                "achieved_gamma": achieved[0],
+                "achieved_gamma_uncertainty": achieved[1],
                 "frequency_hz": self._profile.forcing.frequency_hz * (1.0 + rate),
                 "ratio": self._profile.forcing.ratio,
                 "cycles": float(step.hold_cycles),
