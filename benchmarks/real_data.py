@@ -135,6 +135,8 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--only", default="", help="rows whose name holds this text")
     asked = parser.parse_args()
+    if not asked.folder.is_dir():
+        parser.error(f"{asked.folder}: no such folder; name the one that holds the measurements of others")
     print("| measured | cause | parameters | before | after (not fitted) | unexplained |\n" + "|---" * 6 + "|")
     for name, request in rows_of(asked.folder):
         if asked.only in name:
