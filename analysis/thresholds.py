@@ -120,6 +120,7 @@ LOST_RATIO = 20.0  # excess over uncertainty beyond which landings count as lost
 UNSHARED_RATIO = 2.0  # excess over uncertainty that no error shared by a step explains
 
 # calibrations and single parameters
+MOVED_SIGMAS = 2.0  # of its stated uncertainty, from which a calibration is tried as the cause itself
 CALIBRATION_SIGMAS = 2.5  # largest error of a calibration, in its own sigmas; a larger one is an effect
 NULL_P = 0.05  # probability of Wald's test under which parameters differ from their null values
 

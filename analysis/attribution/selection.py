@@ -23,11 +23,10 @@ from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Reje
 from analysis.attribution.proposals import Proposals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
-from analysis.thresholds import FROZEN, Thresholds
+from analysis.thresholds import FROZEN, MOVED_SIGMAS, Thresholds
 
 Progress = Callable[[str, float], None]
 
-MOVED_SIGMAS = 2.0  # of its stated uncertainty, from which a calibration is tried as the cause
 MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
 
 
@@ -248,7 +247,7 @@ class StepwiseSelection:
     def _exchanged(self, best: Hypothesis, rounds: list[str]) -> tuple[Hypothesis, list[Hypothesis]]:
         """The hypothesis with a cause exchanged for a calibration that the fit moved far, where that does as well.
 
-        A cause may have been chosen beside another that was taken back later. Of causes that data do not distinguish
+        A cause may have been chosen together with one that was taken back later. Of causes that data do not distinguish
         that one is named which leaves the calibrations where they are stated; the others are its rivals.
         """
         moved = best.fitted.moved_calibrations(MOVED_SIGMAS)

@@ -85,7 +85,7 @@ def assemble(
     unseen_s = unseen_contact_s(report, rate_hz)
     takeoff, takeoff_sigma = _unseen_contacts(plate, g, takeoff, takeoff_sigma, landing, step, unseen_s)
     if report.sensor_offset is not None:  # the accelerometer shows impacts
-        quick = _back_at_once(takeoff, landing, CHATTER_S) & np.isnan(strength) & (flags < int(FlightFlag.BY_HAND))
+        quick = _back_at_once(takeoff, landing, CHATTER_S) & np.isnan(strength) & ((flags & FlightFlag.BY_HAND) == 0)
         flags[quick & (-plate.acceleration_mps2(takeoff, step) < LAUNCHES * g)] |= int(FlightFlag.FALSE)
     true = (flags & FlightFlag.FALSE) == 0
     contact = _contacts(takeoff, landing, true)
