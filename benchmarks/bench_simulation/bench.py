@@ -94,7 +94,7 @@ class Bench:
         self._safe = self._synced = 0
         self._stopping_at: int | None = None
         ledger = Ledger(plan.rate_hz)
-        plate = Plate(plan.faults, self._n_planned, self._rng)
+        plate = Plate(plan.faults, self._n_planned, np.random.default_rng([plan.seed, 2]))
         due = [(round(f.at * self._n_planned), f) for f in plan.faults if f.kind in DEVICE]
         buffer = 0
         if plan.device == "plain":
@@ -124,7 +124,7 @@ class Bench:
         left.seconds = world.now_ns * 1e-9
         if not self._recorder.is_dead and not self._recorder.ended:
             with contextlib.suppress(Killed):
-                world.settle(round(700e9))
+                world.settle(lambda: self._recorder.ended, round(700e9))
         left.acknowledged = self._safe
         self._bury()
         return left

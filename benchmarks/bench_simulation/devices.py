@@ -6,13 +6,13 @@ own number. The fourth channel of a frame spells its number, so that a frame can
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_simulation.plan import Fault
+from benchmarks.bench_simulation.plan import SENSOR, Fault
 from benchmarks.bench_simulation.world import World
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from rig.backends.base import BackendError
@@ -20,11 +20,21 @@ from rig.backends.base import BackendError
 CHANNELS = ("continuity", "accelerometer", "drive", "displacement")
 SCALE = volts_per_code(10.0)
 G_PER_VOLT = 2.0
+NOISE_V = 2e-4
+N_NOISE, N_SPELLED = 1 << 17, 1 << 20  # after which noise and spelled numbers come again
 
 
-def spelled(numbers: np.ndarray) -> np.ndarray:
-    """A code that follows from a frame's number."""
-    return ((numbers.astype(np.uint64) * np.uint64(2654435761)) >> np.uint64(9)).astype(np.uint16).view(np.int16)
+@functools.cache
+def _spelled() -> np.ndarray:
+    """Codes that follow from the numbers of frames."""
+    numbers = np.arange(N_SPELLED, dtype=np.uint64)
+    return ((numbers * np.uint64(2654435761)) >> np.uint64(9)).astype(np.uint16).view(np.int16)
+
+
+@functools.cache
+def _noise_v() -> np.ndarray:
+    """Noise of three inputs; drawing it anew for each run takes as long as a tenth of the run."""
+    return NOISE_V * np.random.default_rng(0).standard_normal((N_NOISE, 3))
 
 
 @dataclass
@@ -45,42 +55,45 @@ class Ledger:
 
     def hand_over(self, codes: np.ndarray, numbers: np.ndarray) -> None:
         """Frames that the host gets."""
-        self.codes.append(np.array(codes))
-        self.numbers.append(np.array(numbers))
+        self.codes.append(codes)
+        self.numbers.append(numbers)
 
 
 class Plate:
     """Plate, ball, contact and accelerometer, by the drive; sensors fail as they are asked to."""
 
     def __init__(self, plan_faults: Iterable[Fault], n_planned: int, rng: np.random.Generator) -> None:
-        self._at = {fault.kind: fault.at * n_planned for fault in plan_faults}
-        self._rng = rng
+        self._at = {fault.kind: fault.at * n_planned for fault in plan_faults if fault.kind in SENSOR}
+        self._noise_from = int(rng.integers(N_NOISE))
         self._held = 0
 
     def codes(self, first: int, drive_v: np.ndarray) -> np.ndarray:
         """Frames ``(n, 4)`` of samples from ``first`` on."""
-        n = first + np.arange(len(drive_v))
-
-        def since(kind: str) -> Any:
-            return n >= self._at[kind] if kind in self._at else np.False_
-
-        loop_v = np.where(since("muted"), 0.0, drive_v)
-        moved_g = G_PER_VOLT * np.where(since("weak"), 0.3, 1.0) * loop_v
-        is_open = (moved_g < -1.0) & ~since("closed") | since("open")
-        volts = np.zeros((len(n), 4))
-        volts[:, 0] = 5.0 * is_open
-        volts[:, 1] = np.where(since("dead"), 0.0, 0.1 * moved_g)
-        if "clipped" in self._at:
-            volts[:, 1] = np.where(since("clipped"), np.clip(volts[:, 1], -0.02, 0.02), volts[:, 1])
-        volts[:, 2] = loop_v
-        volts[:, :3] += 2e-4 * self._rng.standard_normal((len(n), 3))
-        codes = np.clip(np.rint(volts / SCALE), -32768, 32767).astype(np.int16)
-        if "stuck" in self._at and len(n):
-            stuck = since("stuck")
+        n = len(drive_v)
+        volts, codes = np.empty((n, 3)), np.empty((n, 4), np.int16)
+        # many small calls: as little as can be is done while no sensor fails
+        since = {kind: np.arange(first, first + n) >= at for kind, at in self._at.items() if first + n > at}
+        loop_v = np.where(since["muted"], 0.0, drive_v) if "muted" in since else drive_v
+        moved_g = G_PER_VOLT * loop_v
+        if "weak" in since:
+            moved_g = np.where(since["weak"], 0.3 * moved_g, moved_g)
+        is_open = moved_g < -1.0
+        if since:
+            is_open = is_open & ~since.get("closed", np.False_) | since.get("open", np.False_)
+        volts[:, 0], volts[:, 1], volts[:, 2] = 5.0 * is_open, 0.1 * moved_g, loop_v
+        if "dead" in since:
+            volts[since["dead"], 1] = 0.0
+        if "clipped" in since:
+            volts[since["clipped"], 1] = volts[since["clipped"], 1].clip(-0.02, 0.02)
+        volts += _noise_v().take(np.arange(first, first + n) + self._noise_from, axis=0, mode="wrap")
+        np.rint(volts / SCALE, out=volts)
+        codes[:, :3] = np.maximum(np.minimum(volts, 32767.0), -32768.0)
+        if "stuck" in since:
+            stuck = since["stuck"]
             if not stuck[0]:
                 self._held = int(codes[~stuck][-1, 1])
             codes[stuck, 1] = self._held
-        codes[:, 3] = spelled(n)
+        codes[:, 3] = _spelled().take(np.arange(first, first + n), mode="wrap")
         return codes
 
 
@@ -138,8 +151,11 @@ class PlainDevice:
         self._last, self._numbers = codes, numbers
         self._ledger.hand_over(codes, numbers)
         block = Block(
-            self._given, codes, flags=int(BlockFlag.OVERFLOW) if lost else 0, clock_ns=self._world.monotonic_ns(),
+            self._given,
+            codes.copy(),
+            flags=int(BlockFlag.OVERFLOW) if lost else 0,
+            clock_ns=self._world.monotonic_ns(),
             lost_before=said,
-        )  # fmt: skip
+        )
         self._given += len(codes)
         return block

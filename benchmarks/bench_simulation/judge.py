@@ -19,9 +19,10 @@ from benchmarks.bench_simulation.plan import DEVICE, DISK, RECORDER, Plan
 from benchmarks.bench_simulation.world import Stuck
 from benchmarks.forked import in_copy
 from daq.files.tables import BlockFlag
-from daq.recording import open_recording, verify
+from daq.recording import VerifyReport, open_recording, verify
 from daq.recording.recover import recover
 from daq.recording.subprocess_reader import read_here
+from daq.recording.verify import report_of
 from daq.setup.errors import InputError
 
 SPOILS_DISK = {*DISK, *RECORDER}
@@ -161,11 +162,10 @@ class Judge:
     def _readable(self, path: Path, acknowledged: int, whole: bool, unsure: bool) -> str:
         name = path.name
         try:
-            report = verify(path)
+            report, read = self._read(path)
         except InputError as error:
             self._require(acknowledged == 0 or unsure, f"{name}: {acknowledged} acknowledged, and verify: {error}")
             return "refused"
-        read = self._read(path)
         n = 0 if read is None else len(read[0])
         if read is not None:
             self._compare(name, *read)
@@ -190,28 +190,29 @@ class Judge:
         except InputError as error:
             self._require(n == 0 and acknowledged == 0, f"{name}: {n} samples read, but recover: {error}")
             return report.state
-        again = self._read(out)
+        said, again = self._read(out)
         least = max(n, acknowledged)
         m = 0 if again is None else len(again[0])
         self._require(m >= least, f"{name}: {m} samples recovered; {acknowledged} acknowledged, {n} read")
         if again is not None:
             self._compare(out.name, *again)
-        self._require(verify(out).state in ("complete", "stopped"), f"{out.name}: recovered, but {verify(out).state}")
+        self._require(said.state in ("complete", "stopped"), f"{out.name}: recovered, but {said.state}")
         return report.state
 
-    def _read(self, path: Path) -> tuple[np.ndarray, np.ndarray, dict[str, Any]] | None:
-        """Codes, gaps and attributes; None of what cannot be read."""
+    def _read(self, path: Path) -> tuple[VerifyReport, tuple[np.ndarray, np.ndarray, dict[str, Any]] | None]:
+        """What `verify` says; codes, gaps and attributes, or None of what cannot be read."""
         try:
             with open_recording(path) as recording:
+                report = report_of(recording)  # as `verify`, which opens it once more for that
                 there = [name for name in CHANNELS if name in recording.channels]
                 codes = np.column_stack([recording.codes(name) for name in there]) if there else np.zeros((0, 4))
                 blocks = recording.blocks
                 # frames after a loss that a card's driver may have reported late
                 unsure = np.repeat((blocks["flags"] & BlockFlag.FILLED) != 0, blocks["n_samples"])
                 said = {"there": there, "unsure": unsure & (self._left.plan.device == "card")}
-                return codes, recording.gaps, dict(recording.attrs) | said
+                return report, (codes, recording.gaps, dict(recording.attrs) | said)
         except InputError:
-            return None
+            return verify(path), None
 
     def _compare(self, name: str, codes: np.ndarray, gaps: np.ndarray, attrs: dict[str, Any]) -> None:
         """Each frame read is the one that was handed over, and in its place."""

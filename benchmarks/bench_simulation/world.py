@@ -76,10 +76,10 @@ class World(Clock):
                 return ready()
         return True
 
-    def settle(self, ns: int) -> None:
-        """What goes on for a while after the run's process has ended."""
+    def settle(self, over: Callable[[], bool], ns: int) -> None:
+        """What goes on after the run's process has ended, until ``over``, no longer than ``ns``."""
         self.run_is_dead = False
-        self.advance(ns)
+        self.until(over, ns)
 
     def monotonic_ns(self) -> int:
         return self._begin_ns + round(self.now_ns * (1.0 + self._drift))
@@ -120,7 +120,7 @@ class Body:
         except StopIteration:
             self.ended = True
             return
-        self._world.at(self._world.now_ns + POLL_NS // 2, self._turn)
+        self._world.at(self._world.now_ns + POLL_NS, self._turn)
 
     def join(self, timeout: float) -> None:
         """Wait for its end."""

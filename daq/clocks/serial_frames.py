@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from cobs import cobs
@@ -128,7 +128,7 @@ class FrameDecoder:
             if not dropped + missing <= lost <= dropped + missing * (MAX_SAMPLES // self._channels):
                 self.counts.stale += 1
                 return None
-            frame = replace(frame, lost_before=lost, dropped_before=dropped)
+            frame = SerialFrame(frame.sequence, frame.first_sample, frame.overruns, frame.codes, lost, dropped)
             self.counts.lost_samples += lost
         self._last = frame
         self.counts.accepted += 1
