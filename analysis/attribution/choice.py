@@ -301,7 +301,7 @@ class Pruning:
         return best
 
     def simplified(self, best: Hypothesis, pool: Sequence[Candidate], rounds: list[str]) -> Hypothesis:
-        """The hypothesis with a special case in place of an effect, unless the fuller form is better beyond doubt.
+        """The hypothesis with special cases in place of its effects where no fuller form is better beyond doubt.
 
         A fit of the special case may have stopped short when it was tried: it begins where the fuller form stands.
         """
@@ -314,7 +314,7 @@ class Pruning:
                     continue
                 if self._as_good(best, x) or self._extra_is_null(best, x, candidate, simpler):
                     rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
-                    return x
+                    return self.simplified(x, pool, rounds)
         return best
 
     def without_excess(self, x: Hypothesis) -> Hypothesis:

@@ -62,6 +62,17 @@ class SelectionResult:
     earlier: tuple[Hypothesis, ...] = ()
 
 
+@dataclass(frozen=True)
+class _Round:
+    """The last round that added an effect: what it added to, the rivals of that, and the gain, held against chance."""
+
+    before: Hypothesis
+    rivals: list[Hypothesis]
+    gain: LogScoreDifference
+    depth: int
+    null: ChanceGains
+
+
 class StepwiseSelection:
     """Forward stepwise selection with backward elimination.
 
@@ -145,7 +156,8 @@ class StepwiseSelection:
         chance: list[ChanceTest] = []
         first: tuple[str, ...] = ()
         rng = generator_of(self.model)
-        chain = [before]
+        chain: list[Hypothesis] = [before]
+        last: _Round | None = None
         for depth in range(self.limits.most_effects):
             if depth and best.noise_like(self.limits.noise_like_ratio):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
@@ -168,19 +180,18 @@ class StepwiseSelection:
                 f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats "
                 f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
             )
-            kept = self.pruning.simplified(self.pruning.without_idle(accepted, rounds), self.library, rounds)
-            if kept is not accepted and (why := self._left_by_simplification(best, accepted, kept, depth, null)):
-                rounds.append(f"step back: that simpler form is refused ({why})")
-                break
+            last = _Round(best, rivals, gain, depth, null)
+            kept = self.pruning.without_idle(accepted, rounds)
             # a step back changes what the round's other hypotheses were added to: they are no rivals any more
             rivals = found if kept is accepted else []
             if kept is accepted:  # a cause and its drift are confirmed one by one
                 chain += [x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates][:1]
             best = self.refits.again(kept)
             chain.append(best)
+        best, rivals = self._simplest(best, rivals, last, rounds)
         # an effect may have been needed only while others were missing
         best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds)
-        chain[-1] = best
+        chain = [*(x for x in chain[:-1] if x is not best), best]
         ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:
             best = self.pruning.without_excess(best)
@@ -235,14 +246,26 @@ class StepwiseSelection:
             best, null = again, ChanceGains(again, null.options, null.rng)
         return self.judge.choose(best, found, depth, null), best, null
 
-    def _left_by_simplification(
-        self, best: Hypothesis, accepted: Hypothesis, kept: Hypothesis, depth: int, null: ChanceGains
-    ) -> str | None:
-        """Why the simpler form of an effect of small gain is refused: it was another form that had passed the tests."""
-        clear = self.judge.gain(best, accepted).exceeds(self.limits.next_effect_nats, self.limits.next_effect_sigmas)
-        if clear or kept.names != accepted.names:
-            return None
-        return self.judge.refusal(best, kept, depth, null)
+    def _simplest(
+        self, best: Hypothesis, rivals: list[Hypothesis], last: _Round | None, rounds: list[str]
+    ) -> tuple[Hypothesis, list[Hypothesis]]:
+        """The simplest form of a hypothesis that does as well, and its rivals, when all causes are named.
+
+        While a cause is missing, it may hide what a fuller form has beyond its special case. The last effect goes where
+        its gain is small and the simpler form fails the tests: it was another form that had passed them.
+        """
+        kept = self.pruning.simplified(best, self.library, rounds)
+        if last is None or kept is best:
+            return best, rivals
+        clear = last.gain.exceeds(self.limits.next_effect_nats, self.limits.next_effect_sigmas)
+        if (
+            not clear
+            and kept.names == best.names
+            and (why := self.judge.refusal(last.before, kept, last.depth, last.null))
+        ):
+            rounds.append(f"step back: that simpler form is refused ({why})")
+            return last.before, last.rivals
+        return self.refits.again(kept), []
 
     def _exchanged(self, best: Hypothesis, rounds: list[str]) -> tuple[Hypothesis, list[Hypothesis]]:
         """The hypothesis with a cause exchanged for a calibration that the fit moved far, where that does as well.

@@ -150,6 +150,25 @@ def test_a_simpler_form_of_a_weak_effect_passes_the_tests_itself(
     assert refused == (gain_nats < FROZEN.next_effect_nats) == (result.best is result.before)
 
 
+def test_a_simpler_form_is_tried_when_all_causes_are_named(
+    selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Damping is chosen first and leaves more than noise; friction follows; only both together are looked at again."""
+    selection, seen = selection_of({UP: 0.05, DOWN: 0.05}, 1), []
+    in_turn = ("viscous_damping", "coulomb_friction")
+    selection.library = [named(selection, name) for name in in_turn]
+
+    def chosen(best: Hypothesis, found: Sequence[Hypothesis], *_: object) -> Hypothesis | None:
+        return next((x for x in found if x.names == in_turn[: len(best.names) + 1] != best.names), None)
+
+    monkeypatch.setattr(selection.judge, "choose", chosen)
+    monkeypatch.setattr(selection.pruning, "without_idle", lambda x, _: x)
+    monkeypatch.setattr(selection.pruning, "simplified", lambda x, *_: seen.append(x.names) or x)
+    nothing = selection.declared()
+    selection._followed(nothing, [added(selection, selection.library[0])])
+    assert seen == [in_turn]
+
+
 @pytest.mark.slow
 def test_two_causes_are_both_named(explain: Explain) -> None:
     """Damping with a plate that holds the ball: neither can stand in for the other."""
