@@ -10,7 +10,6 @@ same numbers, but slower, and each process compiles anew.
 from __future__ import annotations
 
 import functools
-import gc
 import importlib
 from collections.abc import Callable
 from types import FunctionType, ModuleType
@@ -108,31 +107,17 @@ def _declared(module: Any) -> set[str]:
 
 
 class _Compiling(event.Listener):
-    """Calls the watchers, and spares the garbage collector what was there before the outermost kernel began.
-
-    Compiling makes millions of objects: the collector need not look again and again at all others.
-    """
-
-    def __init__(self) -> None:
-        self._deep, self._ours = 0, False
+    """Calls the watchers."""
 
     def on_start(self, started: Any) -> None:
-        """Set aside what is there when the outermost kernel begins, unless somebody has."""
-        if self._deep == 0:
-            self._ours = gc.get_freeze_count() == 0
-            if self._ours:
-                gc.freeze()
-        self._deep += 1
+        """Compiling begins."""
         for watcher in watchers:
             watcher.on_start(started.data["dispatcher"].py_func.__name__)
 
     def on_end(self, ended: Any) -> None:
-        """Take it back when that kernel is done."""
+        """It is done."""
         for watcher in watchers:
             watcher.on_end()
-        self._deep -= 1
-        if self._deep == 0 and self._ours:
-            gc.unfreeze()
 
 
 event.register("numba:compile", _Compiling())

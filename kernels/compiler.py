@@ -17,11 +17,9 @@ from typing import Any
 
 import numba
 from numba.core import codegen, compiler, compiler_machinery, ir, typed_passes, types, untyped_passes
-from numba.core.typing.context import Context
 
 _Library: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.CompilerBase
-_Context: Any = Context
 _Pass: Any = compiler_machinery.FunctionPass
 
 
@@ -39,27 +37,6 @@ def for_callers(dispatcher: Any, function: Callable[..., Any], options: dict[str
 
     dispatcher.get_call_template = call_template
     dispatcher.get_overload = lambda sig: linked().get_overload(sig)
-
-
-class _Typing(_Context):
-    """numba's typing context, which remembers what a built-in function makes of its arguments.
-
-    numba tries all that it knows of an operator, tens of templates, at each place where it stands, and again each time
-    that a function's types are gone through.
-    """
-
-    def __init__(self, context: Any) -> None:
-        self.__dict__ = context.__dict__  # it is the same context, seen through this class
-        self.__dict__.setdefault("signatures", {})
-
-    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
-        """The signature for the types ``args`` and ``kws``."""
-        if kws or not isinstance(func, types.Function):
-            return super().resolve_function_type(func, args, kws)
-        found = self.signatures.get((func, args))
-        if found is None:
-            found = self.signatures[func, args] = super().resolve_function_type(func, args, kws)
-        return found
 
 
 class _KernelLibrary(_Library):
@@ -185,12 +162,9 @@ def _only_borrows(state: Any) -> bool:
 
 
 class KernelCompiler(_Compiler):
-    """numba's passes, with `_Typing` and the choice of a library: for a kernel called from Python."""
+    """numba's passes, with the choice of a library: for a kernel called from Python."""
 
     library: type = _KernelLibrary
-
-    def __init__(self, typingctx: Any, *args: Any) -> None:
-        super().__init__(_Typing(typingctx), *args)
 
     def define_pipelines(self) -> list[Any]:
         """One pipeline: that of every compiled function with `_ChooseLibrary` in it."""

@@ -160,22 +160,6 @@ def test_references_are_counted_only_where_an_array_is_made_or_returned(monkeypa
     assert lent == {"made": False, "first": False, "summed": True}
 
 
-def test_compiling_leaves_the_collector_as_it_was() -> None:
-    """What is set aside while a kernel is compiled is given back to the collector."""
-    gc.unfreeze()
-
-    @njit()
-    def doubled(x):  # type: ignore[no-untyped-def]
-        return 2.0 * x
-
-    assert doubled(2.0) == 4.0
-    assert gc.get_freeze_count() == 0
-    gc.freeze()
-    assert doubled(np.float32(2.0)) == 4.0
-    assert gc.get_freeze_count() > 0  # who froze them, keeps them so
-    gc.unfreeze()
-
-
 def test_a_release_of_numba_that_was_not_tried_compiles_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where numba's private interfaces may be others, kernels that call kernels give the same numbers and errors, and
     none of their machine code is kept."""
