@@ -172,24 +172,12 @@ def find_recordings(places: Sequence[Path]) -> tuple[list[Path], int]:
 
 @dataclass(frozen=True)
 class Batch:
-    """What is to be done with which recordings.
+    """What is to be done with which recordings."""
 
-    Attributes
-    ----------
-    recordings
-        Their paths, all different.
-    parts
-        Of `bench.batch.PARTS`.
-    profile
-        Replaces the recordings' own.
-    anyway
-        Whether recordings that contradict their profile get a verdict, too.
-    """
-
-    recordings: Sequence[Path]
-    parts: tuple[str, ...]
-    profile: Path | None = None
-    anyway: bool = False
+    recordings: Sequence[Path]  # their paths, all different
+    parts: tuple[str, ...]  # of `bench.batch.PARTS`.
+    profile: Path | None = None  # replaces the recordings' own
+    anyway: bool = False  # whether recordings that contradict their profile get a verdict, too
 
     def key(self, path: Path) -> str:
         """Hash of what a row depends on: file and events as they are now, what is done, profile and software."""

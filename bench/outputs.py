@@ -72,27 +72,13 @@ REPORT = ("*.html", "*.json", *PICTURES)
 
 @dataclass(frozen=True)
 class File:
-    """A file that a command writes.
+    """A file that a command writes."""
 
-    Attributes
-    ----------
-    option
-        As on the command line, ``--json``.
-    path
-        None where it is not asked for; ``-`` is standard output where the form is JSON.
-    form
-        What is written.
-    lasting
-        Never replaced, whatever ``--overwrite`` says.
-    continues
-        Whether a file that is there may be gone on with.
-    """
-
-    option: str
-    path: Path | str | None
-    form: Form
-    lasting: bool = False
-    continues: Callable[[Path], bool] | None = None
+    option: str  # as on the command line, ``--json``
+    path: Path | str | None  # None where it is not asked for; ``-`` is standard output where the form is JSON
+    form: Form  # what is written
+    lasting: bool = False  # never replaced, whatever ``--overwrite`` says
+    continues: Callable[[Path], bool] | None = None  # whether a file that is there may be gone on with
 
 
 @dataclass(frozen=True)

@@ -20,30 +20,16 @@ from kernels.arrays import Bools, Complexes, Floats, Integers
 
 @dataclass(frozen=True)
 class ToneFit:
-    """Amplitudes of ``k`` tones in one channel, in the channel's unit.
-
-    Attributes
-    ----------
-    frequencies_hz : array, shape (k,)
-    amplitudes : complex array, shape (k,)
-        ``Re[z exp(i 2 pi f t)]``, t = 0 at sample 0 of the recording.
-    covariance : array, shape (2k, 2k)
-        Of ``(Re z_0, Im z_0, Re z_1, Im z_1, ...)``, from the residual rms taken as white.
-    rms : float
-        Root mean square of the residual, degrees of freedom counted.
-    offset, offset_uncertainty : float
-        The constant fitted with the tones, and its standard deviation.
-    n : int
-        Values used.
-    """
+    """Amplitudes of ``k`` tones in one channel, in the channel's unit."""
 
     frequencies_hz: Floats
-    amplitudes: Complexes
-    covariance: Floats
-    rms: float
+    amplitudes: Complexes  # ``Re[z exp(i 2 pi f t)]``, t = 0 at sample 0 of the recording
+    covariance: Floats  # of ``(Re z_0, Im z_0, Re z_1, Im z_1, ...)``, from the residual rms taken as white.
+    rms: float  # root mean square of the residual, degrees of freedom counted
+    # offset, offset_uncertainty: the constant fitted with the tones, and its standard deviation
     offset: float
     offset_uncertainty: float
-    n: int
+    n: int  # values used
 
     def amplitude_sigma(self) -> Floats:
         """Standard deviation of each tone's amplitude, the rms over its two quadratures, shape (k,)."""
@@ -62,22 +48,12 @@ class ToneFit:
 
 @dataclass(frozen=True)
 class ToneFits:
-    """Fits of ``k`` tones to each of ``m`` stretches, in the values' unit.
-
-    Attributes
-    ----------
-    frequencies_hz : array, shape (k,)
-    amplitudes : complex array, shape (m, k)
-    offsets : array, shape (m,)
-    rms : array, shape (m,)
-        As in `ToneFit`.
-    n : int array, shape (m,)
-    """
+    """Fits of ``k`` tones to each of ``m`` stretches, in the values' unit."""
 
     frequencies_hz: Floats
     amplitudes: Complexes
     offsets: Floats
-    rms: Floats
+    rms: Floats  # as in `ToneFit`
     n: Integers
 
     @classmethod

@@ -27,24 +27,16 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 class Forcing:
     """The dimensionless plate motion without its amplitude; hashable, so that tables can be cached for it.
 
-    Parameters
-    ----------
-    harmonic : tuple of float
-        ``n_j``, multiples of the base frequency, positive; integers make the motion periodic in ``2 pi``.
-    amplitude : tuple of float
-        ``b_j``, displacement amplitudes relative to ``A``.
-    phase_rad : tuple of float
-        ``p_j``.
-
     Raises
     ------
     ValueError
         If the lengths differ, a value is not finite or a harmonic is not positive.
     """
 
+    # ``n_j``, multiples of the base frequency, positive; integers make the motion periodic in ``2 pi``
     harmonic: tuple[float, ...]
-    amplitude: tuple[float, ...]
-    phase_rad: tuple[float, ...]
+    amplitude: tuple[float, ...]  # ``b_j``, displacement amplitudes relative to ``A``
+    phase_rad: tuple[float, ...]  # ``p_j``
 
     def __post_init__(self) -> None:
         """Check the tones, then keep one tone a frequency: equal harmonics are summed, vanished ones dropped."""
@@ -97,21 +89,14 @@ class Forcing:
 class Plate:
     """The plate's acceleration as tones, in SI: ``a_p(t) = sum_j Re[acceleration_j exp(i omega_j t)]``, positive up.
 
-    Parameters
-    ----------
-    omega_radps : array_like of float, shape (k,)
-        Angular frequencies, positive.
-    acceleration : array_like of complex, shape (k,)
-        Amplitudes in m/s^2.
-
     Raises
     ------
     ValueError
         If the shapes differ, a value is not finite or a frequency is not positive.
     """
 
-    omega_radps: Floats
-    acceleration: Complexes
+    omega_radps: Floats  # angular frequencies, positive
+    acceleration: Complexes  # amplitudes in m/s^2
 
     def __post_init__(self) -> None:
         """Take arrays of any number type, check them, and make them read-only."""

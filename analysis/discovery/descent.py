@@ -25,25 +25,14 @@ from kernels.arrays import Bools, Floats, Integers
 
 @dataclass(frozen=True)
 class StackedResiduals:
-    """Openings, then landings, of the judged flights: arrays (k,).
+    """Openings, then landings, of the judged flights: arrays (k,)."""
 
-    Attributes
-    ----------
-    event
-        The flight.
-    first
-        True for openings.
-    sigma_s, period_s
-        Uncertainty without excess, and the forcing's period.
-    train
-        True where a fit may look.
-    """
-
-    event: Integers
-    first: Bools
+    event: Integers  # the flight
+    first: Bools  # True for openings
+    # sigma_s, period_s: uncertainty without excess, and the forcing's period
     sigma_s: Floats
     period_s: Floats
-    train: Bools
+    train: Bools  # True where a fit may look
 
     @classmethod
     def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
@@ -115,22 +104,14 @@ Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) th
 
 @dataclass(frozen=True)
 class Problem(Generic[X]):
-    """What is fitted: a point of some kind with p parameters, and k stacked residuals.
+    """What is fitted: a point of some kind with p parameters, and k stacked residuals."""
 
-    Attributes
-    ----------
-    residuals, slopes
-        Residuals at a point, (k,); their derivatives there, (k, p), from the point and its residuals.
-    moved
-        The point after a step (p,), within its bounds.
-    penalty
-        A quadratic form of the parameters; none where not given.
-    """
-
+    # residuals, slopes: residuals at a point, (k,); their derivatives there, (k, p), from the point and its
+    # residuals
     residuals: Callable[[X], Floats]
     slopes: Callable[[X, Floats], Floats]
-    moved: Callable[[X, Floats], X]
-    penalty: Callable[[X], Penalty] | None = None
+    moved: Callable[[X, Floats], X]  # the point after a step (p,), within its bounds
+    penalty: Callable[[X], Penalty] | None = None  # a quadratic form of the parameters; none where not given
 
     def loss(self, x: X, stack: StackedResiduals, r: Floats, width: Floats) -> float:
         """Robust loss of the training steps at fixed widths, with the penalty."""

@@ -53,47 +53,30 @@ class Band:
 
 @dataclass(frozen=True)
 class Discovery:
-    """A missing term.
+    """A missing term."""
 
-    Attributes
-    ----------
-    term
-        ``force``, ``friction``, ``threshold`` or ``restitution``.
-    covariate
-        Name of its covariate, the unit in which it is printed, and the factor to it from SI.
-    description
-        The curve in one sentence.
-    curve
-        The term over the covariate. A force is positive where it pushes up.
-    seen
-        Values of the covariate at the flights, or the range of each flight in a quantity that varies within it.
-    gain, over_constant
-        Held-out log-score gain over the best named hypothesis, and over the same term as a constant.
-    similar_effects
-        Named effects that shift the flights in a similar pattern, with the correlation.
-    tied_covariates
-        Other covariates that do as well on held-out steps.
-    after, noise_floor_us
-        Errors on the reserved steps with the term, and the rms that noise leaves of landings there.
-    of, within_flight
-        Name of the covariate for programs, and whether it varies within the flight.
-    forms, suggested
-        Formulas fitted in its place, best first, and the name of the one to prefer to the curve; empty: the curve.
-    """
-
-    term: str
-    covariate: Covariate
-    description: str
-    curve: Band
+    term: str  # ``force``, ``friction``, ``threshold`` or ``restitution``
+    covariate: Covariate  # name of its covariate, the unit in which it is printed, and the factor to it from SI
+    description: str  # the curve in one sentence
+    curve: Band  # the term over the covariate. A force is positive where it pushes up.
+    # values of the covariate at the flights, or the range of each flight in a quantity that varies within it
     seen: Floats
+    # gain, over_constant: held-out log-score gain over the best named hypothesis, and over the same term as a
+    # constant
     gain: LogScoreDifference
     over_constant: LogScoreDifference
+    # named effects that shift the flights in a similar pattern, with the correlation
     similar_effects: tuple[tuple[str, float], ...]
-    tied_covariates: tuple[str, ...]
+    tied_covariates: tuple[str, ...]  # other covariates that do as well on held-out steps
+    # after, noise_floor_us: errors on the reserved steps with the term, and the rms that noise leaves of
+    # landings there
     after: Errors
     noise_floor_us: float
+    # of, within_flight: name of the covariate for programs, and whether it varies within the flight
     of: str = ""
     within_flight: bool = False
+    # forms, suggested: formulas fitted in its place, best first, and the name of the one to prefer to the
+    # curve; empty: the curve
     forms: tuple[FittedForm, ...] = ()
     suggested: str = ""
 

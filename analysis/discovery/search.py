@@ -63,24 +63,15 @@ REACH_SIGMAS = 6.0  # clip of standardised landings
 
 @dataclass(frozen=True)
 class RefinedTerm:
-    """A term fitted jointly with everything else.
+    """A term fitted jointly with everything else."""
 
-    Attributes
-    ----------
-    curve, covariance
-        The term, and the covariance of its values from the noise of events.
-    folds
-        Its values without some of the steps, (f, k).
-    scatter
-        Root mean square of the landings over their uncertainty, each step's with the curve that the others give.
-    model, explanation
-        The forward model with the term, the fit there, and its held-out losses.
-    """
-
+    # curve, covariance: the term, and the covariance of its values from the noise of events
     curve: Curve
     covariance: Floats
-    folds: Floats
+    folds: Floats  # its values without some of the steps, (f, k)
+    # root mean square of the landings over their uncertainty, each step's with the curve that the others give
     scatter: float
+    # model, explanation: the forward model with the term, the fit there, and its held-out losses
     model: AugmentedModel
     explanation: Hypothesis
 

@@ -37,24 +37,12 @@ UNITS = {"_mps2": "m/s^2", "_mps": "m/s", "_rad": "rad", "_m": "m", "_s": "s"}  
 
 @dataclass(frozen=True)
 class Form:
-    """A formula.
+    """A formula."""
 
-    Attributes
-    ----------
-    name
-        For a table.
-    expression
-        Value of the term, of the quantity ``x`` and the parameters, as Python with numpy writes it.
-    parameters
-        Names with the kind of each, sizes first.
-    signed
-        True for one that differs from a simpler one only where ``x`` takes both signs.
-    """
-
-    name: str
-    expression: str
-    parameters: tuple[tuple[str, Kind], ...]
-    signed: bool = False
+    name: str  # for a table
+    expression: str  # value of the term, of the quantity ``x`` and the parameters, as Python with numpy writes it
+    parameters: tuple[tuple[str, Kind], ...]  # names with the kind of each, sizes first
+    signed: bool = False  # True for one that differs from a simpler one only where ``x`` takes both signs
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,32 +135,22 @@ NUDGE = 1e-3  # finite difference, of a parameter's unit
 
 @dataclass(frozen=True)
 class FittedForm:
-    """A formula fitted in place of a discovered curve.
+    """A formula fitted in place of a discovered curve."""
 
-    Attributes
-    ----------
-    name, expression
-        Of `Form`; ``x`` is the covariate in SI units.
-    parameters, kinds, units
-        Names, kinds and units of its parameters.
-    values, sigmas
-        As fitted, SI, with standard deviations.
-    loss, error
-        Held-out loss over that of the curve, nats (negative: better), with its standard error.
-    as_good
-        Whether held-out steps do not tell it from the curve, or prefer it.
-    """
-
+    # name, expression: of `Form`; ``x`` is the covariate in SI units
     name: str
     expression: str
+    # parameters, kinds, units: names, kinds and units of its parameters
     parameters: tuple[str, ...]
     kinds: tuple[str, ...]
     units: tuple[str, ...]
+    # values, sigmas: as fitted, SI, with standard deviations
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
+    # loss, error: held-out loss over that of the curve, nats (negative: better), with its standard error
     loss: float
     error: float
-    as_good: bool
+    as_good: bool  # whether held-out steps do not tell it from the curve, or prefer it
 
 
 def search_forms(

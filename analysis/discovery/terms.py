@@ -84,35 +84,20 @@ FIRST_VALUE = "c0"  # first of the values at the knots, in the effects that carr
 
 @dataclass(frozen=True)
 class Term:
-    """A term that may be missing.
+    """A term that may be missing."""
 
-    Attributes
-    ----------
-    name
-        ``force``, ``friction``, ``threshold`` or ``restitution``.
-    of
-        Covariate: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
-    unit, words
-        As printed for a person.
-    low, high
-        Bounds of its value.
-    nudge
-        For finite differences.
-    columns
-        Parameters that it sets: one value for each flight. Empty for a term within the flight.
-    effect
-        For a term within the flight: the effect that carries it, with its fixed parameters.
-    """
-
-    name: str
-    of: str
+    name: str  # ``force``, ``friction``, ``threshold`` or ``restitution``
+    of: str  # covariate: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
+    # unit, words: as printed for a person
     unit: str
     words: str
+    # low, high: bounds of its value
     low: float
     high: float
-    nudge: float
+    nudge: float  # for finite differences
+    # parameters that it sets: one value for each flight. Empty for a term within the flight.
     columns: tuple[ParameterId, ...] = ()
-    effect: str = ""
+    effect: str = ""  # for a term within the flight: the effect that carries it, with its fixed parameters
     fixed: tuple[tuple[str, float], ...] = ()
 
     @property

@@ -36,24 +36,12 @@ OTHER_ORBIT = 0.05  # difference of mean flight times, relative, beyond which mo
 
 @dataclass(frozen=True)
 class Option:
-    """One forcing with the gammas that the rig's limits allow, up or down.
+    """One forcing with the gammas that the rig's limits allow, up or down."""
 
-    Attributes
-    ----------
-    setup
-        With this forcing.
-    gammas
-        In the order of the run, (m,).
-    hold_cycles
-        Cycles for which each step is held.
-    seconds
-        Rig time of a block with the gammas at the given places.
-    """
-
-    setup: Setup
-    gammas: tuple[float, ...]
-    hold_cycles: int
-    seconds: Callable[[Sequence[int]], float]
+    setup: Setup  # with this forcing
+    gammas: tuple[float, ...]  # in the order of the run, (m,)
+    hold_cycles: int  # cycles for which each step is held
+    seconds: Callable[[Sequence[int]], float]  # rig time of a block with the gammas at the given places
 
     @property
     def rising(self) -> bool:
@@ -63,26 +51,16 @@ class Option:
 
 @dataclass(frozen=True)
 class Block:
-    """Steps chosen, and why.
+    """Steps chosen, and why."""
 
-    Attributes
-    ----------
-    option, steps
-        The forcing, and the places of the steps among its gammas.
-    nats, seconds
-        Expected information, and rig time.
-    separates
-        The two explanations that it separates best, by names.
-    sharpening
-        Part of the information that is about parameters asked for.
-    """
-
+    # option, steps: the forcing, and the places of the steps among its gammas
     option: Option
     steps: tuple[int, ...]
+    # nats, seconds: expected information, and rig time
     nats: float
     seconds: float
-    separates: tuple[tuple[str, ...], tuple[str, ...]]
-    sharpening: float = 0.0
+    separates: tuple[tuple[str, ...], tuple[str, ...]]  # the two explanations that it separates best, by names
+    sharpening: float = 0.0  # part of the information that is about parameters asked for
 
     @property
     def gammas(self) -> tuple[float, ...]:
@@ -92,21 +70,13 @@ class Block:
 
 @dataclass(frozen=True)
 class Pool:
-    """What the steps of one option would tell.
-
-    Attributes
-    ----------
-    option
-    products
-        Products of all columns, parameters first (K of them) and then the differences of each explanation from the
-        first, summed over the data of each step, (m, K + E, K + E).
-    flight_s
-        Mean time of flight expected in each step, (m,); NaN where the ball stays on the plate.
-    """
+    """What the steps of one option would tell."""
 
     option: Option
+    # products of all columns, parameters first (K of them) and then the differences of each explanation from
+    # the first, summed over the data of each step, (m, K + E, K + E)
     products: Floats
-    flight_s: Floats
+    flight_s: Floats  # mean time of flight expected in each step, (m,); NaN where the ball stays on the plate
 
     @classmethod
     def of(cls, option: Option, model: ForwardModel, fitter: Fitter, known: Weighed) -> Pool:

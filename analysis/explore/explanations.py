@@ -29,47 +29,24 @@ from kernels.arrays import Floats, Integers
 
 @dataclass(frozen=True)
 class Explanation:
-    """One way to explain what was recorded.
+    """One way to explain what was recorded."""
 
-    Attributes
-    ----------
-    names
-        Effects beyond the declared ones.
-    free
-        Their parameters.
-    values
-        Parameter values, calibrations included.
-    probability
-        Given the recordings so far; all sum to one.
-    """
-
-    names: tuple[str, ...]
-    free: tuple[ParameterId, ...]
-    values: Values
-    probability: float
+    names: tuple[str, ...]  # effects beyond the declared ones
+    free: tuple[ParameterId, ...]  # their parameters
+    values: Values  # parameter values, calibrations included
+    probability: float  # given the recordings so far; all sum to one
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Explanations, and what the recordings so far tell about every parameter that any of them has.
+    """Explanations, and what the recordings so far tell about every parameter that any of them has."""
 
-    Attributes
-    ----------
-    explanations
-        The most probable first.
-    keys
-        Calibrations and nuisances first (``shared`` of them), then what explanations free; K in all.
-    information
-        Of the coordinates of ``keys`` from the recordings, without priors, (K, K).
-    stiffness
-        What the calibrations tell about them, one over their variances, (K,); 0 for what has none.
-    """
-
-    explanations: tuple[Explanation, ...]
+    explanations: tuple[Explanation, ...]  # the most probable first
+    # calibrations and nuisances first (``shared`` of them), then what explanations free; K in all
     keys: tuple[ParameterId, ...]
     shared: int
-    information: Floats
-    stiffness: Floats
+    information: Floats  # of the coordinates of ``keys`` from the recordings, without priors, (K, K)
+    stiffness: Floats  # what the calibrations tell about them, one over their variances, (K,); 0 for what has none
 
     def known_under(self, x: Explanation) -> tuple[Integers, Floats]:
         """Places in ``keys`` of what ``x`` leaves open, and the information on them: it frees its own calibrations."""
@@ -150,23 +127,16 @@ def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
 
 @dataclass(frozen=True)
 class _Fit:
-    """The linear model around a fit of K coordinates.
+    """The linear model around a fit of K coordinates."""
 
-    Attributes
-    ----------
-    information, gradient
-        Of the data, (K, K) and (K,).
-    stiffness, off
-        One over the variance of each calibration that the fit holds to, and its distance from what is stated, (K,).
-    shared
-        How many of the coordinates the fit varies; they come first.
-    """
-
+    # information, gradient: of the data, (K, K) and (K,)
     information: Floats
     gradient: Floats
+    # stiffness, off: one over the variance of each calibration that the fit holds to, and its distance from
+    # what is stated, (K,)
     stiffness: Floats
     off: Floats
-    shared: int
+    shared: int  # how many of the coordinates the fit varies; they come first
 
     def _others(self, own: Integers) -> Integers:
         """Places of what the fit varies other than ``own``."""

@@ -22,42 +22,22 @@ MIN_IRREGULAR = MIN_REPEATS * MAX_CYCLE // 2  # flights needed to call a step ir
 
 @dataclass(frozen=True)
 class StepClass:
-    """Class of one step.
-
-    Attributes
-    ----------
-    step : int
-    kind : str
-        ``rest`` (no flights), ``cycle``, ``irregular`` or ``undecided``.
-    n : int
-        Flights of the cycle; 0 otherwise.
-    locked : bool
-        A 1-cycle whose flight lasts a whole number of forcing periods.
-    flights, double_hits : int
-        True flights in the hold; double hits are counted separately and are not part of the cycle.
-    repeat_s : float
-        Median change of a flight time after one cycle of the best n, per flight; NaN without flights.
-    expected_s : float
-        The same from only the measurement's uncertainty.
-    spread_s : float
-        The same between flights taken at random.
-    modes : int
-        Peaks in the distribution of flight times.
-    mean_s : float
-        Mean flight time.
-    """
+    """Class of one step."""
 
     step: int
+    # ``rest`` (no flights), ``cycle``, ``irregular`` or ``undecided``
     kind: Literal["rest", "cycle", "irregular", "undecided"]
-    n: int
-    locked: bool
+    n: int  # flights of the cycle; 0 otherwise
+    locked: bool  # a 1-cycle whose flight lasts a whole number of forcing periods
+    # flights, double_hits: true flights in the hold; double hits are counted separately and are not part of the
+    # cycle
     flights: int
     double_hits: int
-    repeat_s: float
-    expected_s: float
-    spread_s: float
-    modes: int
-    mean_s: float
+    repeat_s: float  # median change of a flight time after one cycle of the best n, per flight; NaN without flights
+    expected_s: float  # the same from only the measurement's uncertainty
+    spread_s: float  # the same between flights taken at random
+    modes: int  # peaks in the distribution of flight times
+    mean_s: float  # mean flight time
 
     @property
     def label(self) -> str:
@@ -141,26 +121,14 @@ def count_modes(tau: Floats, width: float) -> int:
 
 @dataclass(frozen=True)
 class BandTest:
-    """Flights in a band that the model forbids.
-
-    Attributes
-    ----------
-    step : int
-    low_s, high_s : float
-    observed : int
-        Flights inside, by more than their uncertainty.
-    expected : float
-        Flights expected from those just below and above the band, if it were not forbidden.
-    p_value : float
-        Chance of so few or fewer.
-    """
+    """Flights in a band that the model forbids."""
 
     step: int
     low_s: float
     high_s: float
-    observed: int
-    expected: float
-    p_value: float
+    observed: int  # flights inside, by more than their uncertainty
+    expected: float  # flights expected from those just below and above the band, if it were not forbidden
+    p_value: float  # chance of so few or fewer
 
 
 def band_test(flights: Flights, step: int, low_s: float, high_s: float) -> BandTest:

@@ -39,26 +39,13 @@ NO_CIRCUIT = Levels(0.0, 1.0, 0.1)  # levels of a scan that is never used
 
 @dataclass(frozen=True)
 class Survey:
-    """Properties of the rig measured on a few pieces.
+    """Properties of the rig measured on a few pieces."""
 
-    Attributes
-    ----------
-    levels : Levels or None
-        None without a contact circuit.
-    noise : NoiseSpectrum or None
-        Of the accelerometer; None where the recording is too short to tell.
-    template : ImpactTemplate or None
-        None where the accelerometer shows no impacts.
-    coupling : Coupling or None
-        High-pass of an AC-coupled contact circuit.
-    ends_v : pair of float
-        Volts beyond which the accelerometer does not read; infinite where it does not come to its end.
-    """
-
-    levels: Levels | None
-    noise: NoiseSpectrum | None
-    template: ImpactTemplate | None
-    coupling: Coupling | None = None
+    levels: Levels | None  # None without a contact circuit
+    noise: NoiseSpectrum | None  # of the accelerometer; None where the recording is too short to tell
+    template: ImpactTemplate | None  # None where the accelerometer shows no impacts
+    coupling: Coupling | None = None  # high-pass of an AC-coupled contact circuit
+    # volts beyond which the accelerometer does not read; infinite where it does not come to its end
     ends_v: Ends = NO_ENDS
 
     @property
@@ -70,36 +57,17 @@ class Survey:
 
 @dataclass(frozen=True)
 class Scan:
-    """Result of the pass.
-
-    Attributes
-    ----------
-    survey : Survey
-    steps : STEP_DTYPE array
-        Frequencies filled in.
-    crossings : Crossings
-    starts_open : bool
-        Contact circuit open at the first sample.
-    impacts : Impacts
-        On the accelerometer's time axis.
-    plate : PlateMotion
-    missed : int array, shape (k,)
-        Samples at which an edge of the contact is known to have been missed.
-    filled_spans_s : array, shape (n, 2)
-        Intervals whose samples or drive were filled in by the recorder.
-    elsewhere : SensorOffset, optional
-        As in `analysis.events.sensor_offset.calibrate`.
-    """
+    """Result of the pass."""
 
     survey: Survey
-    steps: npt.NDArray[np.void]
+    steps: npt.NDArray[np.void]  # frequencies filled in
     crossings: Crossings
-    starts_open: bool
-    impacts: Impacts
+    starts_open: bool  # contact circuit open at the first sample
+    impacts: Impacts  # on the accelerometer's time axis
     plate: PlateMotion
-    missed: Integers
-    filled_spans_s: Floats
-    elsewhere: SensorOffset | None = None
+    missed: Integers  # samples at which an edge of the contact is known to have been missed
+    filled_spans_s: Floats  # intervals whose samples or drive were filled in by the recorder
+    elsewhere: SensorOffset | None = None  # as in `analysis.events.sensor_offset.calibrate`.
 
 
 def resolved_steps(recording: Recording) -> npt.NDArray[np.void]:

@@ -19,30 +19,15 @@ from kernels.arrays import Floats, Integers
 class Aligned:
     """All runs in the same coordinates: each run's own parameters first (q), then shared ones, systematic errors that
     all runs share, and candidates.
-
-    Attributes
-    ----------
-    point
-    columns
-        What each coordinate stands for, K in all.
-    options
-        Candidates that at least half of the runs can show.
-    runs
-        A quadratic each; what a run cannot show has no information.
-    prior
-        Of means and shared parameters.
-    width
-        Of the priors of what runs have their own values of, (q,).
-    low, high
-        Bounds of the coordinates, (K,).
     """
 
     point: Point
-    columns: tuple[Place, ...]
-    options: tuple[Option, ...]
-    runs: tuple[Quadratic, ...]
-    prior: Prior
-    width: Floats
+    columns: tuple[Place, ...]  # what each coordinate stands for, K in all
+    options: tuple[Option, ...]  # candidates that at least half of the runs can show
+    runs: tuple[Quadratic, ...]  # a quadratic each; what a run cannot show has no information
+    prior: Prior  # of means and shared parameters
+    width: Floats  # of the priors of what runs have their own values of, (q,)
+    # low, high: bounds of the coordinates, (K,)
     low: Floats
     high: Floats
 

@@ -33,32 +33,15 @@ from kernels.arrays import Floats, Integers
 
 @dataclass(frozen=True)
 class Tested:
-    """A candidate, added to what is named.
-
-    Attributes
-    ----------
-    option
-    sizes
-        Its sizes in coordinates.
-    gain
-        In the fit of all runs, nats.
-    losses
-        Of each run by the fit of all others, relative to the run's own point, (R,).
-    held_out
-        Gain on runs that the fit did not see.
-    p
-        Probability that the best of all candidates gains so much by chance.
-    refusal
-        What forbids it, in words; empty where nothing does.
-    """
+    """A candidate, added to what is named."""
 
     option: Option
-    sizes: Floats
-    gain: float
-    losses: Floats
-    held_out: LogScoreDifference
-    p: float
-    refusal: str
+    sizes: Floats  # its sizes in coordinates
+    gain: float  # in the fit of all runs, nats
+    losses: Floats  # of each run by the fit of all others, relative to the run's own point, (R,)
+    held_out: LogScoreDifference  # gain on runs that the fit did not see
+    p: float  # probability that the best of all candidates gains so much by chance
+    refusal: str  # what forbids it, in words; empty where nothing does
 
 
 class Candidates:

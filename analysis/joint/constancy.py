@@ -19,29 +19,17 @@ from kernels.arrays import Floats
 
 @dataclass(frozen=True)
 class Constancy:
-    """Whether values of several runs are one.
+    """Whether values of several runs are one."""
 
-    Attributes
-    ----------
-    chi_square, degrees
-        Of the values about their weighted mean.
-    p
-        Probability of so large a chi-square for a constant.
-    spread
-        Standard deviation between runs beyond the values' own uncertainty.
-    slope, slope_sigma
-        Linear trend, per unit of time.
-    p_trend
-        Probability of so large a trend for a constant.
-    """
-
+    # chi_square, degrees: of the values about their weighted mean
     chi_square: float
     degrees: int
-    p: float
-    spread: float
+    p: float  # probability of so large a chi-square for a constant
+    spread: float  # standard deviation between runs beyond the values' own uncertainty
+    # slope, slope_sigma: linear trend, per unit of time
     slope: float
     slope_sigma: float
-    p_trend: float
+    p_trend: float  # probability of so large a trend for a constant
 
     def differs(self, p: float) -> bool:
         """Whether chance explains neither the scatter nor the trend; ``p`` is shared by both tests."""
@@ -78,17 +66,10 @@ def constancy(values: Floats, sigmas: Floats, time: Floats) -> Constancy:
 
 @dataclass(frozen=True)
 class OneRun:
-    """The only run that shows a parameter.
+    """The only run that shows a parameter."""
 
-    Attributes
-    ----------
-    place
-        Of the run.
-    others, others_sigma
-        Mean of all other runs, and its standard deviation.
-    """
-
-    place: int
+    place: int  # of the run
+    # others, others_sigma: mean of all other runs, and its standard deviation
     others: float
     others_sigma: float
 

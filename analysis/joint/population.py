@@ -28,17 +28,10 @@ LEAST_SPREAD = 1e-4  # of a prior's width: below, a calibration is common to all
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Log likelihood of one run about a point, second order; calibrations first (q), then shared parameters.
+    """Log likelihood of one run about a point, second order; calibrations first (q), then shared parameters."""
 
-    Attributes
-    ----------
-    origin
-        The point, (K,).
-    gradient, information
-        Slope and negative curvature there, (K,) and (K, K).
-    """
-
-    origin: Floats
+    origin: Floats  # the point, (K,)
+    # gradient, information: slope and negative curvature there, (K,) and (K, K)
     gradient: Floats
     information: Floats
 
@@ -79,28 +72,13 @@ class Prior:
 
 @dataclass(frozen=True)
 class Population:
-    """All runs together.
+    """All runs together."""
 
-    Attributes
-    ----------
-    x
-        Means of the calibrations, then shared parameters, (K,); what is not free stays where it began.
-    free
-        Places of what was fitted.
-    covariance
-        Of these.
-    spread
-        Of each calibration from run to run, (q,).
-    runs
-        Each run's quadratic, its own deviations integrated out.
-    prior
-    """
-
-    x: Floats
-    free: Integers
-    covariance: Floats
-    spread: Floats
-    runs: tuple[Quadratic, ...]
+    x: Floats  # means of the calibrations, then shared parameters, (K,); what is not free stays where it began
+    free: Integers  # places of what was fitted
+    covariance: Floats  # of these
+    spread: Floats  # of each calibration from run to run, (q,)
+    runs: tuple[Quadratic, ...]  # each run's quadratic, its own deviations integrated out
     prior: Prior
 
     def sigma(self, place: int) -> float:

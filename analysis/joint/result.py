@@ -13,90 +13,53 @@ from daq.files.json_values import json_object
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """One run in the joint verdict.
-
-    Attributes
-    ----------
-    recording, started
-    flights, steps
-    days
-        Since the first run; its number where dates are not known.
-    ratio, plate_rms_z, p_lack_of_fit
-        Goodness of fit at the joint values, see `analysis.residuals.lack_of_fit.GoodnessOfFit`.
-    landing_rms_us, noise_floor_us
-        Error of its landings there, and the part of it that noise makes.
-    failed
-        Tests of a verdict that it does not pass; empty where it is explained.
-    """
+    """One run in the joint verdict."""
 
     recording: str
     started: str
     flights: int
     steps: int
-    days: float
+    days: float  # since the first run; its number where dates are not known
+    # ratio, plate_rms_z, p_lack_of_fit: goodness of fit at the joint values, see
+    # `analysis.residuals.lack_of_fit.GoodnessOfFit`.
     ratio: float
     plate_rms_z: float
     p_lack_of_fit: float
+    # landing_rms_us, noise_floor_us: error of its landings there, and the part of it that noise makes
     landing_rms_us: float
     noise_floor_us: float
-    failed: tuple[str, ...]
+    failed: tuple[str, ...]  # tests of a verdict that it does not pass; empty where it is explained
 
 
 @dataclass(frozen=True)
 class OverRuns:
-    """A parameter over the runs.
-
-    Attributes
-    ----------
-    effect, parameter, unit
-    kind
-        ``effect`` (named), or ``calibration``.
-    value, sigma
-        Mean of all runs, or the value that they share.
-    spread
-        From run to run.
-    values, sigmas
-        Of each run by itself, (R,); infinite where it cannot tell.
-    constancy
-        Test of these values, with a trend per day.
-    differs
-        Whether they differ between runs beyond chance.
-    one_run
-        The only run that shows a named effect; None where others show it, too.
-    """
+    """A parameter over the runs."""
 
     effect: str
     parameter: str
     unit: str
-    kind: str
+    kind: str  # ``effect`` (named), or ``calibration``
+    # value, sigma: mean of all runs, or the value that they share
     value: float
     sigma: float
-    spread: float
+    spread: float  # from run to run
+    # values, sigmas: of each run by itself, (R,); infinite where it cannot tell
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
-    constancy: Constancy
-    differs: bool
-    one_run: OneRun | None
+    constancy: Constancy  # test of these values, with a trend per day
+    differs: bool  # whether they differ between runs beyond chance
+    one_run: OneRun | None  # the only run that shows a named effect; None where others show it, too
 
 
 @dataclass(frozen=True)
 class Systematic:
-    """A systematic error of the contact's edges that all runs share, fitted with everything else.
+    """A systematic error of the contact's edges that all runs share, fitted with everything else."""
 
-    Attributes
-    ----------
-    name
-        What is late.
-    value_us, sigma_us
-        By how much, and how well that is known.
-    prior_us
-        Standard deviation of its prior about zero.
-    """
-
-    name: str
+    name: str  # what is late
+    # value_us, sigma_us: by how much, and how well that is known
     value_us: float
     sigma_us: float
-    prior_us: float
+    prior_us: float  # standard deviation of its prior about zero
 
 
 @dataclass(frozen=True)
@@ -113,43 +76,20 @@ class Candidate:
 
 @dataclass(frozen=True)
 class JointVerdict:
-    """Joint verdict over many runs of one rig.
-
-    Attributes
-    ----------
-    verdict
-    names
-        Effects that the runs share.
-    ties
-        Sets that the runs do not distinguish from it, the one named first.
-    parameters
-        Named effects and calibrations over the runs.
-    systematics
-        Errors of the contact's edges that all runs share.
-    runs
-    detection
-        By ``effect.parameter``, the size below which all runs together could not have shown it.
-    candidates
-        Of the first round, the best first.
-    rounds
-        Course of the search, a line each.
-    passes
-        How often every recording was read.
-    dated
-        Whether times are dates.
-    """
+    """Joint verdict over many runs of one rig."""
 
     verdict: Verdict
-    names: tuple[str, ...]
-    ties: tuple[tuple[str, ...], ...]
-    parameters: tuple[OverRuns, ...]
-    systematics: tuple[Systematic, ...]
+    names: tuple[str, ...]  # effects that the runs share
+    ties: tuple[tuple[str, ...], ...]  # sets that the runs do not distinguish from it, the one named first
+    parameters: tuple[OverRuns, ...]  # named effects and calibrations over the runs
+    systematics: tuple[Systematic, ...]  # errors of the contact's edges that all runs share
     runs: tuple[RunOutcome, ...]
+    # by ``effect.parameter``, the size below which all runs together could not have shown it.
     detection: Mapping[str, float]
-    candidates: tuple[Candidate, ...]
-    rounds: tuple[str, ...]
-    passes: int
-    dated: bool
+    candidates: tuple[Candidate, ...]  # of the first round, the best first
+    rounds: tuple[str, ...]  # course of the search, a line each
+    passes: int  # how often every recording was read
+    dated: bool  # whether times are dates
 
     @property
     def odd(self) -> tuple[RunOutcome, ...]:

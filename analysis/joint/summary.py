@@ -40,21 +40,15 @@ LEAST_STEPS = 2  # of a run whose plate motion can be measured
 
 @dataclass(frozen=True)
 class Point:
-    """Where runs are linearised.
+    """Where runs are linearised."""
 
-    Attributes
-    ----------
-    priors
-        Of what each run has its own value of: calibrations, and effects that differ between runs.
-    shared
-        Values of the effects named so far that all runs share.
-    population
-        What all runs together tell of bent calibrations, see `bent`: their mean and their spread from run to run. It
-        takes the place of their priors in a run's own fit, so that each run is linearised where all runs put it.
-    """
-
+    # of what each run has its own value of: calibrations, and effects that differ between runs
     priors: Mapping[ParameterId, Prior]
+    # values of the effects named so far that all runs share
     shared: Mapping[ParameterId, float] = field(default_factory=dict)
+    # what all runs together tell of bent calibrations, see `bent`: their mean and their spread from run to run.
+    # It takes the place of their priors in a run's own fit, so that each run is linearised where all runs put
+    # it.
     population: Mapping[ParameterId, Prior] = field(default_factory=dict)
 
     @property
@@ -86,48 +80,31 @@ class Option:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What remains of one run.
+    """What remains of one run."""
 
-    Attributes
-    ----------
-    recording, started
-        Its name, and when it was begun (ISO 8601; empty where that is not known).
-    columns
-        What the quadratic's coordinates stand for: the run's own, the shared ones, systematic errors that all runs
-        share, then sizes of candidates.
-    options
-        The candidates.
-    quadratic
-        Log likelihood about the run's own fit.
-    systematic_sigma
-        Widths of the priors of shared systematic errors, see `analysis.joint.systematics.Systematics`.
-    flights, steps
-        How many.
-    ratio, p_lack_of_fit, plate_rms_z
-        Goodness of fit there, see `analysis.residuals.lack_of_fit.GoodnessOfFit`.
-    landing_rms_us, noise_floor_us
-        Error of all landings, and the part of it that noise makes.
-    failed
-        Tests of a verdict that it does not pass.
-    lost
-        Whether landings are so far off that nothing is linear.
-    """
-
+    # recording, started: its name, and when it was begun (ISO 8601; empty where that is not known)
     recording: str
     started: str
+    # what the quadratic's coordinates stand for: the run's own, the shared ones, systematic errors that all
+    # runs share, then sizes of candidates
     columns: tuple[Place, ...]
-    options: tuple[Option, ...]
-    quadratic: Quadratic
+    options: tuple[Option, ...]  # the candidates
+    quadratic: Quadratic  # log likelihood about the run's own fit
+    # widths of the priors of shared systematic errors, see `analysis.joint.systematics.Systematics`.
     systematic_sigma: tuple[float, ...]
+    # flights, steps: how many
     flights: int
     steps: int
+    # ratio, p_lack_of_fit, plate_rms_z: goodness of fit there, see
+    # `analysis.residuals.lack_of_fit.GoodnessOfFit`.
     ratio: float
     p_lack_of_fit: float
     plate_rms_z: float
+    # landing_rms_us, noise_floor_us: error of all landings, and the part of it that noise makes
     landing_rms_us: float
     noise_floor_us: float
-    failed: tuple[str, ...]
-    lost: bool
+    failed: tuple[str, ...]  # tests of a verdict that it does not pass
+    lost: bool  # whether landings are so far off that nothing is linear
 
     def as_row(self) -> Row:
         """For a journal: numbers, texts and arrays packed as text."""

@@ -31,17 +31,10 @@ UNIT_S = 1e-6  # of their coordinates
 
 @dataclass(frozen=True)
 class Systematics:
-    """What one run tells of the errors of `NAMES`.
+    """What one run tells of the errors of `NAMES`."""
 
-    Attributes
-    ----------
-    slopes
-        Derivatives of the bare residuals to each, per `UNIT_S`, (r, 2).
-    sigma
-        Standard deviations of their priors, in `UNIT_S`, (2,); 0 where the run has no such edges.
-    """
-
-    slopes: Floats
+    slopes: Floats  # derivatives of the bare residuals to each, per `UNIT_S`, (r, 2)
+    # standard deviations of their priors, in `UNIT_S`, (2,); 0 where the run has no such edges
     sigma: tuple[float, ...]
 
     @classmethod

@@ -19,25 +19,14 @@ GAMMA_LABEL = "Γ = Aω²/g"
 
 @dataclass(frozen=True)
 class GammaScale:
-    """The measure of gamma that is shown.
+    """The measure of gamma that is shown."""
 
-    Attributes
-    ----------
-    factor
-        Shown value over gamma.
-    name, symbol
-        Its name in plain text, and as a sign in figures.
-    label
-        Of an axis, with the definition.
-    definition
-        One sentence.
-    """
-
-    factor: float
+    factor: float  # shown value over gamma
+    # name, symbol: its name in plain text, and as a sign in figures
     name: str
     symbol: str
-    label: str
-    definition: str
+    label: str  # of an axis, with the definition
+    definition: str  # one sentence
 
 
 def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:

@@ -27,21 +27,12 @@ MOST_HOVER_POINTS = 60_000  # in one figure that the pointer can name; of more, 
 
 @dataclass(frozen=True)
 class InlineFigure:
-    """A drawn figure.
+    """A drawn figure."""
 
-    Attributes
-    ----------
-    svg
-        Element ``<svg>``.
-    points
-        Place of each named point in the SVG's units and its flight's row, base64 of little-endian numbers.
-    remark
-        What the number of points made necessary, in words; else empty.
-    """
-
-    svg: str
+    svg: str  # element ``<svg>``
+    # place of each named point in the SVG's units and its flight's row, base64 of little-endian numbers
     points: Mapping[str, str]
-    remark: str
+    remark: str  # what the number of points made necessary, in words; else empty
 
 
 def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:

@@ -45,24 +45,13 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure as an element of a page.
+    """A figure as an element of a page."""
 
-    Attributes
-    ----------
-    figure
-        Its row of the table of figures.
-    element
-        ``<svg>`` or ``<img>``.
-    remark
-        What follows the caption; else empty.
-    key, flights, points
-        Its name in the page, that of the table of flights behind its points, and the points (`interactive.packed`);
-        no points in a figure that the pointer does not know.
-    """
-
-    figure: Figure
-    element: Markup
-    remark: str = ""
+    figure: Figure  # its row of the table of figures
+    element: Markup  # ``<svg>`` or ``<img>``
+    remark: str = ""  # what follows the caption; else empty
+    # key, flights, points: its name in the page, that of the table of flights behind its points, and the points
+    # (`interactive.packed`); no points in a figure that the pointer does not know.
     key: str = ""
     flights: str = ""
     points: Mapping[str, str] | None = None

@@ -49,27 +49,13 @@ SYMBOLS = {"gamma": "Γ", "gamma_peak": "Γ peak"}
 
 @dataclass(frozen=True)
 class Run:
-    """A recording with all that its section shows.
+    """A recording with all that its section shows."""
 
-    Attributes
-    ----------
-    recording
-        Open.
-    state
-        What `daq.recording.verify.verify` found.
-    flights
-        As assembled from the recording.
-    loop
-        None where the loop was not closed.
-    without_loop
-        Why it was not, in words.
-    """
-
-    recording: Recording
-    state: VerifyReport
-    flights: Flights
-    loop: ClosedLoop | None
-    without_loop: str = ""
+    recording: Recording  # open
+    state: VerifyReport  # what `daq.recording.verify.verify` found.
+    flights: Flights  # as assembled from the recording
+    loop: ClosedLoop | None  # None where the loop was not closed
+    without_loop: str = ""  # why it was not, in words
 
 
 @dataclass(frozen=True)

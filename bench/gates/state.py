@@ -32,37 +32,18 @@ class Result:
 
 @dataclass(frozen=True)
 class State:
-    """Everything that has to outlive the page.
+    """Everything that has to outlive the page."""
 
-    Attributes
-    ----------
-    profile
-        Name of the profile's file in the folder; empty before one was chosen.
-    scenario, seed
-        What a simulated rig hides, and the seed of its noise.
-    device
-        The card as it was found.
-    results
-        By gate.
-    undo
-        Earlier texts of the profile, oldest first.
-    run
-        The run that is under way: its board, profile, recording and inputs; None without one.
-    queue
-        Runs to follow: the note of each.
-    rounds
-        Verdicts of this profile and its improved ones, oldest first.
-    """
-
-    profile: str = ""
+    profile: str = ""  # name of the profile's file in the folder; empty before one was chosen
+    # scenario, seed: what a simulated rig hides, and the seed of its noise
     scenario: str = ""
     seed: int = 0
-    device: Message = field(default_factory=dict)
-    results: dict[str, Result] = field(default_factory=dict)
-    undo: tuple[str, ...] = ()
-    run: Message | None = None
-    queue: tuple[Message, ...] = ()
-    rounds: tuple[Message, ...] = ()
+    device: Message = field(default_factory=dict)  # the card as it was found
+    results: dict[str, Result] = field(default_factory=dict)  # by gate
+    undo: tuple[str, ...] = ()  # earlier texts of the profile, oldest first
+    run: Message | None = None  # the run that is under way: its board, profile, recording and inputs; None without one
+    queue: tuple[Message, ...] = ()  # runs to follow: the note of each
+    rounds: tuple[Message, ...] = ()  # verdicts of this profile and its improved ones, oldest first
 
     def passed(self, gate: str, result: Result) -> Self:
         """This state with the result of a gate."""

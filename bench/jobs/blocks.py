@@ -31,31 +31,22 @@ LEAST_STEPS = 2  # held, of a block that is gone on with
 
 @dataclass(frozen=True)
 class Aims:
-    """When to stop, and what may be changed.
+    """When to stop, and what may be changed."""
 
-    Attributes
-    ----------
-    budget_s
-        Rig time.
-    until
-        Standard deviation asked for, by effect and parameter.
-    limit
-        Size down to which "nothing missing" is to be shown, in units of the size at which each effect would matter.
-    ratios, frequencies_hz
-        Values of c, and of the first tone, that may be driven.
-    steps, hold_cycles
-        Of each block.
-    settle_cycles
-        Waited after each fade. The plate must settle, the ball need not: each flight is judged from the event before.
-    """
-
-    budget_s: float
+    budget_s: float  # rig time
+    # standard deviation asked for, by effect and parameter
     until: Mapping[ParameterId, float] = field(default_factory=dict)
+    # size down to which "nothing missing" is to be shown, in units of the size at which each effect would
+    # matter
     limit: float = 1.0
+    # ratios, frequencies_hz: values of c, and of the first tone, that may be driven
     ratios: tuple[int, ...] = (1, 2, 3)
     frequencies_hz: tuple[float, ...] = ()
+    # steps, hold_cycles: of each block
     steps: int = 4
     hold_cycles: int = 14
+    # waited after each fade. The plate must settle, the ball need not: each flight is judged from the event
+    # before.
     settle_cycles: int = 4
 
 
@@ -70,18 +61,10 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Driven:
-    """The end of a block.
+    """The end of a block."""
 
-    Attributes
-    ----------
-    why
-        Why it was not completed; empty where it was.
-    then
-        What the person who ended it wants driven next; None where that is nothing more.
-    """
-
-    why: str = ""
-    then: NextSteps | None = None
+    why: str = ""  # why it was not completed; empty where it was
+    then: NextSteps | None = None  # what the person who ended it wants driven next; None where that is nothing more
 
 
 def by_person(block: Chosen, wanted: NextSteps) -> Chosen:

@@ -43,28 +43,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Explored:
-    """Outcome of a run that chose its steps.
+    """Outcome of a run that chose its steps."""
 
-    Attributes
-    ----------
-    recordings, blocks
-        One for each block.
-    loop
-        The closed loop on all of them; None where there are too few steps for a verdict.
-    rig_s
-        Rig time.
-    why
-        Why it ended.
-    failed
-        Whether a block could not be completed.
-    """
-
+    # recordings, blocks: one for each block
     recordings: tuple[Path, ...]
     blocks: tuple[Chosen, ...]
-    loop: ClosedLoop | None
-    rig_s: float
-    why: str
-    failed: bool = False
+    loop: ClosedLoop | None  # the closed loop on all of them; None where there are too few steps for a verdict
+    rig_s: float  # rig time
+    why: str  # why it ended
+    failed: bool = False  # whether a block could not be completed
 
 
 Drive = Callable[[Chosen, Path, int], Driven]

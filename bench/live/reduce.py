@@ -28,33 +28,21 @@ _POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
 
 @dataclass(frozen=True)
 class ReducedStep:
-    """One step as a page shows it.
+    """One step as a page shows it."""
 
-    Attributes
-    ----------
-    asked, gamma
-        Asked for, and measured on the plate; NaN where it could not be.
-    label
-        Class of the motion.
-    landing_s, duration_s
-        Of each flight, (n,): since the step's first sample, and of the flight.
-    residual_s, noise_s
-        Landing less its prediction by the declared model, and the uncertainty of that, (n,); NaN where not compared.
-    mark
-        `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight), (n,).
-    tones
-        Of each tone: multiple, amplitude and phase (degrees) on the plate and asked for.
-    """
-
+    # asked, gamma: asked for, and measured on the plate; NaN where it could not be
     asked: float
     gamma: float
-    label: str
+    label: str  # class of the motion
+    # landing_s, duration_s: of each flight, (n,): since the step's first sample, and of the flight
     landing_s: Floats
     duration_s: Floats
+    # residual_s, noise_s: landing less its prediction by the declared model, and the uncertainty of that, (n,);
+    # NaN where not compared
     residual_s: Floats
     noise_s: Floats
-    mark: NDArray[np.uint8]
-    tones: list[dict[str, Any]]
+    mark: NDArray[np.uint8]  # `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight), (n,)
+    tones: list[dict[str, Any]]  # of each tone: multiple, amplitude and phase (degrees) on the plate and asked for
 
     def shows(self, other: ReducedStep, within_s: float) -> bool:
         """Whether another reduction of the step shows the same flights, none moved by more than ``within_s``."""

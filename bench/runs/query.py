@@ -24,40 +24,23 @@ WITH_NONE = (*VERDICTS, "none")
 
 @dataclass(frozen=True)
 class Query:
-    """Conditions that a run must meet, all of them; None or empty: any.
+    """Conditions that a run must meet, all of them; None or empty: any."""
 
-    Attributes
-    ----------
-    profile
-        Part of the profile's name.
-    c
-        Ratio of the tones.
-    gamma
-        Range; a run is shown whose own range overlaps it.
-    tags
-        All of them.
-    verdict, ended
-        One of `WITH_NONE`, of `ENDS`.
-    since, until
-        Dates as ISO 8601, or the beginning of one; ``until`` includes what begins so.
-    text
-        Every word of it occurs in the file's name, the profile, a note, a tag, the reason of an end or the verdict.
-    lost
-        Only runs that lost samples.
-    sort, backwards, limit
-        One of `SORTS`; how many rows at most, -1: all.
-    """
-
-    profile: str = ""
-    c: int | None = None
-    gamma: tuple[float, float] | None = None
-    tags: tuple[str, ...] = ()
+    profile: str = ""  # part of the profile's name
+    c: int | None = None  # ratio of the tones
+    gamma: tuple[float, float] | None = None  # range; a run is shown whose own range overlaps it
+    tags: tuple[str, ...] = ()  # all of them
+    # verdict, ended: one of `WITH_NONE`, of `ENDS`
     verdict: str = ""
     ended: str = ""
+    # since, until: dates as ISO 8601, or the beginning of one; ``until`` includes what begins so
     since: str = ""
     until: str = ""
+    # every word of it occurs in the file's name, the profile, a note, a tag, the reason of an end or the
+    # verdict
     text: str = ""
-    lost: bool = False
+    lost: bool = False  # only runs that lost samples
+    # sort, backwards, limit: one of `SORTS`; how many rows at most, -1: all
     sort: str = "date"
     backwards: bool = False
     limit: int = -1

@@ -30,21 +30,16 @@ MOST_BODY_BYTES = 1_000_000
 class Access:
     """Address of the server, and what a request needs.
 
-    Parameters
-    ----------
-    host, port
-        Where the server listens.
-    token
-        Secret that a browser presents once (``?token=``) and keeps as a cookie; None on the own machine only.
-
     Raises
     ------
     InputError
         For another address than the own machine's without a token.
     """
 
+    # host, port: where the server listens
     host: str
     port: int
+    # secret that a browser presents once (``?token=``) and keeps as a cookie; None on the own machine only
     token: str | None = None
 
     def __post_init__(self) -> None:

@@ -17,46 +17,26 @@ FRAME = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True)
 class Place:
-    """What a section is made for.
+    """What a section is made for."""
 
-    Attributes
-    ----------
-    folder
-        The runs' folder, absolute; no request reaches a file outside it.
-    options
-        Plain values for single sections, keyed by the section's name.
-    shared
-        What one section makes and another one needs, by the maker's name.
-    """
-
-    folder: Path
+    folder: Path  # the runs' folder, absolute; no request reaches a file outside it
+    # plain values for single sections, keyed by the section's name
     options: Mapping[str, Any] = field(default_factory=dict)
+    # what one section makes and another one needs, by the maker's name
     shared: dict[str, Any] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True)
 class Section:
-    """Pages of one module.
+    """Pages of one module."""
 
-    Attributes
-    ----------
-    name
-        Short name; its static files are served under ``/static/NAME/``.
-    title, href
-        Entry of the navigation, and the page that it opens.
-    routes
-        Starlette routes, websockets included; paths of different sections must differ.
-    static
-        Folder of scripts, styles and pictures; None without any.
-    running
-        Context held open while the server runs (readers, workers); None without any.
-    """
-
-    name: str
+    name: str  # short name; its static files are served under ``/static/NAME/``
+    # title, href: entry of the navigation, and the page that it opens
     title: str
     href: str
-    routes: Sequence[BaseRoute]
-    static: Path | None = None
+    routes: Sequence[BaseRoute]  # starlette routes, websockets included; paths of different sections must differ
+    static: Path | None = None  # folder of scripts, styles and pictures; None without any
+    # context held open while the server runs (readers, workers); None without any
     running: Callable[[], AbstractAsyncContextManager[None]] | None = None
 
 

@@ -15,24 +15,12 @@ DOUBT_KINDS = (
 
 @dataclass(frozen=True)
 class Doubt:
-    """A contradiction between a recording and its profile.
+    """A contradiction between a recording and its profile."""
 
-    Attributes
-    ----------
-    kind
-        One of `DOUBT_KINDS`.
-    finding
-        The contradiction, with its numbers.
-    cure
-        What to write or to do.
-    makes_meaningless
-        Whether a verdict on the model would be one on this contradiction.
-    """
-
-    kind: str
-    finding: str
-    cure: str
-    makes_meaningless: bool
+    kind: str  # one of `DOUBT_KINDS`
+    finding: str  # the contradiction, with its numbers
+    cure: str  # what to write or to do
+    makes_meaningless: bool  # whether a verdict on the model would be one on this contradiction
 
     @property
     def sentence(self) -> str:
@@ -42,48 +30,31 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Instrument:
-    """Properties of the instruments, as the recording shows them; None where it does not.
+    """Properties of the instruments, as the recording shows them; None where it does not."""
 
-    Attributes
-    ----------
-    rate_hz, steps
-        Samples a second; steps of the recording.
-    noise_mps2, noise_mps2_rthz
-        The accelerometer's noise away from impacts: rms over its whole band, and density at its low end,
-        m/s^2 and m/s^2/Hz^0.5.
-    bandwidth_hz
-        Frequency at which the power of that noise has fallen by half for good; None: flat to half the rate.
-    bias_v
-        The accelerometer's mean over whole cycles.
-    tones_hz, tones_g
-        The forcing's tones in the loudest step, and their amplitudes in the accelerometer, units of g.
-    phase_deg
-        Plate after drive at the strongest tone, by the profile's sense; None without a drive.
-    takeoffs, takeoff_g
-        Openings of the contact after a rest, and the median acceleration of the plate there, by the profile's sense and
-        scale: -1 where both are right.
-    levels_v
-        Lower and upper level of the contact circuit.
-    ends_g
-        Lowest and highest acceleration that the accelerometer shows, by the profile's sense and scale, where it comes
-        to its end there; None for one that it does not reach.
-    doubts
-        Contradictions to the profile.
-    """
-
+    # rate_hz, steps: samples a second; steps of the recording
     rate_hz: float
     steps: int
+    # noise_mps2, noise_mps2_rthz: the accelerometer's noise away from impacts: rms over its whole band, and
+    # density at its low end, m/s^2 and m/s^2/Hz^0.5.
     noise_mps2: float | None
     noise_mps2_rthz: float | None
+    # frequency at which the power of that noise has fallen by half for good; None: flat to half the rate
     bandwidth_hz: float | None
-    bias_v: float | None
+    bias_v: float | None  # the accelerometer's mean over whole cycles
+    # tones_hz, tones_g: the forcing's tones in the loudest step, and their amplitudes in the accelerometer,
+    # units of g
     tones_hz: tuple[float, ...]
     tones_g: tuple[float, ...]
-    phase_deg: float | None
+    phase_deg: float | None  # plate after drive at the strongest tone, by the profile's sense; None without a drive
+    # takeoffs, takeoff_g: openings of the contact after a rest, and the median acceleration of the plate there,
+    # by the profile's sense and scale: -1 where both are right
     takeoffs: int
     takeoff_g: float | None
-    levels_v: tuple[float, float] | None
-    doubts: tuple[Doubt, ...] = ()
+    levels_v: tuple[float, float] | None  # lower and upper level of the contact circuit
+    doubts: tuple[Doubt, ...] = ()  # contradictions to the profile
+    # lowest and highest acceleration that the accelerometer shows, by the profile's sense and scale, where it
+    # comes to its end there; None for one that it does not reach
     ends_g: tuple[float | None, float | None] = (None, None)
 
     @property

@@ -26,17 +26,11 @@ PREDICTED_FROM = 16  # samples from which the next one is predicted
 
 @dataclass(frozen=True)
 class NoiseSpectrum:
-    """Power spectral density of a channel's noise, one-sided.
+    """Power spectral density of a channel's noise, one-sided."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Sampling rate of the values that were measured.
-    density_v2phz : array, shape (frame // 2 + 1,)
-        V^2/Hz at the frequencies ``k * rate_hz / frame``, of frames of `FRAME` samples where nothing else is asked for.
-    """
-
-    rate_hz: float
+    rate_hz: float  # sampling rate of the values that were measured
+    # V^2/Hz at the frequencies ``k * rate_hz / frame``, of frames of `FRAME` samples where nothing else is
+    # asked for
     density_v2phz: Floats
 
     @classmethod

@@ -22,21 +22,13 @@ BY_HAND = "changed by hand"
 
 @dataclass(frozen=True)
 class EventChange:
-    """One event that was moved, removed (``now_s`` is None) or added (``was_s`` is None).
+    """One event that was moved, removed (``now_s`` is None) or added (``was_s`` is None)."""
 
-    Attributes
-    ----------
-    kind
-        Take-off and landing are edges of the contact circuit, an impact is one in the accelerometer.
-    was_s, now_s
-        Its time before and after, seconds on the recording's axis.
-    at, by
-        When it was changed (UTC, ISO 8601), and by whom.
-    """
-
-    kind: Kind
+    kind: Kind  # take-off and landing are edges of the contact circuit, an impact is one in the accelerometer
+    # was_s, now_s: its time before and after, seconds on the recording's axis
     was_s: float | None
     now_s: float | None
+    # at, by: when it was changed (UTC, ISO 8601), and by whom
     at: str = ""
     by: str = ""
 

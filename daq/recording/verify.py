@@ -261,27 +261,18 @@ State = Literal["complete", "stopped", "incomplete", "damaged"]
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """State of a recording.
+    """State of a recording."""
 
-    Attributes
-    ----------
-    state
-        ``complete``: the run ended as planned. ``stopped``: ended early, whole. ``incomplete``: cut off, or still being
-        written. ``damaged``: something does not read back as it was written.
-    where
-        One line for each thing a person should know: damaged ranges, the reason of a stop, gaps.
-    n_samples, rate_hz, lost_samples
-        Size, and samples declared as lost.
-    suspect
-        Samples are missing that no gap accounts for.
-    """
-
+    # ``complete``: the run ended as planned. ``stopped``: ended early, whole. ``incomplete``: cut off, or still
+    # being written. ``damaged``: something does not read back as it was written.
     state: State
+    # one line for each thing a person should know: damaged ranges, the reason of a stop, gaps
     where: list[str] = field(default_factory=list)
+    # n_samples, rate_hz, lost_samples: size, and samples declared as lost
     n_samples: int = 0
     rate_hz: float = float("nan")
     lost_samples: int = 0
-    suspect: bool = False
+    suspect: bool = False  # samples are missing that no gap accounts for
 
 
 def verify(path: Path | str) -> VerifyReport:

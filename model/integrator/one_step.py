@@ -38,34 +38,24 @@ class Predicted:
 
     Parameters
     ----------
-    takeoff_s, landing_s, opening_s
-        Predicted events; the circuit opens at ``opening_s``.
-    hidden
-        Flights passed over.
-    kind
-        1 thrown or bounced at once, 0 after a rest, -1 no prediction.
-    launch_mps, impact_mps
-        Speeds of the measured flight itself.
-    ambiguity_s
-        By how much later the landing may be detected, where bounces that no instrument resolves follow it.
-    mode_amplitudes
-        Contribution of a plate mode to each of the plate's tones, (m, k), m/s^2.
-    projection, observed_s
-        The mode's motion projected on the tones of a `ToneProbe` in its intervals, (r, l), and for how much of their
-        time it is known, (r,).
     table
         The kernel's table, (n, `predict.OUT_COLUMNS`), for derivatives of the prediction.
     """
 
+    # takeoff_s, landing_s, opening_s: predicted events; the circuit opens at ``opening_s``
     takeoff_s: Floats
     landing_s: Floats
     opening_s: Floats
-    hidden: Floats
-    kind: Floats
+    hidden: Floats  # flights passed over
+    kind: Floats  # 1 thrown or bounced at once, 0 after a rest, -1 no prediction
+    # launch_mps, impact_mps: speeds of the measured flight itself
     launch_mps: Floats
     impact_mps: Floats
+    # by how much later the landing may be detected, where bounces that no instrument resolves follow it
     ambiguity_s: Floats
-    mode_amplitudes: Complexes
+    mode_amplitudes: Complexes  # contribution of a plate mode to each of the plate's tones, (m, k), m/s^2
+    # projection, observed_s: the mode's motion projected on the tones of a `ToneProbe` in its intervals, (r,
+    # l), and for how much of their time it is known, (r,)
     projection: Complexes
     observed_s: Floats
 

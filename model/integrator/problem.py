@@ -17,90 +17,57 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True)
 class PlateSteps:
-    """The plate's motion in each step: tones on one time axis.
+    """The plate's motion in each step: tones on one time axis."""
 
-    Parameters
-    ----------
-    omega_radps, acceleration_mps2
-        Angular frequencies and complex amplitudes, shape (m, k); the plate's acceleration is
-        ``Re sum acceleration exp(i omega t)``. Unused places hold zeros and any positive frequency.
-    period_s
-        Period of the forcing, shape (m,).
-    derived
-        How many of the last tones were not measured but follow from the others.
-    """
-
+    # omega_radps, acceleration_mps2: angular frequencies and complex amplitudes, shape (m, k); the plate's
+    # acceleration is ``Re sum acceleration exp(i omega t)``. Unused places hold zeros and any positive
+    # frequency.
     omega_radps: Floats
     acceleration_mps2: Complexes
-    period_s: Floats
-    derived: int = 0
+    period_s: Floats  # period of the forcing, shape (m,)
+    derived: int = 0  # how many of the last tones were not measured but follow from the others
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured flights in order, as the predictions need them; arrays of shape (n,).
+    """Measured flights in order, as the predictions need them; arrays of shape (n,)."""
 
-    Parameters
-    ----------
-    opening_s, landing_s
-        When the circuit opened and closed.
-    relaunched
-        The ball left at the landing before, not after a rest.
-    linked
-        The flight before in the table is the flight before in reality.
-    step
-        Row of `PlateSteps`.
-    wanted
-        Flights for which a prediction is wanted.
-    other_step, share
-        In a fade: row of the other step (-1: the plate at rest), and the share of its motion. None without fades.
-    gained_mps, pressed_mps, pressed_at
-        Integral of the plate's acceleration plus gravity in a fade, as the accelerometer shows it: over the flight, and
-        over the contact before it, whose centre is at the part ``pressed_at`` of the contact. NaN where the plate's
-        tones tell it; None where they always do.
-    part, ahead_s
-        Part by which the plate moved more in the flight than in its step, and by how much earlier. None for all alike.
-    mode
-        Displacement and velocity of a plate mode at the opening, and just after the landing, (n, 4), as measured. NaN
-        or None where it is followed from flight to flight.
-    """
-
+    # opening_s, landing_s: when the circuit opened and closed
     opening_s: Floats
     landing_s: Floats
-    relaunched: Bools
-    linked: Bools
-    step: Integers
-    wanted: Bools
+    relaunched: Bools  # the ball left at the landing before, not after a rest
+    linked: Bools  # the flight before in the table is the flight before in reality
+    step: Integers  # row of `PlateSteps`
+    wanted: Bools  # flights for which a prediction is wanted
+    # other_step, share: in a fade: row of the other step (-1: the plate at rest), and the share of its motion.
+    # None without fades.
     other_step: Integers | None = None
     share: Floats | None = None
+    # gained_mps, pressed_mps, pressed_at: integral of the plate's acceleration plus gravity in a fade, as the
+    # accelerometer shows it: over the flight, and over the contact before it, whose centre is at the part
+    # ``pressed_at`` of the contact. NaN where the plate's tones tell it; None where they always do.
     gained_mps: Floats | None = None
     pressed_mps: Floats | None = None
     pressed_at: Floats | None = None
+    # part, ahead_s: part by which the plate moved more in the flight than in its step, and by how much earlier.
+    # None for all alike.
     part: Floats | None = None
     ahead_s: Floats | None = None
+    # displacement and velocity of a plate mode at the opening, and just after the landing, (n, 4), as measured.
+    # NaN or None where it is followed from flight to flight.
     mode: Floats | None = None
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What the contact circuit misses.
+    """What the contact circuit misses."""
 
-    Parameters
-    ----------
-    gap_m
-        Height at which the circuit opens, one number or (n,).
-    unseen_s
-        Flights shorter than this are passed over: no instrument has seen them.
-    closure_s
-        How long an impact keeps the circuit closed, the ball gone or not: one passed over delays the opening.
-    weak_mps
-        An impact slower than this, from which the ball leaves at once, may have left no mark: the measured flight went
-        on through it. Infinite where nothing but the contact circuit watches; one number or (n,).
-    """
-
-    gap_m: Floats | float = 0.0
-    unseen_s: float = 1e-4
+    gap_m: Floats | float = 0.0  # height at which the circuit opens, one number or (n,)
+    unseen_s: float = 1e-4  # flights shorter than this are passed over: no instrument has seen them
+    # how long an impact keeps the circuit closed, the ball gone or not: one passed over delays the opening
     closure_s: float = 0.0
+    # an impact slower than this, from which the ball leaves at once, may have left no mark: the measured flight
+    # went on through it. Infinite where nothing but the contact circuit watches; one number or (n,).
     weak_mps: Floats | float = 0.0
 
 

@@ -26,25 +26,14 @@ FINER = 2.0  # power by which cells of small speed are finer: the bounces of a c
 
 @dataclass(frozen=True)
 class LandingMap:
-    """One flight from each of many states, arrays of equal length.
+    """One flight from each of many states, arrays of equal length."""
 
-    Attributes
-    ----------
-    phase, speed : array, shape (n,)
-        Take-off: radians within one period, and speed off the plate in g/w.
-    tau : array, shape (n,)
-        Flight time, 1/w.
-    branch : array of int, shape (n,)
-        See `branch_of`.
-    share : array, shape (n,)
-        Part of all flights in the long run; the sum is 1.
-    """
-
+    # phase, speed: take-off: radians within one period, and speed off the plate in g/w
     phase: Floats
     speed: Floats
-    tau: Floats
-    branch: Integers
-    share: Floats
+    tau: Floats  # flight time, 1/w
+    branch: Integers  # see `branch_of`
+    share: Floats  # part of all flights in the long run; the sum is 1
 
 
 def branch_of(phase: ArrayLike, tau: ArrayLike, over: float = math.pi) -> Integers:

@@ -47,33 +47,20 @@ class Axis:
 
 @dataclass(frozen=True)
 class Job:
-    """A grid of parameter points: every gamma for every combination of the axes; gamma runs fastest.
+    """A grid of parameter points: every gamma for every combination of the axes; gamma runs fastest."""
 
-    Parameters
-    ----------
-    ratio, phase_rad
-        c and the second tone's phase.
-    gammas
-        In the order of a sweep, where there is one.
-    effects, axes
-        Effects fixed, and varied.
-    frequency_hz, g_mps2
-        Needed by effects with a scale of their own.
-    sweep
-        Whether the state is carried along the gammas; then a chunk is a whole row of gammas.
-    keep
-        Flight times stored of each point.
-    """
-
+    # ratio, phase_rad: c and the second tone's phase
     ratio: int
-    gammas: tuple[float, ...]
+    gammas: tuple[float, ...]  # in the order of a sweep, where there is one
     phase_rad: float = 0.0
+    # effects, axes: effects fixed, and varied
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     axes: tuple[Axis, ...] = ()
+    # frequency_hz, g_mps2: needed by effects with a scale of their own
     frequency_hz: float | None = None
     g_mps2: float = STANDARD_GRAVITY_MPS2
-    sweep: bool = False
-    keep: int = KEEP
+    sweep: bool = False  # whether the state is carried along the gammas; then a chunk is a whole row of gammas
+    keep: int = KEEP  # flight times stored of each point
 
     @property
     def forcing(self) -> Forcing:

@@ -31,18 +31,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Flip:
-    """What a flip test says of the accelerometer.
+    """What a flip test says of the accelerometer."""
 
-    Attributes
-    ----------
-    sensitivity, sensitivity_uncertainty : float
-        In the profile's unit; negative where the profile's sign is wrong.
-    offset_v, offset_uncertainty_v : float
-        Reading at zero acceleration; where the profile says that gravity is not read, at rest as mounted.
-    """
-
+    # sensitivity, sensitivity_uncertainty: in the profile's unit; negative where the profile's sign is wrong
     sensitivity: float
     sensitivity_uncertainty: float
+    # offset_v, offset_uncertainty_v: reading at zero acceleration; where the profile says that gravity is not
+    # read, at rest as mounted
     offset_v: float
     offset_uncertainty_v: float
 

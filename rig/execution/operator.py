@@ -13,21 +13,11 @@ from rig.programme.sequencer import State, Stop
 
 @dataclass(frozen=True)
 class NextSteps:
-    """What a person wants driven next, in place of the steps that are left.
+    """What a person wants driven next, in place of the steps that are left."""
 
-    Attributes
-    ----------
-    gammas
-        Empty where whoever chose the steps so far is to choose again.
-    ratio
-        c; None keeps it.
-    why
-        The person's reason.
-    """
-
-    gammas: tuple[float, ...] = ()
-    ratio: int | None = None
-    why: str = ""
+    gammas: tuple[float, ...] = ()  # empty where whoever chose the steps so far is to choose again
+    ratio: int | None = None  # c; None keeps it
+    why: str = ""  # the person's reason
 
 
 class StopRequest:

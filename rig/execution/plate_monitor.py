@@ -23,26 +23,15 @@ _FIELDS = 11
 
 @dataclass(frozen=True)
 class Motion:
-    """The plate over one block.
+    """The plate over one block."""
 
-    Attributes
-    ----------
-    acceleration_mps2, velocity_mps, displacement_m
-        Peaks from rest, impacts filtered out.
-    square_sum
-        Sum of the squared acceleration over the block's samples.
-    since_impact
-        Samples since the last impact.
-    quiet
-        Where no impact rings, shape (n,).
-    """
-
+    # acceleration_mps2, velocity_mps, displacement_m: peaks from rest, impacts filtered out
     acceleration_mps2: float
     velocity_mps: float
     displacement_m: float
-    square_sum: float
-    since_impact: int
-    quiet: Bools
+    square_sum: float  # sum of the squared acceleration over the block's samples
+    since_impact: int  # samples since the last impact
+    quiet: Bools  # where no impact rings, shape (n,)
 
 
 class MotionWatch:

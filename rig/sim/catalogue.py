@@ -16,59 +16,32 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """One number of an effect."""
 
-    Attributes
-    ----------
-    name : str
-        Name within the effect; carries the unit where it has one.
-    strong : tuple of float
-        Range drawn from when the effect is strong.
-    scales : bool
-        True where strength multiplies this number; False where it only shapes the effect.
-    neutral : float
-        The value at which the effect is absent (shape parameters: any harmless value).
-    low, high : float
-        Limits accepted in a scenario file.
-    """
-
-    name: str
-    strong: tuple[float, float]
-    scales: bool = True
-    neutral: float = 0.0
+    name: str  # name within the effect; carries the unit where it has one
+    strong: tuple[float, float]  # range drawn from when the effect is strong
+    scales: bool = True  # True where strength multiplies this number; False where it only shapes the effect
+    neutral: float = 0.0  # the value at which the effect is absent (shape parameters: any harmless value)
+    # low, high: limits accepted in a scenario file
     low: float = -np.inf
     high: float = np.inf
 
 
 @dataclass(frozen=True)
 class EffectEntry:
-    """One effect that can be hidden.
+    """One effect that can be hidden."""
 
-    Attributes
-    ----------
-    name : str
-        Name used in scenario files.
-    parameters : tuple of Parameter
-    words : str
-        What it does.
-    unit_us : float
-        Microseconds by which one hundredth of the middle of the strong range typically moves the next landing or
-        take-off (or what is as easily seen in another channel); strengths are drawn in these units.
-    named : bool
-        True where the effect has an agreed name among the candidates; False for effects beyond them.
-    evaluated : str
-        What the plant evaluates of it between events: force, friction (that is not constant) or contact; else empty.
-    covariate : str
-        Where the effect is a smooth term of one covariate: which; else empty.
-    """
-
-    name: str
+    name: str  # name used in scenario files
     parameters: tuple[Parameter, ...]
-    words: str
+    words: str  # what it does
+    # microseconds by which one hundredth of the middle of the strong range typically moves the next landing or
+    # take-off (or what is as easily seen in another channel); strengths are drawn in these units
     unit_us: float
-    named: bool = True
+    named: bool = True  # True where the effect has an agreed name among the candidates; False for effects beyond them
+    # what the plant evaluates of it between events: force, friction (that is not constant) or contact; else
+    # empty
     evaluated: str = ""
-    covariate: str = ""
+    covariate: str = ""  # where the effect is a smooth term of one covariate: which; else empty
 
 
 def _read(tables: dict[str, dict[str, Any]], *, named: bool) -> tuple[EffectEntry, ...]:

@@ -31,29 +31,18 @@ DRIFT_DTYPE = np.dtype([("place", "i8"), ("base", "f8"), ("rate_per_s", "f8"), (
 class Scenario:
     """What a rig hides.
 
-    Attributes
-    ----------
-    name : str
-        For people; covered by the hash.
-    effects : mapping of effect name to mapping of parameter to value
-        Names and parameters of `rig.sim.catalogue`; parameters not given are neutral.
-    rig : mapping
-        Overrides of `rig.sim.catalogue.RIG_DEFAULTS`.
-    drift_per_minute : mapping of ``"effect.parameter"`` to change a minute
-    nonce : str
-        Random text that keeps the hash from being guessed.
-
     Raises
     ------
     ValueError
         Where an effect, a parameter or a rig key does not exist, or a value lies outside its limits.
     """
 
-    name: str
+    name: str  # for people; covered by the hash
+    # names and parameters of `rig.sim.catalogue`; parameters not given are neutral.
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    rig: Mapping[str, float] = field(default_factory=dict)
+    rig: Mapping[str, float] = field(default_factory=dict)  # overrides of `rig.sim.catalogue.RIG_DEFAULTS`.
     drift_per_minute: Mapping[str, float] = field(default_factory=dict)
-    nonce: str = ""
+    nonce: str = ""  # random text that keeps the hash from being guessed
 
     def __post_init__(self) -> None:
         problems = _problems(self)

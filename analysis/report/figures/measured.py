@@ -12,22 +12,13 @@ from daq.recording import Recording
 
 @dataclass(frozen=True)
 class Measured:
-    """An open recording and what was made of it.
+    """An open recording and what was made of it."""
 
-    Attributes
-    ----------
-    recording, flights
-        Open, and its flights.
-    compared
-        With the model; None where no flight was seen.
-    loop
-        None where the loop was not closed.
-    """
-
+    # recording, flights: open, and its flights
     recording: Recording
     flights: Flights
-    compared: Comparison | None = None
-    loop: ClosedLoop | None = None
+    compared: Comparison | None = None  # with the model; None where no flight was seen
+    loop: ClosedLoop | None = None  # None where the loop was not closed
 
 
 def measured(

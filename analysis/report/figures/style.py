@@ -70,24 +70,14 @@ FLIGHT_ROWS = "flight_rows"  # attribute of a drawn line: the flight behind each
 
 @dataclass(frozen=True)
 class Figure:
-    """A row of a table of figures.
+    """A row of a table of figures."""
 
-    Attributes
-    ----------
-    name
-        Of its files and of its element in the page.
-    draw
-        Draws a `Measured` or a `ClosedLoop` on an empty figure. What draws no axes is left out.
-    place
-        Part of the page; figures of one part stand in the order of the table.
-    caption
-        One or two sentences.
-    """
-
-    name: str
+    name: str  # of its files and of its element in the page
+    # draws a `Measured` or a `ClosedLoop` on an empty figure. What draws no axes is left out.
     draw: Callable[[Any, Canvas], None]
+    # part of the page; figures of one part stand in the order of the table
     place: Literal["flights", "plate", "errors", "why", "residuals"]
-    caption: str
+    caption: str  # one or two sentences
 
 
 def badge_text(name: str, *, simulated: bool) -> str:

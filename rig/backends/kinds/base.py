@@ -32,24 +32,12 @@ class BackendOptions(Frozen):
 
 @dataclass(frozen=True)
 class OpenOptions:
-    """Options of one run, from the command line; a back end that does not take one is refused where it is given.
+    """Options of one run, from the command line; a back end that does not take one is refused where it is given."""
 
-    Attributes
-    ----------
-    scenario
-        File of the hidden truth of a simulated rig.
-    seed
-        Of a simulated rig's noise; any back end may be given one.
-    real_time
-        Whether a simulated rig is paced to the clock.
-    replay
-        Recording that a replay plays.
-    """
-
-    scenario: Path | None = None
-    seed: int = 0
-    real_time: bool = False
-    replay: Path | None = None
+    scenario: Path | None = None  # file of the hidden truth of a simulated rig
+    seed: int = 0  # of a simulated rig's noise; any back end may be given one
+    real_time: bool = False  # whether a simulated rig is paced to the clock
+    replay: Path | None = None  # recording that a replay plays
 
     def given(self) -> list[str]:
         """Names of the options that differ from their defaults, the seed left out."""
@@ -58,22 +46,13 @@ class OpenOptions:
 
 @dataclass(frozen=True)
 class BackendKind:
-    """A kind of back end.
+    """A kind of back end."""
 
-    Attributes
-    ----------
-    options
-        Model of its ``[backend]`` table.
-    opener
-        ``module:function`` of the function ``(profile, OpenOptions) -> Backend``; imported when a back end is opened.
-        It raises `daq.setup.errors.InputError` for what it cannot be opened with.
-    takes
-        Names of the `OpenOptions` that it heeds.
-    """
-
-    options: type[BackendOptions]
+    options: type[BackendOptions]  # model of its ``[backend]`` table
+    # ``module:function`` of the function ``(profile, OpenOptions) -> Backend``; imported when a back end is
+    # opened. It raises `daq.setup.errors.InputError` for what it cannot be opened with.
     opener: str
-    takes: frozenset[str] = frozenset()
+    takes: frozenset[str] = frozenset()  # names of the `OpenOptions` that it heeds
 
     @property
     def name(self) -> str:
