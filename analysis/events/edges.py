@@ -3,7 +3,8 @@
 Where the samples show the circuit's RC charging, its time constant is estimated for each polarity and an edge is
 fitted through its samples. Where nothing shows between two samples, the time is the middle of the interval, with a
 uniform distribution over it. The same holds for a comparator that is read once a sample and low-passed afterwards: its
-edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples. Decision 297.
+edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples. Decision 297. So it does
+for a comparator whose output runs from level to level in a straight line.
 """
 
 from __future__ import annotations
@@ -192,7 +193,11 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
     else:
         area = samples.sum(axis=1) / (1.0 - VISIBLE_SIGMAS * noise)  # samples below the noise are missing in it
         tau, tau_sigma = float(area.mean()) / stretch_hz, float(area.std()) / stretch_hz / np.sqrt(n)
-        if float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise)) < 0.05 or tau * rate_hz < 3.0 * noise:
+        seen = float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise))
+        # an RC of this area has a tail that more edges would show; a voltage that falls in a straight line has none
+        shown = min(1.0, tau * stretch_hz * np.log(1.0 / (VISIBLE_SIGMAS * max(noise, 1e-6))))
+        straight = seen < 0.7 * shown - 3.0 * np.sqrt(shown / n)
+        if seen < 0.05 or tau * rate_hz < 3.0 * noise or straight:
             return EdgeShape(0.0, 0.0, 1.0, n)
     reads, place = _clocked(whole, noise, tau * rate_hz)
     misfit = _misfit(samples, noise, tau * stretch_hz)

@@ -175,7 +175,7 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
         elif not take:
             fade_from = a if fade_from is None else fade_from
         else:
-            begin = a if fade_from is None else fade_from
+            begin, b = a if fade_from is None else fade_from, _last_constant(track, a, b)
             hz = region.frequency_hz + track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
             fade, hold, stop = (int(track.edges[k]) for k in (begin, a, b))
             found.append(SteadySegment(fade, hold, stop, hz))
@@ -306,6 +306,18 @@ def _steady(track: _Track, a: int, b: int, sigma: Floats) -> bool:
     noise = sigma[a:b, : amplitude.shape[1]].mean(axis=0) / np.sqrt(x @ x) * (n - 1)
     little, much = 0.01 * amplitude.max(), 0.1 * amplitude.max()
     return not np.any(((change > little) & (change > 6.0 * noise)) | ((change > much) & (change > 2.0 * noise)))
+
+
+def _last_constant(track: _Track, a: int, b: int) -> int:
+    """End of a steady part without the one or two windows that hold the slow beginning of the next change."""
+    if b - a < SHORTEST_WINDOWS + 6 or b == len(track.amplitude):
+        return b
+    inner, last = slice(a + 2, b - 2), np.arange(b - 2, b)  # the first ones may hold the end of the change before
+    tones, at = track.amplitude[inner], np.arange(a + 2, b - 2)
+    usual = np.median(_noise(tones), axis=0)
+    going_on = np.array([np.polyval(np.polyfit(at, tone, 1), last) for tone in tones.T]).T
+    moved = np.any(np.abs(track.amplitude[last] - going_on) > 6.0 * usual + 1e-4 * tones.max(axis=0), axis=1)
+    return b - 2 if moved[0] else b - int(moved[1])
 
 
 def _on_the_way(amplitude: Floats, parts: list[tuple[int, int]]) -> Bools:

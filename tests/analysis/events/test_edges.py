@@ -72,6 +72,22 @@ def test_sharp_edges_have_no_bias_and_a_uniform_uncertainty() -> None:
     np.testing.assert_allclose(edges.uncertainty_s, sigma)
 
 
+@pytest.mark.parametrize("ramp_s", [4e-6, 8e-6, 1.6e-5])
+def test_edges_in_a_straight_line_are_not_taken_for_an_rc(ramp_s: float) -> None:
+    """A voltage that runs from level to level in a part of a sample is dated without bias, as a sharp one is."""
+    rng = np.random.default_rng(5)
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 2000))
+    t = np.arange(int((true[-1] + 0.01) * RATE)) / RATE
+    opens = np.where(np.arange(true.size) % 2 == 0, 5.0, 0.0)
+    corners = np.column_stack([true, true + ramp_s]).ravel()
+    volts = np.interp(t, corners, np.column_stack([5.0 - opens, opens]).ravel()) + 0.003 * rng.standard_normal(t.size)
+    edges, _, _ = timed(volts, measure_levels(volts, 0.0, 5.0))
+    error = edges.time_s - true
+    sigma = 1.0 / RATE / np.sqrt(12.0)
+    assert abs(error.mean()) < 4.0 * sigma / np.sqrt(true.size)
+    assert np.std(error) < 1.1 * sigma
+
+
 def test_a_brief_contact_between_edges_does_not_spoil_its_neighbours() -> None:
     """A contact of three samples is still found at both ends, though the voltage never settles."""
     rng = np.random.default_rng(5)

@@ -160,3 +160,14 @@ def test_a_fade_is_no_step(ramp: Ramp, levels: tuple[float, ...], fade: int) -> 
         x = clean + np.random.default_rng(1).normal(0, noise, len(clean))
         found = steps_in(x, Forcing(frequency_hz=25.37))
         assert [abs(s.tones.amplitudes[0]) for s in found] == pytest.approx(levels, rel=5e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+@pytest.mark.parametrize("fade", [2, 6])
+def test_a_hold_ends_before_a_fade_that_begins_slowly(ramp: Ramp, fade: int, noise: float) -> None:
+    """The quiet beginning of the next fade does not shift a hold's amplitude."""
+    levels = [0.25, 0.305, 0.36, 0.415]
+    x = ramp(levels, [25.37] * 4, ratio=2, fade=fade)[340:]
+    x += np.random.default_rng(5).normal(0, noise, len(x))
+    found = steps_in(x, Forcing(frequency_hz=25.37, ratio=2))
+    assert [abs(s.tones.amplitudes[0]) for s in found[1:]] == pytest.approx(levels[1:], rel=1e-5)
