@@ -1,11 +1,14 @@
 """Losses of power while a run is recorded: is every step that was said to be on the disk there afterwards?
 
-    python -m benchmarks.daq.power_cuts [--run short|long] [--images 20000] [--full 50] [--seed 1]
+    python -m benchmarks.daq.power_cuts [--run short|long] [--images 20000] [--full 50] [--seed 1] [--every]
 
 A run is recorded and closed under `strace`, which notes each write, fsync and rename and, in between, what the program
 said was safe. A loss of power at any moment leaves an image: what was synced, and a part of the later writes, in any
 order, each torn at any sector of 512 bytes, with the file as long as any of them made it. Names count once their folder
 was synced (a file's own fsync does not promise its name); until then a new name or a renamed file may be there or not.
+``--every`` adds, at each moment, each order-keeping part of the later writes, cut at each sector of the last; each of
+them by itself; all but each; all but each two. An image with the same bytes as another, and as much acknowledged, is
+checked once.
 Of each image every acknowledged step must be read, with all its samples, and a closed run as a whole. `verify` and
 `recover` are asked of each that is a closed file and of ``--full`` others; the rest is read by the marks in the file.
 Then every byte that was synced and written again is compared, which covers all images at once. Linux only.
@@ -15,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import hashlib
 import logging
 import os
 import re
@@ -23,6 +27,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.daq.kill import SETUP, content
-from benchmarks.daq.torn_writes import Write, apply, lose_power
+from benchmarks.daq.torn_writes import Write, apply, lose_power, parts_of
 from daq.files.frames.frame_marks import MAGIC, read_marks
 from daq.files.frames.marked_frames import MarkedFrames
 from daq.recording import CHANNELS, Block, open_recording, verify
@@ -187,20 +192,32 @@ class Disk:
     def _name(self, call: Call) -> None:
         self.later.append(call)
 
-    def image(self, rng: np.random.Generator) -> bytes | None:
-        """Bytes of the run's file after a loss of power at this moment; None where it has no name."""
+    def file(self, n_later: int) -> str | None:
+        """The run's file, of the later changes of names so many done; None where it has no name."""
         names = dict(self.names)
-        for call in self.later[: int(rng.integers(len(self.later) + 1))]:
+        for call in self.later[:n_later]:
             if call.what == "create":
                 names[call.path] = call.path
             else:
                 names[call.to] = names.pop(call.path)
-        file = names.get(f"{self.folder}/{NAME}")
+        return names.get(f"{self.folder}/{NAME}")
+
+    def image(self, rng: np.random.Generator) -> bytes | None:
+        """Bytes of the run's file after a loss of power at this moment; None where it has no name."""
+        file = self.file(int(rng.integers(len(self.later) + 1)))
         if file is None:
             return None
         data = bytearray(self.files[file])
         lose_power(data, self.waiting[file], rng)
         return bytes(data)
+
+    def every_image(self) -> Iterator[bytes | None]:
+        """Those with every prefix of the later writes, and with one or two of them done or left out."""
+        for file in {self.file(n) for n in range(len(self.later) + 1)}:
+            if file is None:
+                yield None
+            else:
+                yield from parts_of(bytes(self.files[file]), self.waiting[file])
 
 
 def fault_by_marks(image: bytes, run: Shape, n_steps: int, n: int) -> str:
@@ -215,10 +232,12 @@ def fault_by_marks(image: bytes, run: Shape, n_steps: int, n: int) -> str:
         return f"{n} samples acknowledged, {frames.n_samples} found, lost {frames.lost}"
     if frames.steps["first_sample"][:n_steps].tolist() != [k * run.step for k in range(n_steps)]:
         return f"{n_steps} steps acknowledged, found {frames.steps['first_sample'].tolist()}"
-    return "" if np.array_equal(frames.rows(0, n), content(0, run.n_samples)[:n]) else "other samples"
+    return "" if np.array_equal(frames.rows(0, n), _recorded(run.n_samples)[:n]) else "other samples"
 
 
-@functools.lru_cache(maxsize=64)
+_recorded = functools.cache(functools.partial(content, 0))
+
+
 def fault_by_reading(image: bytes, n_steps: int, n: int) -> str:
     """What is missing of so many steps and ``n`` samples, by `verify` and `recover`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -236,33 +255,50 @@ def fault_by_reading(image: bytes, n_steps: int, n: int) -> str:
             return "" if same else "other samples"
 
 
-def score(log: list[Call], run: Shape, n_images: int, n_full: int, rng: np.random.Generator) -> Counter[str]:
+class Score:
+    """Images and what is missing in them, counted; each distinct one is checked once."""
+
+    def __init__(self, run: Shape) -> None:
+        self._run = run
+        self._faults: dict[tuple[bytes, int, int], str] = {}
+        self.counts = Counter[str]()
+
+    def take(self, disk: Disk, image: bytes | None, *, in_full: bool) -> None:
+        """One image of a moment."""
+        steps = disk.said.get("steps", 0)
+        n = self._run.n_samples if "closed" in disk.said else steps * self._run.step
+        key = (hashlib.sha1(image or b"", usedforsecurity=False).digest(), steps, n)
+        if key not in self._faults:
+            self.counts["distinct images"] += 1
+            if image is None:
+                self._faults[key] = "the file has no name" if steps else ""
+            elif in_full or b"SEAL\r\n" in image[-28:]:
+                self.counts["by verify and recover"] += 1
+                self._faults[key] = fault_by_reading(image, steps, n)
+            else:
+                self._faults[key] = fault_by_marks(image, self._run, steps, n)
+        self.counts["images"] += 1
+        self.counts["acknowledged steps"] += steps
+        if fault := self._faults[key]:
+            self.counts["faults"] += 1
+            self.counts[f"fault: {fault[:90]}"] += 1
+
+
+def score(
+    log: list[Call], run: Shape, n_images: int, n_full: int, rng: np.random.Generator, *, every: bool = False
+) -> Counter[str]:
     """Images at moments spread over the log, and what is missing in them."""
-    disk, counts = Disk(str(Path(next(call.path for call in log if call.what == "create")).parent)), Counter[str]()
+    disk, result = Disk(str(Path(next(call.path for call in log if call.what == "create")).parent)), Score(run)
     moments = np.sort(rng.integers(0, len(log) + 1, n_images))
     full = set(rng.choice(n_images, min(n_full, n_images), replace=False).tolist())
-    taken = 0
-    for k, moment in enumerate(moments):
-        for call in log[taken:moment]:
-            disk.take(call)
-        taken = int(moment)
-        steps = disk.said.get("steps", 0)
-        n = run.n_samples if "closed" in disk.said else steps * run.step
-        image = disk.image(rng)
-        is_column = image is not None and b"SEAL\r\n" in image[-28:]
-        counts["images"] += 1
-        if image is None:
-            fault = "the file has no name" if steps else ""
-        elif k in full or is_column:
-            counts["by verify and recover"] += 1
-            fault = fault_by_reading(image, steps, n)
-        else:
-            fault = fault_by_marks(image, run, steps, n)
-        counts["acknowledged steps"] += steps
-        if fault:
-            counts["faults"] += 1
-            counts[f"fault: {fault[:90]}"] += 1
-    return counts
+    for moment in range(len(log) + 1):
+        for image in disk.every_image() if every else ():
+            result.take(disk, image, in_full=False)
+        for k in np.flatnonzero(moments == moment).tolist():
+            result.take(disk, disk.image(rng), in_full=k in full)
+        if moment < len(log):
+            disk.take(log[moment])
+    return result.counts
 
 
 def bytes_overwritten(log: list[Call]) -> tuple[int, int]:
@@ -299,6 +335,7 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=20000)
     parser.add_argument("--full", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--every", action="store_true", help="with the images that can be counted")
     given = parser.parse_args()
     logging.disable()
     with tempfile.TemporaryDirectory() as scratch:
@@ -308,7 +345,8 @@ def main() -> None:
         kinds: Any = Counter(call.what for call in log)
         print(f"log: {dict(kinds)}")
         began = time.process_time()
-        counts = score(log, SHAPES[given.run], given.images, given.full, np.random.default_rng(given.seed))
+        counts = score(log, SHAPES[given.run], given.images, given.full, np.random.default_rng(given.seed),
+                       every=given.every)  # fmt: skip
         again, others = bytes_overwritten(log)
         print(f"of what was synced in marks and frames {again} bytes were written again, {others} of them as others")
     print(f"{time.process_time() - began:.0f} s of processor")

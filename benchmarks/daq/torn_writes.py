@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -44,3 +45,24 @@ def lose_power(file: bytearray, waiting: Sequence[Write], rng: np.random.Generat
             for a in range(0, len(write.data), SECTOR):
                 if rng.random() < part:
                     apply(file, Write(write.at + a, write.data[a : a + SECTOR]))
+
+
+def parts_of(file: bytes, waiting: Sequence[Write]) -> Iterator[bytes]:
+    """The file with each prefix of the writes that wait, torn at each sector; with one only; without one or two."""
+    done = bytearray(file)
+    yield file
+    for write in waiting:
+        for end in range(SECTOR, len(write.data or b""), SECTOR):
+            torn = done.copy()
+            apply(torn, Write(write.at, (write.data or b"")[:end]))
+            yield bytes(torn)
+        apply(done, write)
+        yield bytes(done)
+    numbers = range(len(waiting))
+    some = [{k} for k in numbers]
+    some += [{*numbers} - {*left} for n in (1, 2) for left in combinations(numbers, n)]
+    for which in some:
+        image = bytearray(file)
+        for k in sorted(which):
+            apply(image, waiting[k])
+        yield bytes(image)
