@@ -85,6 +85,8 @@ class Bench:
         self._n_planned = self._programme.n_samples
         self._rng = np.random.default_rng([plan.seed, 1])
         self._world = World(plan.begin_ns, BEGAN_NS, plan.drift)
+        # three times as planned, the longest pause, and what a recorder waits for after its run's death
+        self._world.latest_ns = round(3e9 * self._n_planned / plan.rate_hz) + 3_000 * 10**9
         self._request = StopRequest()
         self._board: Board | None = None
         self._block = largest_block(self._programme.clock, self._profile.backend.block_samples)

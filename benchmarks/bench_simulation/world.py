@@ -38,7 +38,7 @@ class World(Clock):
         self.now_ns = 0  # true time
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._n = 0
-        self.most_events = 400_000
+        self.most_events, self.latest_ns = 400_000, 10**18
         self.run_is_dead = False
 
     def at(self, ns: int, event: Callable[[], None]) -> None:
@@ -55,7 +55,7 @@ class World(Clock):
         ns, _, event = heapq.heappop(self._events)
         self.now_ns = max(self.now_ns, ns)
         self.most_events -= 1
-        if self.most_events < 0:
+        if self.most_events < 0 or self.now_ns > self.latest_ns:
             raise Stuck(f"no end after {self.now_ns * 1e-9:.0f} s")
         event()
         return True

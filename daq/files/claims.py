@@ -53,18 +53,16 @@ def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
         When there is none of that name.
     """
     where = f"{path}: {group.name.rstrip('/')}/{name}"
-    link = group.get(name, getlink=True)
-    if link is None:
-        raise KeyError(name)
-    if not isinstance(link, h5py.HardLink):
+    if group.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
         raise InputError(f"{where}: damaged: is a link to another place; a recording holds all of itself")
     dataset = group[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.ndim != dimensions:
         raise InputError(f"{where}: damaged: wanted a table of {dimensions} dimension(s)")
     if dataset.is_virtual or dataset.external:
         raise InputError(f"{where}: damaged: its numbers lie in another file; a recording holds all of itself")
-    if dataset.dtype.kind not in "iufVS" or dataset.dtype.hasobject or dataset.dtype.itemsize > 1024:
-        raise InputError(f"{where}: damaged: wanted numbers or short texts, found {dataset.dtype}")
+    dtype = dataset.dtype
+    if dtype.kind not in "iufVS" or dtype.hasobject or dtype.itemsize > 1024:
+        raise InputError(f"{where}: damaged: wanted numbers or short texts, found {dtype}")
     return dataset
 
 
@@ -76,17 +74,18 @@ def refuse_claims(dataset: Any, path: Path, *, streamed: bool) -> None:
     InputError
         Naming what it claims.
     """
-    where, n_bytes, size = f"{path}: {dataset.name}", dataset.size * dataset.dtype.itemsize, path.stat().st_size
-    if dataset.chunks is not None:
-        per_chunk = dataset.dtype.itemsize
-        for length in dataset.chunks:
+    itemsize, chunks = dataset.dtype.itemsize, dataset.chunks
+    where, n_bytes, size = f"{path}: {dataset.name}", dataset.size * itemsize, path.stat().st_size
+    if chunks is not None:
+        per_chunk = itemsize
+        for length in chunks:
             per_chunk *= length
         if per_chunk > LONGEST_CHUNK_BYTES:
             raise InputError(f"{where}: damaged: has pieces of {per_chunk} bytes; wanted {LONGEST_CHUNK_BYTES} at most")
         held = dataset.id.get_num_chunks() * per_chunk
         if n_bytes > held:
             raise InputError(f"{where}: damaged: claims {n_bytes} bytes; {held} are stored")
-    if n_bytes > max(size, SMALL_BYTES) and not (streamed and dataset.chunks is not None):
+    if n_bytes > max(size, SMALL_BYTES) and not (streamed and chunks is not None):
         raise InputError(f"{where}: damaged: claims {n_bytes} bytes in a file of {size}")
 
 

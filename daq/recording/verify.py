@@ -125,9 +125,13 @@ def survey(path: Path) -> Survey:
     InputError
         When it never was a recording.
     """
+    before = path.stat()
     found = _survey(path, ended=True)
-    if is_being_written(path) and (found.lost or not found.opens):
-        now = _survey(path, ended=False, tries=1)  # it may be written at this moment
+    after = path.stat()
+    moved = (before.st_mtime_ns, before.st_size) != (after.st_mtime_ns, after.st_size)
+    # HDF5 waits up to seconds for a writer to put right what does not read: only of a file that was written meanwhile
+    if moved and is_being_written(path) and (found.lost or not found.opens):
+        now = _survey(path, ended=False, tries=1)
         return now if now.opens and not now.lost else found
     return found
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.bench_simulation.mutants import MUTANTS
+
 PLANS = Path(__file__).with_name("simulated_plans.txt")
 
 pytestmark = pytest.mark.skipif(
@@ -37,8 +39,14 @@ def test_what_was_mended_stays_so() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("mutant", ["last sample not limited"])
+QUICK = "last sample not limited"
+
+
+@pytest.mark.parametrize(
+    "mutant", [QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in MUTANTS if name != QUICK)]
+)
 def test_an_error_in_the_product_is_found(mutant: str) -> None:
-    """A drive beyond its limit for one sample is found by some seed, and the plan is printed."""
-    done = simulate("--mutant", mutant, "--seeds", "0:200", "--most", "1", "--twice", "0")
+    """Each error put into the product, a drive beyond its limit for one sample first, is found by some plan or seed."""
+    plans = [] if mutant == QUICK else ["--plans", str(PLANS)]
+    done = simulate("--mutant", mutant, *plans, "--seeds", "0:1500", "--most", "1", "--twice", "0")
     assert done.returncode == 1 and "seed " in done.stdout

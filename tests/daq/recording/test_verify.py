@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+from daq.files.frames.frame_file import FRAME_STEPS, as_if_ended
 from daq.files.frames.frame_marks import MAGIC
 from daq.recording import CHANNELS, Block, verify
 from daq.recording.recover import recover
@@ -96,6 +98,34 @@ def test_a_missing_chunk_is_damage(tmp_path: Path, setup: Setup) -> None:
             again.attrs[key] = attributes[key]
     where = verify(path).where
     assert "/drive: damaged: claims 400000 bytes; 131072 are stored" in where[0]
+
+
+@pytest.mark.parametrize(("is_written", "readings"), [(False, [True]), (True, [True, False])])
+def test_only_a_file_that_is_written_is_waited_for(
+    tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch, is_written: bool, readings: list[bool]
+) -> None:
+    """A damaged file that was cut off is read once, as if it had ended; one that changes meanwhile is read again."""
+    record(tmp_path / "running.h5", setup)
+    path = tmp_path / "a.h5"
+    path.write_bytes((tmp_path / "running.h5").read_bytes())
+    with h5py.File(as_if_ended(path), "r") as file:
+        at = h5py.h5o.get_info(file[FRAME_STEPS].id).addr
+    with path.open("r+b") as raw:
+        raw.seek(at)
+        raw.write(bytes(64))
+    asked, module = [], importlib.import_module("daq.recording.verify")
+    real = module._survey
+
+    def survey(path: Path, *, ended: bool, **options: int) -> object:
+        asked.append(ended)
+        found = real(path, ended=ended, **options)
+        if is_written:
+            path.touch()
+        return found
+
+    monkeypatch.setattr(module, "_survey", survey)
+    assert verify(path).state == "damaged"
+    assert asked == readings
 
 
 def test_changed_metadata_is_damage(tmp_path: Path, setup: Setup) -> None:
