@@ -205,6 +205,8 @@ class Bench:
                 self.left.raised.__context__ = self.left.raised.__cause__ = None
             gc.collect()
         self.disk.on_call = lambda call: None
+        if was_frozen and self.left.path.exists():
+            self.disk.replace(self.left.path, self.left.path.read_bytes())
         if self.left.power_failed and was_frozen:
             self.left.acknowledged = self._synced
             self.disk.cut_power(self._rng)

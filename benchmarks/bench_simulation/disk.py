@@ -122,7 +122,10 @@ class Disk:
             return
         image = bytearray(self._synced)
         lose_power(image, self._since, rng)
+        self.replace(self.folder / self.logged, bytes(image))
+
+    def replace(self, path: Path, image: bytes) -> None:
+        """Make a file anew: HDF5 may still have a dead recorder's open, and would take what is in its memory for it."""
         self.frozen = False
-        path = self.folder / self.logged
-        path.unlink()  # HDF5 still has the dead recorder's file open, and would take this one for it
-        path.write_bytes(bytes(image))
+        path.unlink()
+        path.write_bytes(image)

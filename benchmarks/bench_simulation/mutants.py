@@ -56,7 +56,7 @@ MUTANTS = {
         "self._short += 0",
     ),
     "card's count wraps": (
-        "late",
+        "declared",
         "rig.backends.card_ring",
         "(counter - self._origin - self.received) % 2**32",
         "counter - self._origin - self.received",
