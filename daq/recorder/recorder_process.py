@@ -266,7 +266,8 @@ def recording(pipe: Pipe, order: Order, clock: Clock = SYSTEM) -> Iterator[None]
         return
     ring = Ring(*shape)
     yield
-    pipe.send(("ready", ""))
+    with suppress(BrokenPipeError, ConnectionResetError):  # a run that is gone already is noticed below
+        pipe.send(("ready", ""))
     closing: tuple[Ending, str, int | None] | None = None
     try:
         while closing is None or ring.backlog:  # what the ring holds is written before the end
