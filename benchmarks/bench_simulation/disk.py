@@ -117,8 +117,8 @@ class Disk:
             self._since.append(Write(at, ctypes.string_at(data or 0, n) if call == WRITE else None))
 
     def cut_power(self, rng: np.random.Generator) -> None:
-        """Leave of the file that is logged, if one still is, what was synced, and a part of what came since."""
-        if not self.logged:
+        """Leave of the file that is logged, if it is there, what was synced, and a part of what came since."""
+        if not self.logged or not (self.folder / self.logged).exists():
             return
         image = bytearray(self._synced)
         lose_power(image, self._since, rng)
