@@ -126,6 +126,7 @@ class Disk:
 
     def replace(self, path: Path, image: bytes) -> None:
         """Make a file anew: HDF5 may still have a dead recorder's open, and would take what is in its memory for it."""
-        self.frozen = False
+        self.is_aside = True
         path.unlink()
         path.write_bytes(image)
+        self.is_aside = False
