@@ -195,7 +195,7 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
         tau, tau_sigma = float(area.mean()) / stretch_hz, float(area.std()) / stretch_hz / np.sqrt(n)
         seen = float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise))
         # an RC of this area has a tail that more edges would show; a voltage that falls in a straight line has none
-        shown = min(1.0, tau * stretch_hz * np.log(1.0 / (VISIBLE_SIGMAS * max(noise, 1e-6))))
+        shown = float(np.clip(tau * stretch_hz * np.log(1.0 / (VISIBLE_SIGMAS * max(noise, 1e-6))), 0.0, 1.0))
         straight = seen < 0.7 * shown - 3.0 * np.sqrt(shown / n)
         if seen < 0.05 or tau * rate_hz < 3.0 * noise or straight:
             return EdgeShape(0.0, 0.0, 1.0, n)

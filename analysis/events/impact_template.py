@@ -236,7 +236,7 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     rings_on = end + LEAST_DECAY * width > fine.size
     decay = one_mode(fine, quick, peak, end, width) if rings_on else None
     grid = np.arange(fine.size)
-    slow = _line_under(fine, peak, width) if decay is None else decay.slow(np.maximum(grid, decay.begin))
+    slow = _slow_under(fine, quick, peak, width) if decay is None else decay.slow(np.maximum(grid, decay.begin))
     out = np.where((grid >= begin) & (grid < end), fine - np.clip((grid - peak) / width, 0.0, 1.0) * slow, 0.0)
     late = float(np.sqrt(np.mean(out[3 * out.size // 4 :] ** 2))) / float(np.abs(out).max())
     if decay is None and late > CUT_OFF:  # what follows a cut off end would be found as impacts
@@ -316,19 +316,22 @@ def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[f
     return [(float(np.std(left(p))), Decay(begin, fall, period, parts[:2], slow))]
 
 
-def _line_under(fine: Floats, peak: int, width: int) -> Floats:
-    """Straight line under the ringing.
+def _slow_under(fine: Floats, quick: Floats, peak: int, width: int) -> Floats:
+    """Slow motion under the ringing; before three widths after the peak it is taken as constant.
 
-    Smoothing twice over ``width`` points removes the ringing from three widths after the peak on.
+    Smoothing twice over a whole number of the ringing's periods, ``width`` points or more, removes the ringing.
     """
+    late = quick[peak:]
+    tone = int(np.argmax(np.abs(np.fft.rfft(late * np.hanning(late.size), 8 * late.size))))
+    whole = round(np.ceil(width * tone / (8 * late.size)) * 8 * late.size / max(tone, 1))
+    if peak + 5 * whole <= fine.size:
+        width = max(whole, width)
     box = np.ones(width) / width
     smooth = np.convolve(np.convolve(fine, box, mode="same"), box, mode="same")
-    grid = np.arange(fine.size)
-    tail = slice(peak + 3 * width, fine.size - width)
-    if tail.stop - tail.start < width:
+    first, last = peak + 3 * width, fine.size - width
+    if last - first < width:
         return np.zeros(fine.size)
-    slope, level = np.polyfit(grid[tail], smooth[tail], 1)
-    return np.asarray(level + slope * grid)
+    return np.asarray(smooth[np.clip(np.arange(fine.size), first, last - 1)])
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:

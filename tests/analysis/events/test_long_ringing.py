@@ -86,6 +86,20 @@ def test_motion_that_bends_under_long_ringing_is_no_part_of_it() -> None:
     assert np.abs(left[: -FINE * 30].mean()) < 0.05 * 0.003 and left[: -FINE * 30].std() < 0.1 * 0.003
 
 
+@pytest.mark.parametrize("mode_hz", [800.0, 1500.0])
+def test_motion_that_bends_under_ringing_that_dies_away_is_no_part_of_it(mode_hz: float) -> None:
+    """Two modes over what a misfit of the forcing left: a twentieth of that stays in the waveform."""
+    points_hz = 25_600.0 * FINE
+    time_s = (np.arange(round(25.6e-3 * points_hz)) - LEAD * FINE) / points_hz
+    rings = ring(time_s, 2.0 / mode_hz, mode_hz) + ring(time_s, 1.0 / mode_hz, 2.0 * mode_hz)
+    slow = 0.003 * np.sin(2.0 * np.pi * 60.0 * time_s + 2.0) * np.clip(time_s / 2e-4, 0.0, 1.0)
+    known = ringing_part(rings + slow, 1e-4, 25_600.0)
+    assert known is not None
+    late = (time_s > 6e-3) & (time_s < 9e-3)
+    left = known[: time_s.size][late[: known.size]] - rings[late]
+    assert abs(left.mean()) < 0.05 * 0.003
+
+
 def test_a_landing_serves_up_to_the_next_one_that_is_not_far_weaker() -> None:
     """Of two pairs of impacts 3 ms apart, one with a far weaker second: both first ones serve, one of them for 3 ms."""
     places, strength = np.array([400.0, 460.0, 1400.0, 1460.0]), np.array([1000.0, 20.0, 1000.0, 300.0])
