@@ -209,20 +209,28 @@ class TermSearch:
         stack = StackedResiduals.of(augmented, values, self.train)
         r = stack.residuals(augmented, values)
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
-        opening_s, landing_s, folds = self._held_out(curve, values, stack, r, jacobian)
+        # residuals of openings and landings (n,), each step's with the curve that the others give; these curves
+        measured, curves = self.model.observations.measured, []
+        p = AugmentedModel(self.model, [curve], self.dwell).predict(values)
+        opening, landing = measured.opening_s - p.opening_s, measured.landing_s - p.landing_s
+        for fold in self._folds():
+            step = newton_step(stack.without(fold[stack.event]), r, jacobian, penalty=penalty_of_curve(curve))
+            other = curve.moved(curve.values + step)
+            curves.append(other.values)
+            p = AugmentedModel(self.model, [other], self.dwell).predict(values)
+            opening = np.where(fold, measured.opening_s - p.opening_s, opening)
+            landing = np.where(fold, measured.landing_s - p.landing_s, landing)
+        opening_s, landing_s, folds = opening, landing, np.array(curves)
         held = stack.cut(opening_s, landing_s)
         losses = {"events": self._by_step(stack, held), "plate": plate_loss(augmented, values)}
         explanation = Hypothesis(self.named, fitted, Whitener.of(augmented, values), losses)
-        scatter = self._scatter(augmented, values, landing_s)
-        return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
-
-    def _scatter(self, augmented: AugmentedModel, values: Values, landing_s: Floats) -> float:
-        """Root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit."""
+        # root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit
         observations = self.model.observations
         rows = observations.scored & self.train[observations.measured.step]
         # no landing counts with less than 1 us of uncertainty
         z = (landing_s / np.hypot(uncertainty_at(augmented, values).landing_total_s, 1e-6))[rows]
-        return float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
+        scatter = float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
+        return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:
         observations = self.model.observations
@@ -249,22 +257,6 @@ class TermSearch:
             return float(self._by_step(stack, held)[self.train].sum())
 
         return replace(curve, roughness=min(ROUGHNESS, key=unseen))
-
-    def _held_out(
-        self, curve: Curve, values: Values, stack: StackedResiduals, r: Floats, jacobian: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Residuals of openings and landings (n,), each step's with the curve that the others give; these curves."""
-        measured, curves = self.model.observations.measured, []
-        p = AugmentedModel(self.model, [curve], self.dwell).predict(values)
-        opening, landing = measured.opening_s - p.opening_s, measured.landing_s - p.landing_s
-        for fold in self._folds():
-            step = newton_step(stack.without(fold[stack.event]), r, jacobian, penalty=penalty_of_curve(curve))
-            other = curve.moved(curve.values + step)
-            curves.append(other.values)
-            p = AugmentedModel(self.model, [other], self.dwell).predict(values)
-            opening = np.where(fold, measured.opening_s - p.opening_s, opening)
-            landing = np.where(fold, measured.landing_s - p.landing_s, landing)
-        return opening, landing, np.array(curves)
 
 
 def plate_loss(model: ForwardModel, values: Values) -> Floats:

@@ -120,7 +120,11 @@ class _Passes:
         out = []
         for i, path in enumerate(self.recordings):
             self.progress(f"pass {self.done}: {path.name}", i / len(self.recordings))
-            key = self._key(path, point)
+            # what a summary depends on: file and events as they are now, point, setup, effects and software
+            effects = [(r.effect.name, r.effect.parameters) for r in registry()]
+            made = [software_version(), software_commit(), effects, self.limits]
+            here = [*(sorted(x.items()) for x in (point.priors, point.shared, point.population)), self.setup]
+            key = hashlib.sha256(repr([state_of(path), here, made]).encode()).hexdigest()[:24]
             row = None if self.journal is None else self.journal.rows.get(key)
             if row is None:
                 # flights of the first recordings stay in memory, about 100 MB of them; the others are read in each pass
@@ -132,13 +136,6 @@ class _Passes:
                 summary = dataclasses.replace(RunSummary.from_row(row), recording=str(path))
             out.append(summary)
         return out
-
-    def _key(self, path: Path, point: Point) -> str:
-        """What a summary depends on: file and events as they are now, point, setup, effects and software."""
-        effects = [(r.effect.name, r.effect.parameters) for r in registry()]
-        made = [software_version(), software_commit(), effects, self.limits]
-        here = [*(sorted(x.items()) for x in (point.priors, point.shared, point.population)), self.setup]
-        return hashlib.sha256(repr([state_of(path), here, made]).encode()).hexdigest()[:24]
 
 
 @dataclass

@@ -96,7 +96,16 @@ class Analyst:
     def look(self) -> bool:
         """Take in what is new and do one piece of work; False where there was nothing to do."""
         for event in self._board.events.read()[0]:
-            self._take_in(event)
+            kind = event["kind"]
+            if kind == "run":
+                self._path = Path(event["out"])
+            elif kind == "state":
+                self._played_first[event["step"]] = event["step_first"]
+            elif kind == "step":  # once as it begins, and once when it is over
+                first = int(event["first_sample"])
+                (self._ended if first in self._begun else self._begun).add(first)
+            elif kind == "ended":
+                self._is_over = True
         if self._reduce():
             return True
         portion = next(self._model, None)
@@ -109,18 +118,6 @@ class Analyst:
     def close(self) -> None:
         """Let go of the shared memory."""
         self._board.close()
-
-    def _take_in(self, event: Message) -> None:
-        kind = event["kind"]
-        if kind == "run":
-            self._path = Path(event["out"])
-        elif kind == "state":
-            self._played_first[event["step"]] = event["step_first"]
-        elif kind == "step":  # once as it begins, and once when it is over
-            first = int(event["first_sample"])
-            (self._ended if first in self._begun else self._begun).add(first)
-        elif kind == "ended":
-            self._is_over = True
 
     def _reduce(self) -> bool:
         """Reduce the run where it is due; whether there was something to do."""

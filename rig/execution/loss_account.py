@@ -128,7 +128,11 @@ class LossAccount:
     def recorded(self, played: int) -> int:
         """The recorded index of a played sample (of the next one recorded, where it was lost)."""
         if self._places:
-            return self._placed(played)
+            # as `recorded`, by the places that the blocks declare
+            k = max(bisect_right(self._places, played, key=itemgetter(1)) - 1, 0)
+            first, place = self._places[k]
+            index = max(first + played - place, 0)
+            return min(index, self._places[k + 1][0]) if k + 1 < len(self._places) else index
         played += self.lag_samples
         lost = 0
         for first_played, lost_in_all in self._losses:
@@ -141,13 +145,6 @@ class LossAccount:
     def counted(self, recorded: int) -> int:
         """A recorded index with the samples lost before it counted."""
         return recorded + max((lost for at, lost in self._gaps if at <= recorded), default=0)
-
-    def _placed(self, played: int) -> int:
-        """As `recorded`, by the places that the blocks declare."""
-        k = max(bisect_right(self._places, played, key=itemgetter(1)) - 1, 0)
-        first, place = self._places[k]
-        index = max(first + played - place, 0)
-        return min(index, self._places[k + 1][0]) if k + 1 < len(self._places) else index
 
     def _noted(self, blocks: list[Block]) -> list[Block]:
         """Remember where gaps lie: a loss shifts recorded against played samples."""

@@ -73,7 +73,10 @@ class JackSerialPlant(PlantClient):
         super().__init__(profile, server)
         self._master, self._slave = os.openpty()
         os.set_blocking(self._master, False)
-        _raw(self._slave)
+        # bytes as they are: no echo, no line ends. The module is POSIX's
+        import tty
+
+        tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
         self._periods: queue.SimpleQueue[Floats | None] = queue.SimpleQueue()
         self._sender = threading.Thread(target=self._send, name="virtual serial", daemon=True)
@@ -107,10 +110,3 @@ class JackSerialPlant(PlantClient):
         self._sender.join(5.0)
         os.close(self._master)
         os.close(self._slave)
-
-
-def _raw(terminal: int) -> None:
-    """Bytes as they are: no echo, no line ends. The module is POSIX's."""
-    import tty
-
-    tty.setraw(terminal)

@@ -6,11 +6,11 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.joint.result import JointVerdict, OverRuns, RunOutcome
+from analysis.joint.result import JointVerdict
 from analysis.report.figures.style import BAND, HARMONICS, INK, MEASURED, MODEL, badge_text, save_picture
 from analysis.report.wording import plain
 from analysis.statistics import Z95
@@ -31,7 +31,17 @@ def draw_runs(found: JointVerdict, figure: Figure) -> None:
     figure.set_size_inches(7.2, 0.6 + 1.35 * len(shown))
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     for ax, x in zip(axes, shown, strict=True):
-        _draw_one(ax, x, found.runs)
+        days = np.array([run.days for run in found.runs])
+        known = np.isfinite(x.sigmas)
+        values, sigmas = np.array(x.values)[known], np.array(x.sigmas)[known]
+        ax.axhspan(x.value - Z95 * x.sigma, x.value + Z95 * x.sigma, color=BAND, lw=0)
+        ax.axhline(x.value, color=MODEL, lw=1.0)
+        ax.errorbar(days[known], values, Z95 * sigmas, fmt="o", ms=3.5, lw=0.9, color=MEASURED)
+        words = "differs between runs" if x.differs else "one value for all runs"
+        if x.one_run is not None:
+            words = f"different in one run: {Path(found.runs[x.one_run.place].recording).name}"
+        ax.set_title(f"{plain(x.effect)}: {plain(x.parameter)}, {words}", fontsize=9, loc="left")
+        ax.set_ylabel(x.unit if x.unit != "1" else "relative")
     axes[-1].set_xlabel("days since the first run" if found.dated else "run")
 
 
@@ -40,20 +50,6 @@ def write_pictures(found: JointVerdict, folder: Path, *, simulated: bool) -> Pat
     badge = badge_text(f"{len(found.runs)} runs", simulated=simulated)
     save_picture(folder, "runs", badge, lambda figure: draw_runs(found, figure))
     return folder / "runs.png"
-
-
-def _draw_one(ax: Any, x: OverRuns, runs: Sequence[RunOutcome]) -> None:
-    days = np.array([run.days for run in runs])
-    known = np.isfinite(x.sigmas)
-    values, sigmas = np.array(x.values)[known], np.array(x.sigmas)[known]
-    ax.axhspan(x.value - Z95 * x.sigma, x.value + Z95 * x.sigma, color=BAND, lw=0)
-    ax.axhline(x.value, color=MODEL, lw=1.0)
-    ax.errorbar(days[known], values, Z95 * sigmas, fmt="o", ms=3.5, lw=0.9, color=MEASURED)
-    words = "differs between runs" if x.differs else "one value for all runs"
-    if x.one_run is not None:
-        words = f"different in one run: {Path(runs[x.one_run.place].recording).name}"
-    ax.set_title(f"{plain(x.effect)}: {plain(x.parameter)}, {words}", fontsize=9, loc="left")
-    ax.set_ylabel(x.unit if x.unit != "1" else "relative")
 
 
 @dataclass(frozen=True)
