@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,20 +26,15 @@ from model.integrator.problem import (
     for_kernel,
     tones_for_kernel,
 )
-from model.integrator.records import Acting, Events, Law, Mode, Plate, Probe, Steps, Visibility
+from model.integrator.records import EVENT_DTYPE, PREDICTION_DTYPE, Acting, Law, Mode, Plate, Probe, Steps, Visibility
 
-_T = TypeVar("_T", bound=np.generic)
+MODE = ("q", "qd", "after_q", "after_qd")
+OF_KERNEL = ("takeoff_s", "landing_s", "opening_s", "hidden", "kind", "launch_mps", "impact_mps", "ambiguity_s")
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """Prediction of each measured flight from the landing before; arrays of shape (n,), NaN where there is none.
-
-    Parameters
-    ----------
-    table
-        The kernel's table, (n, `predict.OUT_COLUMNS`), for derivatives of the prediction.
-    """
+    """Prediction of each measured flight from the landing before; arrays of shape (n,), NaN where there is none."""
 
     # takeoff_s, landing_s, opening_s: predicted events; the circuit opens at ``opening_s``
     takeoff_s: Floats
@@ -60,15 +54,6 @@ class Predicted:
     observed_s: Floats
 
 
-def _of_each(value: NDArray[_T] | float, n: int) -> NDArray[Any]:
-    """One value, or one an event, as the kernel takes it: shape (n,), always read-only, so that it compiles once."""
-    one = np.asarray(value)
-    values = np.empty(n, dtype=one.dtype if one.dtype == np.bool_ else np.float64)
-    values[:] = one
-    values.flags.writeable = False
-    return values
-
-
 @dataclass(frozen=True)
 class Problem:
     """Measured flights, plate and parameters as the kernel takes them."""
@@ -79,9 +64,9 @@ class Problem:
     detection: Detection
     kick: tuple[float, float]
 
-    def predicted(self, tones: Complexes, wanted: Bools, probe: Probe) -> Floats:
-        """The kernel's table (n, `predict.OUT_COLUMNS`); the mode's projections are added to those of ``probe``."""
-        out = np.full((len(self.measured.landing_s), predict.OUT_COLUMNS), np.nan)
+    def predicted(self, tones: Complexes, wanted: Bools, probe: Probe) -> NDArray[np.void]:
+        """Rows (n,) of `PREDICTION_DTYPE`; the mode's projections are added to those of ``probe``."""
+        out = np.full(len(self.measured.landing_s), np.nan, PREDICTION_DTYPE)
         seen = Visibility(0.0, self.detection.unseen_s, self.detection.closure_s)
         predict.one_ahead(self.events(wanted), self.steps(tones), self.acting, seen, self.kick, probe, out)
         return out
@@ -94,27 +79,23 @@ class Problem:
     def steps(self, tones: Complexes) -> Steps:
         return Steps(for_kernel(self.plate.period_s), tones_for_kernel(self.plate.omega_radps, tones))
 
-    def events(self, wanted: Bools) -> Events:
-        m, n = self.measured, len(self.measured.landing_s)
-        return Events(
-            for_kernel(m.opening_s),
-            for_kernel(m.landing_s),
-            for_kernel(m.relaunched),
-            for_kernel(m.linked),
-            for_kernel(wanted),
-            for_kernel(m.step),
-            _of_each(np.any(self.rows[:, columns_of("rebound")] > 0.0, axis=1), n),
-            _of_each(self.detection.gap_m, n),
-            _of_each(self.detection.weak_mps, n),
-            for_kernel(np.full(n, -1, dtype=np.int64) if m.other_step is None else m.other_step),
-            for_kernel(np.zeros(n) if m.share is None else m.share),
-            for_kernel(np.zeros(n) if m.part is None else m.part),
-            for_kernel(np.zeros(n) if m.ahead_s is None else m.ahead_s),
-            for_kernel(np.full(n, np.nan) if m.gained_mps is None else m.gained_mps),
-            for_kernel(np.full(n, np.nan) if m.pressed_mps is None else m.pressed_mps),
-            for_kernel(np.full(n, np.nan) if m.pressed_at is None else m.pressed_at),
-            for_kernel(np.full((n, 4), np.nan) if m.mode is None else m.mode),
-        )
+    def events(self, wanted: Bools) -> NDArray[np.void]:
+        """Rows of `EVENT_DTYPE`; what is not given is NaN, in no fade, and as in its step."""
+        m = self.measured
+        rows = np.zeros(len(m.landing_s), EVENT_DTYPE)
+        rows["other_step"] = -1
+        for name in ("gained_mps", "pressed_mps", "pressed_at", *MODE):
+            rows[name] = np.nan
+        rows["opening"], rows["landing"], rows["wanted"] = m.opening_s, m.landing_s, wanted
+        rows["bounces"] = np.any(self.rows[:, columns_of("rebound")] > 0.0, axis=1)
+        rows["gap_m"], rows["weak_mps"] = self.detection.gap_m, self.detection.weak_mps
+        for name in rows.dtype.names or ():
+            if getattr(m, name, None) is not None and name != "wanted":
+                rows[name] = getattr(m, name)
+        if m.mode is not None:
+            for name, values in zip(MODE, m.mode.T, strict=True):
+                rows[name] = values
+        return rows
 
 
 def driven(plate: PlateSteps, amplitudes: Complexes) -> Complexes:
@@ -170,16 +151,10 @@ def one_ahead(
     unused = np.zeros((0, 0), dtype=np.complex128), np.zeros(len(span_s))
     silent = Probe(np.zeros(len(tones) + 1, dtype=np.int64), span_s, np.zeros((len(tones), 0)), *unused)
     out = problem.predicted(tones, measured.wanted, silent)
-    out[out[:, predict.KIND] < 0, : predict.KIND] = np.nan
+    for name in ("takeoff_s", "landing_s", "opening_s", "hidden"):
+        out[name][out["kind"] < 0] = np.nan
     return Predicted(
-        takeoff_s=out[:, predict.TAKEOFF],
-        landing_s=out[:, predict.LANDING],
-        opening_s=out[:, predict.OPENING],
-        hidden=out[:, predict.HIDDEN],
-        kind=out[:, predict.KIND],
-        launch_mps=out[:, predict.OWN_LAUNCH],
-        impact_mps=out[:, predict.OWN_IMPACT],
-        ambiguity_s=out[:, predict.AMBIGUITY],
+        **{name: out[name].copy() for name in OF_KERNEL},
         mode_amplitudes=amplitudes,
         projection=projection,
         observed_s=observed_s,
@@ -267,6 +242,7 @@ def flown(
     law: Law, tones: Floats, period_s: float, flights: int, start: tuple[float, float], unseen_s: float = 0.0
 ) -> Orbit:
     """`simulate` under a ``law`` made once, over a plate with ``tones`` (k, 3): see `problem.tones_for_kernel`."""
-    out = np.empty((flights, 6))
+    out = np.empty(flights, PREDICTION_DTYPE)
     out = out[: predict.simulate(float(start[0]), float(start[1]), period_s, tones, law, unseen_s, out)]
-    return Orbit(out[:, 0], out[:, 1], out[:, 2], out[:, 3], out[:, 4] == 0.0, out[:, 5].astype(np.int64))
+    flown = {name: out[name].copy() for name in ("takeoff_s", "launch_mps", "landing_s", "impact_mps")}
+    return Orbit(**flown, after_rest=out["kind"] == 0.0, hidden=out["hidden"].astype(np.int64))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kernels.arrays import Floats
 from model.integrator.flight import LONGEST_PERIODS, flight
@@ -22,10 +23,10 @@ from model.integrator.records import (
     Acting,
     Chain,
     Event,
-    Events,
     Law,
     Mode,
     Plate,
+    Prediction,
     Probe,
     Steps,
     Visibility,
@@ -33,12 +34,6 @@ from model.integrator.records import (
     inlined,
 )
 from model.integrator.takeoff import PASSABLE_S, launch_of, next_flight, thrown_before, weak_rebounds
-
-# columns of the table of `one_ahead`: take-off, launch velocity, landing, impact speed, opening, flights passed over
-# and kind (-1 none) as predicted; of the measured flight itself launch velocity and impact speed; by how much later the
-# landing may be seen
-TAKEOFF, LAUNCH, LANDING, IMPACT, OPENING, HIDDEN, KIND, OWN_LAUNCH, OWN_IMPACT, AMBIGUITY = range(10)
-OUT_COLUMNS = 10
 
 
 @compiled
@@ -53,14 +48,12 @@ def _rested(s: float, pressed: tuple[float, float], last: Chain, bare: Plate, p:
 
 
 @compiled
-def begin_chain(
-    event: Event, period: float, last: Chain, plate: Plate, p: Floats, mode: Floats, kick: tuple[float, float]
-) -> Chain:
-    """A chain that begins at the opening of an event, its ``mode`` (4,) measured, or ringing on from step to step."""
+def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Floats, kick: tuple[float, float]) -> Chain:
+    """A chain that begins at the opening of an event, its mode measured, or ringing on from step to step."""
     opening = event.opening
     rested = opening - last.t
-    if not np.isnan(mode[2]):
-        q, qd = mode[0], mode[1]
+    if not np.isnan(event.after_q):
+        q, qd = event.q, event.qd
     elif 0.0 <= rested < LONGEST_PERIODS * period:
         q, qd = _rested(rested, (event.pressed_mps, event.pressed_at), last, plate, p)
     else:
@@ -70,7 +63,7 @@ def begin_chain(
 
 
 @compiled
-def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Floats) -> int:
+def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction) -> int:
     """Write the prediction of an event from the landing before; return the weak impacts passed."""
     # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
@@ -81,15 +74,17 @@ def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility,
     if found.kind >= 0 and (hit < event.weak_mps or (event.bounces and seen.closure_s == 0.0)):
         q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
         struck = with_state(bare, q, qd)
-        land, hit, passed, out[AMBIGUITY] = weak_rebounds((land, hit), event.landing, event.weak_mps, seen, struck, law)
-    out[TAKEOFF], out[LAUNCH], out[LANDING], out[IMPACT] = found.takeoff, found.launch, land, hit
-    out[OPENING], out[HIDDEN], out[KIND] = found.opening, found.hidden, found.kind
+        land, hit, passed, out.ambiguity_s = weak_rebounds(
+            (land, hit), event.landing, event.weak_mps, seen, struck, law
+        )
+    out.takeoff_s, out.launch, out.landing_s, out.impact = found.takeoff, found.launch, land, hit
+    out.opening_s, out.hidden, out.kind = found.opening, found.hidden, found.kind
     return passed
 
 
 @inlined
 def _measured(
-    event: Event, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Floats
+    event: Event, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Prediction
 ) -> tuple[float, float, float, float, float]:
     """Start, launch velocity and impact speed of a measured flight itself, and the mode's state at the start."""
     opening, landing, bounces, p = event.opening, event.landing, event.bounces, law.p
@@ -106,16 +101,16 @@ def _measured(
         if direct:
             start, q, qd = last.t, last.q, last.qd
         # the prediction is a flight whose landing is known: a start for the secant
-        near = out[LAUNCH] if passed == 0 and out[KIND] == 1.0 and event.relaunched else -1.0
-        v0, hit = launch_of(start, landing, near, out[LANDING], with_state(bare, q, qd), law)
+        near = out.launch if passed == 0 and out.kind == 1.0 and event.relaunched else -1.0
+        v0, hit = launch_of(start, landing, near, out.landing_s, with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
 
 @inlined
-def _impact(event: Event, v0: float, hit: float, several: bool, rings: bool, out: Floats) -> float:
+def _impact(event: Event, v0: float, hit: float, several: bool, rings: bool, out: Prediction) -> float:
     """Impact speed of a measured flight: as flown (``hit``), predicted where it is several flights, or measured."""
     if several:  # only the prediction knows its end
-        hit = out[IMPACT]
+        hit = out.impact
     if rings and not np.isnan(event.gained_mps):
         # by the accelerometer's integral over the flight
         hit = event.gained_mps - (v0 if event.bounces and event.relaunched else 0.0)
@@ -132,25 +127,26 @@ def step_lengths(steps: Steps) -> Floats:
 
 
 @inlined
-def plate_of(i: int, events: Events, steps: Steps, lengths: Floats) -> tuple[Floats, float]:
+def plate_of(event: Event, steps: Steps, lengths: Floats) -> tuple[Floats, float]:
     """The plate's tones (k, 3) under an event, between two steps while the drive fades; the integration step."""
-    m = events.step[i]
+    m = event.step
     tones, length = steps.tones[m], lengths[m]
-    if events.share[i] > 0.0:
-        tones = between_steps(steps.tones, m, events.other_step[i], events.share[i])
+    if event.share > 0.0:
+        tones = between_steps(steps.tones, m, event.other_step, event.share)
         length = step_length(steps.period[m], tones)
-    if events.part[i] != 0.0 or events.ahead_s[i] != 0.0:
-        tones = corrected(tones, events.part[i], events.ahead_s[i])
+    if event.part != 0.0 or event.ahead_s != 0.0:
+        tones = corrected(tones, event.part, event.ahead_s)
     return tones, length
 
 
 @compiled
 def one_ahead(
-    events: Events, steps: Steps, acting: Acting, seen: Visibility, kick: tuple[float, float], probe: Probe,
-    out: Floats,
+    events: NDArray[np.void], steps: Steps, acting: Acting, seen: Visibility, kick: tuple[float, float], probe: Probe,
+    out: NDArray[np.void],
 ) -> None:  # fmt: skip
-    """Fill ``out`` (n, `OUT_COLUMNS`), and add what the plate mode does to the projections of ``probe``.
+    """Predict ``events`` of `EVENT_DTYPE` into ``out`` of `PREDICTION_DTYPE`, (n,) both.
 
+    What the plate mode does is added to the projections of ``probe``.
     ``kick``, or a part of it after a measured fade, is added to the plate mode's state wherever a chain begins.
     """
     rows, forced, rubbed = acting
@@ -158,45 +154,41 @@ def one_ahead(
     turning = np.empty((steps.tones.shape[1] + 1, 6))
     lengths = step_lengths(steps)
     om, ze, ratio = plate_mode(rows[0])
-    n = events.landing.shape[0]
+    n = len(events)
     for i in range(n):
-        p = rows[i if len(rows) > 1 else 0]
-        m, landing, bounces = events.step[i], events.landing[i], events.bounces[i]
-        measured = not np.isnan(events.mode[i, 2])
+        p, event, predicted = rows[i if len(rows) > 1 else 0], events[i], out[i]
+        m, landing, bounces = event.step, event.landing, event.bounces
+        measured = not np.isnan(event.after_q)
         if len(rows) > 1:
             om, ze, ratio = plate_mode(p)
-        out[i, KIND], out[i, AMBIGUITY] = -1.0, 0.0
+        predicted.kind, predicted.ambiguity_s = -1.0, 0.0
         # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
-        soon = (i + 1 < n and events.wanted[i + 1]) or (i + 2 < n and events.wanted[i + 2])
+        soon = (i + 1 < n and events[i + 1].wanted) or (i + 2 < n and events[i + 2].wanted)
         needed = (ratio != 0.0 and not measured) or (bounces and soon)
-        after_q, after_qd = (events.mode[i, 2], events.mode[i, 3]) if measured else (0.0, 0.0)
-        if not (events.wanted[i] or needed):  # nothing needs more of it than its landing
+        after_q, after_qd = (event.after_q, event.after_qd) if measured else (0.0, 0.0)
+        if not (event.wanted or needed):  # nothing needs more of it than its landing
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
-        tones, length = plate_of(i, events, steps, lengths)
+        tones, length = plate_of(event, steps, lengths)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
         law = Law(p, length, forced, rubbed, turning)
-        event = Event(
-            events.opening[i], landing, events.relaunched[i], events.linked[i], bounces, events.gap_m[i],
-            events.weak_mps[i], events.gained_mps[i], events.pressed_mps[i], events.pressed_at[i],
-        )  # fmt: skip
         passed, chained = 0, last.chained + 1
         if not event.linked:
             chained = 0
-            last = begin_chain(event, steps.period[m], last, bare, p, events.mode[i], kick)
-        elif (events.wanted[i] or bounces) and (last.known or not bounces):
-            passed = _predict(event, last, bare, law, seen, out[i])
-        if not (needed or (bounces and events.wanted[i])):
+            last = begin_chain(event, steps.period[m], last, bare, p, kick)
+        elif (event.wanted or bounces) and (last.known or not bounces):
+            passed = _predict(event, last, bare, law, seen, predicted)
+        if not (needed or (bounces and event.wanted)):
             if not measured:
                 after_q, after_qd = last.q, last.qd
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
-        start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, out[i])
-        several = passed > 0 and chained > 1 and abs(out[i, LANDING] - landing) < PASSABLE_S
-        hit = _impact(event, v0, hit, several, ratio != 0.0, out[i])
-        out[i, OWN_LAUNCH], out[i, OWN_IMPACT] = v0, hit
+        start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, predicted)
+        several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < PASSABLE_S
+        hit = _impact(event, v0, hit, several, ratio != 0.0, predicted)
+        predicted.launch_mps, predicted.impact_mps = v0, hit
         flying = with_state(bare, q, qd)
-        if ratio != 0.0 and events.linked[i]:
+        if ratio != 0.0 and event.linked:
             project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
             project_mode(start, landing, False, flying, p, probe, m)
         if not measured:
@@ -206,24 +198,22 @@ def one_ahead(
 
 @compiled
 def simulate(
-    start_s: float, impact: float, period: float, tones: Floats, bare: Law, unseen_s: float, out: Floats
+    start_s: float, impact: float, period: float, tones: Floats, bare: Law, unseen_s: float, out: NDArray[np.void]
 ) -> int:
-    """Flights one after another from an impact: fills ``out`` (n, 6) and returns how many.
-
-    Columns: take-off, launch velocity, landing, impact speed, kind, flights passed over.
-    """
+    """Flights one after another from an impact: fills ``out`` of `PREDICTION_DTYPE` (n,) and returns how many."""
     p = bare.p
     om, ze, _ = plate_mode(p)
     plate = Plate(tones, Mode(0.0, 0.0, om, ze))
     law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)))
     seen = Visibility(0.0, unseen_s, 0.0)
     t = start_s
-    for i in range(out.shape[0]):
+    for i in range(len(out)):
         found = next_flight(t, impact, plate, law, seen, -1e300)
         if found.kind < 0:
             return i
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = found.takeoff, found.launch, found.landing, found.impact
-        out[i, 4], out[i, 5] = found.kind, found.hidden
+        flown = out[i]
+        flown.takeoff_s, flown.launch_mps, flown.landing_s = found.takeoff, found.launch, found.landing
+        flown.impact_mps, flown.kind, flown.hidden = found.impact, found.kind, found.hidden
         q, qd = strike(with_state(plate, found.q, found.qd).mode, found.landing - found.takeoff, found.impact, p)
         plate = with_state(plate, q, qd)
         t, impact = found.landing, found.impact

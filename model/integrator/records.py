@@ -6,10 +6,12 @@ Reading an array out of a record counts a reference: what runs at every step tak
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numpy as np
 
 from kernels import njit
-from kernels.arrays import Bools, Complexes, Floats, Integers
+from kernels.arrays import Complexes, Floats, Integers
 
 _F = TypeVar("_F", bound=Callable[..., object])
 
@@ -113,45 +115,24 @@ class Flight(NamedTuple):
     qd: float
 
 
-class Events(NamedTuple):
-    """Measured flights in order, (n,) each; see `model.integrator.one_step.Measured`.
+EVENT_DTYPE = np.dtype([
+    ("opening", "f8"), ("landing", "f8"), ("step", "i8"), ("relaunched", "?"), ("linked", "?"), ("wanted", "?"),
+    ("bounces", "?"),  # the ball may rebound from its impact
+    ("gap_m", "f8"), ("weak_mps", "f8"),  # of `model.integrator.problem.Detection`
+    ("other_step", "i8"), ("share", "f8"), ("part", "f8"), ("ahead_s", "f8"),
+    ("gained_mps", "f8"), ("pressed_mps", "f8"), ("pressed_at", "f8"),
+    ("q", "f8"), ("qd", "f8"), ("after_q", "f8"), ("after_qd", "f8"),  # the mode at the opening, and after the landing
+], align=True)  # fmt: skip
+"""A measured flight; what else its fields hold stands at `model.integrator.problem.Measured`."""
+Event = Any  # a row of that type, as kernels read it
 
-    ``bounces`` marks those whose impact the ball may rebound from; ``gap_m`` and ``weak_mps`` are those of
-    `model.integrator.one_step.Detection`; ``mode`` is (n, 4).
-    """
-
-    opening: Floats
-    landing: Floats
-    relaunched: Bools
-    linked: Bools
-    wanted: Bools
-    step: Integers
-    bounces: Bools
-    gap_m: Floats
-    weak_mps: Floats
-    other_step: Integers
-    share: Floats
-    part: Floats
-    ahead_s: Floats
-    gained_mps: Floats
-    pressed_mps: Floats
-    pressed_at: Floats
-    mode: Floats
-
-
-class Event(NamedTuple):
-    """One of `Events` in numbers, as calls copy every array of a record, its shape and strides included."""
-
-    opening: float
-    landing: float
-    relaunched: bool
-    linked: bool
-    bounces: bool
-    gap_m: float
-    weak_mps: float
-    gained_mps: float
-    pressed_mps: float
-    pressed_at: float
+PREDICTION_DTYPE = np.dtype([
+    ("takeoff_s", "f8"), ("launch", "f8"), ("landing_s", "f8"), ("impact", "f8"), ("opening_s", "f8"), ("hidden", "f8"),
+    ("kind", "f8"),  # -1 none; what is before it is predicted
+    ("launch_mps", "f8"), ("impact_mps", "f8"),  # of the measured flight itself, m/s
+    ("ambiguity_s", "f8"),  # by how much later the landing may be seen
+])  # fmt: skip
+Prediction = Any  # a row of that type
 
 
 class Steps(NamedTuple):
