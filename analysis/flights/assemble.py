@@ -88,7 +88,8 @@ def assemble(
         quick = _back_at_once(takeoff, landing, CHATTER_S) & np.isnan(strength) & ((flags & FlightFlag.BY_HAND) == 0)
         flags[quick & (-plate.acceleration_mps2(takeoff, step) < LAUNCHES * g)] |= int(FlightFlag.FALSE)
     true = (flags & FlightFlag.FALSE) == 0
-    contact = _contacts(takeoff, landing, true)
+    contact, index = np.full(takeoff.size, np.nan), np.flatnonzero(true)
+    contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]  # since the last true landing
     flags |= _launch_flags(plate, g, takeoff, landing, contact, step, true)
     flags |= _unresolved(strength, flags, report)
     flags |= _hidden(plate, g, takeoff, landing, contact, step, flags)
@@ -303,14 +304,6 @@ def _unresolved(strength: Floats, flags: Integers, report: EdgeReport) -> Intege
         return np.zeros(flags.size, dtype=np.int64)
     silent = ((flags & int(FlightFlag.DOUBLE_HIT)) != 0) & np.isnan(strength) & ((flags & int(FlightFlag.CUT)) == 0)
     return np.where(silent, int(FlightFlag.UNSURE), 0).astype(np.int64)
-
-
-def _contacts(takeoff: Floats, landing: Floats, true: Bools) -> Floats:
-    """Time since the last true landing; NaN before the first."""
-    contact = np.full(takeoff.size, np.nan)
-    index = np.flatnonzero(true)
-    contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]
-    return contact
 
 
 def _launch_flags(

@@ -167,7 +167,8 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
                 text = with_values(text, {"ramp.gamma": list(steps.gammas), "ramp.order": None}, profile)
                 checked = parse_profile(text, profile)
                 keys = {**asked.keys, "continues": first.name, "chosen_because": f"chosen by a person, {steps.why}"}
-                asked = replace(asked, out=_free_name(first, number), keys=keys)
+                numbered = (first.with_name(f"{first.stem}-{n}.h5") for n in itertools.count(number))
+                asked = replace(asked, out=next(path for path in numbered if not path.exists()), keys=keys)
                 path = Path(folder) / f"{number}.toml"
                 path.write_text(text, encoding="utf-8")
                 before, board = board, Board()
@@ -200,10 +201,3 @@ def _drive(checked: Profile, text: str, side: RunSide, scenario: str | None, ask
         onlooker=side, request=request,
     )  # fmt: skip
     return request.then
-
-
-def _free_name(first: Path, number: int) -> Path:
-    """A recording's name after that of the run that it follows."""
-    while (path := first.with_name(f"{first.stem}-{number}.h5")).exists():
-        number += 1
-    return path

@@ -172,7 +172,9 @@ class CsvSource(Source):
         self.header = "no line was taken for a header"
         # a header may be a comment: the one next to the numbers
         for i, text in [*lines[:first], *reversed([c for c in comments if c[0] < self._first_line])]:
-            titles = _titles(text, delimiter)
+            titles = _fields(text, delimiter)
+            if delimiter is not None and '"' in text:  # what is quoted may hold the delimiter
+                titles = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
             if len(titles) == self._width + 1 and titles[-1].strip() in ("", "Comment"):
                 titles.pop()
             if len(titles) == self._width and any(split_name(n)[0] for n in titles):
@@ -303,13 +305,6 @@ def ahead(items: Iterator[Item]) -> Iterator[Item]:
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
     return line.rstrip("\r\n").split(delimiter)
-
-
-def _titles(line: str, delimiter: str | None) -> list[str]:
-    """Fields of a header, in which what is quoted may hold the delimiter."""
-    if delimiter is None or '"' not in line:
-        return _fields(line, delimiter)
-    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
 
 
 def _unquoted(text: bytes, delimiter: str | None) -> bytes:
