@@ -142,10 +142,7 @@ def _verdict(path: Path, setup: Setup | None, *, anyway: bool) -> Row:
 def find_recordings(places: Sequence[Path]) -> tuple[list[Path], int]:
     """Recordings named, and those in the folders named and below; and how many other HDF5 files were there.
 
-    Raises
-    ------
-    InputError
-        For a place that does not exist, or where there is no recording at all.
+    Raises `InputError` for a place that does not exist, or where there is no recording at all.
     """
     found: dict[Path, Path] = {}
     others = 0
@@ -232,10 +229,7 @@ def run_batch(
 def write_table(rows: Sequence[Row], path: Path) -> None:
     """Write ``rows`` as Parquet or CSV, by the ending of ``path``; the common columns first, values of effects by name.
 
-    Raises
-    ------
-    OSError
-        When the disk refuses.
+    Raises `OSError` when the disk refuses.
     """
     found = dict.fromkeys(name for row in rows for name in row)
     names = [n for n in found if "." not in n] + sorted(n for n in found if "." in n)

@@ -32,10 +32,7 @@ _SCALARS |= {bool: "bool", int: "int64", float: "float64", complex: "complex128"
 def kind(value: Any) -> Kind:
     """The kind of an argument; all whole numbers of Python's own are 64 bits wide.
 
-    Raises
-    ------
-    TypeError
-        For what no kernel takes.
+    Raises `TypeError` for what no kernel takes.
     """
     given = type(value)
     if given is np.ndarray:

@@ -167,10 +167,8 @@ class _MeasuringProfile(Setup):
 def load_profile(path: Path | str) -> tuple[Profile, str]:
     """Read a profile that can drive a rig; returns it with the file's text, which recordings keep.
 
-    Raises
-    ------
-    daq.setup.errors.InputError
-        When the file cannot be read or does not fit: the message lists every fault by its dotted key.
+    Raises `daq.setup.errors.InputError` when the file cannot be read or does not fit: the message lists every fault by
+    its dotted key.
     """
     return load_toml(Path(path), Profile)
 
@@ -183,10 +181,7 @@ def parse_profile(text: str, name: str = "profile") -> Profile:
 def load_setup(path: Path | str) -> tuple[Setup, str]:
     """Read the measuring part of a profile; ``[ramp]``, ``[limits]`` and ``[backend]`` may be absent.
 
-    Raises
-    ------
-    daq.setup.errors.InputError
-        As `load_profile`.
+    Raises `daq.setup.errors.InputError` as `load_profile`.
     """
     whole, text = load_toml(Path(path), _MeasuringProfile)
     return Setup.model_validate(whole.model_dump(include=set(Setup.model_fields), exclude_unset=True)), text

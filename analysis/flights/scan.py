@@ -103,10 +103,7 @@ def high_pass_of(recording: Recording, corner_hz: float | None) -> HighPass | No
 def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     """Levels, noise and the impact template from a few pieces; ``high_pass_hz`` as in `scan`.
 
-    Raises
-    ------
-    InputError
-        When the recording is too short, or its volts are far outside a channel's range.
+    Raises `InputError` when the recording is too short, or its volts are far outside a channel's range.
     """
     channels = tuple(name for name in _channels(recording) if name != "drive")
     # and 32 samples: levels and noise need some even where a cycle has fewer

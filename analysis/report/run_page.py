@@ -209,10 +209,7 @@ def _summary(run: Run, shown: Measured, scale: GammaScale) -> tuple[str, ...]:
 def write_page(sections: Sequence[Section], path: Path) -> None:
     """Write the page of one or more sections; it appears under its name only when it is whole.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be written.
+    Raises `InputError` when the file cannot be written.
     """
     text = whole_page(
         "run.html", title=f"Report: {', '.join(one.name for one in sections)}", kind="runs",

@@ -48,10 +48,7 @@ def disarm(folder: Path) -> None:
 def take(folder: Path, profile_text: str, name: str) -> None:
     """Use up the permission to run a profile.
 
-    Raises
-    ------
-    InputError
-        Where there is none: none was given, it is over, used up, or of another profile.
+    Raises `InputError` where there is none: none was given, it is over, used up, or of another profile.
     """
     try:
         found = json.loads((folder / FILE).read_text(encoding="utf-8"))

@@ -62,10 +62,7 @@ def now() -> str:
 def load_state(folder: Path) -> tuple[State, str]:
     """The state in a folder, and a fault; where the file holds no state it is set aside, and the fault says where to.
 
-    Raises
-    ------
-    OSError
-        When the file cannot be read or set aside.
+    Raises `OSError` when the file cannot be read or set aside.
     """
     path = folder / FILE
     if not path.is_file():

@@ -104,10 +104,7 @@ def as_driven(path: Path) -> Chosen:
 def offers(text: str, aims: Aims) -> list[Option]:
     """Every forcing that may be driven, up and down, with the gammas that the limits allow.
 
-    Raises
-    ------
-    InputError
-        Where the limits allow none.
+    Raises `InputError` where the limits allow none.
     """
     from analysis.explore.choice import Option
 

@@ -90,10 +90,7 @@ class Request:
 def check_request(request: Request) -> None:
     """Refuse options that contradict each other or mean nothing.
 
-    Raises
-    ------
-    InputError
-        With the option, and what was wanted.
+    Raises `InputError` with the option, and what was wanted.
     """
     if request.use_height not in ("check", "data"):
         raise InputError(f"--use-height {request.use_height}: expected check or data")

@@ -17,10 +17,8 @@ from rig.profile import BranchTable, Profile
 def branch_hold(profile: Profile) -> BranchHold:
     """What holds the ball through the ramp of ``profile``, by its ``[control.branch]`` or the defaults.
 
-    Raises
-    ------
-    daq.setup.errors.InputError
-        Where no locked cycle of one flight a period is stable anywhere below the ramp's largest gamma.
+    Raises `daq.setup.errors.InputError` where no locked cycle of one flight a period is stable anywhere below the
+    ramp's largest gamma.
     """
     table = (profile.control.branch if profile.control else None) or BranchTable()
     branch = locked_branch(profile)

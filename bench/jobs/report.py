@@ -48,10 +48,7 @@ class Reported:
 def report(recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], None], quiet: bool) -> list[Reported]:
     """Sections of the recordings, in their order; one recording is held at a time.
 
-    Raises
-    ------
-    InputError
-        When a recording cannot be read.
+    Raises `InputError` when a recording cannot be read.
     """
     from analysis.flights.table import FlightFlag
     from analysis.report.run_page import Run, section_of
@@ -152,10 +149,7 @@ def refuse_without_printer() -> None:
 def print_pdf(page: Path, pdf: Path) -> None:
     """Print the page ``page`` to ``pdf``, which appears only when it is whole.
 
-    Raises
-    ------
-    InputError
-        When nothing can print it, or the printing failed.
+    Raises `InputError` when nothing can print it, or the printing failed.
     """
     refuse_without_printer()
     found = browser()

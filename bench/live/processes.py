@@ -33,10 +33,7 @@ LINGER_S = 3.0  # in which browsers get the last word of a run
 def sections(*, starts: bool = False) -> tuple[str, ...]:
     """Modules of the desk's sections that there are, with the six gates where the page ``starts`` runs.
 
-    Raises
-    ------
-    InputError
-        Without the packages of the page.
+    Raises `InputError` without the packages of the page.
     """
     require_packages()
     names = (GATES, *SECTIONS) if starts else SECTIONS
@@ -127,10 +124,7 @@ class AskedRun:
 def asked_of(said: Message, folder: Path, stem: str) -> AskedRun:
     """What the page asks of a run before it starts: name, note, keys and seed; the name is dated where none is given.
 
-    Raises
-    ------
-    InputError
-        For a name that is taken, or none of a file, keys that are none, and a seed that is no number.
+    Raises `InputError` for a name that is taken, or none of a file, keys that are none, and a seed that is no number.
     """
     name = str(said.get("name", "")).strip().removesuffix(".h5") or f"{stem}-{datetime.now():%Y%m%d-%H%M%S}"
     if not re.fullmatch(r"[\w.+ -]{1,100}", name) or name.startswith("."):

@@ -32,10 +32,7 @@ MOST_GAMMAS = 1_000_000
 def diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str, Mapping[str, float]]) -> None:
     """Fly the diagram that ``request`` asks for, and write it as HDF5, picture and JSON, whichever were asked for.
 
-    Raises
-    ------
-    InputError
-        For options that contradict one another.
+    Raises `InputError` for options that contradict one another.
     """
     job = _job(request, effects)
     ensemble.check(job)

@@ -40,10 +40,7 @@ def what_if(profile: Described, changes: tuple[str, ...]) -> Described:
 
     With the ball's mass its weight against the table changes, and what a force does to it.
 
-    Raises
-    ------
-    InputError
-        For a change of another form, a key that is not there, or a value that does not fit.
+    Raises `InputError` for a change of another form, a key that is not there, or a value that does not fit.
     """
     data = profile.model_dump()
     for change in changes:
@@ -81,10 +78,7 @@ def _table_of(data: dict[str, Any], path: list[str], key: str, name: str) -> dic
 def with_profile(request: Request, given: GivenProfile) -> Request:
     """``request`` with what the profile ``given`` says; options given with it come on top.
 
-    Raises
-    ------
-    InputError
-        When there is no such profile, it contradicts an option, or its two tones differ in size.
+    Raises `InputError` when there is no such profile, it contradicts an option, or its two tones differ in size.
     """
     name, setup = given.name, what_if(load_measuring(given.name)[0], given.what_if)
     forcing = setup.forcing
@@ -114,10 +108,7 @@ def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> floa
 
     ``controlled``: a loop drives the plate until its accelerometer shows what is asked.
 
-    Raises
-    ------
-    InputError
-        When the two tones differ in size: `bench predict` has no option for that.
+    Raises `InputError` when the two tones differ in size: `bench predict` has no option for that.
     """
     size = _size(setup)
     declared: Effects = setup.declared_values()
@@ -144,10 +135,7 @@ def _size(setup: Setup) -> float:
 def ramp_json(request: Request, given: GivenProfile) -> list[dict[str, Any]]:
     """The motion in each step of the profile's ramp, in its order, the state carried along.
 
-    Raises
-    ------
-    InputError
-        When the profile has no ramp.
+    Raises `InputError` when the profile has no ramp.
     """
     profile = what_if(load(given.name)[0], given.what_if)
     asked = profile.ramp.gammas()

@@ -74,10 +74,7 @@ class Request:
 def parse_effects(given: tuple[str, ...]) -> dict[str, dict[str, float]]:
     """``name.parameter=value`` options as a table by effect and parameter.
 
-    Raises
-    ------
-    InputError
-        For text of another form.
+    Raises `InputError` for text of another form.
     """
     effects: dict[str, dict[str, float]] = {}
     for text in given:
@@ -99,13 +96,7 @@ def forcing_of(request: Request) -> Forcing:
 
 
 def ball_for(request: Request) -> Ball:
-    """The ball that ``request`` is about.
-
-    Raises
-    ------
-    InputError
-        For options without meaning.
-    """
+    """The ball that ``request`` is about; raises `InputError` for options without meaning."""
     if request.sweep not in (None, "up", "down"):
         raise InputError(f"--sweep wants up or down, not {request.sweep!r}")
     if request.frequency_hz is not None and not (math.isfinite(request.frequency_hz) and request.frequency_hz > 0):

@@ -26,10 +26,7 @@ def refusal(profile: str, faults: list[str]) -> str:
 def refuse_forbidden(name: str, profile: Profile) -> None:
     """Refuse a ramp that a limit forbids; ``name`` is how it was called.
 
-    Raises
-    ------
-    InputError
-        With the step and the limit.
+    Raises `InputError` with the step and the limit.
     """
     if faults := planned(profile)[2]:
         raise InputError(refusal(name, faults))

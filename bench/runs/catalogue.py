@@ -184,10 +184,7 @@ class Catalogue(Closing):
     def file_of(self, row: Row) -> Path:
         """The file of a run; never one outside the folder.
 
-        Raises
-        ------
-        InputError
-            Where it is gone, or leads elsewhere.
+        Raises `InputError` where it is gone, or leads elsewhere.
         """
         try:
             path = self.folder.joinpath(str(row["path"])).resolve(strict=True)
@@ -209,10 +206,7 @@ class Catalogue(Closing):
     def change_remarks(self, row: Row, change: Callable[[Remarks], Remarks]) -> Remarks:
         """Change tags and notes of a run in its side file, one process at a time.
 
-        Raises
-        ------
-        InputError
-            Where the file cannot be written, or ``change`` refuses.
+        Raises `InputError` where the file cannot be written, or ``change`` refuses.
         """
         changed = change_remarks(self.file_of(row), row["identity"], change)
         name = row["path"] + ENDING

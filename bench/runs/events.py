@@ -56,10 +56,7 @@ def events_of(flights: Flights, gaps: Integers, length_s: float) -> dict[str, li
 def change_of(answer: dict[str, Any], recorded_s: Callable[[float], float]) -> Callable[[Remarks], Remarks]:
     """The change that a page asks for: ``undo``, or ``kind``, ``was_s`` and ``now_shown_s`` of an event.
 
-    Raises
-    ------
-    ValueError, KeyError, TypeError, InputError
-        Where it asks for none.
+    Raises `ValueError` or `KeyError` or `TypeError` or `InputError` where it asks for none.
     """
     if answer.get("undo") is True:
         return lambda now: with_event(now, None)

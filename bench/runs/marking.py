@@ -14,10 +14,7 @@ from daq.setup.errors import InputError, require_file
 def changed_remarks(recording: Path, change: Callable[[Remarks], Remarks] | None, json: str | None) -> None:
     """Change the remarks on a recording, and show its tags and its whole notebook, as JSON where that is asked for.
 
-    Raises
-    ------
-    InputError
-        Where the file is missing or no recording, or ``change`` refuses.
+    Raises `InputError` where the file is missing or no recording, or ``change`` refuses.
     """
     require_file(recording)
     header = None  # of a damaged recording there is none

@@ -141,10 +141,7 @@ class Workshop:
     def pyramid(self, row: Row, file: Path) -> Path | None:
         """The pyramid of a run; None while it is being made.
 
-        Raises
-        ------
-        InputError
-            Where it cannot be made.
+        Raises `InputError` where it cannot be made.
         """
         by_file = self.place / f"{_file_key(file)}.pyramid"
         whole = row["identity"] and row["ended"] != "damaged"

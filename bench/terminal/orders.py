@@ -34,10 +34,7 @@ PERSON = "a person"
 def steps_from(text: str) -> NextSteps:
     """Next steps from words as ``0.8, 1.2: why`` or ``c=2 0.8 1.2``; no gammas leave the choice to the rig.
 
-    Raises
-    ------
-    InputError
-        For what is no number.
+    Raises `InputError` for what is no number.
     """
     what, _, why = text.partition(":")
     ratio, gammas = None, list[float]()
@@ -74,10 +71,7 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
 def obey(request: StopRequest, line: str) -> str:
     """Do what a line typed during a run asks; what was understood, in words.
 
-    Raises
-    ------
-    InputError
-        For what cannot be done, or is not understood.
+    Raises `InputError` for what cannot be done, or is not understood.
     """
     word, _, why = (part.strip() for part in line.partition(":"))
     match word.lower():

@@ -57,10 +57,7 @@ class WireCounts:
 def encode_frame(frame: SerialFrame) -> bytes:
     """The bytes of a frame on the wire, its delimiter included; what `firmware/` does in C.
 
-    Raises
-    ------
-    ValueError
-        When the frame has no rows, or too many values for one frame.
+    Raises `ValueError` when the frame has no rows, or too many values for one frame.
     """
     rows, channels = frame.codes.shape
     if not 1 <= channels <= MAX_CHANNELS or not 1 <= rows * channels <= MAX_SAMPLES:

@@ -296,10 +296,7 @@ def _write_table(file: Any, name: str, dimension: str, rows: NDArray[np.void], f
 def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArray[np.void]:
     """The table of a column file as one structured array; a field that the file lacks is zero.
 
-    Raises
-    ------
-    InputError
-        When it is not a table, or claims more than the file holds.
+    Raises `InputError` when it is not a table, or claims more than the file holds.
     """
     if table not in file:
         return np.zeros(0, dtype)

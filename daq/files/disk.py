@@ -153,10 +153,7 @@ class DiskFile(PatchedFile):
 def disk_file(path: Path) -> Iterator[DiskFile]:
     """A `DiskFile` for the length of a block.
 
-    Raises
-    ------
-    OSError
-        When the disk refused at any time, also while the file was closed.
+    Raises `OSError` when the disk refused at any time, also while the file was closed.
     """
     disk = DiskFile(path)
     try:

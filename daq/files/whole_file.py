@@ -26,10 +26,7 @@ def whole(path: Path) -> Iterator[Path]:
     The mode of a file that is replaced stays; a symbolic link stays one, and what it leads to is replaced. A device or
     a pipe is written to directly.
 
-    Raises
-    ------
-    OSError
-        When the disk refuses; ``path`` is then as it was.
+    Raises `OSError` when the disk refuses; ``path`` is then as it was.
     """
     if path.exists() and not path.is_file():
         yield path

@@ -134,11 +134,8 @@ class RecorderProcess(ClosedRun):
     def append(self, *blocks: Block) -> None:
         """Hand blocks over, if any, and look whether the recorder lives; they are safe once `safe_samples` passed them.
 
-        Raises
-        ------
-        OSError
-            When the recorder had to give up (disk full, file gone), or has not written for as long as the ring holds;
-            what it has stays, and what the ring holds is written as soon as it can.
+        Raises `OSError` when the recorder had to give up (disk full, file gone), or has not written for as long as the
+        ring holds; what it has stays, and what the ring holds is written as soon as it can.
         """
         if self._pipe.poll():
             self._answer("error", 0.0)

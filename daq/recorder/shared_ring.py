@@ -82,10 +82,7 @@ class Ring:
     def put(self, block: Block) -> bool:
         """Put a block in; False when the ring is full: the block is lost, and the next one will say so.
 
-        Raises
-        ------
-        ValueError
-            For a block that is larger than a slot.
+        Raises `ValueError` for a block that is larger than a slot.
         """
         n = len(block.codes)
         if n > self.block_samples:

@@ -39,10 +39,8 @@ def open_recording(path: Path | str) -> Recording:
     What is damaged is put right where the checksums suffice, and else is a gap in what is read; `Recording.damage` and
     a warning (`logging`) say so.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, not HDF5, not a recording, or damaged where nothing can be read without it.
+    Raises `InputError` when the file is missing, not HDF5, not a recording, or damaged where nothing can be read
+    without it.
     """
     path = Path(path)
     recording, _ = examine(path)

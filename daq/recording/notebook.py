@@ -214,10 +214,7 @@ def event_changes_of(recording: Recording) -> tuple[EventChange, ...]:
     As they change what is measured, an identity that is not known counts as another: changes made before a run was over
     are of none that is closed.
 
-    Raises
-    ------
-    InputError
-        Where its side file does not read.
+    Raises `InputError` where its side file does not read.
     """
     remarks = read_remarks(side_file(recording.path))
     return remarks.events if remarks.events and stored_id(recording) == remarks.identity else ()
@@ -226,10 +223,7 @@ def event_changes_of(recording: Recording) -> tuple[EventChange, ...]:
 def state_of(recording: Path) -> list[object]:
     """What a result from a file depends on: its place, size, time of change, and events changed by hand.
 
-    Raises
-    ------
-    OSError, InputError
-        Where there is no such file, or its side file does not read.
+    Raises `OSError` or `InputError` where there is no such file, or its side file does not read.
     """
     state = recording.stat()
     events = read_remarks(side_file(recording)).events

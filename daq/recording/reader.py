@@ -187,10 +187,8 @@ class Recording(Closing):
     def measure_with(self, setup: Setup) -> None:
         """Read volts by another profile's measuring part; rate and channels stay what the file has.
 
-        Raises
-        ------
-        InputError
-            When ``setup`` says nothing of a contact circuit that was recorded, or its c is not that of the steps.
+        Raises `InputError` when ``setup`` says nothing of a contact circuit that was recorded, or its c is not that of
+        the steps.
         """
         if setup.channels.continuity is None and self.setup.channels.continuity is not None:
             raise InputError(

@@ -120,10 +120,7 @@ def _by_marks(path: Path, looked: Survey) -> tuple[Recording, Survey] | None:
 def survey(path: Path) -> Survey:
     """Read all of a recording, in other processes; once for a file that has not changed.
 
-    Raises
-    ------
-    InputError
-        When it never was a recording.
+    Raises `InputError` when it never was a recording.
     """
     before = path.stat()
     found = _survey(path, ended=True)

@@ -19,10 +19,7 @@ def require_file(path: Path) -> None:
 def package(name: str, wanted_by: str) -> Iterator[None]:
     """Say which package is missing where an import in the block fails: ``wanted_by`` is as ``TDMS needs``.
 
-    Raises
-    ------
-    InputError
-        With what to install.
+    Raises `InputError` with what to install.
     """
     try:
         yield

@@ -27,10 +27,7 @@ _LIMITS = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at 
 def load_toml(path: Path, model: type[Model]) -> tuple[Model, str]:
     """Read ``path`` into ``model`` and return it with the file's text.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be read, is no TOML, or does not fit the model (all faults in one message).
+    Raises `InputError` when the file cannot be read, is no TOML, or does not fit the model (all faults in one message).
     """
     text = read_toml_text(path)
     return parse_toml(text, model, str(path)), text
@@ -50,10 +47,7 @@ def read_toml_text(path: Path) -> str:
 def parse_toml(text: str, model: type[Model], name: str) -> Model:
     """Check TOML ``text`` against ``model``; ``name`` stands for the file in messages.
 
-    Raises
-    ------
-    InputError
-        When the text is no TOML or does not fit the model (all faults in one message).
+    Raises `InputError` when the text is no TOML or does not fit the model (all faults in one message).
     """
     try:
         data = tomllib.loads(text)

@@ -92,10 +92,7 @@ def cycle_windows(
 ) -> list[Window]:
     """The windows of gamma, wider than ``narrowest``, with one cycle of at most ``longest`` flights each, in order.
 
-    Raises
-    ------
-    InputError
-        If the range is empty, negative or not finite.
+    Raises `InputError` if the range is empty, negative or not finite.
     """
     check_range(low, high)
     if not narrowest > 0.0:

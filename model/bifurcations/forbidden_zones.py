@@ -38,10 +38,7 @@ def _flights_from(
 def forbidden_zones(forcing: Forcing, gamma: float) -> Floats:
     """Gaps between the flight times that occur at ``gamma``: shape (k, 2), ascending; none below take-off.
 
-    Raises
-    ------
-    ValueError
-        If gamma is negative or not finite.
+    Raises `ValueError` if gamma is negative or not finite.
     """
     edge, n_windows = windows.edges(forcing, gamma)
     reached: list[tuple[float, float]] = []

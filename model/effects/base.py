@@ -238,10 +238,7 @@ class Effect:
     def parameter(self, name: str) -> Parameter:
         """The parameter called ``name``.
 
-        Raises
-        ------
-        InputError
-            When the effect has no such parameter; the message lists those it has, with their meaning.
+        Raises `InputError` when the effect has no such parameter; the message lists those it has, with their meaning.
         """
         for parameter in self.parameters:
             if parameter.name == name:

@@ -140,13 +140,7 @@ def _by_name() -> dict[str, Registered]:
 
 
 def effect(name: str) -> Registered:
-    """The registered effect called ``name``.
-
-    Raises
-    ------
-    InputError
-        When there is none; the message names the nearest.
-    """
+    """The registered effect called ``name``; raises `InputError` when there is none; the message names the nearest."""
     entry = _by_name().get(name)
     if entry is not None:
         return entry
@@ -161,10 +155,7 @@ def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
 
     Tied parameters may be given by their common name (``mu`` of ``coulomb_friction``).
 
-    Raises
-    ------
-    InputError
-        For an unknown effect or parameter, or a value outside its bounds.
+    Raises `InputError` for an unknown effect or parameter, or a value outside its bounds.
     """
     resolved: dict[str, dict[str, float]] = {}
     for name, given in declared.items():

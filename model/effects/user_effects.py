@@ -40,10 +40,7 @@ def user_folder() -> Path:
 def folders() -> tuple[Path, ...]:
     """Folders of the user's effects, the one that is written to first.
 
-    Raises
-    ------
-    EffectFileError
-        Where the environment names a folder that is not there.
+    Raises `EffectFileError` where the environment names a folder that is not there.
     """
     given = os.environ.get(VARIABLE)
     if given is None:
@@ -73,13 +70,7 @@ def effect_files() -> tuple[Path, ...]:
 
 
 def check_name(name: str) -> None:
-    """Refuse what cannot be the name of an effect.
-
-    Raises
-    ------
-    InputError
-        With what was wanted.
-    """
+    """Refuse what cannot be the name of an effect; raises `InputError` with what was wanted."""
     if not (name.isidentifier() and name.isascii() and name == name.lower() and not name.startswith("_")):
         raise InputError(f"{name!r} cannot be an effect's name; wanted small letters, digits and _, as sticky_rod")
     if keyword.iskeyword(name) or keyword.issoftkeyword(name):
@@ -89,10 +80,7 @@ def check_name(name: str) -> None:
 def load(path: Path) -> ModuleType:
     """The module of a user's effect, read from its source: no compiled copy can be older than the file.
 
-    Raises
-    ------
-    EffectFileError
-        Where it cannot be read or run, with the line.
+    Raises `EffectFileError` where it cannot be read or run, with the line.
     """
     try:
         check_name(path.stem)
@@ -117,10 +105,7 @@ def load(path: Path) -> ModuleType:
 def check_signature(path: str, hook: str, function: object, wanted: str) -> None:
     """Refuse a hook of other arguments than its kind has.
 
-    Raises
-    ------
-    EffectFileError
-        With the line and what was wanted.
+    Raises `EffectFileError` with the line and what was wanted.
     """
     plain = inspect.unwrap(getattr(function, "py_func", function))  # type: ignore[arg-type]
     found = list(inspect.signature(plain).parameters)

@@ -30,10 +30,7 @@ MOST_WINDOWS = 20_000
 def check_harmonics(forcing: Forcing) -> None:
     """Refuse tones whose phases are beyond the proven sine.
 
-    Raises
-    ------
-    InputError
-        With the largest harmonic that is proven.
+    Raises `InputError` with the largest harmonic that is proven.
     """
     most = math.floor(LARGEST_ANGLE / (4.0 * math.pi))
     if max(forcing.harmonic, default=0.0) > most:

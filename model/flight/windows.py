@@ -16,10 +16,7 @@ from model.tones import Forcing
 def turning_points(forcing: Forcing) -> Floats:
     """Phases in [0, 2 pi) where the plate's jerk vanishes: gamma-independent, so computed once for each forcing.
 
-    Raises
-    ------
-    ValueError
-        If a harmonic is no integer.
+    Raises `ValueError` if a harmonic is no integer.
     """
     if not forcing.periodic:
         raise ValueError(f"harmonics {forcing.harmonic} are not all integers: the motion has no period of 2 pi")
@@ -32,10 +29,8 @@ def turning_points(forcing: Forcing) -> Floats:
 def edges(forcing: Forcing, gamma: float) -> tuple[Floats, int]:
     """The kernels' table of window edges and their number (`model.flight.branches.fill_edges`).
 
-    Raises
-    ------
-    ValueError
-        If gamma is negative, not finite or too large (`model.flight.precision`), or the forcing not periodic.
+    Raises `ValueError` if gamma is negative, not finite or too large (`model.flight.precision`), or the forcing not
+    periodic.
     """
     check_gamma(forcing, gamma)
     turning = turning_points(forcing)

@@ -157,13 +157,7 @@ AT_REST = State()
 
 
 def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int = MAX_FLIGHTS) -> Attractor:
-    """Where the orbit from ``start`` ends.
-
-    Raises
-    ------
-    InputError
-        If gamma is negative or not finite.
-    """
+    """Where the orbit from ``start`` ends; raises `InputError` if gamma is negative or not finite."""
     if not (math.isfinite(gamma) and gamma >= 0.0):
         raise InputError(f"gamma must be finite and not negative, not {gamma}")
     none = np.empty(0)

@@ -64,10 +64,8 @@ def law_of(
 ) -> FrictionRestitution:
     """Friction and restitution of resolved effects, dimensionless (speeds in units of g/w).
 
-    Raises
-    ------
-    InputError
-        If restitution depends on speed and the frequency is missing, or friction holds the ball for ever.
+    Raises `InputError` if restitution depends on speed and the frequency is missing, or friction holds the ball for
+    ever.
     """
     friction = effects.get("coulomb_friction", {})
     bounce = effects.get("restitution", {})

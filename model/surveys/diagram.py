@@ -70,13 +70,7 @@ def empty_rows(gammas: Floats, keep: int) -> Rows:
 
 
 def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
-    """The attractor reached from rest at each gamma.
-
-    Raises
-    ------
-    InputError
-        If a gamma is negative or not finite.
-    """
+    """The attractor reached from rest at each gamma; raises `InputError` if a gamma is negative or not finite."""
     grid = np.ascontiguousarray(gammas, dtype=np.float64)
     if not np.all(np.isfinite(grid) & (grid >= 0.0)):
         raise InputError("every gamma must be finite and not negative")

@@ -104,10 +104,8 @@ class Job:
 def check(job: Job) -> None:
     """Refuse a job that a worker could not compute.
 
-    Raises
-    ------
-    InputError
-        For an unknown effect or parameter, a value out of bounds or a missing frequency, at any point of the axes.
+    Raises `InputError` for an unknown effect or parameter, a value out of bounds or a missing frequency, at any point
+    of the axes.
     """
     if job.size == 0:
         raise InputError("a job needs at least one gamma and one value of every axis")
@@ -231,10 +229,7 @@ def _open(job: Job, path: Path, chunk: int) -> Iterator[h5py.File]:
 def save(job: Job, rows: Rows, path: Path) -> None:
     """Write rows that were computed elsewhere (an adaptive diagram) as `run` writes its own.
 
-    Raises
-    ------
-    InputError
-        If ``path`` exists.
+    Raises `InputError` if ``path`` exists.
     """
     if path.exists():
         raise InputError(f"{path} exists: give another --out, or remove it")
@@ -248,10 +243,7 @@ def save(job: Job, rows: Rows, path: Path) -> None:
 def load(path: Path) -> tuple[Rows, dict[str, Any]]:
     """All finished rows of a file written by `run`, and its attributes.
 
-    Raises
-    ------
-    InputError
-        If the file is not one written by `run`.
+    Raises `InputError` if the file is not one written by `run`.
     """
     with h5py.File(path, "r") as file:
         if "chunk_done" not in file:

@@ -58,10 +58,7 @@ class GateStatus:
 def gated(backend: Backend, profile: Profile, table: CardOptions) -> Backend:
     """``backend`` behind the gate of a profile; the back end itself where the profile has none.
 
-    Raises
-    ------
-    InputError
-        When blocks are so long that two heartbeats would be too far apart.
+    Raises `InputError` when blocks are so long that two heartbeats would be too far apart.
     """
     if not table.gate_port:
         return backend

@@ -115,10 +115,7 @@ class NiDaqmxBackend:
     def exchange(self, drive_v: Floats) -> Block:
         """Append ``drive_v`` to the output buffer and wait for as many frames.
 
-        Raises
-        ------
-        BackendError
-            When not started, or when the driver reports a fault; NI's own text is in it.
+        Raises `BackendError` when not started, or when the driver reports a fault; NI's own text is in it.
         """
         drive = checked_drive(drive_v)
         if self._inputs is None:
@@ -191,10 +188,7 @@ class NiDaqmxBackend:
 def open_nidaqmx(profile: Profile, options: OpenOptions) -> NiDaqmxBackend:
     """The profile's device: inputs by each channel's ``terminal``, the output by ``backend.device`` (``Dev1/ao0``).
 
-    Raises
-    ------
-    InputError
-        When the back end is another kind's, or `NiDaqmxBackend` cannot be made.
+    Raises `InputError` when the back end is another kind's, or `NiDaqmxBackend` cannot be made.
     """
     wired = profile.channels.recorded()
     terminals = {name: channel.terminal for name, channel in wired.items()}

@@ -53,10 +53,7 @@ class ReplayBackend:
     def exchange(self, drive_v: Floats) -> Block:
         """The next frames, as many as ``drive_v`` has samples.
 
-        Raises
-        ------
-        BackendError
-            When not started, or when fewer frames are left.
+        Raises `BackendError` when not started, or when fewer frames are left.
         """
         n = len(checked_drive(drive_v))
         if self._recording is None:

@@ -107,10 +107,7 @@ class SerialReader:
 
         Rows that were lost end a piece: the next one begins after them and says how many they were.
 
-        Raises
-        ------
-        BackendError
-            When the device went away, fell silent, or sends nothing that follows.
+        Raises `BackendError` when the device went away, fell silent, or sends nothing that follows.
         """
         self._wait(lambda: self._newest >= until)
         with self._changed:
@@ -249,10 +246,7 @@ class SoundcardSerialBackend:
     def exchange(self, drive_v: Floats) -> Block:
         """Play ``drive_v`` and return what the serial device recorded meanwhile: as many frames, give or take one.
 
-        Raises
-        ------
-        BackendError
-            When the card or the serial device failed; the drive has then been faded out.
+        Raises `BackendError` when the card or the serial device failed; the drive has then been faded out.
         """
         drive = checked_drive(drive_v)
         tracker = self._tracker

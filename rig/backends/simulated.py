@@ -77,10 +77,7 @@ class SimulatedBackend:
     def exchange(self, drive_v: Floats) -> Block:
         """Move the plant by ``drive_v`` (n,) and return what its converters read.
 
-        Raises
-        ------
-        BackendError
-            When not started.
+        Raises `BackendError` when not started.
         """
         drive = checked_drive(drive_v)
         if not self._running:

@@ -109,10 +109,7 @@ class SoundcardBackend:
         The frames lie `lag_samples` behind the drive. Where the card skipped frames the block ends, and the next says
         how many they were.
 
-        Raises
-        ------
-        BackendError
-            When the card failed, went away, or is not started.
+        Raises `BackendError` when the card failed, went away, or is not started.
         """
         drive = checked_drive(drive_v)
         if self._stream is None:

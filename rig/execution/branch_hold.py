@@ -150,10 +150,7 @@ class BranchHold:
         A landing known to ``timing_s`` is predicted through ``n`` launches with ``|mu|^(n - 1) sqrt(mu^2 - 1)`` times
         that uncertainty, and `SURE` of them must lie within the authority.
 
-        Raises
-        ------
-        daq.setup.errors.InputError
-            With the delay and the greatest one.
+        Raises `daq.setup.errors.InputError` with the delay and the greatest one.
         """
         point = self._branch.at(gamma) or self._branch.at(float(self._branch.gamma[-1]))
         if point is None or abs(point.multiplier) <= 1.0:

@@ -70,10 +70,7 @@ class StopRequest:
     def take_over(self, who: str, steps: NextSteps) -> None:
         """Finish the present step, and drive ``steps`` instead of what is left.
 
-        Raises
-        ------
-        InputError
-            For steps that cannot be driven, and where nothing can follow this run.
+        Raises `InputError` for steps that cannot be driven, and where nothing can follow this run.
         """
         if self._check is None:
             raise InputError("steps to be driven next: a ramp drives what was planned; stop it and start another")

@@ -74,10 +74,7 @@ def drive_amplitudes(setup: Setup, gamma: float) -> tuple[complex, ...]:
     ``a_p / (g * g_per_volt * exp(i phase))`` tone by tone. Behind a coupling capacitor a tone at ``f`` keeps
     ``(i f / fc) / (1 + i f / fc)`` of itself, and is asked for by so much more.
 
-    Raises
-    ------
-    InputError
-        Where the drive's scale was not measured.
+    Raises `InputError` where the drive's scale was not measured.
     """
     f_hz, corner_hz = setup.forcing.frequency_hz, setup.drive.highpass_hz or 0.0
     volts = []

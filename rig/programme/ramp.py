@@ -87,10 +87,8 @@ class Programme:
 def plan(profile: Profile) -> Programme:
     """The programme of ``profile``'s ramp.
 
-    Raises
-    ------
-    daq.setup.errors.InputError
-        When it would last longer than `LONGEST_RUN_DAYS`, or the forcing is too slow for its clock.
+    Raises `daq.setup.errors.InputError` when it would last longer than `LONGEST_RUN_DAYS`, or the forcing is too slow
+    for its clock.
     """
     ramp, rate_hz = profile.ramp, profile.sampling.rate_hz
     try:

@@ -198,10 +198,7 @@ class Sequencer:
     def steer(self, first_sample: int, n_samples: int, amplitudes: tuple[complex, ...]) -> None:
         """Fade to ``amplitudes`` at a sample still to be made; the programme's own changes are not made any more.
 
-        Raises
-        ------
-        ValueError
-            For a sample that is made already, or before an earlier order was carried out.
+        Raises `ValueError` for a sample that is made already, or before an earlier order was carried out.
         """
         if first_sample < self.position or self._steered is not None:
             raise ValueError(f"cannot steer at sample {first_sample}: at {self.position}, or an order is waiting")

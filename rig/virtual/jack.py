@@ -191,10 +191,7 @@ def jack_server(name: str, rate_hz: float, period: int) -> Iterator[bool]:
 
     A server of that name that is there already is used, and left running.
 
-    Raises
-    ------
-    InputError
-        When there is none and none can be started, or the package JACK-Client is missing.
+    Raises `InputError` when there is none and none can be started, or the package JACK-Client is missing.
     """
     _jack()
     if _answers(name):

@@ -93,10 +93,7 @@ def badge_of(recording: Recording) -> str:
 def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], None]) -> None:
     """Save what ``draw`` draws on a new figure as PNG and SVG, with the badge; nothing where it draws no axes.
 
-    Raises
-    ------
-    InputError
-        When the folder cannot be written.
+    Raises `InputError` when the folder cannot be written.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

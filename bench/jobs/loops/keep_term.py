@@ -21,10 +21,7 @@ def place_for(name: str, *, overwrite: bool) -> Path:
 
     A file that is to be replaced is left out of the library of this process.
 
-    Raises
-    ------
-    InputError
-        For what is no name, a name that is taken, and a place that cannot be written.
+    Raises `InputError` for what is no name, a name that is taken, and a place that cannot be written.
     """
     if not name.isidentifier():
         check_new(name)

@@ -256,10 +256,7 @@ class FrameWriter:
     def close(self) -> Path:
         """Close and say where the frames are: under the file's name, or in a copy where that name is gone.
 
-        Raises
-        ------
-        OSError
-            When the disk had refused: the file is left as a killed process leaves it, for `bench recover`.
+        Raises `OSError` when the disk had refused: the file is left as a killed process leaves it, for `bench recover`.
         """
         vanished = self.has_vanished()
         try:

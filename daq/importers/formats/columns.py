@@ -124,10 +124,7 @@ def listed(names: Sequence[str]) -> str:
 def parse_map(items: Sequence[str]) -> dict[str, Column]:
     """``role=column[:unit]`` as the command line gives it.
 
-    Raises
-    ------
-    InputError
-        For an unknown role or unit, or a repeated role.
+    Raises `InputError` for an unknown role or unit, or a repeated role.
     """
     mapping: dict[str, Column] = {}
     for item in items:

@@ -53,10 +53,7 @@ def _listed() -> str:
 def kind_of(name: str) -> BackendKind:
     """The kind called ``name``.
 
-    Raises
-    ------
-    InputError
-        When there is none, or the package that offers it does not load or offers something else.
+    Raises `InputError` when there is none, or the package that offers it does not load or offers something else.
     """
     if name in built_in():
         return built_in()[name]
