@@ -235,7 +235,8 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
     amplitude = np.abs(z)
     share = _independent_share(windows, edges, fits, rate_hz)
     usual = _running(rms[:, None], 25, 0.8)  # a fade leaves much over, but that is short and no noise
-    floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], (rms * np.sqrt(2.0 / n))[:, None])
+    own = rms * np.sqrt(2.0 / (n * max(share, 1.0)))
+    floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], own[:, None])
     loud = amplitude.max(axis=1) > np.maximum(QUIET * amplitude.max(), 4.0 * rms * np.sqrt(2.0 / n))
     main = int(np.argmax(np.median(amplitude, axis=0)))
     advance = np.zeros(len(z))
@@ -246,18 +247,22 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
 
 
 def _independent_share(windows: Mapping[int, Floats], edges: Integers, fits: ToneFits, rate_hz: float) -> float:
-    """Share of the samples that count as independent noise: hum or ringing repeats itself, white noise does not.
+    """Share of the samples that count as independent noise for a tone, by what the fits leave over.
 
-    From the median lag-one correlation r of what the fits leave over, ``(1 - r) / (1 + r)``.
+    White noise has 1; ringing far above the tones averages out, has more; hum repeats itself, has less: with r the
+    lag-one correlation of means over a 64th of a window, ``(1 - r) / (1 + r)`` of those means.
     """
-    correlations = []
+    shares = []
     for k, x in windows.items():
         turns = np.outer(fits.frequencies_hz / rate_hz, np.arange(edges[k], edges[k + 1]))
         rest = x - fits.offsets[k] - (fits.amplitudes[k, :, None] * np.exp(2j * np.pi * turns)).sum(axis=0).real
-        power = float(rest @ rest)
-        correlations.append(float(rest[1:] @ rest[:-1]) / power if power > 0 else 0.0)
-    r = min(max(float(np.median(correlations)), 0.0), 0.999)
-    return (1.0 - r) / (1.0 + r)
+        width = max(rest.size // 64, 1)
+        means = rest[: rest.size // width * width].reshape(-1, width).mean(axis=1)
+        power = float(means @ means)
+        r = float(means[1:] @ means[:-1]) / power if power > 0.0 else 0.0
+        white = float(np.mean(rest**2)) / (width * power / means.size) if power > 0.0 else 1.0
+        shares.append(white * (1.0 - max(r, 0.0)) / (1.0 + max(r, 0.0)))
+    return max(float(np.median(shares)), 5e-4)
 
 
 def _features(track: _Track) -> tuple[Floats, Floats, Floats]:
