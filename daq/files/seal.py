@@ -2,7 +2,8 @@
 
 HDF5 is handed only bytes that were found to be those that were written. Damaged tables and indexes make it loop or
 crash; so they are compared before it sees them, and put right from a second copy in the seal. What else is damaged is
-computed from parity over the whole file. The table of checksums stands before and behind the parity. Decision 470.
+computed from parity over the whole file. The table of checksums stands before the parity and twice behind it.
+Decisions 470, 572.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import json
 import struct
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,7 +51,7 @@ class Seal:
     parity_at: int = 0  # its first byte in the file
     crcs: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))  # of each sector before ``end``
     parity_crcs: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))  # of each of its own
-    is_less: bool = False  # one of the two tables of checksums is damaged
+    is_less: bool = False  # one of the tables of checksums is damaged
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:
         body = packed.getvalue()
         body += FOOTER.pack(MAGIC, end, len(body), zlib.crc32(body))
         raw.seek(end)
-        raw.write(body + parity.tobytes() + body)
+        raw.write(body + parity.tobytes() + body + body)
     return extents
 
 
@@ -143,18 +144,22 @@ def read_seal(path: Path) -> Seal | bool:
 
 
 def _seal_at(path: Path, size: int, footer: bytes) -> Seal | None:
-    """The seal that a footer describes, by one of its two bodies that fits, or what both have that is not zero."""
+    """The seal that a footer describes, by one of its bodies that fits, or what they have that is not zero."""
     if len(footer) < FOOTER.size:
         return None
     _, end, length, crc = FOOTER.unpack(footer)
-    if not end <= size - length - FOOTER.size:
+    whole = length + FOOTER.size
+    if not end <= size - whole:
+        return None
+    n_parity = SPARE * stripe_sectors(end) * SECTOR
+    # one table in a file of an early version, two, or three; of another size it was cut off, or written to since
+    n_tables = {whole: 1, 2 * whole + n_parity: 2, 3 * whole + n_parity: 3}.get(size - end, 0)
+    if not n_tables:
         return None
     with path.open("rb") as raw:
-        first, last = _read(raw, end, length), _read(raw, size - FOOTER.size - length, length)
-    bodies = [last, first]
-    if len(first) == len(last):
-        bodies.append((np.frombuffer(first, "u1") | np.frombuffer(last, "u1")).tobytes())
-    body = next((body for body in bodies if zlib.crc32(body) == crc), None)
+        bodies = [_read(raw, end if k == 0 else size - k * whole, length) for k in range(n_tables)]
+    together = np.bitwise_or.reduce([np.frombuffer(body.ljust(length, b"\0"), "u1") for body in bodies])
+    body = next((body for body in (*bodies, together.tobytes()) if zlib.crc32(body) == crc), None)
     if body is None:
         return None
     with np.load(io.BytesIO(body), allow_pickle=False) as held:
@@ -164,13 +169,10 @@ def _seal_at(path: Path, size: int, footer: bytes) -> Seal | None:
             further = {
                 "crcs": held["crcs"],
                 "parity_crcs": held["parity_crcs"],
-                "parity_at": end + length + FOOTER.size,
+                "parity_at": end + whole,
             }
-    seal = Seal(end, tuple(map(str, columns)), extents.astype(EXTENT_DTYPE), copy.tobytes(), **further)
-    n_parity = SPARE * stripe_sectors(end) * SECTOR if further else 0
-    if size != end + (2 if further else 1) * (length + FOOTER.size) + n_parity:
-        return None  # of a file that was cut off, or written to since
-    return replace(seal, is_less=first != last)
+    is_less = len(set(bodies)) > 1
+    return Seal(end, tuple(map(str, columns)), extents.astype(EXTENT_DTYPE), copy.tobytes(), **further, is_less=is_less)
 
 
 def once_per_state(examined: Callable[[Path], Found]) -> Callable[[Path], Found]:
@@ -215,7 +217,7 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
     where: list[str] = []
     fixed: dict[int, bytes] | None = None  # sectors that the parity gives, once they are asked for
     if seal.is_less:
-        where.append("one of its two tables of checksums differs from what was written; the other is whole")
+        where.append("a table of its checksums differs from what was written; another is whole")
     at = 0  # in the second copy, which holds extents without samples one after the other
     with path.open("rb", buffering=_LONGEST) as raw:
         for row in seal.extents if samples else seal.extents[seal.extents["column"] < 0]:

@@ -165,12 +165,14 @@ def test_damaged_bytes_never_reach_hdf5(run: tuple[Path, np.ndarray], monkeypatc
 
 
 def test_a_damaged_seal_is_damage(run: tuple[Path, np.ndarray]) -> None:
-    """A byte of both tables of the seal: found; the recording is read without it, in another process first."""
+    """A byte of each table of the seal: found; the recording is read without it, in another process first."""
     path, codes = run
     seal_end = seal_of(path).end
+    end_of_first = seal_of(path).parity_at
     change(path, path.stat().st_size - FOOTER.size - 30)
-    assert "the other is whole" in verify(path).where[0]
-    change(path, seal_of(path).parity_at - FOOTER.size - 30)
+    change(path, end_of_first - FOOTER.size - 30)
+    assert "another is whole" in verify(path).where[0]
+    change(path, path.stat().st_size - (end_of_first - seal_end) - FOOTER.size - 30)
     assert verify(path).where[0] == "its table of checksums differs from what was written"
     with open_recording(path) as recording:
         np.testing.assert_array_equal(recording.codes("drive"), codes[:, 2])
