@@ -17,7 +17,7 @@ from analysis.events.impact_detection import NO_IMPACTS, Impacts
 from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts
 from analysis.events.short_contacts import refine_short_contacts
 from analysis.flights.by_hand import changed_edges, changed_impacts, given_by_hand
-from analysis.flights.denied_impacts import denied
+from analysis.flights.denied_impacts import undenied
 from analysis.flights.scan import Progress, Scan, scan
 from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.plate.motion import PlateMotion
@@ -133,7 +133,14 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
     # within 3 or 4 samples an impact is the edge's own; in time, as a contact's jitter does not shrink with the
     # interval
     intervals, reach_s = _intervals(edges, found.starts_open, end_s), max(1.5e-4, 3.0 / rate_hz)
-    table = _split(*intervals, _undenied(found, g_mps2, rate_hz, intervals, impacts, reach_s), reach_s)
+
+    def steps_of(begin_s: Floats, end_s: Floats) -> tuple[Integers, Bools]:
+        step, unsteady = _steps(found.steps, begin_s, end_s, rate_hz)
+        return np.where(unsteady & FlightFlag.CUT, -1, step), unsteady == 0
+
+    late_s = 0.0 if offset is None else offset.offset_s
+    in_air = intervals[0], intervals[1], intervals[4] == 0
+    table = _split(*intervals, undenied(found.plate, g_mps2, steps_of, in_air, impacts, reach_s, late_s), reach_s)
     takeoff, landing, takeoff_sigma, landing_sigma, flags = table
     strength = _strength(landing, impacts, max(2e-4, 4.0 / rate_hz))
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
@@ -167,24 +174,6 @@ def _back_at_once(takeoff: Floats, landing: Floats, most_s: float) -> Bools:
     """Intervals in the air shorter than ``most_s`` soon after a landing, as a contact that chatters makes them."""
     since = takeoff - np.append(-np.inf, landing[:-1])
     return np.asarray((landing - takeoff < most_s) & (since < BOUNCE_AFTER_S))
-
-
-def _undenied(
-    found: Scan, g_mps2: float, rate_hz: float, intervals: _Intervals, impacts: Impacts, reach_s: float
-) -> Impacts:
-    """Impacts but those within an interval in the air that the contact circuit and the take-off deny."""
-    takeoff, landing, _, _, flags = intervals
-    if takeoff.size == 0 or impacts.time_s.size == 0:
-        return impacts
-    step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
-    step = np.where((flags | unsteady) == 0, step, -1)
-    host = np.searchsorted(takeoff, impacts.time_s - reach_s) - 1
-    inside = np.flatnonzero((host >= 0) & (impacts.time_s < landing[np.maximum(host, 0)] - reach_s))
-    believed = np.ones(impacts.time_s.size, dtype=np.bool_)
-    doubtful = denied(found.plate, g_mps2, takeoff, landing, step, impacts.time_s[inside], host[inside])
-    believed[inside] = ~doubtful | np.isnan(impacts.strength[inside])  # a person's has no strength
-    columns = {name: getattr(impacts, name)[believed] for name in ("time_s", "uncertainty_s", "strength")}
-    return replace(impacts, **columns)
 
 
 def _split(

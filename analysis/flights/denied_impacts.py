@@ -1,40 +1,91 @@
 """Impacts in the accelerometer that the contact circuit denies: it reads open, and the ball was high above the plate.
 
-A knock on the bench or a glitch of the converter looks like an impact. The take-off decides: no ball leaves more slowly
-than the plate, and a flight that ended at such an impact would have to. What friction does to a flight stays far below
-what is taken for a contradiction. Decision 296.
+A knock on the bench, a glitch of the converter or what a template leaves of a table's ringing looks like an impact. The
+flight around it decides: what turns a ball that is high above the plate is strong; and no ball leaves more slowly than
+the plate, as it must have done before a knock in mid-flight. What friction does to a flight stays below what is taken
+for a contradiction. Decisions 296 and 554.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
+from analysis.events.impact_detection import Impacts
 from analysis.plate.motion import PlateMotion
-from kernels.arrays import Bools, Complexes, Floats, Integers
+from kernels.arrays import Bools, Floats, Integers
+
+StepsOf = Callable[[Floats, Floats], tuple[Integers, Bools]]
+"""Step of each flight by its begin and end, -1 where that is of none, and whether the plate has settled there."""
+
+MIN_LANDINGS = 8  # landings from which the strength of an impact gives a speed
+TOO_WEAK = 4.0  # speed that an impact must have changed over the one that it shows, from which it is none
+REST_S = 1e-3  # contact after which a ball is at rest on the plate
+FRICTION = 0.1  # error of a speed where friction acts, as a part of a free flight's
+
+
+class _Flight(NamedTuple):
+    """A flight and a time between its ends, (m,) each."""
+
+    begin_s: Floats
+    time_s: Floats
+    end_s: Floats
+
+
+def undenied(
+    plate: PlateMotion,
+    g_mps2: float,
+    steps_of: StepsOf,
+    in_air: tuple[Floats, Floats, Bools],
+    impacts: Impacts,
+    reach_s: float,
+    late_s: float,
+) -> Impacts:
+    """Impacts but those within an interval in the air that the contact circuit and the motion deny.
+
+    ``in_air``: begin and end of the intervals, and which may be judged, (n,) each. An impact within ``reach_s`` of an
+    end belongs to it. The plate's motion is ``late_s`` behind the contact's edges.
+    """
+    takeoff_s, landing_s, judged = in_air
+    if takeoff_s.size == 0 or impacts.time_s.size == 0:
+        return impacts
+    host = np.searchsorted(takeoff_s, impacts.time_s - reach_s) - 1
+    own = np.flatnonzero((host >= 0) & (impacts.time_s < landing_s[host] - reach_s) & judged[host])
+    time_s, strength = impacts.time_s[own], impacts.strength[own]
+    doubtful = denied(
+        plate, g_mps2, steps_of, takeoff_s + late_s, landing_s + late_s, time_s + late_s, strength, host[own]
+    )
+    believed = np.ones(impacts.time_s.size, dtype=np.bool_)
+    believed[own] = ~doubtful | np.isnan(strength)  # a person's has no strength
+    columns = {name: getattr(impacts, name)[believed] for name in ("time_s", "uncertainty_s", "strength")}
+    return replace(impacts, **columns)
 
 
 def denied(
     plate: PlateMotion,
     g_mps2: float,
+    steps_of: StepsOf,
     takeoff_s: Floats,
     landing_s: Floats,
-    step: Integers,
     impact_s: Floats,
+    strength: Floats,
     host: Integers,
 ) -> Bools:
-    """Whether the flight that an impact would end did not end there: no ball can have left so slowly.
+    """Whether the flight that an impact would end did not end there.
 
     Parameters
     ----------
     plate : PlateMotion
     g_mps2 : float
         Local gravity.
+    steps_of : callable
     takeoff_s, landing_s : arrays, shape (n,)
         Intervals in the air by the contact circuit.
-    step : int array, shape (n,)
-        Step of each interval; -1 where the plate's motion is not that of a step.
-    impact_s : array, shape (m,)
-        Impacts within intervals, in order.
+    impact_s, strength : arrays, shape (m,)
+        Impacts within intervals, in order; the strength is NaN where it is not known.
     host : int array, shape (m,)
         The interval of each impact.
 
@@ -42,48 +93,94 @@ def denied(
     -------
     bool array, shape (m,)
     """
-    left = np.arange(impact_s.size)
-    while left.size:
+
+    def flights(left: Integers) -> tuple[_Flight, Bools]:
+        """The flights that the impacts ``left`` end, and whether each begins with its interval."""
         own, time_s = host[left], impact_s[left]
         first, last = np.diff(own, prepend=-1) != 0, np.diff(own, append=-1) != 0
         begin_s = np.where(first, takeoff_s[own], np.roll(time_s, 1))
-        whole_s = np.where(last, landing_s[own], np.roll(time_s, -1))
-        slow = np.flatnonzero(_too_slow(plate, g_mps2, step[own], begin_s, time_s, whole_s))
-        # only the first of an interval: without it, those after it may be right
-        slow = slow[np.diff(own[slow], prepend=-1) != 0]
-        if not slow.size:
-            break
-        left = np.delete(left, slow)
+        return _Flight(begin_s, time_s, np.where(last, landing_s[own], np.roll(time_s, -1))), first
+
+    left = np.arange(impact_s.size)
+    shown_mps = strength * _speed_of_strength(plate, g_mps2, steps_of, flights(left)[0], strength)
+    rested = takeoff_s - np.append(-np.inf, landing_s[:-1]) > REST_S
+    for weak in (True, False):  # what is too weak first: it would cut the flights of those after it
+        while left.size:
+            (flight, first), own = flights(left), host[left]
+            step, settled = steps_of(flight.begin_s, flight.end_s)
+            lacks = [
+                _lack(plate, g_mps2, k, flight, shown_mps[left]) if weak
+                else _slowness(plate, g_mps2, k, flight, first & rested[own])
+                for k in (step, step - ~settled)
+            ]  # fmt: skip
+            lack = np.nan_to_num(np.minimum(*lacks))  # a plate that settles moves as between the two
+            order = np.lexsort((-lack if weak else left, own))
+            order = order[lack[order] > 0.0]
+            # only one of an interval, the worst or the first: without it, the others may be right
+            gone = order[np.diff(own[order], prepend=-1) != 0]
+            if not gone.size:
+                break
+            left = np.delete(left, gone)
     out = np.ones(impact_s.size, dtype=np.bool_)
     out[left] = False
     return out
 
 
-def _too_slow(
-    plate: PlateMotion, g_mps2: float, step: Integers, begin_s: Floats, impact_s: Floats, whole_s: Floats
-) -> Bools:
-    """Whether a flight that began at a time and ended at an impact must have begun more slowly than the plate.
+def _speed_of_strength(
+    plate: PlateMotion, g_mps2: float, steps_of: StepsOf, flight: _Flight, strength: Floats
+) -> float:
+    """Speed in m/s of a landing whose impact has strength 1, by the stronger half; NaN where too few show it."""
+    step, settled = steps_of(flight.begin_s, flight.time_s)
+    at_m, plate_mps, _ = _plate(plate, step, flight.time_s)
+    lasted_s, rise_m = flight.time_s - flight.begin_s, at_m - _plate(plate, step, flight.begin_s)[0]
+    speed = (plate_mps - rise_m / lasted_s + 0.5 * g_mps2 * lasted_s) / strength
+    own = settled & np.isfinite(speed)
+    strong = speed[own][strength[own] >= np.median(strength[own])] if own.any() else speed[own]
+    return float(np.median(strong)) if strong.size >= MIN_LANDINGS else float("nan")
 
-    Where the flight would have begun slowly even if it ended at ``whole_s``, something else is wrong.
-    """
+
+def _plate(plate: PlateMotion, step: Integers, time_s: Floats) -> tuple[Floats, Floats, Floats]:
+    """Place, m, velocity, m/s, and acceleration, m/s^2, of the plate; NaN where a step is -1 or was not fitted."""
     omega, z = plate.forcing_tones(step)
-    moving = omega > 0.0
-    place = np.where(moving, -z / np.where(moving, omega, 1.0) ** 2, 0.0)
+    own = z * np.exp(1j * omega * plate.true_time_s(time_s))
+    turn = np.where(np.nan_to_num(omega) == 0.0, 1.0, 1j * omega)
+    return tuple((own / turn**k).real.sum(axis=0) for k in (2, 1, 0))
 
-    def shown(time_s: Floats) -> Complexes:
-        return np.asarray(place * np.exp(1j * np.where(moving, omega, 0.0) * plate.true_time_s(time_s)))
 
-    begin = shown(begin_s)
-    leaves_mps = (1j * np.where(moving, omega, 0.0) * begin).real.sum(axis=0)
+def _lack(plate: PlateMotion, g_mps2: float, step: Integers, flight: _Flight, shown_mps: Floats) -> Floats:
+    """Speed by which an impact in a flight is too weak, m/s; at most 0 where it is not.
+
+    A ball that flew from the beginning to the end passed the time at a height. One that met the plate there instead was
+    turned by that height over each of the two times of flight.
+    """
+    before_s, after_s = flight.time_s - flight.begin_s, flight.end_s - flight.time_s
+    whole_s = before_s + after_s
+    begin, at, end = (_plate(plate, step, time_s)[0] for time_s in flight)
+    height = 0.5 * g_mps2 * before_s * after_s + (begin * after_s + end * before_s) / whole_s - at
+    turned_mps = height * whole_s / np.maximum(before_s * after_s, 1e-12)
+    return np.asarray(turned_mps - TOO_WEAK * shown_mps - FRICTION * 0.5 * g_mps2 * whole_s)
+
+
+def _slowness(plate: PlateMotion, g_mps2: float, step: Integers, flight: _Flight, rested: Bools) -> Floats:
+    """Speed by which a flight that ended at an impact began too slowly, m/s; at most 0 where it did not.
+
+    Where the flight would have begun slowly even if it went on to its end, something else is wrong. A ball at rest left
+    as the plate fell away, whatever held it back: while the plate falls away faster still, it does not come back.
+    """
+    begin_m, leaves_mps, begin_mps2 = _plate(plate, step, flight.begin_s)
+    pull_mps2 = np.maximum(g_mps2, -begin_mps2)
+    quarter_s = 0.5 * np.pi / plate.forcing_tones(step)[0][0]
+    falls = (_plate(plate, step, flight.time_s)[2] < -pull_mps2) & (flight.time_s - flight.begin_s < quarter_s)
+    rested = rested & falls
+    pull_mps2 = np.where(rested, pull_mps2, g_mps2)
 
     def start_mps(end_s: Floats) -> Floats:
         """Velocity of a free flight to ``end_s`` at its start, relative to the plate."""
-        lasted_s = np.maximum(end_s - begin_s, 1e-9)
-        rise_m = (shown(end_s) - begin).real.sum(axis=0)
-        return np.asarray(rise_m / lasted_s + 0.5 * g_mps2 * lasted_s - leaves_mps)
+        lasted_s = np.maximum(end_s - flight.begin_s, 1e-9)
+        rise_m = _plate(plate, step, end_s)[0] - begin_m
+        return np.asarray(rise_m / lasted_s + 0.5 * pull_mps2 * lasted_s - leaves_mps)
 
-    usual = 0.5 * g_mps2 * (impact_s - begin_s)
-    # twice as far below the plate as the whole flight's, 0.3 of a free flight's (a friction of 0.5 g makes 0.1), and 3
-    # cm/s
-    least = np.maximum(np.maximum(-2.0 * start_mps(whole_s), 0.3 * usual), 0.03)
-    return np.asarray((step >= 0) & moving.any(axis=0) & (start_mps(impact_s) < -least))
+    usual = 0.5 * g_mps2 * (flight.time_s - flight.begin_s)
+    # a friction of 0.5 g makes 0.1 of a free flight's
+    least = np.where(rested, 0.05 * usual, np.maximum(0.3 * usual, 0.03))
+    return np.asarray(-start_mps(flight.time_s) - np.maximum(least, -2.0 * start_mps(flight.end_s)))

@@ -55,6 +55,7 @@ BLOCK_S = 1e-3  # longest block of samples averaged before the fit
 LEAD_S = 2e-4  # time before an impact that is masked with it
 HARMLESS_COVER = 0.85  # unmasked part of a step above which no mask can do harm
 MAX_INFLATION, MOST_INFLATION = 1.6, 5.0  # largest factors by which a mask may raise a tone's uncertainty
+TOO_FEW = 20.0  # factor from which fewer harmonics are fitted: one of a percent that is left out does less harm
 
 
 @dataclass(frozen=True)
@@ -273,13 +274,17 @@ class StepAccumulator:
         for span in state.spans:
             state.lock_in.add(span.values, span.first, span.block_class)
         if state.mask_level == N_MASK_LEVELS:
-            state.mask_level = _choose_mask_level(state, state.lock_in)
+            state.mask_level, inflation = _choose_mask_level(state, state.lock_in)
+            if inflation > TOO_FEW and state.multiples[-1] > max(*state.forcing, 2):
+                state.most_multiple, state.lock_in = state.multiples[-2], None
+                self._accumulate(state)
 
     def _frequencies(self, state: StepState) -> tuple[tuple[int, ...], Floats]:
         """Tones of the step: what fits under the blocks' rate; mains lines that can be separated; their multiples."""
         # short of half the blocks' rate, beyond which a tone would be folded back
         limit = 0.45 * self.block_rate_hz
-        multiples = tuple(m for m in multiples_of(state.forcing) if m == 1 or m * state.frequency_hz < limit)
+        most = min(state.most_multiple, limit / state.frequency_hz)
+        multiples = tuple(m for m in multiples_of(state.forcing) if m == 1 or m <= most)
         tones = state.frequency_hz * np.array(multiples)
         mains = [m.hz for m in state.mains] + [hz for m in state.mains for hz in m.multiples_hz]
         lines = separable_lines([hz for hz in mains if hz < limit], tones, state.hold_s)
@@ -329,21 +334,22 @@ class StepAccumulator:
         self.waiting.clear()
 
 
-def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
-    """Level of the longest mask that leaves enough of the step to fit the forcing's tones.
+def _choose_mask_level(state: StepState, lock_in: LockIn) -> tuple[int, float]:
+    """Level of the longest mask that leaves enough of the step to fit the forcing's tones, and what it costs them.
 
     Impacts at the same phases of every cycle may leave holes that tones and harmonics can fill freely. The mask is then
     shortened until no tone's uncertainty is more than `MAX_INFLATION` times that of an unmasked step: the impacts'
-    waveform has been subtracted. Where more of it is left than noise, up to `MOST_INFLATION` is accepted.
+    waveform has been subtracted. Where more of it is left than noise, up to `MOST_INFLATION` is accepted. The cost is
+    that factor, infinite where the tones cannot be separated.
     """
     counts = lock_in.counts.reshape(3, N_MASK_LEVELS).sum(axis=0)
     whole = int(counts.sum())
     longest_rms: float | None = None
-    longest = 1
-    for level in range(N_MASK_LEVELS - 1, 1, -1):
+    longest, cost = 1, np.inf
+    for level in range(N_MASK_LEVELS - 1, 0, -1):
         left = int(counts[level:].sum())
         if left > HARMLESS_COVER * whole and longest_rms is None:
-            return level
+            return level, 1.0
         # each tone needs eight unmasked blocks
         if left < 8 * lock_in.frequencies_hz.size:
             continue
@@ -352,18 +358,21 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> int:
         try:
             # without a mask both quadratures of a tone have the variance 4 / n together
             spread = np.diag(total.inverse())
-            worst = max(float(spread[2 * r + 1] + spread[2 * r + 2]) for r in state.rows) * whole / 4.0
-            if worst > MOST_INFLATION**2:
-                continue
+            inflation = max(float(spread[2 * r + 1] + spread[2 * r + 2]) for r in state.rows) * whole / 4.0
             rms = total.solve(0).rms
         except ValueError:
             continue
+        inflation = float(np.sqrt(inflation))
+        if level == 1:
+            return (1, inflation) if longest_rms is None else (longest, cost)
+        if inflation > MOST_INFLATION:
+            continue
         if longest_rms is None:
-            longest, longest_rms = level, rms
-        if worst < MAX_INFLATION**2 or left > HARMLESS_COVER * whole:
+            longest, longest_rms, cost = level, rms, inflation
+        if inflation < MAX_INFLATION or left > HARMLESS_COVER * whole:
             # a residual 10 % above that with the longest mask is ringing, which the shorter mask leaves in
-            return level if rms < 1.1 * longest_rms else longest
-    return 1 if longest_rms is None else longest
+            return (level, inflation) if rms < 1.1 * longest_rms else (longest, cost)
+    return longest, cost
 
 
 @njit(error_model="numpy")

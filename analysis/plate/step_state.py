@@ -90,7 +90,8 @@ class StepState:
     """Accumulated state of one step: open spans, tones, normal equations and closed chunks.
 
     ``first_codes`` are its first accelerometer samples as stored, where they came in one piece; ``ends`` the codes at
-    which the accelerometer is at its end, where blocks that reach them are masked.
+    which the accelerometer is at its end, where blocks that reach them are masked. No harmonic beyond ``most_multiple``
+    is fitted.
     """
 
     step: int
@@ -103,6 +104,7 @@ class StepState:
     blocks: int = 0
     frequency_hz: float = np.nan
     frequency_uncertainty_hz: float = np.inf
+    most_multiple: float = np.inf
     multiples: tuple[int, ...] = ()
     mains: tuple[MainsLine, ...] = ()
     lock_in: LockIn | None = None

@@ -162,10 +162,11 @@ def _scale(source: Source, column: Column, role: str, setup: Setup) -> tuple[flo
     """Volts of one unit of what is stored, and the offset."""
     described = setup.channels.get(role)
     range_v = described.range_v if described is not None else 10.0
-    if column.unit == "fs":
-        return range_v, 0.0
-    factor, offset = source.scale(column.name, range_v)
-    unit_v = VOLT_UNITS.get(column.unit, 1.0)
+    if column.unit == "fs":  # whole numbers of a WAV are codes of it
+        full, unit_v = 1.0, range_v
+    else:
+        full, unit_v = range_v, VOLT_UNITS.get(column.unit, 1.0)
+    factor, offset = source.scale(column.name, full)
     return factor * unit_v, offset * unit_v
 
 

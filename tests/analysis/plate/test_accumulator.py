@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from analysis.flights.scan import plate_of
-from analysis.plate.accumulator import PlatePiece, _classify, block_width
-from analysis.plate.step_state import CONTACT, FLIGHT, N_MASK_LEVELS, NEITHER
+from analysis.plate.accumulator import PlatePiece, StepAccumulator, _classify, block_width
+from analysis.plate.step_state import CONTACT, FLIGHT, N_MASK_LEVELS, NEITHER, Span, StepState
 from daq.files.tables import Block
 from daq.instrument.saturation import NO_ENDS
 from daq.recording import open_recording
@@ -72,3 +72,20 @@ def test_blocks_know_the_place_and_the_time_since_the_last_impact() -> None:
         level = int(np.sum(masks < first + i - before[-1])) if before.size else N_MASK_LEVELS - 1
         place = FLIGHT if part > 0.9 else CONTACT if part < 0.1 else NEITHER
         assert found[i] == place * N_MASK_LEVELS + level
+
+
+@pytest.mark.parametrize(("open_part", "fitted"), [(0.9, (1, 2, 3, 4, 5, 6)), (0.5, (1, 2))])
+def test_where_impacts_hide_half_of_every_cycle_harmonics_give_way(open_part: float, fitted: tuple[int, ...]) -> None:
+    """A mask at the same phases of all cycles: the forcing's two tones are right to a percent with what is left."""
+    n = np.arange(600)
+    angle = 2.0 * np.pi * FREQUENCY_HZ * n / 1000.0
+    values = np.cos(angle) + 0.8 * np.cos(2.0 * angle + 1.0) + 1e-3 * np.random.default_rng(2).standard_normal(600)
+    level = np.where(angle / (2.0 * np.pi) % 1.0 < open_part, N_MASK_LEVELS - 1, 0)
+    state = StepState(0, FREQUENCY_HZ, (1, 2), 0, 12000, 0.6, frequency_hz=FREQUENCY_HZ)
+    state.spans.append(Span(0, np.column_stack([values, values]), (FLIGHT * N_MASK_LEVELS + level).astype(np.int8)))
+    accumulator = object.__new__(StepAccumulator)
+    accumulator.block_rate_hz, accumulator.width = 1000.0, 1
+    accumulator._accumulate(state)
+    assert state.multiples == fitted and state.lock_in is not None
+    found = state.lock_in.part(state.clear_classes()).solve(0).amplitudes
+    np.testing.assert_allclose(np.abs(found[:2]), [1.0, 0.8], rtol=0.01)

@@ -120,7 +120,7 @@ def test_matrix_columns_by_number(tmp_path: Path, setup: Setup, columns: Columns
 
 
 def test_wav_keeps_its_codes(tmp_path: Path, setup: Setup, columns: Columns) -> None:
-    """Whole-number WAV samples stay whole numbers; full scale is the range of the profile's channel."""
+    """Whole-number WAV samples stay whole numbers; full scale, named or not, is the channel's range."""
     names = ["continuity_v", "accelerometer_v", "drive_v"]
     codes = np.rint(np.column_stack([columns[n] for n in names]) / 10 * 32768).astype(np.int16)
     wavfile.write(tmp_path / "a.wav", int(RATE_HZ), codes)
@@ -128,6 +128,8 @@ def test_wav_keeps_its_codes(tmp_path: Path, setup: Setup, columns: Columns) -> 
     with open_recording(tmp_path / "a.h5") as recording:
         np.testing.assert_array_equal(recording.codes("drive"), codes[:, 2])
         assert recording.setup.channels.continuity is not None
+    maps = [f"{name}={name}:fs" for name in ("continuity", "accelerometer", "drive")]
+    check(tmp_path / "b.h5", columns, bring_in(tmp_path / "a.wav", tmp_path / "b.h5", setup, maps), 2e-4)
 
 
 def test_other_names_and_units(tmp_path: Path, setup: Setup, columns: Columns) -> None:

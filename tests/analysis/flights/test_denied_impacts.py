@@ -1,0 +1,72 @@
+"""Impacts within intervals in the air: those that turned the ball are believed, and those that cannot have are not."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.flights.denied_impacts import denied
+from kernels.arrays import Floats
+
+G, OMEGA, GAMMA = 9.81, 2.0 * np.pi * 27.3, 1.6
+DT_S, NO_REBOUND_MPS = 1e-5, 1e-2
+
+
+def marched(restitution: float, friction: float, seconds: float = 1.2) -> tuple[Floats, Floats]:
+    """Intervals without rest (n, 2), and the impacts within and at their ends (m, 2), time and change of speed."""
+    height = speed = begin = 0.0
+    resting = True
+    intervals, impacts = [], []
+    for i in range(int(seconds / DT_S)):
+        t = i * DT_S
+        free = -G + GAMMA * G * np.sin(OMEGA * t)
+        if resting and free <= friction * G:
+            continue
+        if resting:
+            resting, begin = False, t
+        speed += (free - np.sign(speed or 1.0) * friction * G) * DT_S
+        height += speed * DT_S
+        if height < 0.0:
+            impacts.append((t, -(1.0 + restitution) * speed))
+            height, speed = 0.0, -restitution * speed
+            if speed < NO_REBOUND_MPS and free <= friction * G:
+                resting, speed = True, 0.0
+                intervals.append((begin, t))
+    return np.array(intervals), np.array(impacts)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.15])
+@pytest.mark.parametrize("restitution", [0.25, 0.5])
+def test_what_is_left_of_ringing_cuts_no_flight_and_a_rebound_does(restitution: float, friction: float) -> None:
+    """Bounces that the circuit does not show, and a thousandth to a hundredth of them in between: only these go."""
+    intervals, impacts = marched(restitution, friction)
+    rng = np.random.default_rng(5)
+    host = np.searchsorted(intervals[:, 0], impacts[:, 0]) - 1
+    within = (host < len(intervals)) & (impacts[:, 0] < intervals[host.clip(0, len(intervals) - 1), 1])
+    true, host = impacts[within], host[within]
+    events = np.sort(np.concatenate([intervals.ravel(), true[:, 0]]))
+    flights = np.column_stack([events[:-1], events[1:]])
+    inside = (
+        np.searchsorted(intervals[:, 1], flights[:, 0], "right") == np.searchsorted(intervals[:, 0], events[1:]) - 1
+    )
+    flights = flights[inside & (events[1:] - events[:-1] > 8e-3)]
+    left = np.column_stack([
+        flights[:, 0] + rng.uniform(1e-3, 4e-3, len(flights)),
+        np.median(impacts[:, 1]) * rng.uniform(1e-3, 1e-2, len(flights)),
+    ])  # fmt: skip
+    every = np.concatenate([true, left])
+    order = np.argsort(every[:, 0])
+    place: Any = SimpleNamespace(
+        true_time_s=lambda t: t,
+        forcing_tones=lambda step: (np.full((1, step.size), OMEGA), np.full((1, step.size), GAMMA * G * 1j)),
+    )
+    found = denied(
+        place, G, lambda begin, end: (np.zeros(begin.size, np.int64), np.ones(begin.size, np.bool_)),
+        intervals[:, 0], intervals[:, 1], every[order, 0], 5000.0 * every[order, 1],
+        np.searchsorted(intervals[:, 0], every[order, 0]) - 1,
+    )  # fmt: skip
+    assert len(true) >= 20 and len(left) >= 20
+    np.testing.assert_array_equal(found, order >= len(true))
