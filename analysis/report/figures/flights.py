@@ -163,7 +163,14 @@ def draw_trajectory(shown: Measured, figure: Figure) -> None:
     height = 1e3 * motion.position_at(at(t))
     ax.plot(1e3 * (t - begin), height, "-", lw=1.6, color=style.PLATE, label="plate, measured")
     for n, i in enumerate(index[flights.takeoff_s[index] < end]):
-        _draw_flight(ax, flights, int(i), begin, motion, recording.setup.g_mps2.value, first=n == 0)
+        # a measured flight: the parabola through its two ends on the plate
+        a, b, g = flights.takeoff_s[i], flights.landing_s[i], recording.setup.g_mps2.value
+        s = np.linspace(0.0, b - a, 80)
+        start, stop = (float(motion.position_at(at(t))) for t in (a, b))
+        y = start + ((stop - start) / (b - a) + 0.5 * g * (b - a)) * s - 0.5 * g * s**2
+        label = "free fall through measured take-off and landing" if n == 0 else None
+        ax.plot(1e3 * (a + s - begin), 1e3 * y, "-", lw=1.4, color=style.MEASURED, label=label)
+        ax.plot(1e3 * (np.array([a, b]) - begin), [1e3 * start, 1e3 * stop], "o", ms=4, mew=0, color=style.MEASURED)
     _draw_predicted(ax, flights, plate, recording.setup, begin, end, float(flights.takeoff_s[index[0]]))
     first, last = int(begin * recording.rate_hz), min(int(end * recording.rate_hz), recording.n_samples)
     volts = recording.read_v("continuity", first, last)
@@ -175,18 +182,6 @@ def draw_trajectory(shown: Measured, figure: Figure) -> None:
     ax.set_title(f"{name}, c = {plate.ratio}, {plate.frequency_hz:.2f} Hz", fontsize=10, loc="left")
     ax.set_ylim(top=ax.get_ylim()[1] + 0.3 * np.ptp(ax.get_ylim()))
     ax.legend(loc="upper right", fontsize=8, framealpha=0.9)
-
-
-def _draw_flight(ax: Any, flights: Flights, i: int, begin: float, motion: Any, g: float, *, first: bool) -> None:
-    """One measured flight: the parabola through its two ends on the plate."""
-    a, b = flights.takeoff_s[i], flights.landing_s[i]
-    s = np.linspace(0.0, b - a, 80)
-    start, stop = (float(motion.position_at(flights.plate.true_time_s(t))) for t in (a, b))
-    speed = (stop - start) / (b - a) + 0.5 * g * (b - a)
-    y = start + speed * s - 0.5 * g * s**2
-    label = "free fall through measured take-off and landing" if first else None
-    ax.plot(1e3 * (a + s - begin), 1e3 * y, "-", lw=1.4, color=style.MEASURED, label=label)
-    ax.plot(1e3 * (np.array([a, b]) - begin), [1e3 * start, 1e3 * stop], "o", ms=4, mew=0, color=style.MEASURED)
 
 
 def _draw_predicted(
