@@ -15,6 +15,7 @@ from analysis.loop.verdict import Failed
 from analysis.report.numbers import microseconds, probability
 from analysis.report.wording import (
     capital,
+    coverage_in_words,
     lost_in_words,
     others_in_words,
     plain,
@@ -117,7 +118,8 @@ def _rivals(loop: ClosedLoop) -> str:
 
 def reasoning(loop: ClosedLoop) -> list[str]:
     """Sentences in the order of the argument."""
-    return [*_residual_sentences(loop), *_candidate_sentences(loop), *why_this_verdict(loop)]
+    coverage = [f"{words}." for words in coverage_in_words(loop)]
+    return [*_residual_sentences(loop), *_candidate_sentences(loop), *coverage, *why_this_verdict(loop)]
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:

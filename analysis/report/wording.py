@@ -11,6 +11,10 @@ from analysis.report.numbers import interval, microseconds, plus_minus, probabil
 from analysis.residuals.values import TREND
 from model.effects.registry import effect, trend_name
 
+# 95 % intervals that held the truth, of how many, on recordings of another plant: docs/results/closed-loop.md
+COVERAGE = {"harmonic_distortion": (19, 24), "restitution": (9, 12)}
+COVERAGE_OF_OTHERS = (208, 226)
+
 
 def capital(text: str) -> str:
     """A text with its first letter as a capital."""
@@ -35,6 +39,15 @@ def size_of(found: AddedEffect) -> str:
     return ", ".join(
         f"{k} = {interval(v, lo, hi)} {unit_of(found.name, k)}".rstrip() for k, (v, lo, hi) in found.parameters.items()
     )
+
+
+def coverage_in_words(loop: ClosedLoop) -> list[str]:
+    """How often intervals of each added effect have held a known truth, a line each."""
+    out = []
+    for f in loop.selection.effects:
+        held, of = COVERAGE.get(f.name, COVERAGE_OF_OTHERS)
+        out.append(f"95 % intervals of {plain(f.name)} held the truth in {held} of {of} cases where it was known")
+    return out
 
 
 def verdict_line(loop: ClosedLoop) -> str:

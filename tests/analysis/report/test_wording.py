@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from analysis.report.narrative import headline, why_this_verdict
-from analysis.report.wording import lost_in_words, what_is_left
+from analysis.loop.result import AddedEffect
+from analysis.report.narrative import headline, reasoning, why_this_verdict
+from analysis.report.wording import coverage_in_words, lost_in_words, what_is_left
 from analysis.thresholds import FROZEN
 from tests.loops import changed
 
@@ -43,3 +44,16 @@ def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):
             closed_loop.errors.after, landing_rms_us=rms, flights=1900, lost=lost, landing_rms_us_without_lost=without
         )
         assert lost_in_words(changed(closed_loop, after=after)) == ""
+
+
+def test_an_interval_comes_with_what_intervals_of_its_kind_have_held(closed_loop):
+    """Restitution has a count of its own, any other effect that of all others; nothing named, nothing said."""
+    said = []
+    for names in (("restitution",), ("spring",), ()):
+        effects = tuple(AddedEffect(name, {}) for name in names)
+        loop = changed(closed_loop, effects=effects)
+        said.append(coverage_in_words(loop))
+        assert all(f"{words}." in reasoning(loop) for words in said[-1])
+    own, other, none = said
+    assert none == [] and len(own) == len(other) == 1
+    assert own[0].split("held")[1] != other[0].split("held")[1]
