@@ -17,6 +17,7 @@ from kernels import njit
 from kernels.arrays import Floats, Integers
 
 JITTER_SHARE = 0.01  # of a sample: less is uniform for any purpose
+PIECE = 1 << 18  # times read at once
 Runs = list[tuple[int, int]]
 
 
@@ -35,28 +36,20 @@ Times = Callable[[int, int], Floats]
 """Gives seconds of samples ``start .. stop``, read again and again, never all at once."""
 
 
-def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) -> Timebase:
-    """Find rate, pauses and jitter of ``n`` times, at least 2, not falling.
-
-    Parameters
-    ----------
-    quantum_s
-        Rounding step of the column.
-    piece
-        Samples read at once.
-    """
-    first = times(0, min(n, 1 << 18))
+def timebase_of(times: Times, n: int, quantum_s: float) -> Timebase:
+    """Rate, pauses and jitter of ``n`` times, at least 2, not falling; ``quantum_s``: rounding step of the column."""
+    first = times(0, min(n, PIECE))
     stride = min(1000, max(1, (len(first) - 1) // 3))  # long, so that rounding does not bias the step
     # a step in time longer than this many samples is a pause
     limit = 1.6 * float(np.median(first[stride:] - first[:-stride])) / stride + quantum_s
     pauses = [np.zeros(0, np.int64)]
-    for start in range(0, n - 1, piece):
-        own = times(start, min(start + piece + 1, n))  # pieces overlap by a sample: every difference counts once
+    for start in range(0, n - 1, PIECE):
+        own = times(start, min(start + PIECE + 1, n))  # pieces overlap by a sample: every difference counts once
         if longest_step(own) > limit:
             pauses.append(start + 1 + np.flatnonzero(np.diff(own) > limit))
     gaps = np.concatenate(pauses).astype(np.int64)
     runs = list(pairwise([0, *gaps.tolist(), n]))
-    slope, slope_sigma = _slope(times, n, runs, piece)
+    slope, slope_sigma = _slope(times, n, runs)
     step = slope
     allowed = (0.5 * quantum_s + 1e-9) / max(n - 1 - len(gaps), 1)
     for digits in range(0, 7):  # the roundest rate that the column cannot distinguish from the fitted one
@@ -67,7 +60,7 @@ def timebase_of(times: Times, n: int, quantum_s: float, piece: int = 1 << 18) ->
     samples = np.array([float(np.diff(times(g - 1, g + 1))[0]) for g in gaps.tolist()]) / step  # of each pause
     sigma = np.hypot(samples * slope_sigma / step, quantum_s / step)
     found = np.stack([gaps, np.rint(samples) - 1, np.ceil(sigma - 0.5).clip(0)], axis=1).astype(np.int64)
-    worst, rms = _distance(times, n, runs, step, piece)
+    worst, rms = _distance(times, n, runs, step)
     uniform = bool(worst <= max(0.75 * quantum_s + 1e-9, JITTER_SHARE * step)) and not len(gaps)
     return Timebase(1.0 / step, uniform, rms, found[found[:, 1] > 0])
 
@@ -80,15 +73,15 @@ def quantum_of(values: Floats) -> float:
     return float("inf")
 
 
-def _slope(times: Times, n: int, runs: Runs, piece: int) -> tuple[float, float]:
+def _slope(times: Times, n: int, runs: Runs) -> tuple[float, float]:
     """Seconds a sample by least squares within the unbroken runs, with its standard deviation."""
     sxy = sxx = ss = 0.0
     own: list[tuple[float, float]] = []
     for start, stop in runs:
         centre, middle = (stop - start - 1) / 2.0, float(np.mean([times(start, start + 1), times(stop - 1, stop)]))
         sums = np.zeros(5)
-        for a in range(start, stop, piece):
-            line_sums(times(a, min(a + piece, stop)), a - start, centre, middle, sums)
+        for a in range(start, stop, PIECE):
+            line_sums(times(a, min(a + PIECE, stop)), a - start, centre, middle, sums)
         sxy, sxx = sxy + sums[2], sxx + sums[3]
         own.append((sums[2], sums[3]))
         ss += sums[4] - sums[1] ** 2 / sums[0]
@@ -99,14 +92,14 @@ def _slope(times: Times, n: int, runs: Runs, piece: int) -> tuple[float, float]:
     return slope, float(np.sqrt(variance / sxx + wander))
 
 
-def _distance(times: Times, n: int, runs: Runs, step: float, piece: int) -> tuple[float, float]:
+def _distance(times: Times, n: int, runs: Runs, step: float) -> tuple[float, float]:
     """Largest and rms distance of the times from an even grid through each unbroken run."""
     worst = squares = 0.0
     for start, stop in runs:
         low, high, total, square = np.inf, -np.inf, 0.0, 0.0
         origin = float(times(start, start + 1)[0])
-        for a in range(start, stop, piece):
-            least, most, own, squared = distances(times(a, min(a + piece, stop)), a - start, origin, step)
+        for a in range(start, stop, PIECE):
+            least, most, own, squared = distances(times(a, min(a + PIECE, stop)), a - start, origin, step)
             low, high, total, square = min(low, least), max(high, most), total + own, square + squared
         worst = max(worst, (high - low) / 2.0)
         squares += max(square - total**2 / (stop - start), 0.0)

@@ -46,10 +46,7 @@ def branch_of(phase: ArrayLike, tau: ArrayLike, over: float = math.pi) -> Intege
     return np.asarray(turns, dtype=np.int64)
 
 
-def landing_map(
-    ball: Ball, gamma: float, rng: np.random.Generator, *, cells: tuple[int, int] = (120, 40), flights: int = 4,
-    spread: float = 0.005,
-) -> LandingMap:  # fmt: skip
+def landing_map(ball: Ball, gamma: float, rng: np.random.Generator, *, spread: float = 0.005) -> LandingMap:
     """Flights from every cell of take-off states, with their share in the long run.
 
     Parameters
@@ -59,10 +56,6 @@ def landing_map(
     gamma : float
     rng : numpy.random.Generator
         Of the states within a cell.
-    cells : tuple of int
-        In phase and in speed.
-    flights : int
-        From each cell.
     spread : float
         Standard deviation of gamma from flight to flight, relative: what an amplitude control leaves.
 
@@ -75,7 +68,7 @@ def landing_map(
     fastest = float(np.max(np.where(path.reset[1:], 0.0, path.speed[:-1]), initial=0.0))
     if fastest == 0.0:
         raise InputError(f"gamma = {gamma:g}: the ball never takes off from an impact; its landing map has one state")
-    columns, rows = cells
+    columns, rows, flights = 120, 40, 4  # cells in phase and in speed, and flights from each
     n_cells = columns * rows + 1  # the last cell is rest: whatever comes there waits for the threshold
     source = np.append(np.repeat(np.arange(n_cells - 1), flights), [n_cells - 1] * flights)
     at = rng.random((source.size, 2))

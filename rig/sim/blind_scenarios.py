@@ -56,7 +56,6 @@ def sealed_scenario(
     *,
     strength: Strength = "strong",
     count: int = 1,
-    floor_us: float = 10.0,
     allowed: Mapping[tuple[str, str], float] = MappingProxyType({}),
     drift: bool = False,
     nuisances: bool = False,
@@ -72,8 +71,6 @@ def sealed_scenario(
         Size of each effect: its typical residual over the noise floor, by `STRENGTHS`.
     count : int
         How many effects (2 for a pair, 0 for a clean rig).
-    floor_us : float
-        The noise floor that strengths are meant against, in microseconds of landing time.
     allowed : mapping
         Uncertainties of the rig's calibrations, by effect and parameter, from `left_open`: what they allow is no
         effect yet, so one that looks like a calibration has at least as many of them as its strength has noise floors.
@@ -95,7 +92,7 @@ def sealed_scenario(
     if not 0 <= count <= len(names):
         raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")
     chosen = [str(name) for name in rng.permutation(np.array(list(names), dtype=object))[:count]]
-    effects = {name: _draw(rng, EFFECTS[name], strength, floor_us, allowed) for name in chosen}
+    effects = {name: _draw(rng, EFFECTS[name], strength, allowed) for name in chosen}
     rates: dict[str, float] = {}
     if drift and chosen:
         for parameter in EFFECTS[chosen[0]].parameters:
@@ -144,15 +141,12 @@ def instrument_in_words(rig: Mapping[str, float]) -> str:
 
 
 def _draw(
-    rng: np.random.Generator,
-    entry: EffectEntry,
-    strength: Strength,
-    floor_us: float,
-    allowed: Mapping[tuple[str, str], float],
+    rng: np.random.Generator, entry: EffectEntry, strength: Strength, allowed: Mapping[tuple[str, str], float]
 ) -> dict[str, float]:
     """Values of one effect: shapes from their ranges, sizes scaled to the strength but never above the strong range."""
     low, high = STRENGTHS[strength]
-    target_us = floor_us * float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    # strengths are meant against a noise floor of 10 us of landing time
+    target_us = 10.0 * float(np.exp(rng.uniform(np.log(low), np.log(high))))
     share = min(0.01 * target_us / entry.unit_us, 1.0)
     values: dict[str, float] = {}
     for parameter in entry.parameters:
