@@ -39,9 +39,9 @@ class Fit:
     draws: Floats  # (m, p) bootstrap over drops, or over flights where there are few drops
     freedom: int  # rows less parameters
 
-    def half_width(self, level: float = 0.95) -> Floats:
-        """Half the interval of each parameter: the wider of the fit's and the bootstrap's."""
-        t = float(stats.t.ppf(0.5 + level / 2, max(self.freedom, 1)))
+    def half_width(self) -> Floats:
+        """Half the 95 % interval of each parameter: the wider of the fit's and the bootstrap's."""
+        t = float(stats.t.ppf(0.975, max(self.freedom, 1)))
         return np.asarray(t * np.maximum(np.sqrt(np.diag(self.covariance)), self.draws.std(axis=0)))
 
 
