@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ParamSpec
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from kernels.arrays import Floats
 from model.effects.registry import effect
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
@@ -124,8 +125,8 @@ class Refits:
         self.failed: dict[tuple[str, ...], str] = {}
 
     def attempted(
-        self, chosen: Sequence[Candidate], fit: Callable[P, Hypothesis | None], *args: P.args, **options: P.kwargs
-    ) -> Hypothesis | None:
+        self, chosen: Sequence[Candidate], fit: Callable[P, T | None], *args: P.args, **options: P.kwargs
+    ) -> T | None:
         """The fit of ``chosen``, called with the rest; None where it is not finite: `failed` says why."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # a plate mode may diverge
@@ -144,13 +145,18 @@ class Refits:
         return Hypothesis(candidates, fitted, whitener, fitted.held_out(whitener))
 
     def reweighted(self, fitted: Fitted) -> Fitted:
-        """The fit repeated with the weights of the point found, until they converge."""
+        """The fit repeated with the weights of the point found, until they converge.
+
+        Derivatives by calibrations are taken anew once: weights move a fit by less than would change them.
+        """
+        known = None
         # weights depend on the fit and the fit on the weights: four turns, or until the loss stands still
         for _ in range(4):
             before, after = fitted.state.whitener, Whitener.of(self.model, fitted.values)
             if after.near(before):
                 break
-            fitted = self.fitter.fit(after, fitted.free, fitted.values)
+            fitted = self.fitter.fit(after, fitted.free, fitted.values, known)
+            known = {k: x for k, x in fitted.slopes.items() if k not in fitted.free}
         return fitted
 
     def converged(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 from analysis.attribution.candidates import Candidate, Point, distinct_starts, null_value_of, parameter_of, trends_of
 from analysis.attribution.coarse_search import CoarseSearch, axes_of, coarse_grids, subsample
@@ -22,7 +23,9 @@ from analysis.thresholds import DRIFTING_NATS, NEAR_NATS, NEAR_PART, Thresholds
 from model.effects.registry import effect, trend_name
 
 Tried = Callable[[Candidate], None]
+Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 
+FOLLOWED_PART = 0.3  # of the best gain, below which a candidate's weights are not iterated
 MOST_DRIFTING = 4  # strong candidates of a round that are tried with a drift
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
@@ -80,23 +83,31 @@ class Proposals:
             done += 1
             progress(" + ".join(candidate.names), done / total)
 
-        def one(candidate: Candidate) -> Hypothesis | None:
-            found = attempted((*best.candidates, candidate), self.add, best, candidate)
+        def one(candidate: Candidate) -> Fitted | None:
+            fitted = attempted((*best.candidates, candidate), self._with_weights_of, best, candidate)
             tried(candidate)
-            return found
+            return fitted
+
+        def followed(one: tuple[Candidate, Fitted, float], enough: float = -math.inf) -> Hypothesis | None:
+            chosen, fit = self._chosen(best, one[0]), self._iterated if one[2] >= enough else self._as_begun
+            return attempted(chosen, fit, best, chosen, one[1])
 
         def farther(candidate: Candidate) -> Hypothesis | None:
             return attempted((*best.candidates, candidate), self._followed_farther, best, candidate)
 
         with ThreadPoolExecutor(THREADS) as pool:
-            fitted = list(pool.map(one, options))
-            found = [x for x in fitted if x is not None]
-            # a mode that recorded volts show is where it is: no flight has to look for it
-            if not self.fitter.identified and not self._explained(best, found):
-                modes = [c for c, x in zip(options, fitted, strict=True) if x is not None and is_plate_mode(c)]
-                found += [x for x in pool.map(farther, modes) if x is not None]
+            soft = [(c, x) for c, x in zip(options, pool.map(one, options), strict=True) if x is not None]
+            begun = sorted(((c, x, self._gained(best, x)) for c, x in soft), key=lambda x: -x[2])
+            found = [x for x in map(followed, begun[:1]) if x is not None]
             if far and not self._settled(found):
                 found += self._from_afar(best, far, pool, tried)
+            most = max((self._gained(best, x.fitted) for x in found), default=0.0)
+            enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
+            found += [x for x in pool.map(lambda x: followed(x, enough), begun[1:]) if x is not None]
+            # a mode that recorded volts show is where it is: no flight has to look for it
+            if not self.fitter.identified and not self._explained(best, found):
+                modes = [c for c, _ in soft if is_plate_mode(c)]
+                found += [x for x in pool.map(farther, modes) if x is not None]
             return found + self._drifting(best, found, pool)
 
     def _drifting(self, best: Hypothesis, found: Sequence[Hypothesis], pool: ThreadPoolExecutor) -> list[Hypothesis]:
@@ -148,17 +159,39 @@ class Proposals:
         NotFiniteError
             Where nothing that it predicts is finite.
         """
-        taken = set(best.free)
-        free = tuple(k for k in candidate.free if k not in taken)
+        fitted = self._with_weights_of(best, candidate)
+        return None if fitted is None else self._iterated(best, self._chosen(best, candidate), fitted)
+
+    def _chosen(self, best: Hypothesis, candidate: Candidate) -> tuple[Candidate, ...]:
+        """The candidates of the best hypothesis, and what is fresh of one more."""
+        return (*best.candidates, Candidate(candidate.names, tuple(k for k in candidate.free if k not in best.free)))
+
+    def _gained(self, best: Hypothesis, fitted: Fitted) -> float:
+        """What a fit gains on the training steps, each channel's excess noise at its best, nats."""
+        level, loss = (self.refits.profile_loss(best.whitener, x.values) for x in (best.fitted, fitted))
+        return level - loss
+
+    def _iterated(self, best: Hypothesis, chosen: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
+        """The hypothesis of a fit, its weights iterated where it gains."""
+        if max(best.fitted.loss - fitted.loss, self._gained(best, fitted)) < self.limits.negligible_nats:
+            return self._as_begun(best, chosen, fitted)
+        return self.refits.scored(chosen, self.refits.reweighted(fitted))
+
+    def _as_begun(self, best: Hypothesis, chosen: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
+        """The hypothesis of a fit with the weights of ``best``."""
+        return Hypothesis(chosen, fitted, best.whitener, fitted.held_out(best.whitener))
+
+    def _with_weights_of(self, best: Hypothesis, candidate: Candidate) -> Fitted | None:
+        """Fit the best hypothesis with one candidate more by the weights that it has; see `add`."""
+        free = self._chosen(best, candidate)[-1].free
         if not free:
             return None
         promised, starts, two = self._begun(best, candidate, free)
         if not math.isfinite(starts[0][0]):
             raise NotFiniteError("what it predicts is not finite")
         level = self.refits.profile_loss(best.whitener, best.fitted.values)
-        added = (*best.candidates, Candidate(candidate.names, free))
         if level - starts[0][0] >= self.limits.negligible_nats:
-            return self._best_of(best, added, [self._fitted_from(best, (*best.free, *free), p) for _, p in two])
+            return self._lowest(best, [self._fitted_from(best, (*best.free, *free), p) for _, p in two])
         plate_only = set(candidate.names) <= plate_effects()
         # a power has no slope where its amplitude is 0: the linear gain would be none, whatever the data show
         cheap = plate_only and (not best.free or bool(SQUARED_HOOKS & effect(candidate.names[0]).hooks.keys()))
@@ -166,24 +199,20 @@ class Proposals:
             return None
         # what is fitted already has its slopes here: only the candidate's are taken
         known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
-        fitted = self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
-        gained = max(best.fitted.loss - fitted.loss, level - self.refits.profile_loss(best.whitener, fitted.values))
-        if gained < self.limits.negligible_nats:
-            return Hypothesis(added, fitted, best.whitener, fitted.held_out(best.whitener))
-        return self.refits.scored(added, self.refits.reweighted(fitted))
+        return self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
 
     def _followed_farther(self, best: Hypothesis, candidate: Candidate) -> Hypothesis:
         """Fit a mode of the plate from its starts with their own weights, calibrations where the best one has them."""
-        free = tuple(k for k in candidate.free if k not in best.free)
+        free = self._chosen(best, candidate)[-1].free
         _, _, two = self._begun(best, candidate, free)
         starts = [{**best.fitted.values, **{k: p[k] for k in free}} for _, p in two]
         fits = [self._fitted_sharply((*best.free, *free), p) for p in starts]
-        return self._best_of(best, (*best.candidates, Candidate(candidate.names, free)), fits)
+        lowest = self._lowest(best, fits)
+        return self.refits.scored(self._chosen(best, candidate), self.refits.reweighted(lowest))
 
-    def _best_of(self, best: Hypothesis, candidates: tuple[Candidate, ...], fits: Sequence[Fitted]) -> Hypothesis:
-        """The hypothesis of the fit with the lowest loss under the weights of ``best``."""
-        lowest = min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values))
-        return self.refits.scored(candidates, lowest)
+    def _lowest(self, best: Hypothesis, fits: Sequence[Fitted]) -> Fitted:
+        """The fit of the lowest loss under the weights of ``best``."""
+        return min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values))
 
     def _begun(
         self, best: Hypothesis, candidate: Candidate, free: Sequence[ParameterId]
@@ -236,13 +265,14 @@ class Proposals:
 
     def _fitted_from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
         """Fit from a start with the weights of ``best``; where that loses, with the sharper ones of the start."""
-        soft = self.fitter.fit(best.whitener, free, start)
+        known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
+        soft = self.fitter.fit(best.whitener, free, start, known)
         at_start, after = (self.refits.profile_loss(best.whitener, v) for v in (start, soft.values))
-        return self._fitted_sharply(free, start) if at_start < after else self.refits.reweighted(soft)
+        return self._fitted_sharply(free, start) if at_start < after else soft
 
     def _fitted_sharply(self, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
         """Fit from a start with its own weights: what lies far off is followed farther, if it is there."""
-        return self.refits.reweighted(self.fitter.fit(Whitener.of(self.refits.model, start), free, start))
+        return self.fitter.fit(Whitener.of(self.refits.model, start), free, start)
 
     def _from_afar(
         self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried
@@ -263,14 +293,22 @@ class Proposals:
             tried(seen[2])
             return loss, point, seen[2]
 
-        def fitted(found: tuple[float, Point, Candidate]) -> Hypothesis | None:
+        def fitted(found: tuple[float, Point, Candidate]) -> tuple[float, tuple[Candidate, ...], Fitted] | None:
             start, chosen = {**values, **found[1]}, (*best.candidates, found[2])
-            free, model, converged = (*best.free, *found[2].free), self.refits.model, self.refits.converged
-            return self.refits.attempted(chosen, lambda: converged(chosen, Whitener.of(model, start), free, start))
+            sharp = self.refits.attempted(chosen, self._fitted_sharply, (*best.free, *found[2].free), start)
+            return None if sharp is None else (-self._gained(best, sharp), chosen, sharp)
+
+        def iterated(found: tuple[float, tuple[Candidate, ...], Fitted]) -> Hypothesis | None:
+            _, chosen, x = found
+            return self.refits.attempted(chosen, lambda: self.refits.scored(chosen, self.refits.reweighted(x)))
+
+        def near(ordered: Sequence[Found], level: float) -> Sequence[Found]:
+            enough = ordered[0][0] + max(NEAR_NATS, NEAR_PART * (level - ordered[0][0])) if ordered else 0.0
+            return [x for x in ordered if x[0] <= enough]
 
         seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
         below = sorted(pool.map(minimised, seen), key=lambda x: x[0])
         # a subsample orders candidates only roughly: all that come near the best are fitted in full
-        enough = below[0][0] + max(NEAR_NATS, NEAR_PART * (search.loss({}) - below[0][0]))
-        near = [x for x in below if x[0] <= enough][:MOST_FITS]
-        return [x for x in pool.map(fitted, near) if x is not None]
+        full = [x for x in pool.map(fitted, near(below, search.loss({}))[:MOST_FITS]) if x is not None]
+        full.sort(key=lambda x: x[0])
+        return [x for x in pool.map(iterated, near(full, 0.0)) if x is not None]

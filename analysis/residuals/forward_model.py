@@ -27,7 +27,7 @@ from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Detection, Measured, PlateSteps, active
 
-MOST_STORED = {"flights": 64, "plate": 512, "slopes": 256}  # stored results: of predictions, plate data and hooks
+MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 
 
 @dataclass(frozen=True)

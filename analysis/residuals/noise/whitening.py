@@ -264,17 +264,18 @@ def _shared(tones: Floats, bounds: Integers) -> tuple[Floats, Floats, Floats]:
 @njit()
 def _unshare(y: Floats, limited: Floats, bounds: Integers, shared: Floats, shrink: Floats) -> None:
     """Subtract the common mode of each block: ``y += U shrink U^T limited``, in place, (n, columns)."""
+    total = np.empty(y.shape[1])
     for i in range(len(bounds) - 1):
         for q in range(shared.shape[1]):
             if shrink[i, q] == 0.0:
                 continue
-            for c in range(y.shape[1]):
-                total = 0.0
-                for j in range(bounds[i], bounds[i + 1]):
-                    total += shared[j, q] * limited[j, c]
-                total *= shrink[i, q]
-                for j in range(bounds[i], bounds[i + 1]):
-                    y[j, c] += total * shared[j, q]
+            total[:] = 0.0
+            for j in range(bounds[i], bounds[i + 1]):
+                for c in range(y.shape[1]):
+                    total[c] += shared[j, q] * limited[j, c]
+            for j in range(bounds[i], bounds[i + 1]):
+                for c in range(y.shape[1]):
+                    y[j, c] += shrink[i, q] * total[c] * shared[j, q]
 
 
 def step_losses(model: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Floats]:

@@ -56,3 +56,21 @@ def test_a_mode_is_looked_for_farther_off_only_where_the_verdict_lets_nothing_pa
     found = selection.proposals.round(selection.declared(), options, lambda *_: None)
     assert {n for x in found for n in x.names} >= names
     assert bool(farther) == ("coulomb_friction" not in names)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.999])
+def test_weights_are_iterated_for_what_comes_near_the_best(
+    fly_ramp: Callable[..., ForwardModel],
+    fitter_of: Callable[[ForwardModel], Fitter],
+    monkeypatch: pytest.MonkeyPatch,
+    part: float,
+) -> None:
+    """Damping in place of friction gains less than friction: it keeps the old weights where that part is too small."""
+    monkeypatch.setattr("analysis.attribution.proposals.FOLLOWED_PART", part)
+    model = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
+    selection = StepwiseSelection(model, fitter_of(model))
+    nothing, names = selection.declared(), {"viscous_damping", "coulomb_friction"}
+    options = [c for c in candidates_of(model) if set(c.names) <= names]
+    found = {x.names: x for x in selection.proposals.round(nothing, options, lambda *_: None)}
+    assert found["coulomb_friction",].whitener is not nothing.whitener
+    assert (found["viscous_damping",].whitener is nothing.whitener) == (part > 0.0)
