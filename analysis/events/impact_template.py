@@ -39,6 +39,7 @@ ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is pla
 MIN_LANDINGS = 6  # landings needed for a template
 MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a landing
 MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of the landings and of the other
+FIRST_AGREEMENT = 0.4  # of landings at the first sample heard, before a template has aligned them
 LIKENESS = 0.75  # correlation with the median waveform, as a part of the usual one, below which a landing is left out
 MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
 TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
@@ -112,7 +113,13 @@ def whitener(noise: NoiseSpectrum, tones_hz: Floats) -> Floats:
 
 
 def template_from_snippets(
-    snippets: Floats, fractions: Floats, noise: NoiseSpectrum, tones_hz: Floats, prediction: Floats
+    snippets: Floats,
+    fractions: Floats,
+    noise: NoiseSpectrum,
+    tones_hz: Floats,
+    prediction: Floats,
+    *,
+    aligned: bool = True,
 ) -> ImpactTemplate | None:
     """Impact template from snippets around known landings; None where the accelerometer shows no impacts.
 
@@ -130,6 +137,8 @@ def template_from_snippets(
     prediction : array, shape (k,)
         Weights that predict a sample of the ringing from those before, the last one first: it is so continued where no
         snippet shows it.
+    aligned
+        Whether a template placed the snippets; by the first sample heard strong impacts begin earlier than weak ones.
     """
     if snippets.shape[0] < MIN_LANDINGS:
         return None
@@ -141,7 +150,8 @@ def template_from_snippets(
     # a template repeats in both halves of the landings; a residue of the motion or of noise does not
     halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
     agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
-    if strength < max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE) or agreement < MIN_AGREEMENT:
+    least = max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE)
+    if strength < least or agreement < (MIN_AGREEMENT if aligned else FIRST_AGREEMENT):
         return None
     size = flat @ (mean / strength)
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)

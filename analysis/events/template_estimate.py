@@ -144,7 +144,7 @@ def estimate_template(
     for turn in range(N_ALIGNMENTS):
         snippets, fractions = _all_snippets(clean, found, rate_hz, template)
         most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:MAX_IMPACTS]
-        template = template_from_snippets(snippets[most], fractions[most], noise, few, prediction)
+        template = template_from_snippets(snippets[most], fractions[most], noise, few, prediction, aligned=turn > 0)
         if template is None:
             break
         detectors = [_detector(piece, template, rate_hz) for piece in pieces]

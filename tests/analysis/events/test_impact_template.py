@@ -74,3 +74,14 @@ def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
     known = ringing_part(ring + slow, 3e-4, 20000.0)
     assert known is not None
     assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)
+
+
+def test_landings_that_were_only_heard_may_begin_a_sample_early() -> None:
+    """Every other landing is placed a sample off: a first template for what will be placed by it, and no last one."""
+    rng = np.random.default_rng(8)
+    lag_s = (np.arange(MIN_ECHO) - LEAD + 0.5 - np.arange(60)[:, None] % 2) / RATE_HZ
+    rings = np.where(lag_s > 0.0, 30.0 * np.exp(-lag_s / 5e-4) * np.sin(2.0 * np.pi * 3000.0 * lag_s), 0.0)
+    heard = rings + 0.1 * rng.standard_normal(rings.shape), np.full(60, 0.5)
+    noise = NoiseSpectrum.white(0.1, RATE_HZ), np.array([25.0]), np.zeros(1)
+    assert template_from_snippets(*heard, *noise, aligned=False) is not None
+    assert template_from_snippets(*heard, *noise) is None
