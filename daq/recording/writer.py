@@ -223,13 +223,21 @@ class RecordingWriter(ClosedRun):
                     missing = expected_samples - self._frames.n_samples - self._frames.n_lost
                     suspect = abs(missing) > self._frames.n_doubtful
                     ending |= {"expected_samples": expected_samples, "suspect": suspect}
-                self._frames.end(ending)
+                try:
+                    self._frames.end(ending)
+                except OSError:
+                    if not self._frames.has_vanished():
+                        raise  # closing keeps what this process still holds of a file that was removed
             where = self._frames.close()
             if where != self.path:
                 self._live.drop()
             columns_from_frames(where, self._live)
         except (OSError, RuntimeError) as error:
             self._live.drop()
+            if not where.exists():
+                raise OSError(
+                    f"{where}: was removed while it was being written, and no copy of it could be kept ({error})"
+                ) from error
             raise OSError(
                 f"{where}: the recorded frames are safe in this file, but the run could not be finished as columns "
                 f"({error}); make room and run: bench recover {where}"

@@ -269,10 +269,15 @@ class FrameWriter:
             if vanished:  # this process still holds the content: it is copied
                 folder = where.parent if where.parent.is_dir() else Path(tempfile.gettempdir())
                 where = folder / f"{where.stem}.rescued-{os.getpid()}{where.suffix}"
-                with where.open("xb") as copy:
-                    os.lseek(self._descriptor, 0, os.SEEK_SET)
-                    while piece := os.read(self._descriptor, 1 << 20):
-                        copy.write(piece)
+                try:
+                    with where.open("xb") as copy:
+                        os.lseek(self._descriptor, 0, os.SEEK_SET)
+                        while piece := os.read(self._descriptor, 1 << 20):
+                            copy.write(piece)
+                except OSError:
+                    if where.exists() and not where.stat().st_size:  # a part of it may still be recovered
+                        where.unlink()
+                    raise
             os.close(self._descriptor)
         if self.is_broken and not vanished:
             raise OSError(f"{self.path}: the disk had refused")
