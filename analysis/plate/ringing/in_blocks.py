@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +14,9 @@ from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats
 
 LEAD_S = 1e-3  # before an impact, left out with it
-ANSWERED_S = (0.002, 0.005, 0.009, 0.014, 0.02)  # by which a plate's answer to its drive may be late
+INTEGRALS = 3  # the drive, and its first and second integral
+LEAKS = 0.1  # of the forcing's frequency: below it an integral of the drive leaks, as it would wander
+END_S = 0.1  # at the end of a recording, where the drive is cut off and its integrals are not known
 
 
 def volts_in_blocks(recording: Recording, width: int) -> tuple[Floats, Floats]:
@@ -29,46 +33,68 @@ def volts_in_blocks(recording: Recording, width: int) -> tuple[Floats, Floats]:
 
 
 def unmasked(n: int, block_s: float, landing_s: Floats, mask_s: float) -> Bools:
-    """Blocks (n,) without an impact or its ringing."""
+    """Blocks (n,) without an impact or its ringing, and not at the end."""
     edges = np.zeros(n + 1, dtype=np.int64)
     first = np.clip(((landing_s - LEAD_S) / block_s).astype(np.int64), 0, n)
     last = np.clip(((landing_s + mask_s) / block_s).astype(np.int64) + 1, 0, n)
     np.add.at(edges, first, 1)
     np.add.at(edges, last, -1)
+    edges[max(n - round(END_S / block_s), 0)] += 1
     return np.asarray(np.cumsum(edges[:-1]) == 0)
 
 
-def drive_regressors(recording: Recording, drive_v: Floats, block_s: float) -> Floats:
-    """Regressors of what the drive makes of the plate, (n, k): both quadratures of its tones, bent by level, products.
+def over_noise(left: Floats, known: Bools) -> float:
+    """Mean square of what is left in the known blocks over that of its noise, at least 1.
 
-    A bent gain, harmonics and a second tone are so linear in what is regressed.
+    Noise is what differs from block to block; what a model misses of a motion far below the blocks' rate does not.
+    """
+    noise = 0.5 * float(np.mean(np.diff(left)[np.diff(np.flatnonzero(known)) == 1] ** 2))
+    return max(float(np.mean(left**2)) / noise, 1.0)
+
+
+def drive_regressors(recording: Recording, drive_v: Floats, block_s: float) -> tuple[Floats, int]:
+    """What the drive makes of the plate, (n, k), and how many of the first columns may be forces on the plate.
+
+    Each tone with its first two integrals, and each a quarter of a period later: the drive may be a force, or what is
+    recorded of it an acceleration, a speed or a path, in any phase. In steady tones these are two columns a tone; where
+    the level changes they are not. Bends by the level, squares, cubes and products of tones are no force.
     """
     forcing = recording.setup.forcing
     w, n = 2.0 * math.pi * forcing.frequency_hz, len(drive_v)
     time_s = (np.arange(n) + 0.5) * block_s
-    cycle = max(round(1.0 / forcing.frequency_hz / block_s), 1)
-    tones: list[Complexes] = []
-    for multiple in forcing.multiples:
-        turning = np.exp(-1j * multiple * w * time_s)
-        low: Complexes = _cycle_mean(_cycle_mean(2.0 * drive_v * turning, cycle), cycle)
-        tones.append(np.asarray(low * np.conj(turning)))
+    tones = _tones(drive_v, block_s, forcing.multiples, w)
+    integrals = np.concatenate([_integrals(z, block_s, w) for z in tones])
+    forces = _scaled(np.concatenate([integrals.real, integrals.imag]))
     level = np.abs(tones[0]) ** 2
     first = tones[0]
-    columns = [*tones, *(level * z for z in tones), first**2, first**3]
+    columns = [*(level * z for z in tones), first**2, first**3]
     for further in tones[1:]:
         columns += [first * further, np.conj(first) * further, further**2]
-    # the tones' means over cycles lag in a fade, in which a plate that a force drives answers what was asked before
-    before = (round(t / block_s) for t in ANSWERED_S)
-    whole = [drive_v, np.gradient(drive_v), *(np.pad(drive_v[: n - k], (k, 0)) for k in before)]
-    table = np.concatenate([whole, *([z.real, z.imag] for z in columns)])
-    size = np.sqrt(np.mean(table**2, axis=1))
-    table = table[size > 0.0] / size[size > 0.0, None]
+    bent = _scaled(np.concatenate([[z.real, z.imag] for z in columns]))
     slow = np.cos(np.pi * np.arange(4)[:, None] * np.arange(n) / n)  # the zero wanders
     hum = [part(2.0 * np.pi * k * hz * time_s) for hz in MAINS_HZ for k in (1, 3, 5) for part in (np.cos, np.sin)]
-    return np.concatenate([table, slow, hum]).T
+    return np.concatenate([forces, bent, slow, hum]).T, len(forces)
 
 
-def _cycle_mean(x: Complexes, width: int) -> Complexes:
-    """Mean over the ``width`` values about each."""
-    padded = np.concatenate([np.zeros(1), np.cumsum(np.pad(x, (width // 2, width - width // 2 - 1), mode="edge"))])
-    return np.asarray((padded[width:] - padded[:-width]) / width)
+def _tones(drive_v: Floats, block_s: float, multiples: Sequence[float], w: float) -> list[Complexes]:
+    """Analytic signal of the drive about each tone, (n,) each, up to the middle between it and the next."""
+    n = len(drive_v)
+    relative = 2.0 * np.pi * np.fft.fftfreq(2 * n, block_s) / w  # zeros behind the end: what leaks does not come round
+    spectrum = np.where(relative > 0.0, 2.0 * np.fft.fft(drive_v, 2 * n), 0.0)
+    edges = [0.0, *(0.5 * (a + b) for a, b in itertools.pairwise(multiples)), np.inf]
+    bands = ((relative > low) & (relative <= high) for low, high in itertools.pairwise(edges))
+    return [np.asarray(np.fft.ifft(np.where(band, spectrum, 0.0))[:n]) for band in bands]
+
+
+def _integrals(tone: Complexes, block_s: float, w: float) -> Complexes:
+    """An analytic signal and its integrals over time in units of 1/w, (`INTEGRALS`, n)."""
+    n = len(tone)
+    relative = 2.0 * np.pi * np.fft.fftfreq(2 * n, block_s) / w
+    once = -1j * relative / (relative**2 + LEAKS**2)
+    return np.asarray(np.fft.ifft(np.fft.fft(tone, 2 * n) * once ** np.arange(INTEGRALS)[:, None])[:, :n])
+
+
+def _scaled(table: Floats) -> Floats:
+    """Rows that are not zero, scaled to a root mean square of 1."""
+    size = np.sqrt(np.mean(table**2, axis=1))
+    return np.asarray(table[size > 0.0] / size[size > 0.0, None])

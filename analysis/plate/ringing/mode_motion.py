@@ -31,7 +31,7 @@ def turn_of(frequency_hz: float, damping: float) -> complex:
 
 
 def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: float) -> Floats:
-    """Mean acceleration in each block, (n,), of a mode of mass ratio 1 under a push that is constant in each.
+    """Mean acceleration in each block, (..., n), of a mode of mass ratio 1 under pushes that are constant in each.
 
     The transition from block to block is exact. The mode begins at rest under the first push.
     """
@@ -39,9 +39,10 @@ def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: floa
     pole = np.exp(turn * block_s)
     # velocity q' = sum over both poles; a step of the push makes q' = Im exp(turn t) / Im turn
     step = np.exp(turn * block_s * np.array([0.0, 1.0])).imag / turn.imag
-    changes = np.diff(push_mps2, prepend=push_mps2[0])
+    changes = np.diff(push_mps2, prepend=push_mps2[..., :1])
     speed = lfilter([0.0, step[1]], [1.0, -2.0 * pole.real, abs(pole) ** 2], changes)  # at the end of a block: step
-    following = np.append(speed[1:], 2.0 * pole.real * speed[-1] - abs(pole) ** 2 * speed[-2])
+    last = 2.0 * pole.real * speed[..., -1] - abs(pole) ** 2 * speed[..., -2]
+    following = np.concatenate([speed[..., 1:], last[..., None]], axis=-1)
     return np.asarray((following - speed) / block_s)
 
 

@@ -3,12 +3,8 @@
 No flight is predicted. Per ball mass, the ball pushes the plate by ``-(g + a)`` while it lies on it, with the measured
 acceleration ``a`` of the plate, and by an impulse ``-J`` at each landing; see `ball_push`. The accelerometer shows the
 drive times a gain, and a mode's answer ``q''`` of ``q'' + 2 damping w q' + w^2 q = mass_ratio * push``. Gain and mass
-ratio are linear and regressed; only frequency and damping are searched.
-
-    mode = identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], mask_s)
-
-gives a `PlateMode` with covariance, or None where none is identified, which is no proof that there is none
-(``python -m benchmarks.analysis.ringing``).
+ratio are linear and regressed; only frequency and damping are searched. That none is identified is no proof that there
+is none (``python -m benchmarks.analysis.ringing``).
 
 References
 ----------
@@ -26,7 +22,7 @@ from scipy.optimize import least_squares
 
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
-from analysis.plate.ringing.in_blocks import LEAD_S, drive_regressors, unmasked, volts_in_blocks
+from analysis.plate.ringing.in_blocks import LEAD_S, drive_regressors, over_noise, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import TORN_S, ModeMotion, PushedPlate, answer, turn_of
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
@@ -34,7 +30,7 @@ from kernels.arrays import Bools, Floats, Integers
 EFFECT = "table_resonance"  # by which a verdict names the mode
 RATE_HZ = 1000.0  # of the block means: far above any mode that a ball shakes
 LOWEST_HZ, HIGHEST_HZ = 0.7, 200.0
-DAMPINGS = (0.01, 0.05, 0.2)
+DAMPINGS = (0.01, 0.05, 0.2, 0.6)
 GRID = 1.12  # ratio of neighbouring frequencies of the first look
 STARTS = 3
 MOST_STEPS = 25  # of a search from one start
@@ -46,7 +42,7 @@ RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
 LEAST_DAMPING, MOST_DAMPING, STRONG_DAMPING = 1e-3, 0.9, 0.5
 MOST_RESTARTS, TORN = 3, 1.6  # pieces that are left out, each with so many times the usual remainder
 FEWEST_BLOCKS, FEWEST_IN_CLUSTER = 1000, 50
-RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width and damping, and of the mass ratio: what blocks blur
+RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width, damping and mass ratio: what blocks blur
 LAGS = 2  # pieces whose scores are correlated
 FEWEST_IMPACTS = 20
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
@@ -136,8 +132,8 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         last = int(np.argmin(landed))
         known[int((landing_s[max(last - 1, 0)] - LEAD_S) / block_s) :] = False
     whole = _Recorded(
-        acceleration, drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed], landing_s[landed],
-        recording.setup.g_mps2.value,
+        acceleration, *drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed],
+        landing_s[landed], recording.setup.g_mps2.value,
     )  # fmt: skip
     skipped = max(len(acceleration) - round(MOST_S / block_s), 0)
     record, begun, found = whole.last(skipped), [0], None
@@ -148,6 +144,9 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
             return None
         try:
             seen, found = record.settled(begun, found)
+            if len(seen.shaken) > 1 and not seen.forced(found):  # a plate that goes as it is asked feels no force
+                record = replace(record, forces=0)
+                seen, found = record.settled(begun, found)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return None
         worst = seen.worst_cluster(found)
@@ -166,10 +165,11 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Block means of the acceleration (n,), regressors of the drive (n, k), unmasked blocks (n,), and the flights."""
+    """Acceleration (n,), regressors (n, k), of which so many may be ``forces``, unmasked blocks (n,), and flights."""
 
     acceleration: Floats
     linear: Floats
+    forces: int
     known: Bools
     block_s: float
     takeoff_s: Floats
@@ -180,15 +180,14 @@ class _Recorded:
         """Without the first blocks."""
         inside, shift_s = self.takeoff_s > skipped * self.block_s, skipped * self.block_s
         return _Recorded(
-            self.acceleration[skipped:], self.linear[skipped:], self.known[skipped:], self.block_s,
+            self.acceleration[skipped:], self.linear[skipped:], self.forces, self.known[skipped:], self.block_s,
             self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2,
         )  # fmt: skip
 
     def without(self, first: int, stop: int) -> _Recorded:
         """With some blocks unknown."""
-        known = self.known.copy()
-        known[first:stop] = False
-        return replace(self, known=known)
+        at = np.arange(len(self.known))
+        return replace(self, known=self.known & ((at < first) | (at >= stop)))
 
     def push(self, acceleration: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
         """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it."""
@@ -202,7 +201,7 @@ class _Recorded:
         Where impacts hide the acceleration, the ball feels what the model says. The plate goes nowhere, so what it
         gains by impacts, which the acceleration between them lacks, is its mean.
         """
-        known, ratio, impulses = self.known, 0.0, None
+        known, ratio, impulses, fresh = self.known, 0.0, None, found is None
         # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
         basis, upper = np.linalg.qr(self.linear[known])
 
@@ -214,9 +213,9 @@ class _Recorded:
         for rounds in range(ROUNDS):
             push = self.push(acceleration, impulses, ratio)
             impulses = push.impacts_mps2
-            shaken = push.contact_mps2 + impulses, self.linear[:, 0]
-            seen = _Regression.of(acceleration, basis, *shaken, known, self.block_s, begun)
-            again = rounds == 1 and len(begun) == 1  # the first search did not know what is hidden
+            shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, : self.forces].T])
+            seen = _Regression.of(acceleration, basis, shaken, known, self.block_s, begun)
+            again = fresh and rounds == 1  # the first search did not know what is hidden
             x = seen.searched() if found is None or again else seen.followed([found])
             sizes = seen.sizes(seen.columns(*np.exp(x)))
             mode = seen.answers(*np.exp(x)) @ sizes
@@ -233,7 +232,8 @@ class _Recorded:
         mode = seen.answers(*np.exp(x)) @ sizes
         left = (self.acceleration[skipped:] - mode)[seen.known]
         driven = self.linear @ lstsq(self.linear[skipped:][seen.known], left)[0]
-        driven += sizes[1] * answer(self.linear[:, 0], self.block_s, *np.exp(x))
+        last = len(seen.shaken)
+        driven += sizes[1:last] @ answer(self.linear[:, : last - 1].T, self.block_s, *np.exp(x))
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
         known, impulses = (float(np.exp(x[0])), float(np.exp(x[1])), float(sizes[0])), None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
@@ -249,14 +249,13 @@ class _Recorded:
 class _Regression:
     """Unmasked blocks with everything linear but the mode taken out of them.
 
-    The mode rings under the ball's ``push``, and under a force in proportion to the ``drive`` where its level changes.
-    ``begun`` are the blocks at which the mode's state is free, so that it rings on from there whatever was before.
+    The mode is ``shaken`` by the ball's push, and by forces of the drive, of any size. ``begun`` are the blocks at
+    which the mode's state is free, so that it rings on from there whatever was before.
     """
 
     left: Floats
     basis: Floats  # orthonormal, (k, l)
-    push: Floats
-    drive: Floats
+    shaken: Floats  # by the push and by what may be forces, (1 + l, n)
     known: Bools
     block_s: float
     cluster: Integers
@@ -264,23 +263,22 @@ class _Regression:
 
     @classmethod
     def of(
-        cls, acceleration: Floats, basis: Floats, push: Floats, drive: Floats, known: Bools, block_s: float,
+        cls, acceleration: Floats, basis: Floats, shaken: Floats, known: Bools, block_s: float,
         begun: Sequence[int],
     ) -> _Regression:  # fmt: skip
         seen = acceleration[known]
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
-        return cls(seen - basis @ (basis.T @ seen), basis, push, drive, known, block_s, cluster, tuple(begun))
+        return cls(seen - basis @ (basis.T @ seen), basis, shaken, known, block_s, cluster, tuple(begun))
 
     def answers(self, frequency_hz: float, damping: float) -> Floats:
-        """The mode's answers to push and drive, and how it rings on from each free state, (n, 2 + 2 r)."""
-        n, turn = len(self.push), turn_of(frequency_hz, damping)
-        out = np.zeros((n, 2 + 2 * len(self.begun)))
-        out[:, 0] = answer(self.push, self.block_s, frequency_hz, damping)
-        out[:, 1] = answer(self.drive, self.block_s, frequency_hz, damping)
+        """The mode's answers to push and forces, and how it rings on from each free state, (n, 1 + l + 2 r)."""
+        (pushes, n), turn = self.shaken.shape, turn_of(frequency_hz, damping)
+        out = np.zeros((pushes + 2 * len(self.begun), n))
+        out[:pushes] = answer(self.shaken, self.block_s, frequency_hz, damping)
         for k, at in enumerate(self.begun):
             ringing = np.exp(turn * self.block_s * np.arange(n - at))
-            out[at:, 2 + 2 * k], out[at:, 3 + 2 * k] = ringing.real, ringing.imag
-        return out
+            out[pushes + 2 * k, at:], out[pushes + 2 * k + 1, at:] = ringing.real, ringing.imag
+        return out.T
 
     def columns(self, frequency_hz: float, damping: float) -> Floats:
         """`answers` in the known blocks, less what the rest could explain."""
@@ -288,13 +286,20 @@ class _Regression:
         return np.asarray(x - self.basis @ (self.basis.T @ x))
 
     def sizes(self, columns: Floats) -> Floats:
-        """Mass ratio, not negative, what the drive does, and sizes of the free states."""
+        """Mass ratio, not negative, sizes of the forces, and of the free states."""
         normal, side = columns.T @ columns, columns.T @ self.left
         out = pinv(normal, rcond=1e-12) @ side
         # no mass is negative: the rest is then fitted without the push
         if out[0] < 0.0:
             out = np.append(0.0, pinv(normal[1:, 1:], rcond=1e-12) @ side[1:])
         return np.asarray(out)
+
+    def forced(self, x: Floats) -> bool:
+        """Whether the mode surely answers the drive, too."""
+        columns = self.columns(*np.exp(x))
+        fewer = np.delete(columns, np.s_[1 : len(self.shaken)], axis=1)
+        before, after = (float(np.sum((self.left - c @ self.sizes(c)) ** 2)) for c in (fewer, columns))
+        return 0.5 * (before / after - 1.0) * len(self.left) > SURE_NATS
 
     def remainder(self, x: Floats) -> Floats:
         """What is left at the logarithms of frequency and damping."""
@@ -339,7 +344,7 @@ class _Regression:
 
     def _gain_of_push(self, frequency_hz: float, damping: float) -> float:
         """By how much the answer to the push lowers the sum of squares."""
-        x = answer(self.push, self.block_s, frequency_hz, damping)[self.known]
+        x = answer(self.shaken[0], self.block_s, frequency_hz, damping)[self.known]
         own = self.basis.T @ x
         # a push that had to act backwards explains nothing
         return max(float(x @ self.left), 0.0) ** 2 / float(x @ x - own @ own)
@@ -366,8 +371,7 @@ class _Regression:
         columns = self.columns(*np.exp(x))
         sizes = self.sizes(columns)
         left = self.left - columns @ sizes
-        rest = columns[:, 1:]
-        before = self.left - rest @ (pinv(rest.T @ rest, rcond=1e-12) @ (rest.T @ self.left))
+        before = self.left - columns[:, 1:] @ lstsq(columns[:, 1:], self.left)[0]
         jacobian = np.column_stack([self.slopes(x), columns])
         # columns of one size: frequency, damping and free states differ by many powers of ten
         norms = np.linalg.norm(jacobian, axis=0)
@@ -389,6 +393,6 @@ class _Regression:
         if sizes[0] <= 0.0 or gain < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
             return None
         rms = [float(np.sqrt(np.mean(v**2))) for v in (left, before)]
-        blurred = np.diag(np.square([RESOLVED * damping, RESOLVED, RESOLVED_RATIO * sizes[0]]))
-        covariance = (found + white + blurred) * np.outer(to_own, to_own)
+        blurred = np.square([RESOLVED * damping, RESOLVED, (RESOLVED_RATIO + RESOLVED * damping) * sizes[0]])
+        covariance = (found * over_noise(left, self.known) + white + np.diag(blurred)) * np.outer(to_own, to_own)
         return PlateMode(frequency, damping, float(sizes[0]), covariance, rms[0], rms[1], gain)

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
+from analysis.plate.ringing.in_blocks import over_noise
 from analysis.plate.ringing.mode_motion import answer
 from analysis.plate.ringing.modes import PlateMode, _Regression, identified_mode
+from benchmarks.analysis import shaker_parts
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
+from benchmarks.plants.shaker import BALL_KG, Shaker
 from daq.recording import open_recording
 
 FRICTION = (("coulomb_friction.mu", 0.05),)
@@ -54,6 +57,31 @@ def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path])
     assert mode.damping == pytest.approx(0.02, rel=0.15)
     assert mode.mass_ratio == pytest.approx(0.25, rel=0.03)
     assert mode.remainder_mps2 < 0.5 * mode.before_mps2
+
+
+@pytest.mark.parametrize(("table_kg", "damping"), [(20.0, 0.7), (5.0, 0.1)])
+def test_a_table_that_a_force_drives_is_identified_down_to_the_noise(
+    tmp_path: Path, table_kg: float, damping: float
+) -> None:
+    """It answers the drive as a mode does where the level changes, however strongly it is damped."""
+    gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.5, 2.6, 16), 4))
+    rig = Shaker(table_kg=table_kg, damping=damping, gammas=tuple(gammas.tolist()), seed=3)
+    mode = _found(shaker_parts.recorded(rig, tmp_path))
+    assert mode is not None and mode.sure
+    off = np.array([mode.frequency_hz - 8.0, mode.damping - damping, mode.mass_ratio - BALL_KG / table_kg])
+    assert (np.abs(off) < 3.0 * np.array(mode.sigmas())).all()
+    assert mode.mass_ratio == pytest.approx(BALL_KG / table_kg, rel=0.03)
+    noise_mps2 = 9.80665 * rig.accelerometer_noise_g * np.sqrt(1000.0 / rig.rate_hz)
+    assert mode.remainder_mps2 < 1.15 * noise_mps2
+
+
+def test_an_interval_is_wider_where_more_than_noise_is_left() -> None:
+    """A slow motion that no mode explains counts, by its power over the noise; white noise does not."""
+    rng, n = np.random.default_rng(5), 20000
+    known = rng.random(n) < 0.8
+    noise, slow = rng.standard_normal(n), np.sqrt(6.0) * np.sin(2.0 * np.pi * 7e-3 * np.arange(n))
+    assert over_noise(noise[known], known) == pytest.approx(1.0, abs=0.05)
+    assert over_noise((noise + slow)[known], known) == pytest.approx(4.0, rel=0.1)
 
 
 def test_a_flight_that_was_missed_leaves_the_mode_and_its_error_as_they_are(recorded: Callable[..., Path]) -> None:
@@ -100,7 +128,7 @@ def test_a_mode_at_the_least_damping_is_none() -> None:
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     for damping, is_mode in ((1e-3, False), (0.01, True)):
         acceleration = 0.1 * answer(push, 1e-3, 5.0, damping) + 0.01 * rng.standard_normal(n)
-        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, np.zeros(n), known, 1e-3, [0])
+        seen = _Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
         assert (seen.judged(np.log([5.0, damping]), 25.0) is not None) == is_mode
 
 
@@ -110,7 +138,7 @@ def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() 
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     one = 0.1 * answer(push, 1e-3, 5.0, 0.05) + 0.01 * rng.standard_normal(n)
     for acceleration, is_mode in ((one, False), (one + 0.01 * answer(push, 1e-3, 12.0, 0.03), True)):
-        seen = _Regression.of(acceleration, np.zeros((n, 1)), push, np.zeros(n), known, 1e-3, [0])
+        seen = _Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
         second = seen.without(seen.searched()).second(25.0)
         assert (second is not None) == is_mode
     assert second is not None
