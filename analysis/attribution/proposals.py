@@ -30,13 +30,7 @@ MOST_DRIFTING = 4  # strong candidates of a round that are tried with a drift
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
-LONGER = (4.0, 2.0)  # the same of a mode of the plate: its linear steps are too short while another cause is missing
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
-
-
-def is_plate_mode(candidate: Candidate) -> bool:
-    """Whether the candidate is a mode of the plate: it shows in plate data and in every flight over that plate."""
-    return "plate_mode" in effect(candidate.names[0]).hooks and trend_name() not in candidate.names
 
 
 def has_shape(free: Sequence[ParameterId]) -> bool:
@@ -92,9 +86,6 @@ class Proposals:
             chosen, fit = self._chosen(best, one[0]), self._iterated if one[2] >= enough else self._as_begun
             return attempted(chosen, fit, best, chosen, one[1])
 
-        def farther(candidate: Candidate) -> Hypothesis | None:
-            return attempted((*best.candidates, candidate), self._followed_farther, best, candidate)
-
         with ThreadPoolExecutor(THREADS) as pool:
             soft = [(c, x) for c, x in zip(options, pool.map(one, options), strict=True) if x is not None]
             begun = sorted(((c, x, self._gained(best, x)) for c, x in soft), key=lambda x: -x[2])
@@ -104,10 +95,6 @@ class Proposals:
             most = max((self._gained(best, x.fitted) for x in found), default=0.0)
             enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
             found += [x for x in pool.map(lambda x: followed(x, enough), begun[1:]) if x is not None]
-            # a mode that recorded volts show is where it is: no flight has to look for it
-            if not self.fitter.identified and not self._explained(best, found):
-                modes = [c for c, _ in soft if is_plate_mode(c)]
-                found += [x for x in pool.map(farther, modes) if x is not None]
             return found + self._drifting(best, found, pool)
 
     def _drifting(self, best: Hypothesis, found: Sequence[Hypothesis], pool: ThreadPoolExecutor) -> list[Hypothesis]:
@@ -141,15 +128,6 @@ class Proposals:
         """Whether the best of the fits from nearby has found the lost landings and leaves no more than noise."""
         top = min(found, key=self._loss, default=None)
         return top is not None and not top.whitener.lost and top.noise_like(self.limits.noise_like_ratio)
-
-    def _explained(self, best: Hypothesis, found: Sequence[Hypothesis]) -> bool:
-        """Whether a fit from nearby leaves no more than noise, or ``best`` or the best fit passes the verdict's tests.
-
-        Those take longer, and are made of these two only.
-        """
-        if any(x.noise_like(self.limits.noise_like_ratio) for x in found):
-            return True
-        return best.passes(self.limits) or min([best, *found], key=self._loss).passes(self.limits)
 
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here.
@@ -201,15 +179,6 @@ class Proposals:
         known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
         return self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
 
-    def _followed_farther(self, best: Hypothesis, candidate: Candidate) -> Hypothesis:
-        """Fit a mode of the plate from its starts with their own weights, calibrations where the best one has them."""
-        free = self._chosen(best, candidate)[-1].free
-        _, _, two = self._begun(best, candidate, free)
-        starts = [{**best.fitted.values, **{k: p[k] for k in free}} for _, p in two]
-        fits = [self._fitted_sharply((*best.free, *free), p) for p in starts]
-        lowest = self._lowest(best, fits)
-        return self.refits.scored(self._chosen(best, candidate), self.refits.reweighted(lowest))
-
     def _lowest(self, best: Hypothesis, fits: Sequence[Fitted]) -> Fitted:
         """The fit of the lowest loss under the weights of ``best``."""
         return min(fits, key=lambda x: self.refits.profile_loss(best.whitener, x.values))
@@ -256,11 +225,9 @@ class Proposals:
         here = {k: best.fitted.values.get(k, null_value_of(k)) for k in steps[0][1]}
 
         def reached(point: Point, part: float) -> Point:
-            way = {k: part if k in free else min(part, 1.0) for k in point}  # calibrations go no farther
-            return {k: v if k in shapes else way[k] * v + (1.0 - way[k]) * here[k] for k, v in point.items()}
+            return {k: v if k in shapes else part * v + (1.0 - part) * here[k] for k, v in point.items()}
 
-        parts = (*LONGER, *PARTS) if is_plate_mode(candidate) else PARTS
-        points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in parts]
+        points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in PARTS]
         return steps[0][0], [(self.refits.profile_loss(best.whitener, p), p) for p in points]
 
     def _fitted_from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:

@@ -8,7 +8,6 @@ import pytest
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.selection import StepwiseSelection
 from analysis.residuals.forward_model import ForwardModel
 from analysis.thresholds import FROZEN
@@ -31,31 +30,6 @@ def test_a_drift_of_a_resonance_is_tried_like_any_other(
     assert tried == ["table_resonance + parameter_drift"]
     assert [x.names for x in found] == [("table_resonance", "parameter_drift")]
     assert not found[0].noise_like(FROZEN.noise_like_ratio)
-
-
-@pytest.mark.parametrize("names", [{"table_resonance"}, {"table_resonance", "coulomb_friction"}])
-def test_a_mode_is_looked_for_farther_off_only_where_the_verdict_lets_nothing_pass(
-    fly_ramp: Callable[..., ForwardModel],
-    fitter_of: Callable[[ForwardModel], Fitter],
-    monkeypatch: pytest.MonkeyPatch,
-    names: set[str],
-) -> None:
-    """Residuals of 1.5 times their noise: a mode is sought, but not once friction, the cause, passes the verdict."""
-    model = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
-    selection = StepwiseSelection(model, fitter_of(model))
-    monkeypatch.setattr("analysis.attribution.hypothesis.rms_standardised", lambda *_: 1.5)
-    monkeypatch.setattr("analysis.residuals.lack_of_fit.rms_standardised", lambda *_: 1.5)
-    farther, follow = list[str](), selection.proposals._followed_farther
-
-    def followed(best: Hypothesis, candidate: Candidate) -> Hypothesis:
-        farther.extend(candidate.names)
-        return follow(best, candidate)
-
-    monkeypatch.setattr(selection.proposals, "_followed_farther", followed)
-    options = [c for c in candidates_of(model) if set(c.names) <= names]
-    found = selection.proposals.round(selection.declared(), options, lambda *_: None)
-    assert {n for x in found for n in x.names} >= names
-    assert bool(farther) == ("coulomb_friction" not in names)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.999])
