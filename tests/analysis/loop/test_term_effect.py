@@ -9,16 +9,14 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from analysis.attribution.choice import LogScoreDifference
-from analysis.discovery.discover import Band, Discovery
-from analysis.discovery.symbolic import FORMS, FittedForm, Form, forms_for
+from analysis.discovery.symbolic import FORMS, Form, forms_for
 from analysis.discovery.terms import IN_FLIGHT, event_terms
 from analysis.loop.result import ClosedLoop
 from analysis.loop.term_effect import check_new, effect_source
-from analysis.residuals.covariates import Covariate
 from daq.setup.errors import InputError
 from model.effects import user_effects
 from model.effects.registry import _checked
+from tests.loops import found_by
 
 TERMS = [*IN_FLIGHT, *(t for name in ("force", "friction", "threshold", "restitution") for t in event_terms(name))]
 X = np.linspace(0.01, 0.5, 9)
@@ -26,23 +24,6 @@ ARGUMENTS = {
     "force": ("s", "h", "v", "u"), "dry_friction": ("h", "speed", "dir"), "takeoff_threshold": ("dwell_s",),
     "rebound": ("v",),
 }  # fmt: skip
-
-
-def found_by(loop: ClosedLoop, term: str, of: str, within: bool, form: Form | None, unit: str) -> ClosedLoop:
-    """A loop that discovered a term, as a formula with values 0.3, 0.2, ... or as a curve."""
-    gain = LogScoreDifference(90.0, 9.0, 80.0, 8.0)
-    forms: tuple[FittedForm, ...] = ()
-    if form is not None:
-        n, kinds = len(form.parameters), tuple(kind for _, kind in form.parameters)
-        values = (0.3, 0.2, 0.1)[:n]
-        forms = (
-            FittedForm(form.name, form.expression, form.names, kinds, ("1",) * n, values, values, -3.0, 2.0, True),
-        )
-    discovered = Discovery(
-        term, Covariate("some quantity"), "it rises", Band(X, X + 0.1, X, X, unit), X, gain, gain,
-        (("adhesion", 0.9),), (), loop.errors.after, 5.0, of, within, forms, form.name if form else "",
-    )  # fmt: skip
-    return replace(loop, verdict="unexplained", discovered=discovered)
 
 
 def module_of(text: str, folder: Path) -> ModuleType:

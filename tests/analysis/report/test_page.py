@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import analysis.loop.close_loop
 import analysis.report.page
 from analysis.attribution.hypothesis import Rejected
+from analysis.discovery.symbolic import FORMS
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import reasoning
@@ -21,7 +22,7 @@ from analysis.report.numbers import interval
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS, verdict_line
 from bench.cli import app
-from tests.loops import changed
+from tests.loops import changed, found_by
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +73,15 @@ def test_nothing_missing_names_nothing(closed_loop: ClosedLoop, tmp_path: Path) 
     text = page.read_text(encoding="utf-8")
     assert VERDICTS["nothing_missing"] in text
     assert "<th>added</th>" not in text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_page_has_the_formulas_of_a_discovered_term(closed_loop: ClosedLoop, tmp_path: Path) -> None:
+    """Each formula stands with its loss over the curve's, without and with the cost of its parameters."""
+    loop = found_by(closed_loop, "force", "velocity_mps", True, FORMS[0], "m/s^2")
+    text = write_report(loop, tmp_path / "report").read_text(encoding="utf-8")
+    cost = loop.limits.tie_nats * len(FORMS[0].parameters)
+    assert FORMS[0].expression in text and f"<td>-3.0 ± 2.0</td><td>{cost - 3.0:+.1f}</td>" in text
 
 
 def test_the_verdict_line_has_size_and_interval(closed_loop: ClosedLoop) -> None:
