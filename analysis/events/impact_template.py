@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import Polynomial
 from scipy.optimize import least_squares
 
 from analysis.linear_algebra import lstsq
@@ -246,7 +245,7 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     rings_on = end + LEAST_DECAY * width > fine.size
     decay = one_mode(fine, quick, peak, end, width) if rings_on else None
     grid = np.arange(fine.size)
-    slow = _slow_under(fine, quick, peak, width) if decay is None else decay.slow(np.maximum(grid, decay.begin))
+    slow = _slow_under(fine, quick, peak, width) if decay is None else _slow_without(fine, decay, width)
     out = np.where((grid >= begin) & (grid < end), fine - np.clip((grid - peak) / width, 0.0, 1.0) * slow, 0.0)
     late = float(np.sqrt(np.mean(out[3 * out.size // 4 :] ** 2))) / float(np.abs(out).max())
     if decay is None and late > CUT_OFF:  # what follows a cut off end would be found as impacts
@@ -259,7 +258,7 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
 
 
 class Decay(NamedTuple):
-    """Ringing of one mode and the slow motion under it, from point ``begin`` of a waveform on.
+    """Ringing of one mode from point ``begin`` of a waveform on.
 
     The mode falls by ``e`` and turns by ``period`` in as many points; ``parts`` are its cosine and sine.
     """
@@ -268,7 +267,6 @@ class Decay(NamedTuple):
     fall: float
     period: float
     parts: Floats
-    slow: Polynomial
 
     def ringing(self, point: Integers) -> Floats:
         """The mode, (n,)."""
@@ -321,9 +319,8 @@ def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[f
     if not np.std(left(p)) < ONE_MODE:
         return []
     parts: Floats = np.asarray(size * lstsq(columns(p), unit)[0], dtype=np.float64)
-    slow = Polynomial(parts[:1:-1], domain=[begin, begin + n])
     fall, period = (float(x) for x in p * start)
-    return [(float(np.std(left(p))), Decay(begin, fall, period, parts[:2], slow))]
+    return [(float(np.std(left(p))), Decay(begin, fall, period, parts[:2]))]
 
 
 def _slow_under(fine: Floats, quick: Floats, peak: int, width: int) -> Floats:
@@ -342,6 +339,16 @@ def _slow_under(fine: Floats, quick: Floats, peak: int, width: int) -> Floats:
     if last - first < width:
         return np.zeros(fine.size)
     return np.asarray(smooth[np.clip(np.arange(fine.size), first, last - 1)])
+
+
+def _slow_without(fine: Floats, decay: Decay, width: int) -> Floats:
+    """Slow motion under a ringing of one mode: what is left without the mode, smoothed; constant before its begin."""
+    rest = fine[decay.begin :] - decay.ringing(np.arange(decay.begin, fine.size))
+    box = np.ones(width) / width
+    for _ in range(2):
+        ends = (width // 2, width - 1 - width // 2)  # a slope goes on there
+        rest = np.convolve(np.pad(rest, ends, mode="reflect", reflect_type="odd"), box, mode="valid")
+    return np.append(np.full(decay.begin, rest[0]), rest)
 
 
 def _from_onset(fine: Floats, sigma_v: float) -> Floats:

@@ -86,6 +86,19 @@ def test_motion_that_bends_under_long_ringing_is_no_part_of_it() -> None:
     assert np.abs(left[: -FINE * 30].mean()) < 0.05 * 0.003 and left[: -FINE * 30].std() < 0.1 * 0.003
 
 
+@pytest.mark.parametrize("slow_hz", [50.0, 100.0])
+def test_motion_that_bends_under_a_short_waveform_of_one_mode_is_no_part_of_it(slow_hz: float) -> None:
+    """7 ms of ringing over a motion that begins with the impact: a twentieth of that stays in the waveform."""
+    points_hz = 25_600.0 * FINE
+    time_s = (np.arange(round(7.5e-3 * points_hz)) - LEAD * FINE) / points_hz
+    slow = 0.01 * np.where(time_s > 0.0, np.sin(2.0 * np.pi * slow_hz * time_s + 0.5) - np.sin(0.5), 0.0)
+    known = ringing_part(ring(time_s, 1e-3) + slow, 1e-4, 25_600.0)
+    assert known is not None
+    n = min(known.size, time_s.size)
+    left = (known[:n] - ring(time_s[:n], 1e-3))[time_s[:n] > 2.6e-3]
+    assert np.abs(left).max() < 0.05 * 0.01
+
+
 @pytest.mark.parametrize("mode_hz", [800.0, 1500.0])
 def test_motion_that_bends_under_ringing_that_dies_away_is_no_part_of_it(mode_hz: float) -> None:
     """Two modes over what a misfit of the forcing left: a twentieth of that stays in the waveform."""
