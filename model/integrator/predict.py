@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kernels.arrays import Floats
 from model.integrator.flight import LONGEST_PERIODS, flight
-from model.integrator.hooks import plate_mode
+from model.integrator.hooks import plate_mode, rebound
 from model.integrator.plate import (
     between_steps,
     corrected,
@@ -185,7 +185,7 @@ def one_ahead(
             continue
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, predicted)
         several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < PASSABLE_S
-        hit = _impact(event, v0, hit, several, ratio != 0.0, predicted)
+        hit = _impact(event, v0, hit, several, ratio != 0.0 and not measured, predicted)
         predicted.launch_mps, predicted.impact_mps = v0, hit
         flying = with_state(bare, q, qd)
         if ratio != 0.0 and event.linked:
@@ -193,6 +193,9 @@ def one_ahead(
             project_mode(start, landing, False, flying, p, probe, m)
         if not measured:
             after_q, after_qd = strike(flying.mode, landing - start, hit, p)
+        elif bounces and i + 1 < n and events[i + 1].linked and not events[i + 1].relaunched:
+            # measured is a ball that stays; here it leaves, and what that gives the plate comes back with it
+            after_qd -= ratio / (1.0 + ratio) * rebound(hit, p) * hit
         last = Chain(landing, hit, after_q, after_qd, True, chained)
 
 

@@ -14,6 +14,7 @@ from analysis.residuals.observations import Observations, observed
 from analysis.residuals.values import TREND
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
+from benchmarks.plants.instrument import Instrument
 from daq.recording import open_recording
 
 HZ, DAMPING, RATIO = 8.2, 0.0104, 0.2
@@ -59,3 +60,37 @@ def test_a_mode_that_drifts_is_followed_from_flight_to_flight(both: tuple[Observ
     assert model.measured_mode(model.rows(VALUES)) is not None
     drifting = {**VALUES, ("table_resonance", "mass_ratio" + TREND): 0.1}
     assert model.measured_mode(model.rows(drifting)) is None
+
+
+@pytest.fixture(scope="module")
+def bounced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Observations, np.ndarray]:
+    """A ball that bounces on a ringing plate, behind an accelerometer with a bias; by how much landings are missed."""
+    values = {"hz": 8.8, "damping": 0.29, "ratio": 0.09}
+    hidden = {f"table_resonance.{k}": v for k, v in values.items()} | {"restitution.e0": 0.212}
+    gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.9, 1.9, 8), 4))
+    run = other_plant.Run(
+        hidden=hidden, seed=3, gammas=tuple(gammas.tolist()), closure_s=5e-4, instrument=Instrument(bias_v=0.01)
+    )
+    path: Path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path_factory.mktemp("bounced"))
+    with open_recording(path) as recording:
+        seen = observed(recording, flights_of(recording))
+    names = ("frequency_hz", "damping", "mass_ratio")
+    true = {("table_resonance", k): v for k, v in zip(names, values.values(), strict=True)}
+    return seen, ForwardModel(seen, {}).residuals({**true, ("restitution", "e0"): 0.212}).landing_s
+
+
+def test_what_a_ball_gives_the_plate_as_it_leaves_comes_back_with_it(bounced: tuple[Observations, np.ndarray]) -> None:
+    """Flights from rest, which follow rebounds that no instrument shows, have no bias."""
+    seen, missed_s = bounced
+    long = seen.measured.landing_s - seen.measured.opening_s > 3e-3
+    of = seen.scored & ~seen.measured.relaunched & long & np.isfinite(missed_s)
+    assert of.sum() > 30 and abs(np.median(missed_s[of])) < 15e-6
+
+
+def test_no_zero_of_the_accelerometer_is_needed_over_a_plate_as_it_moved(
+    bounced: tuple[Observations, np.ndarray],
+) -> None:
+    """Flights next to a fade of the drive are predicted as well as the others."""
+    seen, missed_s = bounced
+    near = np.isfinite(seen.measured.gained_mps) & seen.scored & np.isfinite(missed_s)
+    assert near.sum() > 5 and np.median(np.abs(missed_s[near])) < 50e-6
