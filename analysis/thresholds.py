@@ -129,6 +129,7 @@ MOST_OF_A_STEP_NATS = 12.0  # clip of one step's contribution to a gain
 
 # the search for candidates: what is followed farther
 DRIFTING_NATS = 100.0  # gain above which a candidate is tried with a drift as well
+FOLLOWED_PART = 0.3  # of the best gain of a round, below which a candidate's weights are not iterated
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
 LEADING_P = 0.05  # chance of so large a gain below which a refused candidate of many runs is worth a pass of its own
 IMPROBABLE = 1e-4  # explanations of less probability are left out

@@ -19,13 +19,12 @@ from analysis.linear_algebra import NotFiniteError
 from analysis.parallel import THREADS
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId, plate_effects
-from analysis.thresholds import DRIFTING_NATS, NEAR_NATS, NEAR_PART, Thresholds
+from analysis.thresholds import DRIFTING_NATS, FOLLOWED_PART, NEAR_NATS, NEAR_PART, Thresholds
 from model.effects.registry import effect, trend_name
 
 Tried = Callable[[Candidate], None]
 Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 
-FOLLOWED_PART = 0.3  # of the best gain, below which a candidate's weights are not iterated
 MOST_DRIFTING = 4  # strong candidates of a round that are tried with a drift
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
@@ -78,13 +77,14 @@ class Proposals:
             progress(" + ".join(candidate.names), done / total)
 
         def one(candidate: Candidate) -> Fitted | None:
-            fitted = attempted((*best.candidates, candidate), self._with_weights_of, best, candidate)
+            found = attempted((*best.candidates, candidate), self._with_weights_of, best, candidate)
             tried(candidate)
-            return fitted
+            return found
 
-        def followed(one: tuple[Candidate, Fitted, float], enough: float = -math.inf) -> Hypothesis | None:
-            chosen, fit = self._chosen(best, one[0]), self._iterated if one[2] >= enough else self._as_begun
-            return attempted(chosen, fit, best, chosen, one[1])
+        def followed(begun: tuple[Candidate, Fitted, float], enough: float = -math.inf) -> Hypothesis | None:
+            candidate, fitted, gained = begun
+            chosen, fit = self._chosen(best, candidate), self._iterated if gained >= enough else self._as_begun
+            return attempted(chosen, fit, best, chosen, fitted)
 
         with ThreadPoolExecutor(THREADS) as pool:
             soft = [(c, x) for c, x in zip(options, pool.map(one, options), strict=True) if x is not None]
