@@ -11,91 +11,47 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Thresholds that decide what is named and what is called explained.
+    """Thresholds that decide what is named and what is called explained."""
 
-    Attributes
-    ----------
-    best_of_all_p
-        Largest probability that the best of all candidates gains so much by chance, for an effect to be named.
-    first_effect_nats, first_effect_sigmas
-        Least held-out gain of the first effect, in nats and in standard errors of the per-step differences.
-    next_effect_nats, next_effect_sigmas
-        The same for every further effect: one cause must nearly fail before two are named.
-    few_steps_sigmas
-        The same standard errors where landings that were lost are found, or more than noise is left without the effect
-        and only noise with it: a gain by a single step has one.
-    gain_nats, gain_sigmas
-        Gain that is beyond doubt without a null of its own: of a richer form, of a term, at a detection limit.
-    worse_nats, worse_sigmas
-        Rise of a channel's held-out loss beyond which an effect is refused; both must be exceeded.
-    tolerated_plate_loss
-        Part of a gain that plate data may lose while they remain noise.
-    tie_nats, tie_sigmas
-        Lead below which two sets of effects are not distinguished.
-    found_excess, found_nats
-        Part of the excess noise left, and gain, at which lost landings count as found again.
-    reported_nats
-        Least gain of a refused candidate that is reported with its reason.
-    negligible_nats
-        Gain on the training steps below which a candidate is not followed.
-    idle_rms
-        Largest root mean square change of whitened residuals between a set and a simpler one to call them the same.
-    reserve_every
-        Every so-many-th step is held out from all fits and all selection.
-    reserve_factor
-        Times `next_effect_nats` below which a further effect must also gain on the reserved steps.
-    reserve_sigmas
-        Standard deviations, of a log-likelihood ratio, by which reserved steps may lie below what the others promise.
-    lack_p
-        Probability under which the remainder is more than noise.
-    lack_ratio
-        Least rms of standardised residuals for a lack of fit to count; a trifle in a long run is no discovery.
-    plate_rms_z
-        Largest rms of standardised plate data.
-    noise_like_ratio
-        Ratio, of flights and of plate data, below which no second cause is sought.
-    max_rms_over_floor
-        Largest held-out error over the noise floor of an explained recording.
-    chance_p
-        Probability of a held-out error that noise may still have made.
-    most_effects
-        Largest number of named effects.
-    knots_rms, base_rms
-        Rms of standardised landings below which no finer knots, and no second set of named effects, are tried.
-    similar_correlation
-        Correlation of its mark on the flights above which a named effect is reported as similar to a smooth term.
-    """
-
+    # largest probability that the best of all candidates gains so much by chance, for an effect to be named
     best_of_all_p: float = 1e-3
-    first_effect_nats: float = 6.0
-    first_effect_sigmas: float = 1.5
+    first_effect_nats: float = 6.0  # least held-out gain of the first effect
+    first_effect_sigmas: float = 1.5  # the same in standard errors of the per-step differences
+    # the same standard errors where landings that were lost are found, or more than noise is left without the effect
+    # and only noise with it: a gain by a single step has one
     few_steps_sigmas: float = 1.0
+    # gain beyond doubt without a null of its own: of a richer form, of a term, at a detection limit
     gain_nats: float = 12.0
-    gain_sigmas: float = 2.0
-    next_effect_nats: float = 15.0
-    next_effect_sigmas: float = 2.5
-    worse_nats: float = 6.0
-    worse_sigmas: float = 2.0
-    tolerated_plate_loss: float = 0.05
-    tie_nats: float = 4.0
-    tie_sigmas: float = 2.0
-    found_excess: float = 0.1
-    found_nats: float = 100.0
-    reported_nats: float = 1.0
-    negligible_nats: float = 4.0
+    gain_sigmas: float = 2.0  # the same in standard errors
+    next_effect_nats: float = 15.0  # the same for every further effect: one cause must nearly fail before two are named
+    next_effect_sigmas: float = 2.5  # the same in standard errors
+    worse_nats: float = 6.0  # rise of a channel's held-out loss beyond which an effect is refused
+    worse_sigmas: float = 2.0  # the same in standard errors: both must be exceeded
+    tolerated_plate_loss: float = 0.05  # part of a gain that plate data may lose while they remain noise
+    tie_nats: float = 4.0  # lead below which two sets of effects are not distinguished
+    tie_sigmas: float = 2.0  # the same in standard errors
+    found_excess: float = 0.1  # part of the excess noise left at which lost landings count as found again
+    found_nats: float = 100.0  # gain at which they do
+    reported_nats: float = 1.0  # least gain of a refused candidate that is reported with its reason
+    negligible_nats: float = 4.0  # gain on the training steps below which a candidate is not followed
+    # largest root mean square change of whitened residuals between a set and a simpler one to call them the same
     idle_rms: float = 0.15
-    reserve_every: int = 4
+    reserve_every: int = 4  # every so-many-th step is held out from all fits and all selection
+    # times `next_effect_nats` below which a further effect must also gain on the reserved steps
     reserve_factor: float = 2.0
+    # standard deviations, of a log-likelihood ratio, by which reserved steps may lie below what the others promise
     reserve_sigmas: float = 2.0
-    lack_p: float = 1e-4
+    lack_p: float = 1e-4  # probability under which the remainder is more than noise
+    # least rms of standardised residuals for a lack of fit to count; a trifle in a long run is no discovery
     lack_ratio: float = 1.25
-    plate_rms_z: float = 1.6
-    noise_like_ratio: float = 1.25
-    max_rms_over_floor: float = 1.5
-    chance_p: float = 1e-3
-    most_effects: int = 3
-    knots_rms: float = 1.05
-    base_rms: float = 1.15
+    plate_rms_z: float = 1.6  # largest rms of standardised plate data
+    noise_like_ratio: float = 1.25  # ratio, of flights and of plate data, below which no second cause is sought
+    max_rms_over_floor: float = 1.5  # largest held-out error over the noise floor of an explained recording
+    chance_p: float = 1e-3  # probability of a held-out error that noise may still have made
+    most_effects: int = 3  # largest number of named effects
+    knots_rms: float = 1.05  # rms of standardised landings below which no finer knots are tried
+    base_rms: float = 1.15  # the same for a second set of named effects
+    # correlation of its mark on the flights above which a named effect is reported as similar to a smooth term
     similar_correlation: float = 0.8
 
     def most_rms_us(self, floor_us: float) -> float:

@@ -38,24 +38,12 @@ DRAWS = 4999
 
 @dataclass(frozen=True)
 class ScoreSpace:
-    """Derivatives of whitened residuals to the sizes of all candidates, less what nuisances can follow.
+    """Derivatives of whitened residuals to the sizes of all candidates, less what nuisances can follow."""
 
-    Attributes
-    ----------
-    columns
-        Projected derivatives, (n, k), n residuals.
-    information
-        Covariance of the scores, (k, k), each column of unit information.
-    groups
-        Columns of each candidate, at one setting of its shape parameters.
-    signs
-        Of each column: 1 or -1 where its parameter can move one way only, 0 where it can move both ways.
-    """
-
-    columns: Floats
-    information: Floats
-    groups: tuple[Columns, ...]
-    signs: Integers
+    columns: Floats  # projected derivatives, (n, k), n residuals
+    information: Floats  # covariance of the scores, (k, k), each column of unit information
+    groups: tuple[Columns, ...]  # columns of each candidate, at one setting of its shape parameters
+    signs: Integers  # of each column: 1 or -1 where its parameter can move one way only, 0 where it can move both ways
 
     @classmethod
     def of(

@@ -25,21 +25,14 @@ from model.effects.registry import effect
 
 @dataclass(frozen=True)
 class LogScoreDifference:
-    """Gain of one hypothesis over another on held-out steps.
+    """Gain of one hypothesis over another on held-out steps."""
 
-    Attributes
-    ----------
-    gain, error
-        In nats, with the standard error.
-    clipped, clipped_error
-        The same with each step's contribution clipped at `MOST_OF_A_STEP_NATS` either way: a few steps that gain
-        hundreds of nats spread the sum without making it doubtful.
-    """
-
-    gain: float
-    error: float
+    gain: float  # nats
+    error: float  # its standard error
+    # each step's contribution clipped at `MOST_OF_A_STEP_NATS` either way: a few steps that gain hundreds of nats
+    # spread the sum without making it doubtful
     clipped: float
-    clipped_error: float
+    clipped_error: float  # standard error of that
 
     @classmethod
     def of(cls, worse: Floats, better: Floats, train: Bools) -> LogScoreDifference:

@@ -37,24 +37,12 @@ def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of candidates, fitted and scored.
+    """A set of candidates, fitted and scored."""
 
-    Attributes
-    ----------
-    candidates
-        In the order in which they were added.
-    fitted
-        The joint fit.
-    whitener
-        Uncertainties at the fitted point.
-    losses
-        Held-out loss by channel, (m,).
-    """
-
-    candidates: tuple[Candidate, ...]
-    fitted: Fitted
-    whitener: Whitener
-    losses: Mapping[str, Floats]
+    candidates: tuple[Candidate, ...]  # in the order in which they were added
+    fitted: Fitted  # the joint fit
+    whitener: Whitener  # uncertainties at the fitted point
+    losses: Mapping[str, Floats]  # held-out loss by channel, (m,)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -198,44 +186,20 @@ def with_hidden_free(x: Hypothesis) -> Hypothesis:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that gained and was refused.
+    """A candidate that gained and was refused."""
 
-    Attributes
-    ----------
-    names
-        Effects that it would have added.
-    gain, error
-        Held-out gain over what it was added to, and its standard error, nats.
-    reason
-        What forbade it, in words.
-    """
-
-    names: tuple[str, ...]
-    gain: float
-    error: float
-    reason: str
+    names: tuple[str, ...]  # effects that it would have added
+    gain: float  # held-out gain over what it was added to, nats
+    error: float  # its standard error, nats
+    reason: str  # what forbade it, in words
 
 
 @dataclass(frozen=True)
 class ChanceTest:
-    """The best candidate of a round, held against what the best of all gains by chance.
+    """The best candidate of a round, held against what the best of all gains by chance."""
 
-    Attributes
-    ----------
-    names
-        Effects that it adds.
-    gain
-        Its gain on the steps of the fit, nats.
-    p
-        Probability that the best of all candidates gains so much by chance.
-    critical
-        Gain that chance exceeds with the probability of the threshold, nats.
-    accepted
-        Whether it was added.
-    """
-
-    names: tuple[str, ...]
-    gain: float
-    p: float
-    critical: float
-    accepted: bool
+    names: tuple[str, ...]  # effects that it adds
+    gain: float  # its gain on the steps of the fit, nats
+    p: float  # probability that the best of all candidates gains so much by chance
+    critical: float  # gain that chance exceeds with the probability of the threshold, nats
+    accepted: bool  # whether it was added

@@ -132,10 +132,7 @@ class Proposals:
     def add(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """Fit the best hypothesis with one candidate more; None where the candidate could change nothing here.
 
-        Raises
-        ------
-        NotFiniteError
-            Where nothing that it predicts is finite.
+        Raises `NotFiniteError` where nothing that it predicts is finite.
         """
         fitted = self._with_weights_of(best, candidate)
         return None if fitted is None else self._iterated(best, self._chosen(best, candidate), fitted)

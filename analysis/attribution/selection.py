@@ -32,34 +32,18 @@ MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
 
 @dataclass(frozen=True)
 class SelectionResult:
-    """Result of a stepwise selection.
+    """Result of a stepwise selection."""
 
-    Attributes
-    ----------
-    before, best
-        The declared model, and the best hypothesis found (the same object where nothing is missing).
-    ties
-        Hypotheses that the data do not distinguish from the best one, the best first.
-    tried
-        Every candidate of the first round with its gain.
-    rounds
-        Outcome of each round: names, gain, standard error, accepted or why not.
-    rejected
-        Of all that was refused although it gained more than what was accepted in its place, the one of greatest gain.
-    chance
-        By round, the best candidate against chance.
-    earlier
-        Hypotheses before the last effect was added, from the declared model on.
-    """
-
-    before: Hypothesis
-    best: Hypothesis
-    ties: tuple[Hypothesis, ...]
-    tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]
+    before: Hypothesis  # the declared model
+    best: Hypothesis  # the best hypothesis found, the same object where nothing is missing
+    ties: tuple[Hypothesis, ...]  # hypotheses that the data do not distinguish from the best one, the best first
+    tried: tuple[tuple[tuple[str, ...], LogScoreDifference], ...]  # every candidate of the first round with its gain
+    # outcome of each round: names, gain, standard error, accepted or why not
     rounds: tuple[str, ...] = field(default=())
+    # of all that was refused although it gained more than what was accepted in its place, the one of greatest gain
     rejected: Rejected | None = None
-    chance: tuple[ChanceTest, ...] = ()
-    earlier: tuple[Hypothesis, ...] = ()
+    chance: tuple[ChanceTest, ...] = ()  # by round, the best candidate against chance
+    earlier: tuple[Hypothesis, ...] = ()  # hypotheses before the last effect was added, from the declared model on
 
 
 @dataclass(frozen=True)

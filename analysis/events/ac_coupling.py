@@ -31,20 +31,11 @@ NEAR_LEVEL = 0.25  # distance from the level, as a fraction of the swing, beyond
 
 @dataclass(frozen=True)
 class Coupling:
-    """High-pass before the converter, measured on the recording.
+    """High-pass before the converter, measured on the recording."""
 
-    Attributes
-    ----------
-    levels : Levels
-        Closed at 0 V, open at the height of an edge, and the noise.
-    corner_hz : float
-    edges : int
-        Edges measured; below `MIN_EDGES` the declared swing and `USUAL_CORNER_HZ` stand.
-    """
-
-    levels: Levels
+    levels: Levels  # closed at 0 V, open at the height of an edge, and the noise
     corner_hz: float
-    edges: int
+    edges: int  # edges measured; below `MIN_EDGES` the declared swing and `USUAL_CORNER_HZ` stand
 
 
 def measure_coupling(pieces: Sequence[Floats], swing_v: float, rate_hz: float) -> Coupling:

@@ -41,21 +41,11 @@ class Window:
 
 @dataclass(frozen=True)
 class Crossings:
-    """Changes of state of the contact voltage, with the samples around each.
+    """Changes of state of the contact voltage, with the samples around each."""
 
-    Attributes
-    ----------
-    sample : int64 array, shape (n,)
-        First sample past the hysteresis threshold (for a dip: its lowest sample).
-    kind : int8 array, shape (n,)
-        `OPENS`, `CLOSES` or `DIP` (a contact too short to reach the threshold).
-    window : float32 array, shape (n, around.before + around.after)
-        Fraction of the swing around the crossing: 0 closed, 1 open.
-    around : Window
-    """
-
-    sample: Integers
-    kind: npt.NDArray[np.int8]
+    sample: Integers  # first sample past the hysteresis threshold (for a dip: its lowest sample), (n,)
+    kind: npt.NDArray[np.int8]  # `OPENS`, `CLOSES` or `DIP` (a contact too short to reach the threshold), (n,)
+    # fraction of the swing around the crossing: 0 closed, 1 open, (n, around.before + around.after)
     window: npt.NDArray[np.float32]
     around: Window = Window()
 

@@ -27,23 +27,16 @@ MIN_STEPS = 3
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of edges from cycle to cycle, in each step that repeats.
+    """Scatter of edges from cycle to cycle, in each step that repeats."""
 
-    Attributes
-    ----------
-    excess_s2
-        Variance beyond what is stated, s^2, (k,), of steps whose edges are at several places between samples; below
-        zero where edges scatter by less.
-    repeated_s2, freedom
-        Squared scatter of rounded edges at one place, s^2, and degrees of freedom of the step's scatter, (r,).
-    sampling_s
-        Interval of the samples to which edges are rounded; 0 where they are not.
-    """
-
+    # variance beyond what is stated, s^2, (k,), of steps whose edges are at several places between samples; below zero
+    # where edges scatter by less
     excess_s2: Floats = field(default_factory=lambda: np.zeros(0))
+    # squared scatter of rounded edges at one place, s^2, (r,)
     repeated_s2: Floats = field(default_factory=lambda: np.zeros(0))
+    # degrees of freedom of the step's scatter, (r,)
     freedom: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    sampling_s: float = 0.0
+    sampling_s: float = 0.0  # interval of the samples to which edges are rounded; 0 where they are not
 
     @classmethod
     def of(

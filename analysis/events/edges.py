@@ -30,28 +30,16 @@ POSTERIOR_POINTS = 200
 
 @dataclass(frozen=True)
 class EdgeShape:
-    """Shape of the edges of one polarity: time constant, and quality of the exponential.
+    """Shape of the edges of one polarity: time constant, and quality of the exponential."""
 
-    Attributes
-    ----------
-    tau_s : float
-        RC time constant; 0 where the edges are sharp (no sample lies between the levels).
-    tau_uncertainty_s : float
-    chi : float
-        Rms of the fit's residuals in units of the plateau noise, at least 1; uncertainties are multiplied by it.
-    edges : int
-        Edges used.
-    clock_s : float
-        Time between two reads of a clocked comparator before the RC; 0 for a circuit that answers at once.
-    lag_s : float
-        Where it is clocked, from the RC's first rise to the middle of the interval in which the comparator changed.
-    """
-
-    tau_s: float
+    tau_s: float  # RC time constant; 0 where the edges are sharp (no sample lies between the levels)
     tau_uncertainty_s: float
+    # rms of the fit's residuals in units of the plateau noise, at least 1; uncertainties are multiplied by it
     chi: float
-    edges: int
+    edges: int  # edges used
+    # time between two reads of a clocked comparator before the RC; 0 for a circuit that answers at once
     clock_s: float = 0.0
+    # where it is clocked, from the RC's first rise to the middle of the interval in which the comparator changed
     lag_s: float = 0.0
 
     def circuit(self, rise_s: Floats, sigma_s: Floats) -> tuple[Floats, Floats]:
@@ -64,18 +52,11 @@ SHARP = EdgeShape(0.0, 0.0, 1.0, 0)
 
 @dataclass(frozen=True)
 class Edges:
-    """Contact edges in time.
+    """Contact edges in time."""
 
-    Attributes
-    ----------
-    time_s, uncertainty_s : float arrays, shape (n,)
-        Time axis of the recording; one standard deviation.
-    kind : int8 array, shape (n,)
-    """
-
-    time_s: Floats
-    uncertainty_s: Floats
-    kind: npt.NDArray[np.int8]
+    time_s: Floats  # time axis of the recording, (n,)
+    uncertainty_s: Floats  # one standard deviation, (n,)
+    kind: npt.NDArray[np.int8]  # (n,)
 
 
 def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Edges, EdgeShape, EdgeShape]:

@@ -41,24 +41,15 @@ ringing in standard deviations of the noise, and the part of this one's ringing 
 
 @dataclass(frozen=True)
 class Impacts:
-    """Landings detected by the accelerometer.
+    """Landings detected by the accelerometer."""
 
-    Attributes
-    ----------
-    time_s, uncertainty_s : float arrays, shape (n,)
-        Time axis of the accelerometer before `analysis.events.sensor_offset.calibrate`, of the contact edges after it.
-    strength : array, shape (n,)
-        Output of the matched filter in units of its noise: proportional to the impact speed.
-    onset_s : float
-        Uncertainty of the template's onset, where no edge confirms it.
-    rounding_s : float
-        Part of the uncertainty that comes from a rounding to samples, as that of contact edges; 0 for none.
-    """
-
+    # time axis of the accelerometer before `analysis.events.sensor_offset.calibrate`, of the contact edges after it,
+    # (n,)
     time_s: Floats
-    uncertainty_s: Floats
-    strength: Floats
-    onset_s: float = ONSET_S
+    uncertainty_s: Floats  # one standard deviation, (n,)
+    strength: Floats  # output of the matched filter in units of its noise: proportional to the impact speed, (n,)
+    onset_s: float = ONSET_S  # uncertainty of the template's onset, where no edge confirms it
+    # part of the uncertainty that comes from a rounding to samples, as that of contact edges; 0 for none
     rounding_s: float = 0.0
 
     def away_from(self, seams_s: Floats) -> Impacts:

@@ -49,31 +49,21 @@ MEDIAN_ERROR = 1.2533  # standard error of the median of normal values over that
 
 @dataclass(frozen=True)
 class ImpactTemplate:
-    """Mean waveform of an impact in the accelerometer.
+    """Mean waveform of an impact in the accelerometer."""
 
-    Attributes
-    ----------
-    fine : array, shape (n * FINE,)
-        Mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``.
-    taps : float32 array, shape (LENGTH,)
-        Filter matched to the waveform in the noise as measured, blind to constants, slopes and curvature (so to the
-        tones); the noise leaves it with a standard deviation of 1.
-    whitener : array, shape (LENGTH, LENGTH)
-        Makes the noise of a snippet white, of unit variance, and removes constants, slopes, curvature and tones.
-    ring_s : float
-        Time after an impact that is masked in the tone fits.
-    threshold : float
-        Output of the filter from which an impact is taken for one, in standard deviations of the noise.
-    width : int
-        Recorded samples averaged to one of the template's, see `thinning`.
-    """
-
+    # mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``, (n *
+    # FINE,)
     fine: Floats
+    # filter matched to the waveform in the noise as measured, blind to constants, slopes and curvature (so to the
+    # tones), (LENGTH,); the noise leaves it with a standard deviation of 1
     taps: npt.NDArray[np.float32]
+    # makes the noise of a snippet white, of unit variance, and removes constants, slopes, curvature and tones, (LENGTH,
+    # LENGTH)
     whitener: Floats
-    ring_s: float
+    ring_s: float  # time after an impact that is masked in the tone fits
+    # output of the filter from which an impact is taken for one, in standard deviations of the noise
     threshold: float = THRESHOLD
-    width: int = 1
+    width: int = 1  # recorded samples averaged to one of the template's, see `thinning`
 
 
 def motion_basis(length: int, powers: int, cycles_per_sample: Floats) -> Floats:

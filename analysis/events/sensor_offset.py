@@ -28,23 +28,14 @@ MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and a
 
 @dataclass(frozen=True)
 class SensorOffset:
-    """Accelerometer times relative to contact edges, on landings that both detect.
+    """Accelerometer times relative to contact edges, on landings that both detect."""
 
-    Attributes
-    ----------
-    offset_s, uncertainty_s : float
-        Accelerometer minus electrical edge (negative for a late contact circuit), and its standard error. They are 0
-        and infinity where the landings do not agree on one (a ball that chatters before the circuit stays closed).
-    pairs : int
-        Landings used.
-    spread_s : float
-        Standard deviation of the two sensors' times about it: what the contact jitters, too.
-    """
-
+    # accelerometer minus electrical edge, negative for a late contact circuit; 0 where the landings do not agree on one
+    # (a ball that chatters before the circuit stays closed)
     offset_s: float
-    uncertainty_s: float
-    pairs: int
-    spread_s: float = 0.0
+    uncertainty_s: float  # its standard error; infinite there
+    pairs: int  # landings used
+    spread_s: float = 0.0  # standard deviation of the two sensors' times about it: what the contact jitters, too
 
 
 def calibrate(

@@ -46,23 +46,14 @@ OVER_AMPLITUDE = {GAIN: 1, PHASE: 1, GATE: 1, SECOND: 2, THIRD: 2}
 
 @dataclass(frozen=True)
 class Design:
-    """A run that could be made next.
+    """A run that could be made next."""
 
-    Attributes
-    ----------
-    id, description
-        A short name, and a sentence.
-    ratio, gammas, order
-        Of the ramp; ``gammas`` rise from start to stop.
-    priors
-        Standard deviations from a calibration made with the run (flip test, drop test), by parameter.
-    """
-
-    id: str
-    description: str
-    ratio: int
-    gammas: tuple[float, ...]
-    order: str = "up"
+    id: str  # a short name
+    description: str  # a sentence
+    ratio: int  # c of the ramp
+    gammas: tuple[float, ...]  # of the ramp, rising, whatever the order in which they are run
+    order: str = "up"  # of the ramp
+    # standard deviations from a calibration made with the run (flip test, drop test), by parameter
     priors: Mapping[ParameterId, float] = field(default_factory=dict)
 
 

@@ -31,48 +31,26 @@ class AddedEffect:
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A parameter of the best hypothesis, in its own unit.
-
-    Attributes
-    ----------
-    effect, parameter
-        Its names.
-    value, sigma
-        As fitted, with standard deviation.
-    added
-        True for a parameter of an added effect, False for a calibration or a nuisance.
-    trend
-        True where the value is the parameter's change over the whole run.
-    """
+    """A parameter of the best hypothesis, in its own unit."""
 
     effect: str
     parameter: str
-    value: float
-    sigma: float
-    added: bool
-    trend: bool = False
+    value: float  # as fitted
+    sigma: float  # its standard deviation
+    added: bool  # True for a parameter of an added effect, False for a calibration or a nuisance
+    trend: bool = False  # True where the value is the parameter's change over the whole run
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibration, stated and fitted.
-
-    Attributes
-    ----------
-    effect, parameter
-        Its names.
-    value, sigma
-        As fitted, with standard deviation, in the parameter's own unit.
-    stated, stated_sigma
-        The same before the fit.
-    """
+    """A calibration, stated and fitted."""
 
     effect: str
     parameter: str
-    value: float
-    sigma: float
-    stated: float
-    stated_sigma: float
+    value: float  # as fitted, in the parameter's own unit
+    sigma: float  # its standard deviation
+    stated: float  # before the fit
+    stated_sigma: float  # its standard deviation
 
     @property
     def moved(self) -> bool:
@@ -94,24 +72,14 @@ class TestedCandidate:
 
 @dataclass(frozen=True)
 class StepTable:
-    """Steps of all recordings, arrays (m,).
+    """Steps of all recordings, arrays (m,)."""
 
-    Attributes
-    ----------
-    recording, number
-        Index of the recording, and the step's number in it.
-    gamma, ratio, period_s
-        Measured ``A w^2 / g``, c, and the forcing's period.
-    held_out
-        True for steps reserved for the final test.
-    """
-
-    recording: Integers
-    number: Integers
-    gamma: Floats
-    ratio: Integers
-    period_s: Floats
-    held_out: Bools
+    recording: Integers  # index of the recording
+    number: Integers  # the step's number in it
+    gamma: Floats  # measured ``A w^2 / g``
+    ratio: Integers  # c
+    period_s: Floats  # of the forcing
+    held_out: Bools  # True for steps reserved for the final test
 
     def __len__(self) -> int:
         return len(self.gamma)
@@ -119,53 +87,28 @@ class StepTable:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Flights as one model predicts them, one event ahead: arrays (n,), seconds, NaN where nothing is predicted.
-
-    Attributes
-    ----------
-    takeoff_s, landing_s
-        Predicted times.
-    takeoff_residual_s, landing_residual_s
-        Measured minus predicted, of the events that are scored.
-    takeoff_sigma_s, landing_sigma_s
-        Standard deviation of these residuals by the errors of measurement, the plate's included.
-    """
+    """Flights as one model predicts them, one event ahead: arrays (n,), seconds, NaN where nothing is predicted."""
 
     takeoff_s: Floats
     landing_s: Floats
-    takeoff_residual_s: Floats
-    landing_residual_s: Floats
-    takeoff_sigma_s: Floats
-    landing_sigma_s: Floats
+    takeoff_residual_s: Floats  # measured minus predicted, of the events that are scored
+    landing_residual_s: Floats  # the same
+    takeoff_sigma_s: Floats  # standard deviation of the residual by the errors of measurement, the plate's included
+    landing_sigma_s: Floats  # the same
 
 
 @dataclass(frozen=True)
 class FlightTable:
-    """Flights of all recordings, arrays (n,).
+    """Flights of all recordings, arrays (n,)."""
 
-    Attributes
-    ----------
-    step
-        Row of the step in `StepTable`.
-    takeoff_s, landing_s
-        Measured times since the start of the recording.
-    scored
-        True where the landing is compared with its prediction.
-    from_rest
-        True where the take-off is compared as well: it was seen, after a rest.
-    before, after
-        Predictions of the declared model and of the best hypothesis.
-    covariates
-        By the names of `analysis.residuals.covariates.COVARIATES`, SI units, NaN where unknown.
-    """
-
-    step: Integers
-    takeoff_s: Floats
-    landing_s: Floats
-    scored: Bools
-    from_rest: Bools
-    before: Predictions
-    after: Predictions
+    step: Integers  # row of the step in `StepTable`
+    takeoff_s: Floats  # measured, since the start of the recording
+    landing_s: Floats  # the same
+    scored: Bools  # True where the landing is compared with its prediction
+    from_rest: Bools  # True where the take-off is compared as well: it was seen, after a rest
+    before: Predictions  # of the declared model
+    after: Predictions  # of the best hypothesis
+    # by the names of `analysis.residuals.covariates.COVARIATES`, SI units, NaN where unknown
     covariates: Mapping[str, Floats]
 
     def __len__(self) -> int:
@@ -174,24 +117,14 @@ class FlightTable:
 
 @dataclass(frozen=True)
 class PlateTable:
-    """Plate observables, arrays (r,).
+    """Plate observables, arrays (r,)."""
 
-    Attributes
-    ----------
-    kind, step
-        Index into `analysis.residuals.plate_data.plate_observables.KINDS`, and row of the step.
-    value, sigma
-        Measured, with standard deviation, in the unit of the kind.
-    before, after
-        Residuals under the declared model and the best hypothesis, scaled to ``sigma``.
-    """
-
-    kind: Integers
-    step: Integers
-    value: Floats
-    sigma: Floats
-    before: Floats
-    after: Floats
+    kind: Integers  # index into `analysis.residuals.plate_data.plate_observables.KINDS`
+    step: Integers  # row of the step
+    value: Floats  # measured, in the unit of the kind
+    sigma: Floats  # its standard deviation
+    before: Floats  # residuals under the declared model, scaled to ``sigma``
+    after: Floats  # the same under the best hypothesis
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -242,37 +175,18 @@ class FirstBifurcations:
 
 @dataclass(frozen=True)
 class Selection:
-    """Outcome of the selection among sets of effects.
+    """Outcome of the selection among sets of effects."""
 
-    Attributes
-    ----------
-    effects
-        Effects that were added, never those declared nor nuisances.
-    names
-        Names of the best set of effects; empty where nothing was added.
-    ties
-        Sets of effects that the data cannot tell from the best one, the best first; empty where nothing was added.
-    parameters, calibrations
-        Everything the best hypothesis fits, and those of it that the profile states.
-    candidates
-        Every candidate of the first round, in the order tested.
-    rounds
-        Outcome of each round of the selection, in words.
-    rejected
-        The candidate of greatest gain that was refused, or None.
-    chance
-        By round, the best candidate against what the best of all gains by chance.
-    """
-
-    effects: tuple[AddedEffect, ...]
-    names: tuple[str, ...]
+    effects: tuple[AddedEffect, ...]  # effects that were added, never those declared nor nuisances
+    names: tuple[str, ...]  # names of the best set of effects; empty where nothing was added
+    # sets of effects that the data cannot tell from the best one, the best first; empty where nothing was added
     ties: tuple[tuple[str, ...], ...]
-    parameters: tuple[FittedParameter, ...]
-    calibrations: tuple[Calibration, ...]
-    candidates: tuple[TestedCandidate, ...]
-    rounds: tuple[str, ...]
-    rejected: Rejected | None
-    chance: tuple[ChanceTest, ...]
+    parameters: tuple[FittedParameter, ...]  # everything the best hypothesis fits
+    calibrations: tuple[Calibration, ...]  # those of them that the profile states
+    candidates: tuple[TestedCandidate, ...]  # every candidate of the first round, in the order tested
+    rounds: tuple[str, ...]  # outcome of each round of the selection, in words
+    rejected: Rejected | None  # the candidate of greatest gain that was refused, or None
+    chance: tuple[ChanceTest, ...]  # by round, the best candidate against what the best of all gains by chance
 
     @property
     def added(self) -> tuple[FittedParameter, ...]:
@@ -282,23 +196,13 @@ class Selection:
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors on the held-out steps, and what measurement noise leaves of them.
+    """Errors on the held-out steps, and what measurement noise leaves of them."""
 
-    Attributes
-    ----------
-    before, after
-        Under the declared model and the best hypothesis.
-    given_openings
-        The landings behind ``after``, conditioned on the openings of their steps.
-    landing_floor_us, takeoff_floor_us
-        Rms that measurement noise leaves of landings and of take-offs, at the final model, on the same flights.
-    """
-
-    before: Errors
-    after: Errors
-    given_openings: GivenOpenings
-    landing_floor_us: float
-    takeoff_floor_us: float
+    before: Errors  # under the declared model
+    after: Errors  # under the best hypothesis
+    given_openings: GivenOpenings  # the landings behind ``after``, conditioned on the openings of their steps
+    landing_floor_us: float  # rms that measurement noise leaves of landings at the final model, on the same flights
+    takeoff_floor_us: float  # the same of take-offs
 
 
 @dataclass(frozen=True)

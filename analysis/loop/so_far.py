@@ -33,48 +33,24 @@ from model.effects.registry import resolve
 
 @dataclass(frozen=True)
 class Promising:
-    """A candidate that could explain what is more than noise, judged by a linear step and no more.
+    """A candidate that could explain what is more than noise, judged by a linear step and no more."""
 
-    Attributes
-    ----------
-    names
-        Of its effects.
-    gain
-        In nats, were the residuals linear in it.
-    values
-        Of its free parameters, at the end of that step.
-    """
-
-    names: tuple[str, ...]
-    gain: float
-    values: dict[ParameterId, float]
+    names: tuple[str, ...]  # of its effects
+    gain: float  # in nats, were the residuals linear in it
+    values: dict[ParameterId, float]  # of its free parameters, at the end of that step
 
 
 @dataclass(frozen=True)
 class SoFar:
-    """The judgement after a look.
+    """The judgement after a look."""
 
-    Attributes
-    ----------
-    within
-        Whether flights and plate are within noise of the declared model, at the level of this look.
-    p, level
-        Probability of so much from noise, and that below which this look accuses.
-    landing_rms_us, floor_us
-        Error of the predicted landings, and the noise floor of it, as the closed loop states them.
-    flights
-        Number of flights judged.
-    promising
-        Empty within noise.
-    """
-
-    within: bool
-    p: float
-    level: float
-    landing_rms_us: float
-    floor_us: float
-    flights: int
-    promising: tuple[Promising, ...]
+    within: bool  # whether flights and plate are within noise of the declared model, at the level of this look
+    p: float  # probability of so much from noise
+    level: float  # that below which this look accuses
+    landing_rms_us: float  # error of the predicted landings, as the closed loop states it
+    floor_us: float  # its noise floor
+    flights: int  # number of flights judged
+    promising: tuple[Promising, ...]  # empty within noise
 
 
 def level_of_look(look: int) -> float:

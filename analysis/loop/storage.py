@@ -27,13 +27,7 @@ FORMAT, VERSION = "shakerbench closed loop", 3
 
 
 def save_verdict(loop: ClosedLoop, path: Path) -> None:
-    """Write a closed loop to the file ``path``.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
+    """Write a closed loop to the file ``path``; raises `InputError` where the file cannot be written."""
     arrays: dict[str, np.ndarray] = {}
     tree = _plain(loop, "", arrays)
     try:
@@ -58,10 +52,7 @@ def is_verdict(path: Path) -> bool:
 def load_verdict(path: Path) -> ClosedLoop:
     """Read a closed loop that `save_verdict` wrote.
 
-    Raises
-    ------
-    InputError
-        Where the file holds none, or one of another version.
+    Raises `InputError` where the file holds none, or one of another version.
     """
     wanted = f"wanted a closed loop written by save_verdict, version {VERSION}"
     try:

@@ -51,30 +51,16 @@ SUFFIX = {"m": "m", "s": "s", "m/s": "mps", "m/s^2": "mps2", "rad": "rad", "1": 
 
 @dataclass(frozen=True)
 class TermEffect:
-    """A discovered term as an effect of the user's, and the loop closed again with it.
+    """A discovered term as an effect of the user's, and the loop closed again with it."""
 
-    Attributes
-    ----------
-    name, file
-        Of the effect.
-    form
-        Name of its formula; empty where it is the curve.
-    verdict, words
-        With the effect in the library, and the same in one line.
-    effects
-        What was added then.
-    before, after, noise_floor_us
-        Errors on the held-out steps, as of any closed loop.
-    """
-
-    name: str
-    file: str
-    form: str
-    verdict: str
-    words: str
-    effects: tuple[AddedEffect, ...]
-    before: Errors
-    after: Errors
+    name: str  # of the effect
+    file: str  # where it is written
+    form: str  # name of its formula; empty where it is the curve
+    verdict: str  # with the effect in the library
+    words: str  # the same in one line
+    effects: tuple[AddedEffect, ...]  # what was added then
+    before: Errors  # errors on the held-out steps under the declared model
+    after: Errors  # the same under the best hypothesis
     noise_floor_us: float
 
     @property
@@ -86,10 +72,7 @@ class TermEffect:
 def check_new(name: str) -> None:
     """Refuse a name that no new effect can have.
 
-    Raises
-    ------
-    InputError
-        Where it is no name, or the library has it already.
+    Raises `InputError` where it is no name, or the library has it already.
     """
     try:
         check_name(name)

@@ -21,20 +21,13 @@ from kernels.arrays import Bools, Floats
 
 @dataclass(frozen=True)
 class Failed:
-    """A test of the verdict that was not passed.
+    """A test of the verdict that was not passed."""
 
-    Attributes
-    ----------
-    test
-        ``flights`` and ``plate``: residuals of all steps over their uncertainty, rms. ``landings`` and ``takeoffs``:
-        errors of held-out events, us.
-    found, allowed
-        What was found and the most that the test allows, in the same unit.
-    """
-
+    # ``flights`` and ``plate``: residuals of all steps over their uncertainty, rms. ``landings`` and ``takeoffs``:
+    # errors of held-out events, us.
     test: Literal["flights", "plate", "landings", "takeoffs"]
     found: float
-    allowed: float
+    allowed: float  # the most that the test allows, in the unit of ``found``
 
 
 def failed_tests(

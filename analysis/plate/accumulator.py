@@ -60,26 +60,14 @@ TOO_FEW = 20.0  # factor from which fewer harmonics are fitted: one of a percent
 
 @dataclass(frozen=True)
 class PlatePiece:
-    """Samples from ``first`` on as the plate's fit takes them, arrays (n,).
-
-    Attributes
-    ----------
-    first : int
-    acceleration_v
-        Accelerometer volts less the waveforms of the impacts found.
-    drive_v
-        Drive volts; None where the drive was not recorded.
-    open_fraction
-        Contact voltage as a fraction of the swing, 0 closed, 1 open; None without a contact circuit.
-    codes
-        Accelerometer as it is stored, where that is at hand.
-    """
+    """Samples from ``first`` on as the plate's fit takes them, arrays (n,)."""
 
     first: int
-    acceleration_v: Volts
-    drive_v: Volts | None
+    acceleration_v: Volts  # accelerometer volts less the waveforms of the impacts found
+    drive_v: Volts | None  # drive volts; None where the drive was not recorded
+    # contact voltage as a fraction of the swing, 0 closed, 1 open; None without a contact circuit
     open_fraction: Volts | None
-    codes: npt.NDArray[Any] | None = None
+    codes: npt.NDArray[Any] | None = None  # accelerometer as it is stored, where that is at hand
 
     @property
     def last(self) -> int:

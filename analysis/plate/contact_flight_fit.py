@@ -16,22 +16,12 @@ from daq.lock_in import LockIn, ToneFit
 
 @dataclass(frozen=True)
 class ContactFlightFit:
-    """Normal equations of contact and of the whole step.
+    """Normal equations of contact and of the whole step."""
 
-    Attributes
-    ----------
-    contact, total : LockIn
-        In volts.
-    rows : tuple of int
-        Rows of the forcing's tones among the fitted ones.
-    rms_v : float
-        Residual of the step's fit.
-    """
-
-    contact: LockIn
-    total: LockIn
-    rows: tuple[int, ...]
-    rms_v: float
+    contact: LockIn  # volts
+    total: LockIn  # volts
+    rows: tuple[int, ...]  # rows of the forcing's tones among the fitted ones
+    rms_v: float  # residual of the step's fit
 
     def log_gain(self) -> tuple[float, float] | None:
         """Logarithm of the first tone's amplitude in flight over that in contact, and its standard deviation.

@@ -23,24 +23,12 @@ RIDGE = 1e-9  # added to normal equations whose diagonal is 1
 
 @dataclass(frozen=True)
 class FitIntervals:
-    """Unmasked intervals, none of them across the bounds of a window or of a contact; arrays (r,).
+    """Unmasked intervals, none of them across the bounds of a window or of a contact; arrays (r,)."""
 
-    Attributes
-    ----------
-    step
-        Row of the step, in order.
-    span_s
-        Begin and end on the time axis of the tones' phases, (r, 2).
-    window
-        Row of the window that the interval is part of; -1 for none.
-    contact
-        Whether the ball lay on the plate all the while.
-    """
-
-    step: Integers
-    span_s: Floats
-    window: Integers
-    contact: Bools
+    step: Integers  # row of the step, in order
+    span_s: Floats  # begin and end on the time axis of the tones' phases, (r, 2)
+    window: Integers  # row of the window that the interval is part of; -1 for none
+    contact: Bools  # whether the ball lay on the plate all the while
 
     @classmethod
     def whole(cls, span_s: Floats) -> Self:

@@ -79,27 +79,14 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
 
 @dataclass(frozen=True)
 class Windows:
-    """Amplitudes of the forcing's tones within windows of a few cycles: the slow modulation of a step.
+    """Amplitudes of the forcing's tones within windows of a few cycles: the slow modulation of a step."""
 
-    Attributes
-    ----------
-    time_s : array, shape (w,)
-        Middle of each window.
-    length_s : float
-    amplitudes : complex array, shape (w, tones)
-        m/s^2, same phase reference as the step's fit; NaN where too much is masked.
-    uncertainty_mps2 : array, shape (w, tones)
-        Uncertainty of each quadrature, from the noise within windows.
-    drive_v, drive_uncertainty_v : arrays, shape (w, tones)
-        Amplitudes of the drive, V; zeros where it was not recorded.
-    """
-
-    time_s: Floats
+    time_s: Floats  # middle of each window, (w,)
     length_s: float
-    amplitudes: Complexes
-    uncertainty_mps2: Floats
-    drive_v: Complexes
-    drive_uncertainty_v: Floats
+    amplitudes: Complexes  # m/s^2, (w, tones), same phase reference as the step's fit; NaN where too much is masked
+    uncertainty_mps2: Floats  # uncertainty of each quadrature, from the noise within windows, (w, tones)
+    drive_v: Complexes  # amplitudes of the drive, (w, tones); zeros where it was not recorded
+    drive_uncertainty_v: Floats  # of each quadrature, (w, tones)
 
     def relative_amplitude(self, tones: Complexes, drive: Complexes | None = None) -> tuple[Floats, Floats]:
         """Relative deviation of all tones together from ``tones`` (tones,) in each window, and its uncertainty, (w,).
@@ -118,72 +105,34 @@ class Windows:
 
 @dataclass(frozen=True)
 class StepPlate:
-    """The plate in the hold part of one step.
-
-    Attributes
-    ----------
-    step : int
-    first_sample, last_sample : int
-        The part that was fitted, ``[first, last)``.
-    frequency_hz, frequency_uncertainty_hz : float
-        First tone on the recording's clock, measured where the drive or the accelerometer shows a difference.
-    nominal_hz : float
-        Frequency of the step table.
-    forcing_multiples : tuple of int
-        Multiples of the first tone at which the plate is driven.
-    multiples : tuple of int
-        Multiple of the frequency of each fitted tone; mains lines follow after them.
-    acceleration : ToneFit
-        m/s^2, masked after impacts.
-    unmasked_mps2 : complex array, shape (k,)
-        Its tones as if nothing had been masked: they differ where the ball's load bends the plate.
-    drive : ToneFit or None
-        V, looped back; None where it was not recorded.
-    contact_flight : ContactFlightFit
-        Separate amplitudes in contact and in flight, see `flight_log_gain`.
-    gamma, gamma_uncertainty : float
-        ``A w^2 / g`` from the accelerometer, and its statistical standard deviation (the sensitivity's comes on top).
-    gamma_peak : float
-        ``max(-a_p) / g`` of the fitted motion.
-    gamma_drive : float
-        The same gamma from drive volts and ``g_per_volt``; NaN where that is unknown.
-    phase0_rad : float
-        ``phi(t) = 2 pi f t + phase0`` is zero where the first tone's displacement crosses zero going up.
-    masked : float
-        Fraction of the hold left out after impacts.
-    cut_off : float
-        Fraction of its first samples at which the accelerometer stands at its largest or smallest value.
-    ends_masked : bool
-        Whether the fit leaves such samples out.
-    windows : Windows
-    slow : SlowMotion
-    intervals : FitIntervals
-        Unmasked times of the hold.
-    """
+    """The plate in the hold part of one step."""
 
     step: int
-    first_sample: int
-    last_sample: int
+    first_sample: int  # of the part that was fitted
+    last_sample: int  # one past its last one
+    # first tone on the recording's clock, measured where the drive or the accelerometer shows a difference
     frequency_hz: float
     frequency_uncertainty_hz: float
-    nominal_hz: float
-    forcing_multiples: tuple[int, ...]
-    multiples: tuple[int, ...]
-    acceleration: ToneFit
+    nominal_hz: float  # frequency of the step table
+    forcing_multiples: tuple[int, ...]  # multiples of the first tone at which the plate is driven
+    multiples: tuple[int, ...]  # multiple of the frequency of each fitted tone; mains lines follow after them
+    acceleration: ToneFit  # m/s^2, masked after impacts
+    # its tones as if nothing had been masked: they differ where the ball's load bends the plate, (k,)
     unmasked_mps2: Complexes
-    drive: ToneFit | None
-    contact_flight: ContactFlightFit
-    gamma: float
-    gamma_uncertainty: float
-    gamma_peak: float
-    gamma_drive: float
+    drive: ToneFit | None  # V, looped back; None where it was not recorded
+    contact_flight: ContactFlightFit  # separate amplitudes in contact and in flight, see `flight_log_gain`
+    gamma: float  # ``A w^2 / g`` from the accelerometer
+    gamma_uncertainty: float  # its statistical standard deviation; the sensitivity's comes on top
+    gamma_peak: float  # ``max(-a_p) / g`` of the fitted motion
+    gamma_drive: float  # the same gamma from drive volts and ``g_per_volt``; NaN where that is unknown
+    # ``phi(t) = 2 pi f t + phase0`` is zero where the first tone's displacement crosses zero going up
     phase0_rad: float
-    masked: float
-    cut_off: float
-    ends_masked: bool
+    masked: float  # fraction of the hold left out after impacts
+    cut_off: float  # fraction of its first samples at which the accelerometer stands at its largest or smallest value
+    ends_masked: bool  # whether the fit leaves such samples out
     windows: Windows
     slow: SlowMotion
-    intervals: FitIntervals
+    intervals: FitIntervals  # unmasked times of the hold
 
     @cached_property
     def flight_log_gain(self) -> tuple[float, float] | None:
@@ -259,22 +208,12 @@ class StepPlate:
 
 @dataclass(frozen=True)
 class PlateMotion:
-    """Plate motion over a whole recording.
+    """Plate motion over a whole recording."""
 
-    Attributes
-    ----------
-    steps : tuple of StepPlate or None
-        None where a step is too short to be fitted.
-    noise_mps2 : float
-        White noise of the accelerometer.
-    rate_hz : float
-    gaps : int array, shape (k, 2)
-        Sample before which samples were lost, and how many.
-    """
-
-    steps: tuple[StepPlate | None, ...]
-    noise_mps2: float
+    steps: tuple[StepPlate | None, ...]  # None where a step is too short to be fitted
+    noise_mps2: float  # white noise of the accelerometer
     rate_hz: float
+    # sample before which samples were lost, and how many, (k, 2)
     gaps: Integers = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
     def saturation_warnings(self) -> tuple[str, ...]:

@@ -50,39 +50,19 @@ class Span:
 
 @dataclass(frozen=True)
 class ChunkFit:
-    """Slow residual and windowed amplitudes of one chunk of a step, in volts.
+    """Slow residual and windowed amplitudes of one chunk of a step, in volts."""
 
-    Attributes
-    ----------
-    slow_s, slow : arrays, shape (s,)
-        Times, and the mean residual of the accelerometer there; NaN where all is masked.
-    time_s : array, shape (w,)
-        Middle of each window of a few cycles.
-    amplitudes : complex array, shape (w, tones, channels)
-    spread : array, shape (w, tones)
-        Uncertainty of an amplitude in units of its channel's noise.
-    noise : array, shape (channels,)
-        Residual rms within windows: slow amplitude modulation does not count.
-    fits : tuple of ToneFit
-        The step's fit of accelerometer and of drive when the chunk was closed.
-    intervals : FitIntervals
-        Times outside the mask.
-    beats : complex array, shape (b, lines)
-        Accelerometer less all tones but a mains line, demodulated at it and summed over bins of `BIN_S`.
-    near : array, shape (lines, 2)
-        Noise near each mains line, see `noise_near`.
-    """
-
-    slow_s: Floats
-    slow: Floats
-    time_s: Floats
-    amplitudes: Complexes
-    spread: Floats
-    noise: Floats
-    fits: tuple[ToneFit, ToneFit]
-    intervals: FitIntervals
+    slow_s: Floats  # times of the slow motion, (s,)
+    slow: Floats  # mean residual of the accelerometer there, (s,); NaN where all is masked
+    time_s: Floats  # middle of each window of a few cycles, (w,)
+    amplitudes: Complexes  # (w, tones, channels)
+    spread: Floats  # uncertainty of an amplitude in units of its channel's noise, (w, tones)
+    noise: Floats  # residual rms within windows: slow amplitude modulation does not count, (channels,)
+    fits: tuple[ToneFit, ToneFit]  # the step's fit of accelerometer and of drive when the chunk was closed
+    intervals: FitIntervals  # times outside the mask
+    # accelerometer less all tones but a mains line, demodulated at it and summed over bins of `BIN_S`, (b, lines)
     beats: Complexes
-    near: Floats
+    near: Floats  # noise near each mains line, see `noise_near`, (lines, 2)
 
 
 @dataclass

@@ -20,22 +20,12 @@ from model.integrator.problem import PlateSteps
 
 @dataclass(frozen=True)
 class Covariate:
-    """Name and unit of a covariate.
+    """Name and unit of a covariate."""
 
-    Attributes
-    ----------
-    words
-        Its name in prose.
-    unit, scale
-        Unit as printed, and the factor to it from SI.
-    ahead
-        True where it is known at take-off: only these may carry a term of the model.
-    """
-
-    words: str
-    unit: str = ""
-    scale: float = 1.0
-    ahead: bool = True
+    words: str  # its name in prose
+    unit: str = ""  # as printed
+    scale: float = 1.0  # factor to it from SI
+    ahead: bool = True  # True where it is known at take-off: only these may carry a term of the model
 
 
 COVARIATES: Mapping[str, Covariate] = {

@@ -85,32 +85,19 @@ class Launches:
 
 @dataclass(frozen=True)
 class HeldStep:
-    """One step on the branch.
+    """One step on the branch."""
 
-    Attributes
-    ----------
-    step, flights, held
-        The step's number, flights of its hold, and the part of its cycles that were held.
-    gamma, flight_s, flight_uncertainty_s
-        Measured gamma; mean flight time with its standard uncertainty.
-    phase, multiplier, interval
-        Landing phase of the cycle by the forcing (radians), multiplier and its 95 % interval; NaN where the ball moved
-        too little to tell.
-    correction_rms, correction_mean
-        Of the drive, in parts of its rms.
-    """
-
-    step: int
-    flights: int
-    held: float
-    gamma: float
-    flight_s: float
-    flight_uncertainty_s: float
-    phase: float
-    multiplier: float
-    interval: tuple[float, float]
-    correction_rms: float
-    correction_mean: float
+    step: int  # the step's number
+    flights: int  # of its hold
+    held: float  # part of its cycles that were held
+    gamma: float  # measured
+    flight_s: float  # mean flight time
+    flight_uncertainty_s: float  # standard uncertainty of the mean
+    phase: float  # landing phase of the cycle by the forcing, rad
+    multiplier: float  # NaN where the ball moved too little to tell, as its interval
+    interval: tuple[float, float]  # 95 %, of the multiplier
+    correction_rms: float  # of the drive, in parts of its rms
+    correction_mean: float  # the same
 
 
 @dataclass(frozen=True)

@@ -42,33 +42,18 @@ LAGS = 4  # of the Ljung-Box test
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """Tests of what a hypothesis leaves.
+    """Tests of what a hypothesis leaves."""
 
-    Attributes
-    ----------
-    p_lack_of_fit
-        Probability of so much structure or scatter from noise, all tests together (Bonferroni).
-    ratio
-        Root mean square of the residuals over their uncertainty, of openings or of landings, whichever is more.
-    plate_rms_z
-        The same of the plate data, of the worst kind.
-    covariate
-        Name of the covariate (see `analysis.residuals.covariates.COVARIATES`) that carries the remainder; None for
-        noise.
-    p_covariates
-        By covariate, before the correction for their number.
-    p_between, p_scatter, p_serial
-        Steps against their own scatter; scatter against the uncertainty; events against their neighbours.
-    """
-
-    p_lack_of_fit: float
+    p_lack_of_fit: float  # probability of so much structure or scatter from noise, all tests together (Bonferroni)
+    # root mean square of the residuals over their uncertainty, of openings or of landings, whichever is more
     ratio: float
-    plate_rms_z: float
+    plate_rms_z: float  # the same of the plate data, of the worst kind
+    # name of the covariate (see `analysis.residuals.covariates.COVARIATES`) that carries the remainder; None for noise
     covariate: str | None
-    p_covariates: Mapping[str, float]
-    p_between: float
-    p_scatter: float
-    p_serial: float
+    p_covariates: Mapping[str, float]  # by covariate, before the correction for their number
+    p_between: float  # steps against their own scatter
+    p_scatter: float  # scatter against the uncertainty
+    p_serial: float  # events against their neighbours
 
     def flights_pass(self, limits: Thresholds) -> bool:
         """Whether flights leave no more than noise, or no more than is let pass."""

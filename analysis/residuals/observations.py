@@ -43,31 +43,18 @@ MAX_TONES = 8
 
 @dataclass(frozen=True)
 class Steps:
-    """The steps of all recordings, arrays of shape (m,); ``plate`` holds their tones.
+    """The steps of all recordings, arrays of shape (m,); ``plate`` holds their tones."""
 
-    Attributes
-    ----------
-    recording, number
-        Which recording, and the step's number in it.
-    gamma, ratio
-        Measured A w^2 / g and c.
-    run_part
-        Middle of the step within its recording, from -0.5 at the start to 0.5 at the end.
-    spread_mps2
-        Factor of the covariance of all tones, shape (m, 2 k, k): the sum of the rows' squares is the covariance. Rows
-        2 i and 2 i + 1 belong to the quadratures of tone i.
-    forcing
-        True for the forcing's own tones, shape (m, k).
-    """
-
-    recording: Integers
-    number: Integers
-    gamma: Floats
-    ratio: Integers
-    run_part: Floats
+    recording: Integers  # which recording
+    number: Integers  # the step's number in it
+    gamma: Floats  # measured A w^2 / g
+    ratio: Integers  # c
+    run_part: Floats  # middle of the step within its recording, from -0.5 at the start to 0.5 at the end
     plate: PlateSteps
+    # factor of the covariance of all tones, shape (m, 2 k, k): the sum of the rows' squares is the covariance. Rows 2 i
+    # and 2 i + 1 belong to the quadratures of tone i.
     spread_mps2: Complexes
-    forcing: Bools
+    forcing: Bools  # True for the forcing's own tones, shape (m, k)
 
     def __len__(self) -> int:
         return len(self.gamma)
@@ -80,61 +67,32 @@ class Steps:
 
 @dataclass(frozen=True)
 class Observations:
-    """Events, steps and plate data of one or several recordings of one rig.
+    """Events, steps and plate data of one or several recordings of one rig."""
 
-    Attributes
-    ----------
-    measured : Measured
-        The flights (n,), in order.
-    opening_sigma_s, landing_sigma_s : arrays, shape (n,)
-        Uncertainty of the edges only.
-    scored : bool array, shape (n,)
-        Flights that are compared with predictions.
-    time_s : array, shape (n,)
-        Landing since the start of its recording.
-    steps : Steps
-    plate : PlateData
-    setup : Setup
-        Of the first recording; the others must agree in what scales a measurement.
-    weak_mps : array, shape (n,)
-        Speed below which an impact may have gone undetected; infinite without an accelerometer that shows impacts.
-    unseen_s : float
-        Shortest flight that the contact circuit shows.
-    sources : tuple of str
-    closure_s : float
-        Time for which an impact keeps the circuit closed.
-    mode : PlateMode or None
-        Of the plate that the ball strikes, from recorded volts; None where none is identified.
-    pushed : tuple of PushedPlate
-        What the ball did to the plate, of each recording; empty where a mode is not sure in all of them.
-    modulation : AmplitudeModulation or None
-        Change of the forcing's amplitude within steps and from step to step.
-    scatters : pair of Scatter
-        Scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`.
-    run_part : array, shape (n,), or None
-        Landing within its recording, from -0.5 to 0.5; None for that of its step.
-    heard : bool array, shape (n,), or None
-        Landings that only the accelerometer shows, by an unknown delay after the circuit would have; None for none.
-    """
-
-    measured: Measured
-    opening_sigma_s: Floats
-    landing_sigma_s: Floats
-    scored: Bools
-    time_s: Floats
+    measured: Measured  # the flights (n,), in order
+    opening_sigma_s: Floats  # uncertainty of the edges only, (n,)
+    landing_sigma_s: Floats  # the same, (n,)
+    scored: Bools  # flights that are compared with predictions, (n,)
+    time_s: Floats  # landing since the start of its recording, (n,)
+    # speed below which an impact may have gone undetected, (n,); infinite where the accelerometer shows no impacts
     weak_mps: Floats
     steps: Steps
     plate: PlateData
-    setup: Setup
-    unseen_s: float
+    setup: Setup  # of the first recording; the others must agree in what scales a measurement
+    unseen_s: float  # shortest flight that the contact circuit shows
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    # of the plate that the ball strikes, from recorded volts; None where none is identified
     mode: PlateMode | None = None
+    # what the ball did to the plate, of each recording; empty where a mode is not sure in all of them
     pushed: tuple[PushedPlate, ...] = ()
+    # change of the forcing's amplitude within steps and from step to step
     modulation: AmplitudeModulation | None = None
-    closure_s: float = 0.0
+    closure_s: float = 0.0  # time for which an impact keeps the circuit closed
+    # scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
-    run_part: Floats | None = None
+    run_part: Floats | None = None  # landing within its recording, from -0.5 to 0.5, (n,); None: as the step
+    # landings that only the accelerometer shows, (n,), by an unknown delay after the circuit would have; None for none
     heard: Bools | None = None
 
     def __len__(self) -> int:

@@ -36,35 +36,19 @@ DRAWS = 4000  # of noise, for its quantile
 
 @dataclass(frozen=True)
 class Errors:
-    """Residuals of the held-out steps under one model.
+    """Residuals of the held-out steps under one model."""
 
-    Attributes
-    ----------
-    landing_rms_us, landing_nmad_us
-        Root mean square, and 1.48 times the median absolute deviation, of the landing times.
-    landing_rms_us_low, landing_rms_us_high
-        95 % interval of the rms, by resampling whole steps.
-    takeoff_nmad_us, takeoff_rms_us
-        The same of the take-off times that were seen; NaN where no flight began from rest.
-    flight_time_relative
-        Median absolute error of the flight times over the measured flight time.
-    flights, excluded_fraction
-        Flights counted, and the fraction excluded as near-grazing.
-    lost, landing_rms_us_without_lost
-        Landings that the robust likelihood takes for other events, not for misses by noise; the rms of the rest.
-    """
-
-    landing_rms_us: float
-    landing_rms_us_low: float
-    landing_rms_us_high: float
-    landing_nmad_us: float
-    takeoff_nmad_us: float
-    takeoff_rms_us: float
-    flight_time_relative: float
-    flights: int
-    excluded_fraction: float
-    lost: int = 0
-    landing_rms_us_without_lost: float = float("nan")
+    landing_rms_us: float  # root mean square of the landing times
+    landing_rms_us_low: float  # lower end of its 95 % interval, by resampling whole steps
+    landing_rms_us_high: float  # upper end of that interval
+    landing_nmad_us: float  # 1.48 times the median absolute deviation of the landing times
+    takeoff_nmad_us: float  # of the take-off times that were seen; NaN where no flight began from rest
+    takeoff_rms_us: float  # of the same
+    flight_time_relative: float  # median absolute error of the flight times over the measured flight time
+    flights: int  # that were counted
+    excluded_fraction: float  # of the flights, as near-grazing
+    lost: int = 0  # landings that the robust likelihood takes for other events, not for misses by noise
+    landing_rms_us_without_lost: float = float("nan")  # of the rest
 
 
 def scored_rows(model: ForwardModel, values: Mapping[ParameterId, float], steps: Bools) -> tuple[Integers, float]:
@@ -234,21 +218,11 @@ def landing_probability(
 
 @dataclass(frozen=True)
 class GivenOpenings:
-    """Landings of held-out steps, given what the openings of the same step tell of the plate's tones there.
+    """Landings of held-out steps, given what the openings of the same step tell of the plate's tones there."""
 
-    Attributes
-    ----------
-    landing_rms_us
-        Root mean square of what is left of the landings.
-    floor_us
-        The same by measurement noise, with what the openings leave unknown of the tones.
-    chance_us
-        Root mean square that noise exceeds with the probability of the threshold.
-    """
-
-    landing_rms_us: float
-    floor_us: float
-    chance_us: float
+    landing_rms_us: float  # root mean square of what is left of the landings
+    floor_us: float  # the same by measurement noise, with what the openings leave unknown of the tones
+    chance_us: float  # root mean square that noise exceeds with the probability of the threshold
 
 
 def given_openings(

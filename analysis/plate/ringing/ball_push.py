@@ -21,22 +21,12 @@ LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction
 
 @dataclass(frozen=True)
 class Push:
-    """Push on the plate for a ball of unit mass, upwards.
+    """Push on the plate for a ball of unit mass, upwards."""
 
-    Attributes
-    ----------
-    contact_mps2
-        Of the ball that lies on it, mean in each block, (n,).
-    impact_s, impulse_mps
-        Of the impacts (m,), in order.
-    block_s
-        Length of a block.
-    """
-
-    contact_mps2: Floats
-    impact_s: Floats
-    impulse_mps: Floats
-    block_s: float
+    contact_mps2: Floats  # of the ball that lies on it, mean in each block, (n,)
+    impact_s: Floats  # of the impacts, in order, (m,)
+    impulse_mps: Floats  # of the same, (m,)
+    block_s: float  # length of a block
 
     @property
     def impacts_mps2(self) -> Floats:

@@ -48,25 +48,13 @@ def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: floa
 
 @dataclass(frozen=True)
 class PushedPlate:
-    """What the ball did to the plate of one recording, and how the plate answered.
+    """What the ball did to the plate of one recording, and how the plate answered."""
 
-    Attributes
-    ----------
-    push
-        For a ball of the mode's own mass, from the first sample on.
-    answer_mps2, known
-        Acceleration in each block less what the drive makes of it, and where no impact hides it, (n,).
-    noise_mps2
-        Standard deviation of the former without the mode.
-    torn_s
-        Begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there.
-    """
-
-    push: Push
-    answer_mps2: Floats
-    known: Bools
-    noise_mps2: float
-    torn_s: tuple[float, ...] = ()
+    push: Push  # for a ball of the mode's own mass, from the first sample on
+    answer_mps2: Floats  # acceleration in each block less what the drive makes of it, (n,)
+    known: Bools  # where no impact hides it, (n,)
+    noise_mps2: float  # standard deviation of the answer without the mode
+    torn_s: tuple[float, ...] = ()  # begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there
 
     def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
         """The motion of a mode under this push, kicks corrected by the acceleration between them."""
@@ -111,26 +99,14 @@ class PushedPlate:
 
 @dataclass(frozen=True)
 class ModeMotion:
-    """Motion of a mode.
+    """Motion of a mode."""
 
-    Attributes
-    ----------
-    turn
-        Rate of its complex amplitude.
-    push, mass_ratio
-        What acts on it, and the ball's mass over the mode's.
-    pressed
-        Amplitude by the push of contacts at the edges of the blocks, (n + 1,).
-    time_s, kicks
-        The first sample and every impact, and by how much each changes the amplitude, (1 + k,).
-    """
-
-    turn: complex
-    push: Push
-    mass_ratio: float
-    pressed: Complexes
-    time_s: Floats
-    kicks: Complexes
+    turn: complex  # rate of its complex amplitude
+    push: Push  # what acts on it
+    mass_ratio: float  # the ball's mass over the mode's
+    pressed: Complexes  # amplitude by the push of contacts at the edges of the blocks, (n + 1,)
+    time_s: Floats  # the first sample and every impact, (1 + k,)
+    kicks: Complexes  # by how much each changes the amplitude, (1 + k,)
 
     @cached_property
     def struck(self) -> Complexes:

@@ -54,32 +54,17 @@ MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
 @dataclass(frozen=True)
 class PlateMode:
-    """A damped mode of the plate that the ball strikes.
+    """A damped mode of the plate that the ball strikes."""
 
-    Attributes
-    ----------
-    frequency_hz, damping, mass_ratio
-        Of ``q'' + 2 damping w q' + w^2 q = mass_ratio * push``; damping over critical, ball over moving mass.
-    covariance
-        Of the three, (3, 3).
-    remainder_mps2, before_mps2
-        Root mean square of what is left of the acceleration with the mode and without it.
-    gain_nats
-        By how much the mode raises the likelihood, the remainder's correlation allowed for.
-    pushed
-        What the ball did to the plate, where the mode is sure.
-    second
-        Where one mode does not suffice: the mode that answers what the first one leaves, roughly.
-    """
-
-    frequency_hz: float
-    damping: float
-    mass_ratio: float
-    covariance: Floats
-    remainder_mps2: float
-    before_mps2: float
-    gain_nats: float
-    pushed: PushedPlate | None = None
+    frequency_hz: float  # of ``q'' + 2 damping w q' + w^2 q = mass_ratio * push``
+    damping: float  # over critical
+    mass_ratio: float  # ball over moving mass
+    covariance: Floats  # of the three, (3, 3)
+    remainder_mps2: float  # root mean square of what is left of the acceleration with the mode
+    before_mps2: float  # the same without it
+    gain_nats: float  # by how much the mode raises the likelihood, the remainder's correlation allowed for
+    pushed: PushedPlate | None = None  # what the ball did to the plate, where the mode is sure
+    # where one mode does not suffice: the mode that answers what the first one leaves, roughly
     second: PlateMode | None = None
 
     def sigmas(self) -> tuple[float, float, float]:

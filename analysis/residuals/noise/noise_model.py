@@ -66,24 +66,12 @@ def excess_noise(residual_s: Floats, sigma_s: Floats, period_s: Floats) -> tuple
 
 @dataclass(frozen=True)
 class PlateNoise:
-    """Noise of plate data: their uncertainty, and an excess that is common to each kind.
+    """Noise of plate data: their uncertainty, and an excess that is common to each kind."""
 
-    Attributes
-    ----------
-    rows
-        Data in the order of their kinds, (n,).
-    bounds
-        Where each kind begins in ``rows``, and where the last ends.
-    sigma
-        Uncertainty of ``rows``.
-    grids
-        Excesses that are tried, of each kind, (kinds, g).
-    """
-
-    rows: Integers
-    bounds: Integers
-    sigma: Floats
-    grids: Floats
+    rows: Integers  # data in the order of their kinds, (n,)
+    bounds: Integers  # where each kind begins in ``rows``, and where the last ends
+    sigma: Floats  # uncertainty of ``rows``
+    grids: Floats  # excesses that are tried, of each kind, (kinds, g)
 
     @classmethod
     def of(cls, kind: Integers, sigma: Floats, among: Bools | None = None) -> Self:

@@ -281,10 +281,7 @@ def _unshare(y: Floats, limited: Floats, bounds: Integers, shared: Floats, shrin
 def step_losses(model: ForwardModel, whitener: Whitener, r: Residuals) -> dict[str, Floats]:
     """Loss of each step in each channel (events: openings and landings together), arrays of shape (m,).
 
-    Raises
-    ------
-    NotFiniteError
-        Where plate data are predicted that are not finite.
+    Raises `NotFiniteError` where plate data are predicted that are not finite.
     """
     if not np.isfinite(r.plate).all():
         raise NotFiniteError("what it predicts for steps that it was not fitted to is not finite")

@@ -24,29 +24,16 @@ PARTS: dict[Source, slice] = {"both": slice(0, 2), "windows": slice(1, 2), "gain
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Amplitude of the forcing in windows within steps, and from step to step in their gains.
+    """Amplitude of the forcing in windows within steps, and from step to step in their gains."""
 
-    Attributes
-    ----------
-    recording
-        Of each step, (m,).
-    span_s
-        Start and end of each step's fit, (m, 2).
-    gain, gain_sigma
-        Logarithm of plate over drive in each step, (m,); not finite where there is no drive.
-    window_step, window_span_s, value, sigma
-        Row of the step, span, and relative deviation of the amplitude from the step's own, (w,), spans (w, 2); in the
-        order of the `MODULATION` rows of the plate data.
-    """
-
-    recording: Integers
-    span_s: Floats
-    gain: Floats
-    gain_sigma: Floats
-    window_step: Integers
-    window_span_s: Floats
-    value: Floats
-    sigma: Floats
+    recording: Integers  # of each step, (m,)
+    span_s: Floats  # start and end of each step's fit, (m, 2)
+    gain: Floats  # logarithm of plate over drive in each step, (m,); not finite where there is no drive
+    gain_sigma: Floats  # its standard deviation, (m,)
+    window_step: Integers  # row of each window's step, (w,), in the order of the `MODULATION` rows of the plate data
+    window_span_s: Floats  # start and end of each window, (w, 2)
+    value: Floats  # relative deviation of its amplitude from the step's own, (w,)
+    sigma: Floats  # standard deviation of that, (w,)
 
     @property
     def runs(self) -> range:

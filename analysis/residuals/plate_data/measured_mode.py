@@ -17,17 +17,10 @@ from kernels.arrays import Complexes, Floats
 
 @dataclass(frozen=True)
 class MeasuredMode:
-    """Where the mode was, and what it adds to the measured tones; see `model.integrator.one_step`.
+    """Where the mode was, and what it adds to the measured tones; see `model.integrator.one_step`."""
 
-    Attributes
-    ----------
-    state
-        Displacement and velocity at each opening and just after each landing, (n, 4).
-    mode_amplitudes, projection, observed_s
-        As in `model.integrator.one_step.Predicted`.
-    """
-
-    state: Floats
+    state: Floats  # displacement and velocity at each opening and just after each landing, (n, 4)
+    # this and what follows as in `model.integrator.one_step.Predicted`
     mode_amplitudes: Complexes
     projection: Complexes
     observed_s: Floats

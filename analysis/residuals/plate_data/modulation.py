@@ -73,22 +73,12 @@ LEAKING = 0.05  # relative uncertainty of the leakage between tones, from averag
 
 @dataclass(frozen=True)
 class AmplitudeModulation(Amplitudes):
-    """Amplitude modulation as seen by windows within steps and by the steps' gains, and the tones that they belong to.
+    """Amplitude modulation as windows within steps and the steps' gains show it, and the tones that they belong to."""
 
-    Attributes
-    ----------
-    omega_radps, seen_mps2
-        Every fitted tone and its amplitude, the forcing's (or its only one and the second harmonic) first, (m, k).
-    tones
-        Number of tones of the forcing, (m,).
-    intervals
-        Unmasked intervals of the fits of steps and windows.
-    """
-
-    omega_radps: Floats
-    seen_mps2: Complexes
-    tones: Integers
-    intervals: FitIntervals
+    omega_radps: Floats  # every fitted tone, the forcing's (or its only one and the second harmonic) first, (m, k)
+    seen_mps2: Complexes  # its amplitude, (m, k)
+    tones: Integers  # number of tones of the forcing, (m,)
+    intervals: FitIntervals  # unmasked intervals of the fits of steps and windows
 
     @classmethod
     def of(cls, fitted: Sequence[StepPlate], spans_s: Floats, data: PlateData) -> Self:

@@ -45,21 +45,11 @@ def driven(z: Complexes, mode_amplitudes: Complexes) -> Complexes:
 
 @dataclass(frozen=True)
 class Loading:
-    """Contribution to tones and data of a plate that moves more without the ball on it, per unit of relative change.
+    """Contribution to tones and data of a plate that moves more without the ball on it, per unit of relative change."""
 
-    Attributes
-    ----------
-    tones_mps2
-        To the plate's tones, beyond those of contact, (m, j).
-    data
-        To the plate data, except the flight-to-contact ratio itself, (r,).
-    power
-        Power of the change with which a datum grows, (r,).
-    """
-
-    tones_mps2: Complexes
-    data: Floats
-    power: Floats
+    tones_mps2: Complexes  # to the plate's tones, beyond those of contact, (m, j)
+    data: Floats  # to the plate data, except the flight-to-contact ratio itself, (r,)
+    power: Floats  # power of the change with which a datum grows, (r,)
 
     def added(self, change: Floats) -> Floats:
         """Contribution of ``change`` (r,) in each datum's step, (r,)."""
@@ -68,24 +58,12 @@ class Loading:
 
 @dataclass(frozen=True)
 class IntervalSums:
-    """Sums over the intervals of each of n fits.
+    """Sums over the intervals of each of n fits."""
 
-    Attributes
-    ----------
-    rows
-        The intervals, in the order of their fits.
-    some
-        Whether a fit has any, (n,).
-    first
-        Where each of those that have some begins in ``rows``.
-    seconds
-        Their length together, (n,).
-    """
-
-    rows: Integers
-    some: Bools
-    first: Integers
-    seconds: Floats
+    rows: Integers  # the intervals, in the order of their fits
+    some: Bools  # whether a fit has any, (n,)
+    first: Integers  # where each of those that have some begins in ``rows``
+    seconds: Floats  # their length together, (n,)
 
     @classmethod
     def of(cls, rows: Integers, fit: Integers, n: int, seconds: Floats) -> Self:
@@ -114,27 +92,14 @@ class IntervalSums:
 
 @dataclass(frozen=True)
 class Ringing:
-    """Projection of a plate mode on the fitted tones; a `model.integrator.problem.ToneProbe`.
+    """Projection of a plate mode on the fitted tones; a `model.integrator.problem.ToneProbe`."""
 
-    Attributes
-    ----------
-    intervals
-        Unmasked intervals of the fits.
-    omega_radps
-        Zero and every fitted tone, the forcing's (or its only one and the second harmonic) first, (m, 1 + k).
-    seen_mps2
-        The tones as fitted, (m, k); 0 where none was.
-    tones
-        Number of tones of the forcing, (m,).
-    place
-        Index of the fitted tone that is each tone of the plate, (m, j).
-    """
-
-    intervals: FitIntervals
+    intervals: FitIntervals  # unmasked intervals of the fits
+    # zero and every fitted tone, the forcing's (or its only one and the second harmonic) first, (m, 1 + k)
     omega_radps: Floats
-    seen_mps2: Complexes
-    tones: Integers
-    place: Integers
+    seen_mps2: Complexes  # the tones as fitted, (m, k); 0 where none was
+    tones: Integers  # number of tones of the forcing, (m,)
+    place: Integers  # index of the fitted tone that is each tone of the plate, (m, j)
 
     @classmethod
     def of(cls, measured: AmplitudeModulation, plate: PlateSteps) -> Self:

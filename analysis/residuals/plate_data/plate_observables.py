@@ -33,36 +33,19 @@ LEAST_WINDOWS = 4  # windows of a step that shows a modulation
 
 @dataclass(frozen=True)
 class PlateData:
-    """Plate data of all steps, arrays of shape (r,).
+    """Plate data of all steps, arrays of shape (r,)."""
 
-    Attributes
-    ----------
-    kind, step
-        Which number, and the row of the step it belongs to.
-    value, sigma
-        Gain is a natural logarithm, phase in rad; amplitudes without a sign are squares, less their noise.
-    omega_radps
-        Angular frequency of the tone.
-    accel_g
-        What the drive asks of the first tone, in units of g (0 where unknown).
-    scale
-        Amplitude of the first tone, m/s^2.
-    multiple
-        Which multiple of the first forcing tone the tone is.
-    others, shares
-        Which multiples the further forcing tones are (up to 1: none), (r, t), and how large the drive asks for them,
-        over the first; complex, their phases counted from where the first is a sine.
-    """
-
-    kind: Integers
-    step: Integers
-    value: Floats
-    sigma: Floats
-    omega_radps: Floats
-    accel_g: Floats
-    scale: Floats
-    multiple: Integers
-    others: Integers
+    kind: Integers  # which number it is
+    step: Integers  # row of the step it belongs to
+    value: Floats  # gain is a natural logarithm, phase in rad; amplitudes without a sign are squares, less their noise
+    sigma: Floats  # standard deviation of that
+    omega_radps: Floats  # angular frequency of the tone
+    accel_g: Floats  # what the drive asks of the first tone, in units of g (0 where unknown)
+    scale: Floats  # amplitude of the first tone, m/s^2
+    multiple: Integers  # which multiple of the first forcing tone the tone is
+    others: Integers  # which multiples the further forcing tones are (up to 1: none), (r, t)
+    # how large the drive asks for them, over the first, (r, t); complex, their phases counted from where the first is
+    # a sine
     shares: Complexes
 
     def __len__(self) -> int:
