@@ -133,7 +133,9 @@ class _Passes:
                 if self.journal is not None:
                     self.journal.add(key, summary.as_row())
             else:
-                summary = dataclasses.replace(RunSummary.from_row(row), recording=str(path))
+                summary = RunSummary.from_row(row)
+                outcome = dataclasses.replace(summary.outcome, recording=str(path))
+                summary = dataclasses.replace(summary, outcome=outcome)
             out.append(summary)
         return out
 
@@ -218,10 +220,10 @@ class _Search:
     def _begun_alone(self, state: _State) -> _State:
         """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
         enough = 2 * self.limits.reserve_every  # steps, for a verdict on one run
-        odd = [s for s in state.summaries if (s.failed or s.lost) and s.steps >= enough]
+        odd = [s for s in state.summaries if (s.outcome.failed or s.lost) and s.outcome.steps >= enough]
         if not odd:
             return state
-        worst = max(odd, key=lambda s: (s.lost, s.ratio))
+        worst = max(odd, key=lambda s: (s.lost, s.outcome.ratio))
         path = next(p for p, s in zip(self.passes.recordings, state.summaries, strict=True) if s is worst)
         loop, fitted = fit_loop([path], setup=self.passes.setup, limits=self.limits, anyway=True)
         best = fitted.selection.best

@@ -13,7 +13,7 @@ from analysis.attribution.candidates import Prior, coordinate_of, null_value_of,
 from analysis.joint.alignment import Aligned, width_of
 from analysis.joint.constancy import OneRun, constancy, one_run_alone
 from analysis.joint.population import Population, each_on_its_own
-from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, Systematic
+from analysis.joint.result import JointVerdict, OverRuns, Systematic
 from analysis.joint.summary import RunSummary
 from analysis.joint.systematics import NAMES, PLACES, UNIT_S
 from analysis.loop.verdicts import Verdict
@@ -48,14 +48,14 @@ def outcome_of(
     course
         ``detection``, ``candidates``, ``rounds`` and ``passes`` of the result.
     """
-    days, dated = days_since_first(summaries)
+    days, dated = days_since_first([s.outcome.started for s in summaries])
     columns = model.columns[: model.named - len(PLACES)]
     # Bonferroni's share: so many parameters are tested for constancy
     level = limits.best_of_all_p / max(len(columns), 1)
     parameters = tuple(
         _over_runs(model, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
     )
-    runs = tuple(_run(s, float(t)) for s, t in zip(summaries, days, strict=True))
+    runs = tuple(replace(s.outcome, days=float(t)) for s, t in zip(summaries, days, strict=True))
     us = 1e6 * UNIT_S
     shared = tuple(
         Systematic(name, us * float(found.x[i]), us * found.sigma(i), us * float(model.prior.precision[i] ** -0.5))
@@ -112,21 +112,14 @@ def _in_unit(key: ParameterId, x: float, width: float) -> float:
     return 0.5 * (value_at(key, x + width) - value_at(key, x - width))
 
 
-def _run(s: RunSummary, days: float) -> RunOutcome:
-    return RunOutcome(
-        s.recording, s.started, s.flights, s.steps, days, s.ratio, s.plate_rms_z, s.p_lack_of_fit, s.landing_rms_us,
-        s.noise_floor_us, s.failed,
-    )  # fmt: skip
-
-
-def days_since_first(summaries: Sequence[RunSummary]) -> tuple[Floats, bool]:
-    """Days since the first run, (R,), and whether they are known; else the runs' numbers."""
+def days_since_first(started: Sequence[str]) -> tuple[Floats, bool]:
+    """Days from the first run to each start (ISO 8601), (R,), and whether they are known; else the runs' numbers."""
     try:
-        starts = [datetime.fromisoformat(s.started) for s in summaries]
+        starts = [datetime.fromisoformat(x) for x in started]
         seconds = np.array([(x - min(starts)).total_seconds() for x in starts])
     except (ValueError, TypeError):
-        return np.arange(len(summaries), dtype=np.float64), False
+        return np.arange(len(started), dtype=np.float64), False
     # two runs that began at one instant have wrong clocks: a trend with the date would mean nothing
     if len(set(seconds.tolist())) < len(seconds):
-        return np.arange(len(summaries), dtype=np.float64), False
+        return np.arange(len(started), dtype=np.float64), False
     return seconds / 86400.0, True

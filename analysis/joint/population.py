@@ -162,13 +162,6 @@ def _own_squares(run: Quadratic, found: Population) -> Floats:
     return np.asarray(np.diag(inverse) + own**2 + np.einsum("ij,jk,ik->i", follow, found.covariance, follow))
 
 
-def own_calibrations(run: Quadratic, found: Population) -> Floats:
-    """Most probable calibrations of one run, given the population, (q,)."""
-    q, spread = len(found.spread), found.spread
-    inner = np.eye(q) + spread[:, None] * run.information[:q, :q] * spread
-    return np.asarray(found.x[:q] + spread * solve(inner, spread * run.slope_at(found.x)[:q]))
-
-
 def each_on_its_own(runs: Sequence[Quadratic], found: Population, place: int) -> tuple[Floats, Floats]:
     """Each run's own value of one parameter and its standard deviation, all else as in the population, (R,).
 

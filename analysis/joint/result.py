@@ -13,22 +13,20 @@ from daq.files.json_values import json_object
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """One run in the joint verdict."""
+    """How one run fits."""
 
     recording: str
-    started: str
+    started: str  # ISO 8601; empty where that is not known
     flights: int
     steps: int
-    days: float  # since the first run; its number where dates are not known
-    # ratio, plate_rms_z, p_lack_of_fit: goodness of fit at the joint values, see
-    # `analysis.residuals.lack_of_fit.GoodnessOfFit`.
+    # the next three as in `analysis.residuals.lack_of_fit.GoodnessOfFit`
     ratio: float
     plate_rms_z: float
     p_lack_of_fit: float
-    # landing_rms_us, noise_floor_us: error of its landings there, and the part of it that noise makes
     landing_rms_us: float
-    noise_floor_us: float
+    noise_floor_us: float  # the part of ``landing_rms_us`` that noise makes
     failed: tuple[str, ...]  # tests of a verdict that it does not pass; empty where it is explained
+    days: float = 0.0  # since the first run of a joint verdict; its number where dates are not known
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.second_order import adjusted_gradient_and_information, secants_at, slopes_at
 from analysis.joint.population import Quadratic
+from analysis.joint.result import RunOutcome
 from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
@@ -82,38 +83,24 @@ class Option:
 class RunSummary:
     """What remains of one run."""
 
-    # recording, started: its name, and when it was begun (ISO 8601; empty where that is not known)
-    recording: str
-    started: str
-    # what the quadratic's coordinates stand for: the run's own, the shared ones, systematic errors that all
-    # runs share, then sizes of candidates
+    outcome: RunOutcome  # how it fits at the point where it is linearised
+    # what the quadratic's coordinates stand for: the run's own, the shared ones, systematic errors that all runs share,
+    # then sizes of candidates
     columns: tuple[Place, ...]
     options: tuple[Option, ...]  # the candidates
     quadratic: Quadratic  # log likelihood about the run's own fit
     # widths of the priors of shared systematic errors, see `analysis.joint.systematics.Systematics`.
     systematic_sigma: tuple[float, ...]
-    # flights, steps: how many
-    flights: int
-    steps: int
-    # ratio, p_lack_of_fit, plate_rms_z: goodness of fit there, see
-    # `analysis.residuals.lack_of_fit.GoodnessOfFit`.
-    ratio: float
-    p_lack_of_fit: float
-    plate_rms_z: float
-    # landing_rms_us, noise_floor_us: error of all landings, and the part of it that noise makes
-    landing_rms_us: float
-    noise_floor_us: float
-    failed: tuple[str, ...]  # tests of a verdict that it does not pass
     lost: bool  # whether landings are so far off that nothing is linear
 
     def as_row(self) -> Row:
         """For a journal: numbers, texts and arrays packed as text."""
-        flat = {k: v for k, v in vars(self).items() if k not in ("columns", "options", "quadratic")}
         packed = {
             k: base64.b64encode(np.ascontiguousarray(v, dtype="<f8").tobytes()).decode("ascii")
             for k, v in vars(self.quadratic).items()
         }
-        return {**flat, **packed, "columns": self.columns, "options": [(o.names, o.sizes) for o in self.options]}
+        options = [(o.names, o.sizes) for o in self.options]
+        return {**vars(self), **packed, "outcome": vars(self.outcome), "quadratic": None, "options": options}
 
     @classmethod
     def from_row(cls, row: Row) -> RunSummary:
@@ -124,11 +111,10 @@ class RunSummary:
             for name in ("origin", "gradient", "information")
         }
         quadratic = Quadratic(arrays["origin"], arrays["gradient"], arrays["information"].reshape(k, k))
-        tuples = {k: tuple(row[k]) for k in ("failed", "systematic_sigma")}
-        flat = {k: v for k, v in row.items() if k not in (*arrays, "columns", "options")} | tuples
+        outcome = RunOutcome(**row["outcome"] | {"failed": tuple(row["outcome"]["failed"])})
         options = tuple(Option(tuple(names), tuple(map(_place, sizes))) for names, sizes in row["options"])
         columns = tuple(map(_place, row["columns"]))
-        return cls(columns=columns, options=options, quadratic=quadratic, **flat)
+        return cls(outcome, columns, options, quadratic, tuple(row["systematic_sigma"]), row["lost"])
 
 
 def summarise(
@@ -181,12 +167,12 @@ def summarise(
     left = goodness_of_fit(model, values, limits)
     rows, left_out = scored_rows(model, values, np.ones(len(observations.steps), dtype=np.bool_))
     after, floors = held_out_errors(model, values, rows, left_out), noise_floors_us(model, values, rows)
-    return RunSummary(
-        str(path), started, columns, options, quadratic, systematic_sigma, len(observations), len(observations.steps),
-        left.ratio, left.p_lack_of_fit, left.plate_rms_z, float(after.landing_rms_us), float(floors[0]),
+    outcome = RunOutcome(
+        str(path), started, len(observations), len(observations.steps), left.ratio, left.plate_rms_z,
+        left.p_lack_of_fit, float(after.landing_rms_us), float(floors[0]),
         tuple(x.test for x in failed_tests(False, left, after, floors, limits)),
-        bool(fitted.whitener.lost),
     )  # fmt: skip
+    return RunSummary(outcome, columns, options, quadratic, systematic_sigma, bool(fitted.whitener.lost))
 
 
 def common_priors(each: Sequence[Mapping[ParameterId, Prior]]) -> dict[ParameterId, Prior]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -22,6 +20,6 @@ def test_runs_without_dates_of_their_own_are_numbered(
     started: tuple[str, ...], days: tuple[float, ...], dated: bool
 ) -> None:
     """Days count from the first run; where a date is missing or comes twice, the runs' numbers take their place."""
-    found, known = days_since_first([SimpleNamespace(started=s) for s in started])  # type: ignore[misc]
+    found, known = days_since_first(started)
     assert known is dated
     np.testing.assert_allclose(found, days)

@@ -18,7 +18,7 @@ def verdict(one: OneRun | None) -> JointVerdict:
         True, one,
     )  # fmt: skip
     runs = tuple(
-        RunOutcome(f"{x}.h5", "", 150, 10, float(i), 1.0, 1.0, 0.5, 27.0, 27.0, ()) for i, x in enumerate("abc")
+        RunOutcome(f"{x}.h5", "", 150, 10, 1.0, 1.0, 0.5, 27.0, 27.0, (), float(i)) for i, x in enumerate("abc")
     )
     return JointVerdict("explained", ("drive_gain",), (("drive_gain",),), (gain,), (), runs, LIMITS, (), (), 1, False)
 
