@@ -77,7 +77,10 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     if some is None:
         some = recording.codes("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
     step_v = converter_step(some) * abs(recording.scale("accelerometer")[0])
-    acceleration = with_rounding(acceleration, step_v * abs(factor), noise_mps2)
+    rounded = with_rounding(acceleration, step_v * abs(factor), noise_mps2)
+    # contact and flight each hold one of the signal's turning points, where rounding leaves most of its error
+    wider = float(rounded.amplitude_sigma()[0] / max(acceleration.amplitude_sigma()[0], 1e-300))
+    acceleration = rounded
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
     gamma = gamma_of(unmasked, multiples, setup, state.forcing)
@@ -95,7 +98,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         acceleration=acceleration,
         unmasked_mps2=unmasked,
         drive=drive,
-        contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms),
+        contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms * wider),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
         gamma_peak=gamma_peak_of(unmasked[rows], tuple(multiples[r] for r in rows), setup.g_mps2.value),

@@ -19,9 +19,14 @@ RMS_G = 0.03
 
 def noisier(source: Recording, path: Path, volts: np.ndarray) -> Path:
     """The same recording with volts added to its accelerometer."""
+    codes = source.codes("accelerometer")
+    return with_codes(source, path, codes + np.rint(volts / source.scale("accelerometer")[0]).astype(codes.dtype))
+
+
+def with_codes(source: Recording, path: Path, accelerometer: np.ndarray) -> Path:
+    """The same recording with other codes of its accelerometer."""
     codes = np.column_stack([source.codes(name) for name in source.channels])
-    at = source.channels.index("accelerometer")
-    codes[:, at] += np.rint(volts / source.scale("accelerometer")[0]).astype(codes.dtype)
+    codes[:, source.channels.index("accelerometer")] = accelerometer
     with RecordingWriter(
         path, source.setup, profile_text="", channels=source.channels, backend="test", simulated=True
     ) as writer:
@@ -91,6 +96,18 @@ def test_rounding_leaves_in_a_tone_what_is_stated(noise: float) -> None:
     found = float(np.sqrt(np.mean(tone_errors(noise, amplitudes=amplitudes) ** 2)))
     stated = rounding_sigma(0.9, STEP, np.hypot(noise, STEP / np.sqrt(12.0)))
     assert stated / 1.5 < found < 1.5 * stated
+
+
+def test_rounding_makes_no_difference_of_contact_and_flight(make, tmp_path: Path) -> None:
+    """A coarse converter's error of the tones in contact and in flight is in the uncertainty of their difference."""
+    with open_recording(make(np.linspace(1.05, 1.3, 16), hold=20, rig={"accelerometer_noise_g": 2e-3}).path) as source:
+        coarse = 32  # 0.1 g
+        path = with_codes(source, tmp_path / "coarse.h5", coarse * np.rint(source.codes("accelerometer") / coarse))
+    with open_recording(path) as recording:
+        found = [s.flight_log_gain for s in plate_of(recording).steps if s is not None]
+    off = np.array([change / sigma for change, sigma in filter(None, found)])
+    assert len(off) > 10
+    assert np.sqrt(np.mean(off**2)) < 1.5
 
 
 def test_noise_of_a_step_leaves_nothing() -> None:
