@@ -104,6 +104,8 @@ Output = File | Folder | Edited
 def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
     """Refuse output paths that cannot be written, or would replace what must stay.
 
+    Raises `InputError` with the option, the path, and what to do.
+
     Parameters
     ----------
     outputs
@@ -112,11 +114,6 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
         Files, folders and names of profiles that the command reads.
     overwrite
         Whether files that are there may be replaced.
-
-    Raises
-    ------
-    InputError
-        With the option, the path, and what to do.
     """
     read = [path for given in inputs if given is not None for path in _files(given)]
     taken: list[tuple[str, Path]] = []

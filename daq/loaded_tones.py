@@ -92,15 +92,12 @@ class LoadedTones:
     def solve(self, load: Load | None = None) -> tuple[Complexes, Floats]:
         """Amplitudes of all tones of a motion that no mask has cut, and their standard uncertainties.
 
+        Raises `ValueError` where the values cannot distinguish the tones.
+
         Parameters
         ----------
         load
             Sums from which the load's share follows; by default those of these values.
-
-        Raises
-        ------
-        ValueError
-            Where the values cannot distinguish the tones.
         """
         x = self.unmasked.solve(0)
         share, share_sigma = (self.load() if load is None else load).share()

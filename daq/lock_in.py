@@ -283,6 +283,8 @@ def fit_tones(
 ) -> ToneFit:
     """Joint least squares for the complex amplitudes of known tones and a constant.
 
+    Raises `ValueError` for too few samples, or tones too close to be distinguished.
+
     Parameters
     ----------
     x : array, shape (n,)
@@ -297,11 +299,6 @@ def fit_tones(
     -------
     ToneFit
         Phases refer to sample 0 of the recording.
-
-    Raises
-    ------
-    ValueError
-        Too few samples, or tones too close to be distinguished.
     """
     lock_in = LockIn(rate_hz, frequencies_hz)
     if mask is None:
@@ -315,6 +312,8 @@ def fit_tones(
 def fit_tones_each(x: npt.ArrayLike, edges: Integers, rate_hz: float, frequencies_hz: npt.ArrayLike) -> ToneFits:
     """`fit_tones` of each of successive stretches of the recording.
 
+    Raises `ValueError` for too few samples in a stretch, or tones too close to be distinguished.
+
     Parameters
     ----------
     x : array, shape (n,)
@@ -323,11 +322,6 @@ def fit_tones_each(x: npt.ArrayLike, edges: Integers, rate_hz: float, frequencie
         First sample of each stretch, and the end of the last.
     rate_hz : float
     frequencies_hz : array, shape (k,)
-
-    Raises
-    ------
-    ValueError
-        Too few samples in a stretch, or tones too close to be distinguished.
     """
     lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(edges) - 1)
     lock_in.add_stretches(x, edges)

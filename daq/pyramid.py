@@ -169,13 +169,7 @@ class View:
 
 
 class Pyramid:
-    """A pyramid that was written to a file.
-
-    Raises
-    ------
-    InputError
-        Where the file is no pyramid.
-    """
+    """A pyramid that was written to a file; raises `InputError` where the file is no pyramid."""
 
     def __init__(self, path: Path) -> None:
         found = _read(path)
@@ -193,6 +187,8 @@ class Pyramid:
     ) -> View:
         """Extremes in ``width`` columns between two times; the samples where there are no more than columns.
 
+        Raises `InputError` for times that are no stretch of the recording, or a width out of range.
+
         Parameters
         ----------
         start_s, stop_s
@@ -201,11 +197,6 @@ class Pyramid:
             Columns, 1 to `WIDEST`.
         opened
             Opens the recording, where samples are needed; closed again.
-
-        Raises
-        ------
-        InputError
-            For times that are no stretch of the recording, or a width out of range.
         """
         layout = self.layout
         if not 1 <= width <= WIDEST:

@@ -27,10 +27,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 class Forcing:
     """The dimensionless plate motion without its amplitude; hashable, so that tables can be cached for it.
 
-    Raises
-    ------
-    ValueError
-        If the lengths differ, a value is not finite or a harmonic is not positive.
+    Raises `ValueError` if the lengths differ, a value is not finite or a harmonic is not positive.
     """
 
     # ``n_j``, multiples of the base frequency, positive; integers make the motion periodic in ``2 pi``
@@ -89,10 +86,7 @@ class Forcing:
 class Plate:
     """The plate's acceleration as tones, in SI: ``a_p(t) = sum_j Re[acceleration_j exp(i omega_j t)]``, positive up.
 
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a value is not finite or a frequency is not positive.
+    Raises `ValueError` if the shapes differ, a value is not finite or a frequency is not positive.
     """
 
     omega_radps: Floats  # angular frequencies, positive

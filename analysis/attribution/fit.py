@@ -106,6 +106,8 @@ class Fitter:
     ) -> Fitted:
         """Levenberg-Marquardt on the robust loss from ``start``.
 
+        Raises `NotFiniteError` where predictions at ``start`` or the equations of a step are not finite.
+
         Parameters
         ----------
         whitener
@@ -117,11 +119,6 @@ class Fitter:
         slopes
             Known derivatives of the bare residuals: they save predictions where the point has not moved far. Those of
             free parameters count for the first step only.
-
-        Raises
-        ------
-        NotFiniteError
-            Where predictions at ``start`` or the equations of a step are not finite.
         """
         keys = [*free, *(k for k in self.priors if k not in free)]
         x = np.array(

@@ -80,10 +80,7 @@ def load_all(
 ) -> list[Drop] | list[Path2D]:
     """Every drop in one file, as ``corrections`` leave it.
 
-    Raises
-    ------
-    InputError
-        Missing, of no kind this can read, or nothing usable in it.
+    Raises `InputError` for a file that is missing, of no kind that is read, or without anything usable.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
@@ -110,10 +107,7 @@ def load_all(
 def events_in(path: Path, corrections: Corrections, known: Known) -> Floats:
     """Every event of a sound, a contact circuit or a table of times, as corrected, whether a ball's or not; else none.
 
-    Raises
-    ------
-    InputError
-        Nothing in the file can be read.
+    Raises `InputError` where nothing in the file can be read.
     """
     if not path.is_file():
         return np.empty(0)

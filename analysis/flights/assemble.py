@@ -50,6 +50,8 @@ def flights_of(
 ) -> Flights:
     """Flights and plate motion of a recording, in one pass and bounded memory.
 
+    Raises `InputError` when there is no accelerometer channel, or the file with events changed by hand does not read.
+
     Parameters
     ----------
     recording : Recording
@@ -60,11 +62,6 @@ def flights_of(
         Corner of a high-pass behind the accelerometer; None: the declared one.
     elsewhere : SensorOffset, optional
         As in `analysis.events.sensor_offset.calibrate`.
-
-    Raises
-    ------
-    InputError
-        When there is no accelerometer channel, or the file with events changed by hand does not read.
     """
     changes = event_changes_of(recording)
     found = replace(scan(recording, progress, high_pass_hz), elsewhere=elsewhere)

@@ -103,6 +103,8 @@ def compare(
 ) -> Comparison:
     """Compare a recording's flights with the model.
 
+    Raises `ValueError` for effects that the model does not know, or a plate beyond `MAX_GAMMA`.
+
     Parameters
     ----------
     flights : Flights
@@ -111,11 +113,6 @@ def compare(
         Effects of the model by name; by default the setup's declared ones.
     steps_table : STEP_DTYPE array, optional
         Step table of the recording, with each step's settle time.
-
-    Raises
-    ------
-    ValueError
-        For effects that the model does not know, or a plate beyond `MAX_GAMMA`.
     """
     check_plausible(flights)
     declared = resolve(setup.declared_values() if effects is None else effects)

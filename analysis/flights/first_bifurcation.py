@@ -95,17 +95,14 @@ def check_plausible(flights: Flights) -> None:
 def first_bifurcation(flights: Flights, setup: Setup, effects: Effects) -> FirstBifurcation:
     """The first bifurcation of a recording; the model's motion in each step is not computed for it.
 
+    Raises `ValueError` for effects that the model does not know, or a plate beyond `MAX_GAMMA`.
+
     Parameters
     ----------
     flights : Flights
     setup : Setup
     effects : dict
         Effects of the model by name.
-
-    Raises
-    ------
-    ValueError
-        For effects that the model does not know, or a plate beyond `MAX_GAMMA`.
     """
     check_plausible(flights)
     return first_after_takeoff(flights, setup, changes_along(flights, classify(flights)), resolve(effects))

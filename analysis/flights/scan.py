@@ -161,6 +161,8 @@ def _open_fraction(piece: Piece, levels: Levels) -> Volts:
 def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: float | None = None) -> Scan:
     """Crossings, impacts and plate motion of a recording in one pass.
 
+    Raises `InputError` when there is no accelerometer channel, or the survey refuses the recording.
+
     Parameters
     ----------
     recording : Recording
@@ -169,11 +171,6 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         Called with the part done, 0 to 1, after each piece.
     high_pass_hz : float, optional
         Corner of a high-pass behind the accelerometer; None: the declared one.
-
-    Raises
-    ------
-    InputError
-        When there is no accelerometer channel, or the survey refuses the recording.
     """
     channels = _channels(recording)
     known, high_pass = survey(recording, high_pass_hz), high_pass_of(recording, high_pass_hz)

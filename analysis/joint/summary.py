@@ -124,7 +124,7 @@ def summarise(
     setup: Setup | None = None,
     known: MutableMapping[Path, Observations] | None = None,
 ) -> RunSummary:
-    """Reduce one recording to its summary.
+    """Reduce one recording to its summary; raises `InputError` where the file is no recording, or shows too little.
 
     Parameters
     ----------
@@ -136,11 +136,6 @@ def summarise(
         Thresholds of the verdict.
     setup, known
         As in `analysis.residuals.observations.observations_from`.
-
-    Raises
-    ------
-    InputError
-        Where the file is no recording, or shows too little.
     """
     with open_recording(path) as opened:
         started = str(opened.attrs.get("started") or "")

@@ -10,7 +10,7 @@ import dataclasses
 import json
 import math
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -92,7 +92,8 @@ def _value(kind: Any, tree: Any, file: h5py.File) -> Any:
     if origin is np.ndarray:
         return file[tree["array"]][()]
     if origin is tuple:
-        return tuple(_value(k, x, file) for k, x in zip(_members(inner, len(tree)), tree, strict=True))
+        kinds = inner[:1] * len(tree) if inner[1:] == (Ellipsis,) else inner
+        return tuple(_value(k, x, file) for k, x in zip(kinds, tree, strict=True))
     if origin is not None and origin is not Literal and issubclass(origin, Mapping):
         return {key: _value(inner[1], x, file) for key, x in tree.items()}
     if dataclasses.is_dataclass(kind):
@@ -102,8 +103,3 @@ def _value(kind: Any, tree: Any, file: h5py.File) -> Any:
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return kind.model_validate(tree)
     return float(tree) if kind is float else tree
-
-
-def _members(inner: tuple[Any, ...], n: int) -> Iterator[Any]:
-    """Types of the ``n`` members of a tuple type."""
-    return iter(inner[:1] * n if inner[1:] == (Ellipsis,) else inner)

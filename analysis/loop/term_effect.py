@@ -86,17 +86,15 @@ def check_new(name: str) -> None:
 def effect_source(loop: ClosedLoop, name: str) -> str:
     """Text of the file of an effect that is the loop's discovered term.
 
+    Raises `InputError` where nothing was discovered, or the term was found in place of an effect that the profile
+    declares.
+
     Parameters
     ----------
     loop
         A closed loop with a discovered term.
     name
         Of the effect.
-
-    Raises
-    ------
-    InputError
-        Where nothing was discovered, or the term was found in place of an effect that the profile declares.
     """
     found = loop.discovered
     if found is None:

@@ -119,6 +119,8 @@ def write_report(
 ) -> Path:
     """Write ``report.html``, ``report.json`` and the figures into ``folder``; returns the page's path.
 
+    Raises `InputError` when the folder cannot be written.
+
     Parameters
     ----------
     loop
@@ -129,11 +131,6 @@ def write_report(
         Called with what is being done and the fraction done.
     term_effect
         The discovered term as an effect, and the loop with it.
-
-    Raises
-    ------
-    InputError
-        When the folder cannot be written.
     """
     say = progress or (lambda what, part: None)
     software = {

@@ -110,6 +110,9 @@ def observations_from(
 ) -> Observations:
     """Reduce recordings to observations.
 
+    Raises `InputError` where a file is no recording or holds no flights and no plate motion, or two hold the same
+    samples.
+
     Parameters
     ----------
     paths
@@ -124,11 +127,6 @@ def observations_from(
         Recordings that were reduced before, with the same setup; those that were not are added.
     high_pass_hz
         As in `analysis.flights.scan.scan`.
-
-    Raises
-    ------
-    InputError
-        Where a file is no recording or holds no flights and no plate motion, or two hold the same samples.
     """
     refuse_repeated(paths)
     parts, offsets = {} if known is None else known, dict[Path, SensorOffset]()

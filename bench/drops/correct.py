@@ -50,10 +50,7 @@ def side_file(file: Path) -> Path:
 def saved_request(target: Path, files: Sequence[Path]) -> Request | None:
     """The request of the result in ``target``, on ``files``; None where there is none, or one of other files.
 
-    Raises
-    ------
-    InputError
-        The file is there and is no result of a drop test.
+    Raises `InputError` where the file is there and is no result of a drop test.
     """
     try:
         text = target.read_text(encoding="utf-8")

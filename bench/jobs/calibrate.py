@@ -39,6 +39,9 @@ def calibrate_into(
 ) -> tuple[Profile, Backend, list[Measured]]:
     """Do what `bench calibrate` does, and write it into the profile's file.
 
+    Raises `InputError` or `BackendError` when the device failed or nothing could be measured; the file is left as it
+    was.
+
     Parameters
     ----------
     path
@@ -54,11 +57,6 @@ def calibrate_into(
     -------
     tuple
         The profile as it was, its back end, and what was measured.
-
-    Raises
-    ------
-    InputError, BackendError
-        When the device failed or nothing could be measured; the file is left as it was.
     """
     profile, backend = open_rig(path, "calibrate", scenario, seed)
     if kind == "accelerometer":

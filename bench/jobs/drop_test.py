@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from analysis.drop.outcome import Outcome
     from analysis.drop.times.one_ahead import Drop
 
-AIR_KG_PER_M3 = 1.2
 # what `bench drop` calls each number of a request, and each of its corrections
 NUMBERS = {
     "fps": "fps", "scale_m": "scale", "ball_size_m": "ball-size", "gravity_mps2": "gravity", "mass_kg": "mass",
@@ -71,6 +70,8 @@ class Request:
     @property
     def drag_limits(self) -> tuple[float, float]:
         """Smallest and largest drag of a sphere of this mass and size, 1/m."""
+        from analysis.drop.falls.fit import AIR_KG_PER_M3
+
         if self.mass_kg is None or self.diameter_m is None:
             return 0.0, np.inf
         area = 0.25 * np.pi * self.diameter_m**2
@@ -168,10 +169,7 @@ class DropTest:
 def measure(request: Request, progress: Progress | None = None, known: Known | None = None) -> DropTest:
     """Read, fit and judge; ``known`` has what is slow and does not depend on corrections by hand.
 
-    Raises
-    ------
-    InputError
-        Anything that is no drop test, with the file and what to do.
+    Raises `InputError` for anything that is no drop test, with the file and what to do.
     """
     from analysis.drop.load import Path2D, load_all
 
@@ -324,6 +322,8 @@ def _units(paths: list[Path2D], request: Request) -> Units:
 def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str], bool | None]) -> str | None:
     """Write what was measured into a profile that still reads afterwards; returns why nothing was written.
 
+    Raises `InputError` where the profile cannot be read, or would be none any more.
+
     Parameters
     ----------
     profile
@@ -334,11 +334,6 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
         "keep" or "remove" effects that are declared and that this result was measured without; "ask" about them.
     ask
         Puts a question; None where there is no answer.
-
-    Raises
-    ------
-    InputError
-        The profile cannot be read, or would be none any more.
     """
     from bench.profiles.edit import declare, withdraw
     from daq.files.whole_file import write_whole

@@ -66,6 +66,8 @@ def explore(
 ) -> Explored:  # fmt: skip
     """Choose, drive and judge blocks until an aim is reached.
 
+    Raises `InputError` for a profile that cannot be driven, or recordings that cannot be read.
+
     Parameters
     ----------
     text, aims
@@ -77,11 +79,6 @@ def explore(
         Drives a block; asked before each (None: go on unasked); called with each choice and what came of it.
     anyway
         Judge recordings that contradict the profile, too.
-
-    Raises
-    ------
-    InputError
-        For a profile that cannot be driven, or recordings that cannot be read.
     """
     offered = functools.cache(lambda hold_cycles: offers(text, replace(aims, hold_cycles=hold_cycles)))
     offered(aims.hold_cycles)  # what cannot be driven is refused before anything is judged

@@ -159,6 +159,8 @@ def warm_up(profile: Profile) -> None:
 def continued(profile: Profile, first: Path | None, step: int | None = None) -> tuple[Profile, dict[str, Any]]:
     """The rest of a ramp, and the free keys by which the new recording names the first.
 
+    Raises `InputError` when ``first`` was driven by another ramp, has nothing left, or there is no such step.
+
     Parameters
     ----------
     profile
@@ -167,11 +169,6 @@ def continued(profile: Profile, first: Path | None, step: int | None = None) -> 
         The recording that was stopped; None: the whole ramp is left.
     step
         Repeat only this step, numbered as `bench plan` does (from 0).
-
-    Raises
-    ------
-    InputError
-        When ``first`` was driven by another ramp, has nothing left, or there is no such step.
     """
     if first is None:
         if step is not None:

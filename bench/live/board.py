@@ -85,7 +85,7 @@ class Lane:
 
 
 class Board:
-    """Shared memory of a run and its page.
+    """Shared memory of a run and its page; raises `OSError` where there is no such board, or no room for one.
 
     Parameters
     ----------
@@ -96,11 +96,6 @@ class Board:
     ----------
     events, commands : Lane
         From the run to the page, and from the page to the run.
-
-    Raises
-    ------
-    OSError
-        Where there is no such board, or no room for one.
     """
 
     def __init__(self, name: str | None = None) -> None:

@@ -51,17 +51,14 @@ class Onlookers:
     def of_run(self, profile: Profile, text: str, why: str = "") -> Iterator[Onlooker | None]:
         """An onlooker for `bench.jobs.run_ramp.record` during the next run; None where no one looks on.
 
+        Raises `InputError` when the page cannot be served.
+
         Parameters
         ----------
         profile, text
             Of the run.
         why
             Reason of the run, said on a page that is there already.
-
-        Raises
-        ------
-        InputError
-            When the page cannot be served.
         """
         if self._page is None and not self._watch:
             yield None

@@ -62,15 +62,12 @@ class Desk:
     def start(self, profile: Path, scenario: str | None, asked: AskedRun) -> Message:
         """Start a ramp in a process of its own, which outlives this one.
 
+        Raises `InputError` when the profile cannot be read.
+
         Returns
         -------
         dict
             What `attach` needs to find the run again: ``board``, ``profile`` and ``out``.
-
-        Raises
-        ------
-        InputError
-            When the profile cannot be read.
         """
         known, _ = load(profile)
         if self.watch is not None:
@@ -156,7 +153,8 @@ class Desk:
             return
         else:
             if not lease.may(name):
-                _refuse(browser, "another browser holds the controls")
+                refused = {"kind": "refused", "why": "another browser holds the controls", "at": time.time()}
+                browser.send(json.dumps(refused))
             elif wanted == "share":
                 self._share(on=said.get("on") is True)
             elif wanted in COMMANDS and self.watch is not None:
@@ -177,10 +175,6 @@ class Desk:
 
 async def _show_watcher(request: Request) -> Response:
     return templates_of(HERE / "templates").TemplateResponse(request, "live.html", {"watching": True})
-
-
-def _refuse(browser: Browser, why: str) -> None:
-    browser.send(json.dumps({"kind": "refused", "why": why, "at": time.time()}))
 
 
 def desk_of(place: Place) -> Desk:

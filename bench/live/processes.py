@@ -43,6 +43,8 @@ def sections(*, starts: bool = False) -> tuple[str, ...]:
 class PageProcess:
     """The page of one run, in a process of its own that the run never waits for.
 
+    Raises `InputError` when the page cannot be served.
+
     Parameters
     ----------
     profile, board
@@ -51,11 +53,6 @@ class PageProcess:
         Of the runs.
     host, port
         Where to listen; see `bench.web.serve.bind`.
-
-    Raises
-    ------
-    InputError
-        When the page cannot be served.
     """
 
     def __init__(self, profile: Profile, board: Board, folder: Path, host: str, port: int | None) -> None:

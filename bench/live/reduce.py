@@ -64,6 +64,8 @@ def cut_to(recording: Recording, n_samples: int) -> None:
 def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[list[ReducedStep], Observations]:
     """All steps of a run so far, and the observations for its verdict.
 
+    Raises `InputError` where the samples are too few.
+
     Parameters
     ----------
     recording
@@ -71,11 +73,6 @@ def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[l
     played_first
         By step, the index of its first sample among the played ones, from which phases count; where it is not known,
         that among the recorded ones.
-
-    Raises
-    ------
-    InputError
-        Where the samples are too few.
     """
     flights = flights_of(recording)
     seen = observed(recording, flights, with_mode=False)

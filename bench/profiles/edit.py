@@ -48,6 +48,8 @@ class Measured:
 def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
     """The profile ``text`` with each of ``values`` at its dotted key.
 
+    Raises `InputError` when ``text`` is not TOML, or a key leads through something that is no table.
+
     Parameters
     ----------
     text
@@ -57,11 +59,6 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
         takes a key away.
     where
         Name of the text, for messages.
-
-    Raises
-    ------
-    InputError
-        When ``text`` is not TOML, or a key leads through something that is no table.
     """
     try:
         document, wanted = tomlkit.parse(text), tomllib.loads(text)

@@ -29,7 +29,7 @@ def _schema() -> dict[str, Any]:
 
 
 def fields_of(text: str) -> list[Field]:
-    """Every key that the profile ``text`` has or may have.
+    """Every key that the profile ``text`` has or may have; raises `InputError` when the text is not TOML.
 
     Returns
     -------
@@ -37,11 +37,6 @@ def fields_of(text: str) -> list[Field]:
         ``key`` (dotted), ``text`` (the value as TOML writes it; empty where it is not set), ``unit``, ``limit``,
         ``help``, ``choices`` (a list, empty where any value goes). The kind of back end is not among them: another one
         is another profile.
-
-    Raises
-    ------
-    InputError
-        When the text is not TOML.
     """
     try:
         held = tomllib.loads(text)
@@ -118,8 +113,7 @@ def _written(value: Any) -> str:
     """A value as TOML writes it."""
     import tomlkit
 
-    return tomlkit.item(value).as_string() if not isinstance(value, Mapping) else _inline(value)
-
-
-def _inline(table: Mapping[str, Any]) -> str:
-    return "{ " + ", ".join(f"{name} = {_written(value)}" for name, value in table.items()) + " }"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{name} = {_written(own)}" for name, own in value.items()) + " }"
+    text: str = tomlkit.item(value).as_string()
+    return text

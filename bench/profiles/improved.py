@@ -22,6 +22,8 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     A loop whose verdict is "unexplained" declares nothing; its effects are written as comments, ready to be declared by
     whoever believes them.
 
+    Raises `InputError` when the recording holds no profile.
+
     Parameters
     ----------
     loop, recording
@@ -35,11 +37,6 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     -------
     list of str
         What was written, and what was found and is not declared, a line each.
-
-    Raises
-    ------
-    InputError
-        When the recording holds no profile.
     """
     if text is None:
         with open_recording(recording) as opened:

@@ -32,6 +32,8 @@ VERSION = 4
 class Catalogue(Closing):
     """The runs below a folder. Any number of processes and threads may use it at once.
 
+    Raises `InputError` where there is no such folder.
+
     Parameters
     ----------
     folder
@@ -47,11 +49,6 @@ class Catalogue(Closing):
         Its file; None where the catalogue is only in memory.
     said
         What a person should know of that, in a sentence; empty where there is nothing.
-
-    Raises
-    ------
-    InputError
-        Where there is no such folder.
     """
 
     def __init__(self, folder: Path, *, anew: bool = False) -> None:

@@ -69,6 +69,8 @@ def _verdict(loop: ClosedLoop) -> dict[str, Any]:
 def evidence(loop: ClosedLoop, identity: str, gaps: Integers, rate_hz: float) -> dict[str, Any]:
     """Rivals, steps and flights of one recording in a closed loop, flights as columns in order of take-off.
 
+    Raises `InputError` where the loop is of other recordings.
+
     Parameters
     ----------
     loop
@@ -77,11 +79,6 @@ def evidence(loop: ClosedLoop, identity: str, gaps: Integers, rate_hz: float) ->
         Of the recording (`daq.recording.header.stored_id`).
     gaps, rate_hz
         Of the recording; times are also given as its scope counts them.
-
-    Raises
-    ------
-    InputError
-        Where the loop is of other recordings.
     """
     own = [i for i, source in enumerate(loop.sources) if source.identity == identity]
     if not own or not identity:

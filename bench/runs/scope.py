@@ -21,17 +21,12 @@ Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 
 class Scope:
-    """Views of a recording.
+    """Views of a recording; raises `InputError` where one does not read.
 
     Parameters
     ----------
     pyramid, recording
         Their files.
-
-    Raises
-    ------
-    InputError
-        Where one does not read.
     """
 
     def __init__(self, pyramid: Path, recording: Path) -> None:

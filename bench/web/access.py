@@ -30,10 +30,7 @@ MOST_BODY_BYTES = 1_000_000
 class Access:
     """Address of the server, and what a request needs.
 
-    Raises
-    ------
-    InputError
-        For another address than the own machine's without a token.
+    Raises `InputError` for another address than the own machine's without a token.
     """
 
     # host, port: where the server listens

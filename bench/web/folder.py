@@ -10,17 +10,15 @@ from starlette.exceptions import HTTPException
 def file_inside(folder: Path, name: str) -> Path:
     """The file ``name`` below ``folder``, links followed.
 
+    Raises `starlette.exceptions.HTTPException` (404) where there is no such file or it lies elsewhere: a request
+    learns nothing of the two.
+
     Parameters
     ----------
     folder
         The runs' folder.
     name
         Relative path with forward slashes, from a request.
-
-    Raises
-    ------
-    starlette.exceptions.HTTPException
-        Status 404, where there is no such file or it lies elsewhere: a request learns nothing of the two.
     """
     refused = HTTPException(404, "no such file in the runs' folder")
     parts = name.split("/")

@@ -28,7 +28,7 @@ def serve_pages(
     port: int | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> None:
-    """Serve sections until Ctrl-C.
+    """Serve sections until Ctrl-C; raises `InputError` without the packages, and when the address cannot be bound.
 
     Parameters
     ----------
@@ -38,11 +38,6 @@ def serve_pages(
         Called with the address of the first page, once pages are answered.
     host, port
         As of `bench.web.serve.bind`.
-
-    Raises
-    ------
-    InputError
-        Without the packages, and when the address cannot be bound.
     """
     require_packages()
     from bench.web.section import Place

@@ -23,6 +23,8 @@ PORT = 8625
 def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None) -> tuple[socket.socket, Access]:
     """A listening socket and the access that goes with it; a token is made where one is needed.
 
+    Raises `InputError` when the address cannot be bound.
+
     Parameters
     ----------
     host
@@ -31,11 +33,6 @@ def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None
         None takes the first free one from `PORT` on; 0 any.
     token
         For browsers of other machines; None makes one where ``host`` is not the own machine's.
-
-    Raises
-    ------
-    InputError
-        When the address cannot be bound.
     """
     # another server of a second run may have the first ports
     ports = [port] if port is not None else range(PORT, PORT + 20)

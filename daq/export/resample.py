@@ -21,10 +21,7 @@ from kernels.arrays import Floats, Integers
 class Resampled:
     """``recording`` at ``rate_hz``; floats in volts.
 
-    Raises
-    ------
-    InputError
-        When the two rates have no ratio of small numbers, or soxr is not installed.
+    Raises `InputError` when the two rates have no ratio of small numbers, or soxr is not installed.
     """
 
     def __init__(self, recording: Recording, rate_hz: float) -> None:

@@ -69,10 +69,7 @@ def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
 def refuse_claims(dataset: Any, path: Path, *, streamed: bool) -> None:
     """Refuse a dataset that says it holds more than is stored; ``streamed``: it is read in pieces.
 
-    Raises
-    ------
-    InputError
-        Naming what it claims.
+    Raises `InputError`, naming what it claims.
     """
     itemsize, chunks = dataset.dtype.itemsize, dataset.chunks
     where, n_bytes, size = f"{path}: {dataset.name}", dataset.size * itemsize, path.stat().st_size

@@ -41,6 +41,8 @@ Compression = Literal["lz4", "gzip"]
 class ColumnWriter:
     """Write a column file piece by piece; memory does not depend on its length.
 
+    Raises `InputError` when ``path`` exists and may not be replaced.
+
     Parameters
     ----------
     path
@@ -57,11 +59,6 @@ class ColumnWriter:
         Whether ``path`` may exist (a closing run replaces its own frames file).
     compression
         ``lz4`` (bitshuffle-LZ4) or ``gzip`` for readers without that plugin.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists and may not be replaced.
     """
 
     def __init__(
@@ -185,6 +182,9 @@ class ColumnWriter:
     ) -> None:
         """Write tables and attributes, close, read every stored byte back, and seal the file.
 
+        Raises `OSError` when the disk refuses, or what was written does not read back: the tables, or a stored byte of
+        a sample that differs from those that were read back when it was written.
+
         Parameters
         ----------
         steps, blocks
@@ -193,12 +193,6 @@ class ColumnWriter:
             `daq.files.tables.SIDE_TABLES` by name; one without rows is left out.
         late
             Attributes known only now (``ended``, ``why``, ...).
-
-        Raises
-        ------
-        OSError
-            When the disk refuses, or what was written does not read back: the tables, or a stored byte of a sample that
-            differs from those that were read back when it was written.
         """
         self.flush()
         _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)

@@ -100,10 +100,7 @@ class DiskFile(PatchedFile):
     def check(self) -> None:
         """Raise the first refusal of the disk, if there was one.
 
-        Raises
-        ------
-        OSError
-            Naming the file and what the disk answered.
+        Raises `OSError`, naming the file and what the disk answered.
         """
         if self.error is not None:
             raise refusal(self.error, self._path) from self.error

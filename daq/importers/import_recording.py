@@ -107,6 +107,8 @@ def import_recording(
 ) -> ImportSummary:
     """Write ``out`` from a foreign file.
 
+    Raises `InputError`, naming file and row of what cannot be used; nothing is left behind.
+
     Parameters
     ----------
     source, out
@@ -117,11 +119,6 @@ def import_recording(
         The caller's choices; None: all defaults.
     progress
         Called with the stage and the number of rows done.
-
-    Raises
-    ------
-    InputError
-        Naming file and row of what cannot be used; nothing is left behind.
     """
     options = options or ImportOptions()
     columns, rate_hz = _columns_and_rate(source, options, setup)

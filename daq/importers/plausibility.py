@@ -103,6 +103,8 @@ def refuse_other_unit(path: Path, time: Column, rate_hz: float, setup: Setup) ->
 def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> None:
     """Refuse a file whose parts were sampled at different rates.
 
+    Raises `InputError` with the two rates, and the row near which they meet.
+
     Parameters
     ----------
     path
@@ -111,11 +113,6 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
         Seconds, not falling, and how many, at least 2.
     quantum_s
         Rounding step of the column.
-
-    Raises
-    ------
-    InputError
-        With the two rates, and the row near which they meet.
     """
     parts = min(32, n // 16)
     if parts < 2:

@@ -84,16 +84,14 @@ def split_unit(heading: str, units: Container[str]) -> tuple[str, str]:
 def read_sheets(path: Path, wanted: str = "columns of numbers under their headings") -> list[Sheet]:
     """Sheets of a workbook (.xlsx, .xls), or a text table as the only one; those without a number are left out.
 
+    Raises `InputError` for a table that is too large, unreadable or without numbers, or a workbook without its reader
+    (`pip install shakerbench[tables]`).
+
     Parameters
     ----------
     path
     wanted
         What the file should hold, for the error where it holds no number.
-
-    Raises
-    ------
-    InputError
-        Too large, unreadable, without numbers, or a workbook without its reader (`pip install shakerbench[tables]`).
     """
     if (size := path.stat().st_size) > LARGEST_BYTES:
         raise InputError(f"{path}: {size >> 20} MB is no table; wanted {wanted}, at most {LARGEST_BYTES >> 20} MB")

@@ -73,17 +73,14 @@ def instrument_of(recording: Recording) -> Instrument | None:
 def refuse_doubtful(paths: Iterable[Path], setup: Setup | None = None) -> None:
     """Refuse recordings that contradict their profile so far that a verdict would mean nothing.
 
+    Raises `InputError`, naming the file, the first contradiction and its cure.
+
     Parameters
     ----------
     paths
         Recordings.
     setup
         Replaces the setup stored in them.
-
-    Raises
-    ------
-    InputError
-        Naming the file, the first contradiction and its cure.
     """
     for path in paths:
         with open_recording(path) as recording:

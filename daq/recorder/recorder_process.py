@@ -64,7 +64,7 @@ def spawn(order: Order) -> tuple[Pipe, Process]:
 
 
 class RecorderProcess(ClosedRun):
-    """Record one run in a process of its own.
+    """Record one run in a process of its own; raises `InputError` as for `RecordingWriter`.
 
     Parameters
     ----------
@@ -81,11 +81,6 @@ class RecorderProcess(ClosedRun):
         Whether no other process attaches to the ring by its name; it then loses its name once the recorder runs.
     start, clock
         How the process is started, and its user's clock; a simulation has its own.
-
-    Raises
-    ------
-    InputError
-        As for `RecordingWriter`.
     """
 
     def __init__(

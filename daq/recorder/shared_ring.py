@@ -27,17 +27,14 @@ _COUNTERS = ("put", "taken", "safe_samples", "dropped_blocks", "worst_backlog")
 class Ring:
     """Slots for blocks of up to ``block_samples`` frames.
 
+    Raises `OSError` where the system's shared memory has no room for it.
+
     Parameters
     ----------
     slots, block_samples, channels
         How many blocks it holds, and how large they may be.
     name
         Of an existing ring to attach to; None makes one.
-
-    Raises
-    ------
-    OSError
-        Where the system's shared memory has no room for it.
     """
 
     def __init__(self, slots: int, block_samples: int, channels: int, name: str | None = None) -> None:

@@ -56,15 +56,12 @@ def stored_id(recording: Recording) -> str:
 def refuse_repeated(paths: Sequence[Path]) -> None:
     """Refuse a recording that is named twice.
 
+    Raises `InputError`, naming the two: one file, by a second name or a link, or two files that hold the same samples.
+
     Parameters
     ----------
     paths
         Recordings that are to be judged together.
-
-    Raises
-    ------
-    InputError
-        Naming the two: one file, by a second name or a link, or two files that hold the same samples.
     """
     if len(paths) < 2:
         return

@@ -134,6 +134,8 @@ def write_remarks(path: Path, remarks: Remarks) -> None:
 def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], Remarks]) -> Remarks:
     """Change tags and notes of a recording, one process at a time.
 
+    Raises `InputError` where the side file cannot be read or written or is of another recording, or ``change`` refuses.
+
     Parameters
     ----------
     recording
@@ -142,11 +144,6 @@ def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], R
         Of the recording, as far as it is known.
     change
         Takes the remarks as they are and gives those that take their place.
-
-    Raises
-    ------
-    InputError
-        Where the side file cannot be read or written or is of another recording, or ``change`` refuses.
     """
     path = side_file(recording)
     with _held(path.with_name(f"{path.name}.lock"), path):

@@ -34,15 +34,12 @@ def open_quickly(path: Path) -> Recording | None:
 
     Its samples are as safe as HDF5's own checksum of each chunk; `daq.recording.open_recording` compares them all.
 
+    Raises `InputError` when it is not a recording, or cannot be read.
+
     Returns
     -------
     Recording or None
         None for a file without a sound seal.
-
-    Raises
-    ------
-    InputError
-        When it is not a recording, or cannot be read.
     """
     require_file(path)
     found = check_tables(path)
@@ -91,17 +88,14 @@ def require_hdf5(path: Path) -> None:
 def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recording:
     """Open a recording whose bytes were compared with its seal, or that was read through before, or just written.
 
+    Raises `InputError` when it is not a recording, or cannot be read.
+
     Parameters
     ----------
     found
         What differs: it is put right, or left out.
     ended
         Read a file that was not closed, or is shorter than it says, as if its writer had closed it as it is.
-
-    Raises
-    ------
-    InputError
-        When it is not a recording, or cannot be read.
     """
     lost = {name: list(spans) for name, spans in found.lost.items()}
     file = open_file(path, found, ended=ended)

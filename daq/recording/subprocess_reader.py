@@ -61,16 +61,13 @@ def same_modules() -> dict[str, str]:
 def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
     """Call ``module:function`` in a process of its own.
 
+    Raises `InputError` or `OSError` as the function did; whatever else ends it is in the answer.
+
     Parameters
     ----------
     function
         Takes ``arguments``, and a function by which it says what it is about to do, at least every ``patience_s``.
         Arguments and answer are what JSON knows.
-
-    Raises
-    ------
-    InputError, OSError
-        As the function did; whatever else ends it is in the answer.
     """
     if _HERE.get():
         said_here = [""]

@@ -279,15 +279,12 @@ class VerifyReport:
 def verify(path: Path | str) -> VerifyReport:
     """Read a recording from end to end and say what state it is in.
 
+    Raises `InputError` when there is no such file, or it never was a recording.
+
     Parameters
     ----------
     path
         Recording, closed or cut off.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, or it never was a recording.
     """
     try:
         recording, _ = examine(Path(path))

@@ -84,7 +84,7 @@ class ClosedRun(Closing):
 
 
 class RecordingWriter(ClosedRun):
-    """Record one run.
+    """Record one run; raises `InputError` when ``path`` exists, its folder does not, or the disk is too full.
 
     Parameters
     ----------
@@ -108,11 +108,6 @@ class RecordingWriter(ClosedRun):
         How long the run will be; refused where the disk has no room for it.
     clock
         The machine's, or that of a simulation.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists, its folder does not, or the disk is too full.
     """
 
     def __init__(
@@ -202,6 +197,9 @@ class RecordingWriter(ClosedRun):
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording: finish the column file, check it, rename it into place.
 
+        Raises `OSError` when the column file cannot be written; the frames stay, and `bench recover` can finish the
+        job.
+
         Parameters
         ----------
         how, why
@@ -209,11 +207,6 @@ class RecordingWriter(ClosedRun):
         expected_samples
             Samples that the device must have given (played, or clocked). The recording is marked as suspect where
             recorded and declared as lost do not add up to that, within the uncertainty of the gaps.
-
-        Raises
-        ------
-        OSError
-            When the column file cannot be written; the frames stay, and `bench recover` can finish the job.
         """
         where = self.path
         try:
@@ -249,10 +242,7 @@ class RecordingWriter(ClosedRun):
 def require_space(path: Path, n_samples: int, n_channels: int) -> None:
     """Refuse to begin what the disk cannot hold: frames, the column file, and a reserve.
 
-    Raises
-    ------
-    InputError
-        Naming what is needed and what is free.
+    Raises `InputError`, naming what is needed and what is free.
     """
     # two bytes a code in the frames and again in the columns, and eight of each time
     needed = n_samples * (4 * n_channels + 8) + RESERVE_BYTES

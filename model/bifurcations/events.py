@@ -37,17 +37,14 @@ def bifurcations(
 ) -> list[Bifurcation]:
     """All bifurcations between ``low`` and ``high`` of the cycle reached from rest, in order.
 
+    Raises `InputError` if the range is empty, negative or not finite.
+
     Parameters
     ----------
     narrowest
         Width in gamma of the narrowest window whose edges are sought.
     longest
         Flights of its longest cycle.
-
-    Raises
-    ------
-    InputError
-        If the range is empty, negative or not finite.
     """
     found = cycle_windows(ball, low, high, narrowest=narrowest, longest=longest)
     births, merges = ball.take_off_levels
@@ -70,16 +67,13 @@ def find_bifurcations(
 ) -> list[Bifurcation]:
     """Bifurcations between ``low`` and ``high`` of the attractor reached from rest, or carried along by ``sweep``.
 
+    Raises `ValueError` if the range is empty, negative or not finite.
+
     Parameters
     ----------
     narrowest
         Width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution `BOUNCING`. A sweep and
         an integrated ball are looked at step by step instead (`model.bifurcations.sweep`).
-
-    Raises
-    ------
-    ValueError
-        If the range is empty, negative or not finite.
     """
     if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
         finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST

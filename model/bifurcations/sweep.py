@@ -81,6 +81,8 @@ def observed_bifurcations(
 ) -> Iterator[Bifurcation]:
     """Changes of the attractor between ``low`` and ``high`` in the order met; searched no farther than they are taken.
 
+    Raises `ValueError` if the range is empty, negative or not finite.
+
     Parameters
     ----------
     sweep
@@ -92,11 +94,6 @@ def observed_bifurcations(
         Width in gamma down to which windows between two changes in one step are found.
     sharp
         Width in gamma to which a change is bisected, where less will do than the ball allows.
-
-    Raises
-    ------
-    ValueError
-        If the range is empty, negative or not finite.
     """
     check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)

@@ -211,6 +211,8 @@ def simulate(
 ) -> Orbit:
     """Fly ``flights`` flights from an impact; fewer come back when the ball stays on the plate.
 
+    Raises `ValueError` for unknown effects or parameters, or values out of bounds.
+
     Parameters
     ----------
     effects
@@ -221,11 +223,6 @@ def simulate(
         Time (s) and speed (m/s) of the impact.
     unseen_s
         Flights shorter than this are passed over.
-
-    Raises
-    ------
-    ValueError
-        For unknown effects or parameters, or values out of bounds.
     """
     tones = tones_for_kernel(plate.omega_radps, plate.acceleration)
     return flown(law_of(effects, g_mps2), tones, period_s, flights, start, unseen_s)

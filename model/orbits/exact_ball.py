@@ -189,10 +189,8 @@ class FrictionBall(ExactBall):
 
     Friction is in units of the weight; restitution is clipped to [0, 1].
 
-    Raises
-    ------
-    InputError
-        If a value is not finite or out of range; with ``mu_down >= 1`` the ball would stay on the rod of a still plate.
+    Raises `InputError` if a value is not finite or out of range; with ``mu_down >= 1`` the ball would stay on the rod
+    of a still plate.
     """
 
     cycles: ClassVar[Cycles] = FRICTION

@@ -49,6 +49,8 @@ def branch_of(phase: ArrayLike, tau: ArrayLike, over: float = math.pi) -> Intege
 def landing_map(ball: Ball, gamma: float, rng: np.random.Generator, *, spread: float = 0.005) -> LandingMap:
     """Flights from every cell of take-off states, with their share in the long run.
 
+    Raises `InputError` where the ball rests on the plate, or never rebounds.
+
     Parameters
     ----------
     ball : Ball
@@ -58,11 +60,6 @@ def landing_map(ball: Ball, gamma: float, rng: np.random.Generator, *, spread: f
         Of the states within a cell.
     spread : float
         Standard deviation of gamma from flight to flight, relative: what an amplitude control leaves.
-
-    Raises
-    ------
-    InputError
-        Where the ball rests on the plate, or never rebounds.
     """
     path = ball.fly(gamma, AT_REST, 4096)
     fastest = float(np.max(np.where(path.reset[1:], 0.0, path.speed[:-1]), initial=0.0))

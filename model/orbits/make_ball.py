@@ -26,16 +26,13 @@ def make_ball(
 ) -> Ball:
     """The ball on ``forcing`` with ``effects`` by name and parameter (`model.effects`).
 
+    Raises `InputError` for an unknown effect or parameter or a value out of bounds, for an effect of the drive or of an
+    instrument (the motion of the plate is given here), and where the frequency is needed and missing.
+
     Parameters
     ----------
     frequency_hz
         First tone; needed where an effect has a scale of its own (a rate, a length, a speed).
-
-    Raises
-    ------
-    InputError
-        For an unknown effect or parameter or a value out of bounds, for an effect of the drive or of an instrument
-        (the motion of the plate is given here), and where the frequency is needed and missing.
     """
     values = resolve(effects)
     active = {}

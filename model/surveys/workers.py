@@ -45,6 +45,8 @@ def outcomes(
 ) -> Iterator[Outcome[Key, Result]]:
     """Outcomes of ``compute(*arguments)`` for every task, in the order in which they end.
 
+    Raises `InputError` where Dask is asked for and not installed.
+
     Parameters
     ----------
     compute
@@ -55,11 +57,6 @@ def outcomes(
         Processes; 1 without a cluster computes in this one.
     cluster
         Address of a Dask scheduler (``tcp://host:port``), or ``"local"`` for one of ``workers`` processes here.
-
-    Raises
-    ------
-    InputError
-        Where Dask is asked for and not installed.
     """
     if cluster is not None:
         yield from _on_cluster(compute, tasks, workers, cluster)

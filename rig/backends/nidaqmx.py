@@ -29,6 +29,8 @@ FULL = 32767
 class NiDaqmxBackend:
     """One NI device.
 
+    Raises `BackendError` when the package, the driver or the device is missing, or the device cannot do what is asked.
+
     Parameters
     ----------
     rate_hz
@@ -45,11 +47,6 @@ class NiDaqmxBackend:
         Drive held in the output buffer; the interlock sees the plate so much later.
     daqmx
         The package `nidaqmx`; a test hands in one of its own.
-
-    Raises
-    ------
-    BackendError
-        When the package, the driver or the device is missing, or the device cannot do what is asked.
     """
 
     name = "nidaqmx"

@@ -127,6 +127,8 @@ def open_stream(
 ) -> CardStream:
     """A running stream on ``device``: full duplex, or output only where ``n_inputs`` is 0.
 
+    Raises `BackendError` when there is no such card, or it refuses.
+
     Parameters
     ----------
     device
@@ -140,11 +142,6 @@ def open_stream(
         where it skips callbacks when it is late.
     woke
         Called after it, with `BlockFlag` bits that the driver claims.
-
-    Raises
-    ------
-    BackendError
-        When there is no such card, or it refuses.
     """
     sounddevice = _scan()
     count: FrameCounter | None = None

@@ -24,6 +24,8 @@ def open_backend(
 ) -> Backend:
     """The back end that ``profile`` asks for, and no other; not yet started.
 
+    Raises `InputError` when an option is given that this kind does not heed, or the back end cannot be opened.
+
     Parameters
     ----------
     profile
@@ -35,11 +37,6 @@ def open_backend(
     -------
     Backend
         As `rig.backends.base.Backend` promises.
-
-    Raises
-    ------
-    InputError
-        When an option is given that this kind does not heed, or the back end cannot be opened.
     """
     options = OpenOptions(scenario, seed, real_time, replay)
     kind = kind_of(profile.backend.kind)

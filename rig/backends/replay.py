@@ -22,10 +22,8 @@ from rig.profile import Profile
 class ReplayBackend:
     """Frames of ``path``, from its first sample on.
 
-    Raises
-    ------
-    daq.setup.errors.InputError
-        When the file is no recording, or holds volts instead of codes (an imported one).
+    Raises `daq.setup.errors.InputError` when the file is no recording, or holds volts instead of codes (an imported
+    one).
     """
 
     name = "replay"

@@ -97,6 +97,8 @@ class Check:
     def moved(self, move: str, now: Callable[[], object], seconds: float = 4.0) -> Finding:
         """Which input answers what a hand does; nothing is driven.
 
+        Raises `BackendError` where the device does not answer.
+
         Parameters
         ----------
         move
@@ -105,11 +107,6 @@ class Check:
             Called once the rig was heard at rest: the person begins.
         seconds
             For which it is listened to.
-
-        Raises
-        ------
-        BackendError
-            Where the device does not answer.
         """
         with Running(self._backend):
             rest = self._rest(0.5)

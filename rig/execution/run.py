@@ -51,6 +51,9 @@ def run_ramp(
 ) -> RunSummary:
     """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
 
+    Raises `daq.setup.errors.InputError` before anything moves, where the device's delay exceeds what the branch's
+    multiplier allows.
+
     Parameters
     ----------
     profile
@@ -75,11 +78,6 @@ def run_ramp(
     RunSummary
         ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed`` when the device or the disk
         failed. Whatever was recorded stays readable.
-
-    Raises
-    ------
-    daq.setup.errors.InputError
-        Before anything moves, where the device's delay exceeds what the branch's multiplier allows.
     """
     instruments = replace(_Instruments.of(profile, backend, programme or plan(profile)), hold=hold)
     watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest(), clock)

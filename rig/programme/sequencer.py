@@ -214,10 +214,7 @@ class Sequencer:
     def retarget(self, amplitudes: tuple[complex, ...], n_cycles: int) -> int:
         """While settling: fade to ``amplitudes`` over ``n_cycles`` from the next cycle on; returns where that ends.
 
-        Raises
-        ------
-        ValueError
-            In any other state.
+        Raises `ValueError` in any other state.
         """
         if self.state is not State.SETTLING:
             raise ValueError(f"cannot change amplitudes while {self.state.value}")

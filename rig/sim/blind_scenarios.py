@@ -60,7 +60,7 @@ def sealed_scenario(
     drift: bool = False,
     nuisances: bool = False,
 ) -> Scenario:
-    """Draw what a rig hides.
+    """Draw what a rig hides; raises `ValueError` where more effects are asked for than named.
 
     Parameters
     ----------
@@ -83,11 +83,6 @@ def sealed_scenario(
     -------
     Scenario
         With a fresh nonce.
-
-    Raises
-    ------
-    ValueError
-        Where more effects are asked for than named.
     """
     if not 0 <= count <= len(names):
         raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")

@@ -228,6 +228,8 @@ class Plant:
     def exchange(self, drive_v: Floats) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.
 
+        Raises `ValueError` where `drive_v` is not one-dimensional or not finite.
+
         Parameters
         ----------
         drive_v : float64 array (n,)
@@ -237,11 +239,6 @@ class Plant:
         -------
         int16 array (n, 3 or 4)
             Codes of `channels`.
-
-        Raises
-        ------
-        ValueError
-            Where `drive_v` is not one-dimensional or not finite.
         """
         drive = np.ascontiguousarray(drive_v, dtype=np.float64)
         if drive.ndim != 1 or not np.isfinite(drive).all():

@@ -31,10 +31,7 @@ DRIFT_DTYPE = np.dtype([("place", "i8"), ("base", "f8"), ("rate_per_s", "f8"), (
 class Scenario:
     """What a rig hides.
 
-    Raises
-    ------
-    ValueError
-        Where an effect, a parameter or a rig key does not exist, or a value lies outside its limits.
+    Raises `ValueError` where an effect, a parameter or a rig key does not exist, or a value lies outside its limits.
     """
 
     name: str  # for people; covered by the hash
@@ -147,16 +144,14 @@ def _is_number(value: Any) -> bool:
 def load_scenario(path: Path) -> Scenario:
     """Read a scenario file.
 
+    Raises `InputError` where the file is missing, is no TOML, or names something that does not exist; all faults at
+    once.
+
     Parameters
     ----------
     path : pathlib.Path
         TOML with ``name``, and optionally ``nonce``, ``[rig]``, ``[effects.NAME]`` tables and
         ``[effects.parameter_drift]`` with ``"effect.parameter" = change per minute``.
-
-    Raises
-    ------
-    InputError
-        Where the file is missing, is no TOML, or names something that does not exist; all faults at once.
     """
     try:
         raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))

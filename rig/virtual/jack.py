@@ -58,6 +58,9 @@ class PlantLog:
 class PlantClient:
     """A client of a JACK server that takes the drive, period by period, the server's skipped frames included.
 
+    Raises `InputError` when the profile's back end is no sound card, or there is no such server, or it runs at another
+    rate.
+
     Parameters
     ----------
     profile
@@ -71,11 +74,6 @@ class PlantClient:
         Frames that the server skipped: the plant went through them without a drive.
     alive : bool
         Whether the server is there.
-
-    Raises
-    ------
-    InputError
-        When the profile's back end is no sound card, or there is no such server, or it runs at another rate.
     """
 
     def __init__(self, profile: Profile, server: str) -> None:
@@ -114,6 +112,8 @@ class PlantClient:
 class JackPlant(PlantClient):
     """A plant behind the ports of the client ``profile.backend.device``.
 
+    Raises `InputError` when there is no such server, or it runs at another rate.
+
     Parameters
     ----------
     profile
@@ -124,11 +124,6 @@ class JackPlant(PlantClient):
         Name of the JACK server.
     log
         Record of all that the plant gave.
-
-    Raises
-    ------
-    InputError
-        When there is no such server, or it runs at another rate.
     """
 
     def __init__(self, profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog) -> None:

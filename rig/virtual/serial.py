@@ -29,6 +29,8 @@ HELD_PERIODS = 4  # of frames that the device holds for a reader that is late
 class JackSerialPlant(PlantClient):
     """A plant that hears the client ``profile.backend.device`` and sends its frames to a pseudo-terminal.
 
+    Raises `InputError` when there is no such server, it runs at another rate, or the system has no pseudo-terminals.
+
     Parameters
     ----------
     profile
@@ -45,11 +47,6 @@ class JackSerialPlant(PlantClient):
     port : str
         Name of the terminal; ``profile.backend.port`` is a link to it while the block runs.
     device : SerialDevice
-
-    Raises
-    ------
-    InputError
-        When there is no such server, it runs at another rate, or the system has no pseudo-terminals.
     """
 
     def __init__(

@@ -35,13 +35,7 @@ class Still:
 
 
 def still_of(film: Film, progress: Progress | None = None) -> Still:
-    """The background of a film.
-
-    Raises
-    ------
-    InputError
-        Nothing moves, or the film has a cut.
-    """
+    """The background of a film; raises `InputError` where nothing moves, or the film has a cut."""
     cv2 = opencv(film.path)
     small = []
     for number, frame in enumerate(film.frames()):

@@ -111,10 +111,7 @@ class CameraFit:
 def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
     """Fit all shapes and all laws of restitution to the drops in ``clips`` together (one camera, one scale).
 
-    Raises
-    ------
-    InputError
-        No impact with a flight resolved on both sides.
+    Raises `InputError` where there is no impact with a flight resolved on both sides.
     """
     flights = [f for number, clip in enumerate(clips) for f in flights_of(clip, number) if len(f.frame) >= 3]
     # Heights count from the middle of all; the scale is that of a ruler from their lowest to their highest.

@@ -58,10 +58,7 @@ class Flight:
 def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
     """Cut ``clip`` at its impacts.
 
-    Raises
-    ------
-    InputError
-        No impact, or none with a flight after it that could be resolved.
+    Raises `InputError` where there is no impact, or none with a flight after it that could be resolved.
     """
     t, h = clip.frame, clip.height
     low = _corrected(clip, impact_samples(clip))

@@ -65,10 +65,7 @@ def ball_of(clock: Floats, x: Floats, y: Floats, where: str, axis_deg: float | N
 
     ``axis_deg``: direction of the fall, degrees right of down; found where None.
 
-    Raises
-    ------
-    InputError
-        Nothing moves, nothing falls freely, or two things do at once.
+    Raises `InputError` where nothing moves, nothing falls freely, or two things do at once.
     """
     if axis_deg is not None:
         x, y = _turned(x, y, np.radians(axis_deg))

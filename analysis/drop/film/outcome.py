@@ -44,16 +44,13 @@ def of_camera(
 ) -> outcome.Outcome:
     """Result of films or tracked positions.
 
+    Raises `InputError` where the motion is no fall with bounces; where with scale and frame rate its acceleration is
+    nowhere near gravity; where the fall is taller than any, as of a film in slow motion read at its playback rate.
+
     Parameters
     ----------
     stated : (height, standard uncertainty), optional
         Height that a person gave, m, to be checked.
-
-    Raises
-    ------
-    InputError
-        The motion is no fall with bounces; with scale and frame rate, its acceleration is nowhere near gravity; or
-        the fall is taller than any, because a film in slow motion was read at its playback rate.
     """
     refuse_other_motion(fit, names[0])
     verdict = judge_camera(fit)
@@ -327,10 +324,7 @@ def _is_contradicted(candidate: CameraCandidate) -> bool:
 def refuse_other_motion(fit: CameraFit, where: str) -> None:
     """Raise `InputError` where the motion is no fall with bounces: a hand, a pendulum, a ball that is thrown.
 
-    Raises
-    ------
-    InputError
-        No rebound, one that gains energy, or flights that no law of free flight comes near.
+    Raises `InputError` for no rebound, one that gains energy, or flights that no law of free flight comes near.
     """
     ratios, sigmas = fit.impacts["parabola"].restitution()
     tall = float(np.median([np.ptp(flight.height) for flight in fit.flights]))

@@ -50,10 +50,7 @@ class Tracked:
 def track_film(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Tracked:
     """Find and follow the ball in a film or a folder of pictures.
 
-    Raises
-    ------
-    InputError
-        Damaged, cut, without motion, without free flight, or with two things in it.
+    Raises `InputError` for a film that is damaged, cut, without motion, without free flight, or with two things in it.
     """
     film = stabilised(part_of(open_film(path), corrections), progress)
     best = _best_attempt(film, still_of(film, progress), corrections, progress)

@@ -41,10 +41,7 @@ class Film:
     def frames(self) -> Iterator[Image]:
         """The frames that are used, in order, (rows, columns, 3) uint8.
 
-        Raises
-        ------
-        InputError
-            A frame that cannot be decoded or has another size than the first.
+        Raises `InputError` for a frame that cannot be decoded or has another size than the first.
         """
         shape: tuple[int, ...] | None = None
         for number, frame in enumerate(self._decoded()):
@@ -89,13 +86,7 @@ class Film:
 
 
 def opencv(path: Path) -> Any:
-    """The module ``cv2``, an extra.
-
-    Raises
-    ------
-    InputError
-        Not installed.
-    """
+    """The module ``cv2``, an extra; raises `InputError` where it is not installed."""
     try:
         import cv2
     except ImportError as error:
@@ -110,13 +101,7 @@ def smaller(frame: Any, factor: float, least: int, cv2: Any) -> Any:
 
 
 def open_film(path: Path) -> Film:
-    """A film or a folder of pictures.
-
-    Raises
-    ------
-    InputError
-        Not a film, no frames, or too few of them.
-    """
+    """A film or a folder of pictures; raises `InputError` where it is none, or has too few frames."""
     cv2 = opencv(path)
     if path.is_dir():
         count, fps = len(_pictures(path)), None
@@ -134,13 +119,7 @@ def open_film(path: Path) -> Film:
 
 
 def part_of(film: Film, corrections: Corrections) -> Film:
-    """The film between two times and within a region of the picture.
-
-    Raises
-    ------
-    InputError
-        Nothing is left of it.
-    """
+    """The film between two times and within a region of the picture; raises `InputError` where nothing is left."""
     fps, end = film.fps or 1.0, film.count - 1
     first = 0 if corrections.from_s is None else max(round(corrections.from_s * fps), 0)
     last = end if corrections.until_s is None else min(round(corrections.until_s * fps), end)

@@ -21,10 +21,7 @@ _DIAMETERS = {"diameter": 1.0, "radius": 2.0, "circumference": 1.0 / np.pi, "gir
 def read_balls(path: Path, balls: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Mass (kg) and diameter (m) of those ``balls`` that the table names.
 
-    Raises
-    ------
-    InputError
-        No such file, or no heading of a mass or a size with its unit.
+    Raises `InputError` where there is no such file, or no heading of a mass or a size with its unit.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")

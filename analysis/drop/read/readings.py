@@ -293,10 +293,7 @@ class _Table:
 def read_tables(grids: list[Sheet], where: str) -> Contents:
     """Every drop of a file, and what was not read.
 
-    Raises
-    ------
-    InputError
-        No drop can be found; or a table of rebound heights.
+    Raises `InputError` where no drop can be found, and for a table of rebound heights.
     """
     hidden = [grid.name for grid in grids if grid.hidden] if not all(grid.hidden for grid in grids) else []
     if hidden:

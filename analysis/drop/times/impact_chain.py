@@ -82,17 +82,14 @@ def unheard(times_s: Floats) -> Onsets:
 def drops_of(events: Onsets | Floats, where: str) -> list[Bounces]:
     """All drops among some events, in order of time: a ball may be dropped several times in one recording.
 
+    Raises `InputError` for fewer than three impacts that follow each other, or a chain that is none of a ball's.
+
     Parameters
     ----------
     events
         Events in any order; bare times, s, are of full strength.
     where
         File, for the error text.
-
-    Raises
-    ------
-    InputError
-        Fewer than three impacts that follow each other, or a chain that is none of a ball's.
     """
     events = events if isinstance(events, Onsets) else unheard(np.asarray(events, dtype=np.float64))
     events = events.part(np.unique(events.times_s, return_index=True)[1])

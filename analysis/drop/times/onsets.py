@@ -34,10 +34,7 @@ _BLOCK = 1 << 20  # samples of a contact channel read at once
 def onsets_of_file(path: Path, progress: Progress | None = None) -> Onsets:
     """Onsets in a WAV file of any length; long files are read in overlapping pieces.
 
-    Raises
-    ------
-    InputError
-        Not a WAV file, too short, silence, or nothing that stands out.
+    Raises `InputError` for a file that is no WAV or too short, and where nothing stands out.
     """
     wav = open_wav(path)
     rate = wav.rate_hz
@@ -67,7 +64,7 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> Onsets:
 
 
 def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
-    """Onsets in a sound that fits in memory.
+    """Onsets in a sound that fits in memory; raises `InputError` where nothing stands out.
 
     Parameters
     ----------
@@ -77,11 +74,6 @@ def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
         Sampling rate.
     where : str
         File, for the error text.
-
-    Raises
-    ------
-    InputError
-        Silence, or nothing that stands out.
     """
     x = np.atleast_2d(np.asarray(samples, dtype=np.float64).T).T
     if not np.isfinite(x).all():
@@ -192,10 +184,7 @@ def _refine(x: Floats, near: int, rate_hz: float) -> tuple[float, float]:
 def contact_onsets(path: Path) -> Floats:
     """Times at which the contact circuit of a recording closes, s.
 
-    Raises
-    ------
-    InputError
-        No continuity channel, or a circuit that never opens and closes.
+    Raises `InputError` without a continuity channel, or for a circuit that never opens and closes.
     """
     with open_recording(path) as recording:
         _refuse_driven(recording)

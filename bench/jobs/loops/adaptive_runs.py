@@ -31,6 +31,8 @@ def until_clear(
 ) -> tuple[ClosedLoop, FittedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would separate them.
 
+    Raises `InputError` when the first recording was not made on the simulated rig.
+
     Parameters
     ----------
     recordings
@@ -49,11 +51,6 @@ def until_clear(
     Returns
     -------
     The last loop and its fitted model, all recordings, and why a next run could not be made (empty: none failed).
-
-    Raises
-    ------
-    InputError
-        When the first recording was not made on the simulated rig.
     """
     from bench.profiles.next_run import possible_runs, profile_of, profile_text
     from bench.terminal.progress import progress_bar

@@ -22,6 +22,9 @@ def judge_runs(
 ) -> bool:
     """Judge the runs, show the verdict and write what is asked for; whether everything could be written.
 
+    Raises `InputError` or `OSError` for recordings or a profile that will not do, and files that cannot be read or
+    written.
+
     Parameters
     ----------
     recordings, profile
@@ -32,11 +35,6 @@ def judge_runs(
         Where the verdict and its pictures go.
     anyway
         Judge recordings that contradict their profiles, too.
-
-    Raises
-    ------
-    InputError, OSError
-        For recordings or a profile that will not do, and files that cannot be read or written.
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.result import joint_json

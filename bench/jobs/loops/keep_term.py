@@ -54,6 +54,8 @@ def keep_term(
 ) -> tuple[TermEffect, list[str]]:
     """Write the discovered term of ``loop`` as the effect ``path``, and close the loop again with it.
 
+    Raises `InputError` where there is no term that can become an effect.
+
     Parameters
     ----------
     loop
@@ -73,11 +75,6 @@ def keep_term(
         What became of it.
     list of str
         Lines about the improved profile.
-
-    Raises
-    ------
-    InputError
-        Where there is no term that can become an effect.
     """
     write_whole(path, effect_source(loop, path.stem))
     # the library is read, and its kernels are compiled, once in a process: the new effect needs another

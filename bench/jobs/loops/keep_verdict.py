@@ -70,6 +70,8 @@ def conclude(
 def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False, **more: Any) -> Path:
     """Have a verdict drawn by `bench.jobs.loops.drawing`: what computes a verdict needs none of what draws it.
 
+    Raises `InputError` when it could not be written.
+
     Parameters
     ----------
     found
@@ -85,11 +87,6 @@ def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False
     -------
     Path
         Of what was written.
-
-    Raises
-    ------
-    InputError
-        When it could not be written.
     """
     call = [sys.executable, "-m", "bench.jobs.loops.drawing"]
     what = pickle.dumps((found, folder, quiet, more))

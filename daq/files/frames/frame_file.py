@@ -112,6 +112,8 @@ def _turned(x: int, bits: int) -> int:
 class FrameFile:
     """Read a frames file, finished or not; only acknowledged blocks count.
 
+    Raises `InputError` when a table is none, or claims more than the file holds.
+
     Parameters
     ----------
     file
@@ -120,11 +122,6 @@ class FrameFile:
         Its name, for errors.
     without
         Tables that cannot be read: they are taken as empty.
-
-    Raises
-    ------
-    InputError
-        When a table is none, or claims more than the file holds.
     """
 
     def __init__(self, file: Any, path: Path, without: Sequence[str] = ()) -> None:

@@ -43,7 +43,7 @@ _END_BYTES = 4096
 
 
 class FrameWriter:
-    """Write a frames file.
+    """Write a frames file; raises `InputError` when ``path`` exists, or its folder does not.
 
     Parameters
     ----------
@@ -53,11 +53,6 @@ class FrameWriter:
         Names, in the order of a frame.
     attributes
         Root attributes; written once, before the first sample.
-
-    Raises
-    ------
-    InputError
-        When ``path`` exists, or its folder does not.
     """
 
     def __init__(self, path: Path, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:

@@ -27,6 +27,8 @@ _ENDING = b'{"ended": '
 class MarkedFrames:
     """A frames file as its marks describe it; `daq.files.frames.frame_file.FrameFile` is the same through HDF5.
 
+    Raises `LookupError` when the file has no marks.
+
     Parameters
     ----------
     data
@@ -46,11 +48,6 @@ class MarkedFrames:
         Numbers of the blocks that they belong to.
     faults
         A line for each range of them.
-
-    Raises
-    ------
-    LookupError
-        When the file has no marks.
     """
 
     def __init__(self, data: Any, further: Mapping[str, NDArray[np.void]] | None = None) -> None:

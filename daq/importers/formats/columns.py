@@ -170,6 +170,8 @@ def with_unit(name: str, unit: Any) -> str:
 def assign(source: Source, mapping: Mapping[str, Column], described: Iterable[str] = CHANNELS) -> dict[str, Column]:
     """Columns by role.
 
+    Raises `InputError` when a mapped column is missing, a role has two candidates, or there is no accelerometer.
+
     Parameters
     ----------
     source
@@ -179,11 +181,6 @@ def assign(source: Source, mapping: Mapping[str, Column], described: Iterable[st
     described
         Channels of the profile. A further one (a displacement) is sought by name only where the profile has it, so
         that a column of that name in any file is not taken for it.
-
-    Raises
-    ------
-    InputError
-        When a mapped column is missing, a role has two candidates, or there is no accelerometer.
     """
     chosen = {role: _mapped(source, role, column) for role, column in mapping.items()}
     taken = {column.name for column in chosen.values()}

@@ -29,6 +29,8 @@ _BINARY: dict[str, type[Source]] = {
 def open_source(path: Path, select: Mapping[str, str] | None = None, select_column: str | None = None) -> Source:
     """Open a foreign file by its ending: .csv .txt .tsv .dat .lvm (also .gz), .h5 .mat, .npz, .wav, .uff, .tdms, .mf4.
 
+    Raises `InputError` when the file is missing, of an unknown kind, or does not read.
+
     Parameters
     ----------
     path
@@ -36,11 +38,6 @@ def open_source(path: Path, select: Mapping[str, str] | None = None, select_colu
     select, select_column
         For a long table (text only): which rows, as ``{"": value}`` or ``{role: value}``, by the entry of which
         column.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, of an unknown kind, or does not read.
     """
     require_file(path)
     ending = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()

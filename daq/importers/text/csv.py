@@ -65,10 +65,7 @@ class CsvSource(Source):
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """The named columns, some rows at a time.
 
-        Raises
-        ------
-        InputError
-            Naming the file and line of what is not a number, missing, or too much.
+        Raises `InputError`, naming the file and line of what is not a number, missing, or too much.
         """
         names = list(dict.fromkeys(names))
         yield from self._selected(names) if self._select else ahead(self._wide(names))
