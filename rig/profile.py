@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from daq.setup.setup import Setup
+from daq.setup.stake import Stake
 from daq.setup.strict_toml import load_toml, parse_toml
 from daq.setup.values import Frozen
 from rig.backends.kinds.find import OptionsByKind
@@ -122,6 +123,7 @@ class Profile(Setup):
     ramp: RampTable
     limits: Limits
     control: ControlTable | None = None
+    stake: Stake | None = Field(default=None, description="what a named cause predicts of this ramp")
     backend: OptionsByKind = SimulatedOptions()
 
     @model_validator(mode="after")
@@ -161,6 +163,7 @@ class _MeasuringProfile(Setup):
     ramp: RampTable | None = None
     limits: Limits | None = None
     control: ControlTable | None = None
+    stake: Stake | None = None
     backend: OptionsByKind | None = None
 
 

@@ -207,8 +207,17 @@ def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[
     return float(np.sqrt(then[own, own] / now[own, own])), tuple(limiting)
 
 
-def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[ParameterId], steps: int) -> Block | None:
+def best_block(
+    pools: Sequence[Pool],
+    known: Weighed,
+    wanted: Sequence[ParameterId],
+    steps: int,
+    worth: Callable[[Floats], float] | None = None,
+) -> Block | None:
     """The block of most nats a second: of each option the best steps one by one, then the best option.
+
+    ``worth`` gives the nats of what a block's products sum to; by default they are about which explanation is true and
+    about the parameters ``wanted``.
 
     Returns
     -------
@@ -219,9 +228,11 @@ def best_block(pools: Sequence[Pool], known: Weighed, wanted: Sequence[Parameter
     probability = np.array([x.probability for x in some])
     probability /= probability.sum()
 
-    def worth(total: Floats) -> float:
+    def information(total: Floats) -> float:
         nats = mutual_information(probability, divergences(total, known, some)) if len(some) > 1 else 0.0
         return nats + sharpened(total, known, wanted)
+
+    worth = worth or information
 
     best: Block | None = None
     for pool in pools:

@@ -24,8 +24,8 @@ class Failed:
     """A test of the verdict that was not passed."""
 
     # ``flights`` and ``plate``: residuals of all steps over their uncertainty, rms. ``landings`` and ``takeoffs``:
-    # errors of held-out events, us.
-    test: Literal["flights", "plate", "landings", "takeoffs"]
+    # errors of held-out events, us. ``stake``: steps of a later run that miss what was predicted of them.
+    test: Literal["flights", "plate", "landings", "takeoffs", "stake"]
     found: float
     allowed: float  # the most that the test allows, in the unit of ``found``
 

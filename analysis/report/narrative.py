@@ -207,6 +207,8 @@ def _failure(loop: ClosedLoop, failed: Failed) -> str:
         return f"what is left is {failed.found:.2f} times the noise ({probability(left.p_lack_of_fit)}){with_what}"
     if failed.test == "plate":
         return f"the plate is off by {failed.found:.2f} standard deviations rms ({failed.allowed:g} allowed)"
+    if failed.test == "stake":
+        return "a later run does not meet the prediction that was staked on it"
     event = "landings" if failed.test == "landings" else "take-offs"
     size, most = microseconds(failed.found), microseconds(failed.allowed)
     return f"on held-out steps {event} are missed by {size} us, where noise allows {most} us"

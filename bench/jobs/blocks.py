@@ -70,7 +70,8 @@ class Driven:
 def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
     """The block with a person's steps; raises `InputError` where a limit forbids one."""
     ratio = {} if wanted.ratio is None else {"forcing.ratio": wanted.ratio}
-    text = with_values(block.text, _in_order(wanted.gammas) | ratio, "the block")
+    changes = _in_order(wanted.gammas) | ratio | {"stake": None}  # other steps are another prediction
+    text = with_values(block.text, changes, "the block")
     profile = parse_profile(text, "the block")
     refuse_forbidden("these gammas", profile)
     why = f"chosen by a person{f', {wanted.why}' if wanted.why else ''}"

@@ -6,6 +6,7 @@ recordings. Why its steps were chosen is noted in the recording.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,13 +28,17 @@ from bench.jobs.blocks import (
     run_seconds,
     tells,
 )
+from bench.jobs.stakes import outcome_of, staked_block
 from daq.recording import open_recording
+from daq.setup.errors import InputError
+from daq.setup.stake import Stake, stake_in
 from rig.profile import parse_profile
 
 if TYPE_CHECKING:
     from analysis.attribution.hypothesis import Hypothesis
     from analysis.explore.choice import Block, Option, Pool
     from analysis.explore.explanations import Weighed
+    from analysis.explore.stake import Outcome
     from analysis.loop.close_loop import FittedLoop
     from analysis.loop.result import ClosedLoop
     from analysis.residuals.forward_model import ForwardModel
@@ -86,16 +91,26 @@ def explore(
     blocks = [as_driven(path) for path in made]
     known: dict[Path, Observations] = {}
     judged: _Judged | None = None
+    last: _HeldStake | None = None
 
     def ended(why: str, *, failed: bool = False) -> Explored:
-        loop = None if judged is None else judged.completed(made[0])
+        loop = None if judged is None else judged.completed(made[0], last)
         return Explored(tuple(made), tuple(blocks), loop, sum(block.seconds for block in blocks), why, failed)
 
     own: Chosen | None = None
     while True:
         if own is None:
+            last = _last_stake(made, known)
+            if last is not None and last.run == made[-1] and last.outcome.met:
+                judged = judged or _judge(made[:-1], known, anyway=anyway)
+                return ended(f"{' + '.join(last.stake.named)} explains everything, and met what was staked on it")
+            if last is not None and last.run == made[-1]:
+                say(last.outcome.words)
             judged = _judge(made, known, anyway=anyway) if made else None
             own, why = _next(text, judged, blocks, offered, aims)
+            if own is None and judged is not None:
+                left_s = aims.budget_s - sum(block.seconds for block in blocks)
+                own, why = _stake(text, judged, made, offered(aims.hold_cycles), replace(aims, budget_s=left_s), why)
             if own is None:
                 return ended(why)
             say(f"\nblock {number + 1}: {own.reason}")
@@ -137,15 +152,22 @@ class _Judged:
     loop: ClosedLoop | None = None
     fitted: FittedLoop | None = None
 
-    def completed(self, first: Path) -> ClosedLoop | None:
-        """The closed loop with what no choice depends on; ``first`` is the first recording."""
+    def completed(self, first: Path, last: _HeldStake | None) -> ClosedLoop | None:
+        """The closed loop with what no choice depends on; ``first`` is the first recording.
+
+        ``last``, what was staked last, withdraws the verdict where that was not met.
+        """
+        from analysis.explore.stake import with_outcome
         from analysis.flights.assemble import flights_of
         from analysis.loop.close_loop import completed
 
         if self.loop is None or self.fitted is None:
             return None
+        loop = self.loop
+        if last is not None and last.stake.named == loop.selection.names:
+            loop = with_outcome(loop, last.outcome, last.run.name)
         with open_recording(first) as opened:
-            return completed(self.loop, self.fitted, flights_of(opened))
+            return completed(loop, self.fitted, flights_of(opened))
 
 
 def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: bool) -> _Judged:
@@ -170,6 +192,39 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: boo
         return _Judged(model, found.best, found.ties)
     loop, fitted = judge_loop(made, known=known, anyway=anyway)
     return _Judged(fitted.model, fitted.selection.best, fitted.selection.ties, loop, fitted)
+
+
+@dataclass(frozen=True)
+class _HeldStake:
+    """A prediction, the run that it was staked on, and what came of it."""
+
+    stake: Stake
+    run: Path
+    outcome: Outcome
+
+
+def _last_stake(made: Sequence[Path], known: dict[Path, Observations]) -> _HeldStake | None:
+    """The last stake that was driven to its end."""
+    for path in reversed(made):
+        text = as_driven(path).text
+        if (stake := stake_in(text, str(path))) is not None:
+            with contextlib.suppress(InputError):  # a person ended it
+                return _HeldStake(stake, path, outcome_of(stake, text, path, known))
+    return None
+
+
+def _stake(
+    text: str, judged: _Judged, made: Sequence[Path], options: Sequence[Option], aims: Aims, why: str
+) -> tuple[Chosen | None, str]:
+    """The last block, on which an explanation is staked; or why there is none. ``aims`` has the rig time left."""
+    if judged.loop is None or judged.fitted is None or judged.loop.verdict != "explained":
+        return None, why
+    block = staked_block(text, judged.fitted, options, aims, made)
+    if block is None:
+        return None, f"{why}; nothing that the rig may drive would put it to the test"
+    if block.seconds > aims.budget_s:
+        return None, f"{why}; the rig time left is too short to stake it on a block"
+    return block, why
 
 
 # -- what to drive next ------------------------------------------------------------------------------------------------

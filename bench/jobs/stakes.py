@@ -1,0 +1,144 @@
+"""Stakes of a verdict: written as a profile that can be driven, and read again with the run that it was staked on."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Iterator, MutableMapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.jobs.blocks import Aims, Chosen, block_text, forcing_in_words, run_seconds
+from bench.profiles.edit import with_values
+from daq.recording import open_recording
+from daq.setup.clock import now_utc
+from daq.setup.errors import InputError
+from daq.setup.provenance import software_commit, software_version
+from daq.setup.setup import Setup
+from daq.setup.stake import Stake, stake_in
+from rig.profile import parse_profile
+
+if TYPE_CHECKING:
+    from analysis.explore.choice import Option
+    from analysis.explore.stake import Outcome
+    from analysis.loop.close_loop import FittedLoop
+    from analysis.residuals.observations import Observations
+
+IN_WORDS = ("name", "description", "calibration_days")  # of a setup: they change no measurement
+
+
+def staked_block(
+    text: str, fitted: FittedLoop, options: Sequence[Option], aims: Aims, recordings: Sequence[Path]
+) -> Chosen | None:
+    """The block that a verdict is staked on, its profile with the prediction; None where none can be.
+
+    Parameters
+    ----------
+    text
+        The profile of the rig.
+    fitted, recordings
+        The fits behind the verdict, and what it is on.
+    options, aims
+        Forcings that may be driven, and how long each step is held.
+    """
+    from analysis.explore.stake import staked
+
+    written = f"{software_version()} {software_commit()}".strip(), now_utc()
+    found = staked(fitted, options, aims.steps, written, [str(path) for path in recordings])
+    if found is None:
+        return None
+    forcing, stake = found.block.option.setup.forcing, found.stake
+    own = with_values(text, {"stake": None}, "the profile")
+    own = block_text(own, aims, forcing.ratio, forcing.frequency_hz, found.block.gammas)
+    own = own.rstrip("\n") + "\n\n" + stake_toml(stake)
+    profile = parse_profile(own, "the stake")
+    named, rival = (" + ".join(names) or "the declared model" for names in (stake.named, stake.rival))
+    why = f"{named} is staked on it, {stake.nats:.2g} nats against it if {rival} is right"
+    return Chosen(own, run_seconds(profile), f"{forcing_in_words(profile)}: {why}")
+
+
+def stake_toml(stake: Stake) -> str:
+    """The table ``[stake]``, a line for each step and each parameter."""
+    lines = ["[stake]  # predicted before the run; a changed number is another prediction"]
+    for name, value in stake.model_dump(mode="json").items():
+        if isinstance(value, list) and value and isinstance(value[0], dict | list):
+            lines += [f"{name} = [", *(f"  {_inline(row)}," for row in value), "]"]
+        else:
+            lines.append(f"{name} = {_inline(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _inline(value: Any) -> str:
+    """A value in one line of TOML."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_inline(x)}" for k, x in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+def read_stake(path: Path) -> tuple[Stake, str]:
+    """The stake in a file, and the file's text; raises `InputError` where there is none, or it does not fit."""
+    from daq.setup.strict_toml import read_toml_text
+
+    text = read_toml_text(path)
+    parse_profile(text, str(path))
+    stake = stake_in(text, str(path))
+    if stake is None:
+        raise InputError(f"{path}: [stake]: missing; wanted a file that bench close-loop --stake has written")
+    return stake, text
+
+
+def outcome_of(
+    stake: Stake, text: str, recording: Path, known: MutableMapping[Path, Observations] | None = None
+) -> Outcome:
+    """What a later recording says to the stake in the profile ``text``.
+
+    ``known`` is that of `analysis.residuals.observations.observations_from`.
+
+    Raises
+    ------
+    InputError
+        Where it was begun before the prediction was written, is of another rig, or lacks a staked step.
+    """
+    from analysis.explore.stake import held_against
+    from analysis.residuals.observations import observations_from
+
+    with open_recording(recording) as opened:
+        _refuse_earlier(stake, str(opened.attrs.get("started") or ""), recording)
+        _refuse_other_rig(parse_profile(text, "the stake").setup(), opened.setup, recording)
+    return held_against(stake, observations_from([recording], known=known), str(recording))
+
+
+def _refuse_earlier(stake: Stake, started: str, recording: Path) -> None:
+    """Refuse a recording that was there when the prediction was written."""
+    try:
+        began, written = (datetime.datetime.fromisoformat(x) for x in (started, stake.written))
+        earlier = began < written
+    except (ValueError, TypeError):  # imported without a date, or without its zone
+        earlier = str(recording) in stake.recordings
+    if earlier:
+        raise InputError(
+            f"{recording}: was begun {started or 'before'}, the prediction was written {stake.written}; only a later run "
+            "can meet it: drive the stake with bench ramp"
+        )
+
+
+def _refuse_other_rig(staked: Setup, own: Setup, recording: Path) -> None:
+    """Refuse a recording whose profile is another one, by the first key that differs."""
+    for name in (f for f in Setup.model_fields if f not in IN_WORDS):
+        for key, wanted, found in _differing(getattr(staked, name), getattr(own, name), name):
+            raise InputError(
+                f"{recording}: its profile has {key} = {found}, the stake {wanted}; a prediction holds for one ball, plate "
+                "and rig: drive the stake itself with bench ramp, or import with it as --profile"
+            )
+
+
+def _differing(a: Any, b: Any, key: str) -> Iterator[tuple[str, Any, Any]]:
+    """Dotted keys below which two values differ, with both."""
+    a, b = (x.model_dump(mode="json") if hasattr(x, "model_dump") else x for x in (a, b))
+    if isinstance(a, dict) and isinstance(b, dict):
+        for name in sorted({*a, *b} - {"date", "source"}):
+            yield from _differing(a.get(name), b.get(name), f"{key}.{name}")
+    elif a != b:
+        yield key, a, b
