@@ -92,7 +92,7 @@ def staked(
         return None
     total = next(p for p in pools if p.option is block.option).products[list(block.steps)].sum(axis=0)
     nats = float(divergences(total, known, known.explanations)[first_rival, 0])
-    covariance = inv(known.information)
+    covariance = np.asarray(inv(known.information), dtype=np.float64)
     rows = _predicted(block, model, known, known.explanations[first_rival], covariance)
     if not rows:
         return None
@@ -166,8 +166,7 @@ def _predicted(
     made = ForwardModel(simulate_steps(block.option.setup, gammas, model, truth, carried=True), model.declared)
     landed = made.residuals(truth).landing_s
     rival_s, declared_s = (landed - made.residuals(x.values).landing_s for x in (rival, declared))
-    own = Fitter(made, {}, np.ones(len(gammas), dtype=bool))
-    intervals = _Intervals.of(made, own, truth, known.keys, covariance, len(gammas))
+    intervals = _Intervals.of(made, truth, known.keys, covariance, len(gammas))
     flight_s = made.observations.measured.landing_s - made.observations.measured.opening_s
     out = []
     for i, gamma in enumerate(block.gammas):
@@ -181,6 +180,11 @@ def _predicted(
         }  # fmt: skip
         out.append(StakedStep.model_validate({k: float(f"{x:.6g}") for k, x in numbers.items()}))
     return out
+
+
+def _free_of_priors(model: ForwardModel) -> Fitter:
+    """What has coordinates and bounds of parameters, and fits nothing."""
+    return Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -198,7 +202,6 @@ class _Intervals:
     def of(
         cls,
         model: ForwardModel,
-        fitter: Fitter,
         values: Values,
         keys: Sequence[ParameterId],
         covariance: Floats,
@@ -206,7 +209,7 @@ class _Intervals:
     ) -> _Intervals:
         """Of the observations of ``model``; ``m`` intervals together are missed by chance with `MISSED_P`."""
         ev, whitener = model.observations, Whitener.of(model, values, lean=True)
-        _, stacked = slopes_of(model, fitter, whitener, values, keys)
+        _, stacked = slopes_of(model, _free_of_priors(model), whitener, values, keys)
         slopes = np.zeros((len(ev), len(keys)))
         landing = np.flatnonzero(whitener.order >= len(whitener.opening))
         slopes[whitener.landing[whitener.order[landing] - len(whitener.opening)]] = stacked[landing]
@@ -261,8 +264,8 @@ class Outcome:
     steps
         The staked steps.
     flights, plate
-        Rms of event residuals (take-offs or landings, the larger), and of plate data, over what noise and the parameters' own
-        uncertainty make of them.
+        Rms of event residuals (take-offs or landings, the larger), and of plate data, over what noise and the
+        parameters' own uncertainty make of them.
     flights_met, plate_met
         Whether these are as small as a verdict asks for.
     """
@@ -308,8 +311,7 @@ def held_against(stake: Stake, seen: Observations, name: str) -> Outcome:
     model = ForwardModel(seen, resolve(seen.setup.declared_values()))
     keys: list[ParameterId] = [(p.effect, p.parameter) for p in stake.parameters]
     values = dict(zip(keys, (p.value for p in stake.parameters), strict=True))
-    fitter = Fitter(model, {}, np.ones(len(seen.steps), dtype=bool))
-    intervals = _Intervals.of(model, fitter, values, keys, np.array(stake.covariance), len(stake.steps))
+    intervals = _Intervals.of(model, values, keys, np.array(stake.covariance), len(stake.steps))
     missed_s = model.residuals(values).landing_s
     steps = []
     for step in stake.steps:
@@ -324,7 +326,7 @@ def held_against(stake: Stake, seen: Observations, name: str) -> Outcome:
         missed = np.where(np.isfinite(missed_s[events]), missed_s[events], seen.steps.plate.period_s[rows[0]])
         steps.append(StepMet(step, 1e6 * float(np.median(missed)), 1e6 * intervals.half_s(events), len(events)))
     whitener = Whitener.of(model, values, lean=True)
-    raw, slopes = slopes_of(model, fitter, whitener, values, keys)
+    raw, slopes = slopes_of(model, _free_of_priors(model), whitener, values, keys)
     flights = _flights(whitener, raw, slopes, stake, intervals.usable)
     n, sigma = len(whitener.step), seen.plate.sigma
     z = np.clip(raw[n:] / sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)

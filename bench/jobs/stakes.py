@@ -119,8 +119,8 @@ def _refuse_earlier(stake: Stake, started: str, recording: Path) -> None:
         earlier = str(recording) in stake.recordings
     if earlier:
         raise InputError(
-            f"{recording}: was begun {started or 'before'}, the prediction was written {stake.written}; only a later run "
-            "can meet it: drive the stake with bench ramp"
+            f"{recording}: was begun {started or 'before'}, the prediction was written {stake.written}; only a later "
+            "run can meet it: drive the stake with bench ramp"
         )
 
 
@@ -129,8 +129,8 @@ def _refuse_other_rig(staked: Setup, own: Setup, recording: Path) -> None:
     for name in (f for f in Setup.model_fields if f not in IN_WORDS):
         for key, wanted, found in _differing(getattr(staked, name), getattr(own, name), name):
             raise InputError(
-                f"{recording}: its profile has {key} = {found}, the stake {wanted}; a prediction holds for one ball, plate "
-                "and rig: drive the stake itself with bench ramp, or import with it as --profile"
+                f"{recording}: its profile has {key} = {found}, the stake {wanted}; a prediction holds for one ball, "
+                "plate and rig: drive the stake itself with bench ramp, or import with it as --profile"
             )
 
 

@@ -102,19 +102,20 @@ def trial(plant: str, strategy: str, seed: int) -> dict[str, Any]:
         folder = Path(name)
         text, right, drive = rig(plant, seed, folder)
         standard = run_seconds(parse_profile(text))
-        began = time.process_time()
+        began, said = time.process_time(), list[str]()
         if strategy == "ramp":
             found = _ramp(text, folder, drive, standard)
         else:
             aims, rng = Aims(standard), np.random.default_rng((seed, 7))
             ask = partial(_at_random, text, aims, rng) if strategy == "random" else None
-            found = explore(text, folder, aims, drive, say=lambda line: None, ask=ask)
+            found = explore(text, folder, aims, drive, say=said.append, ask=ask)
     loop = found.loop
     return {
         "plant": plant, "strategy": strategy, "seed": seed, "hidden": right, "rig_s": found.rig_s,
         "standard_s": standard, "verdict": loop.verdict if loop else "none",
         "named": loop.selection.names if loop else (),
-        "why": found.why, "blocks": [block.reason for block in found.blocks],
+        "why": found.why, "blocks": [(block.reason, block.seconds) for block in found.blocks],
+        "not_met": [line for line in said if line.startswith("not met")],
         "processor_s": time.process_time() - began,
     }  # fmt: skip
 

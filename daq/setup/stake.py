@@ -1,4 +1,4 @@
-"""The table ``[stake]`` of a profile: what a named cause predicts of the ramp in that profile, written before it is run.
+"""The table ``[stake]`` of a profile: what a named cause predicts of its ramp, written before that is run.
 
 A recording holds its profile's text, so that a run that was staked on carries its own prediction.
 """
@@ -37,13 +37,11 @@ class StakedStep(Frozen):
 
 
 class Stake(Frozen):
-    """A frozen prediction. Landings are predicted one flight ahead, from the event measured before: chaos is no loss."""
+    """A frozen prediction: of landings one flight ahead, from the event measured before, so that chaos is no loss."""
 
     named: tuple[str, ...] = Field(min_length=1, description="effects that the verdict named")
     rival: tuple[str, ...] = Field(description="the strongest other explanation; empty: nothing but what is declared")
-    nats: float = Field(
-        ge=0, description="by which the run would speak against the named causes, if the rival is right"
-    )
+    nats: float = Field(ge=0, description="by which the run would speak against what is named, if the rival is right")
     chance: float = Field(gt=0, lt=1, description="probability that right causes miss one of the intervals")
     software: str = Field(description="version and commit of the program that predicted")
     written: str = Field(description="when, ISO 8601; only a run that began later can meet it")
