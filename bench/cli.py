@@ -37,6 +37,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("bench.commands.compare", "Hold a recording against the model, step by step."),
     "predict": ("bench.commands.predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
+    "stake": ("bench.commands.stake", "Hold a later run against the prediction that a verdict staked on it."),
     "batch": ("bench.commands.batch", "Folders of recordings, one row each; resumable, on many cores."),
     "report": ("bench.commands.report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
     "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),

@@ -29,7 +29,7 @@ from analysis.explore.choice import MOST_EXPLANATIONS, Block, Option, Pool, best
 from analysis.explore.explanations import Explanation, Weighed, weighed
 from analysis.linear_algebra import inv, solve
 from analysis.loop.close_loop import FittedLoop
-from analysis.loop.design import HOLD_CYCLES, simulate_steps
+from analysis.loop.design import simulate_steps
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.residuals.forward_model import ForwardModel
@@ -80,7 +80,8 @@ def staked(
     model, best = fitted.model, fitted.selection.best
     if not best.free or any(q.endswith(TREND) for _, q in best.free):
         return None
-    known, first_rival = _rivals(fitted)
+    known = _rivals(fitted)
+    rival = known.explanations[1]
     pools = [_new(Pool.of(option, model, best.fitter, known), model.observations) for option in options]
     pools = [pool for pool in pools if len(pool.option.gammas) >= steps]
 
@@ -91,9 +92,9 @@ def staked(
     if block is None:
         return None
     total = next(p for p in pools if p.option is block.option).products[list(block.steps)].sum(axis=0)
-    nats = float(divergences(total, known, known.explanations)[first_rival, 0])
+    nats = float(divergences(total, known, known.explanations)[1, 0])
     covariance = np.asarray(inv(known.information), dtype=np.float64)
-    rows = _predicted(block, model, known, known.explanations[first_rival], covariance)
+    rows = _predicted(block, model, known, rival, covariance)
     if not rows:
         return None
     values = known.explanations[0].values
@@ -102,28 +103,25 @@ def staked(
         for n, q in known.keys
     )
     return Staked(block, Stake(
-        named=best.names, rival=known.explanations[first_rival].names, nats=nats, chance=MISSED_P,
+        named=best.names, rival=rival.names, nats=nats, chance=MISSED_P,
         software=written[0], written=written[1], recordings=tuple(recordings), parameters=parameters,
         covariance=tuple(tuple(map(float, row)) for row in covariance), steps=tuple(rows),
     ))  # fmt: skip
 
 
-def _rivals(fitted: FittedLoop) -> tuple[Weighed, int]:
-    """The named set, then its rivals; and the place of the strongest.
+def _rivals(fitted: FittedLoop) -> Weighed:
+    """The named set, then its rivals: what ties, the best other first cause, the declared model, each further effect.
 
-    Rivals are what ties, the best other first cause, the declared model, and each effect that may act as well. All that
-    is known is of the named set's own parameters.
+    All that is known is of the named set's own parameters.
     """
-    model, found = fitted.model, fitted.selection
-    best = found.best
-    of_all = weighed(model, best.fitter, best, found.ties[1:])
-    own = _explanation(best)
+    found, best = fitted.selection, fitted.selection.best
+    of_all, own = weighed(fitted.model, best.fitter, best, found.ties[1:]), _explanation(best)
     rows, precision = of_all.known_under(own)
     instead = [_explanation(x) for x in (*found.ties[1:], *_runner_up(found))]
     more = [x for x in of_all.explanations if x.names not in {own.names, *(y.names for y in instead)}]
     rivals = (*instead, _explanation(found.before), *more)[: MOST_EXPLANATIONS - 1]
     keys = tuple(of_all.keys[i] for i in rows)
-    return Weighed((own, *rivals), keys, len(keys), precision, np.zeros(len(keys))), 1
+    return Weighed((own, *rivals), keys, len(keys), precision, np.zeros(len(keys)))
 
 
 def _explanation(x: Hypothesis) -> Explanation:
@@ -141,12 +139,12 @@ def _runner_up(found: SelectionResult) -> list[Hypothesis]:
     return sorted((x for x in fits if x is not None), key=lambda x: float(x.per_step.sum()))[:1]
 
 
-def _new(pool: Pool, seen: Observations) -> Pool:
+def _new(pool: Pool, observations: Observations) -> Pool:
     """The pool with the steps in which the ball flies, of gammas that no recording had at that forcing."""
     forcing, gammas = pool.option.setup.forcing, np.array(pool.option.gammas)
-    own_hz = 1.0 / seen.steps.plate.period_s
-    same = (seen.steps.ratio == forcing.ratio) & np.isclose(own_hz, forcing.frequency_hz, rtol=SAME_GAMMA)
-    driven = np.abs(gammas[:, None] / seen.steps.gamma[same] - 1.0) < SAME_GAMMA
+    own_hz = 1.0 / observations.steps.plate.period_s
+    same = (observations.steps.ratio == forcing.ratio) & np.isclose(own_hz, forcing.frequency_hz, rtol=SAME_GAMMA)
+    driven = np.abs(gammas[:, None] / observations.steps.gamma[same] - 1.0) < SAME_GAMMA
     places = np.flatnonzero(np.isfinite(pool.flight_s) & ~driven.any(axis=1))
     option = replace(
         pool.option,
@@ -163,22 +161,23 @@ def _predicted(
     """Each step's interval, and where a rival, and the declared model, would put the median."""
     truth, declared = known.explanations[0].values, next(x for x in known.explanations if not x.names)
     gammas = np.array(block.gammas)
-    made = ForwardModel(simulate_steps(block.option.setup, gammas, model, truth, carried=True), model.declared)
-    landed = made.residuals(truth).landing_s
-    rival_s, declared_s = (landed - made.residuals(x.values).landing_s for x in (rival, declared))
-    intervals = _Intervals.of(made, truth, known.keys, covariance, len(gammas))
-    flight_s = made.observations.measured.landing_s - made.observations.measured.opening_s
+    steps = simulate_steps(block.option.setup, gammas, model, truth, carried=True)
+    model = ForwardModel(steps, model.declared)
+    landed = model.residuals(truth).landing_s
+    rival_s, declared_s = (landed - model.residuals(x.values).landing_s for x in (rival, declared))
+    intervals = _Intervals.of(model, truth, known.keys, covariance, len(gammas))
+    flight_s = model.observations.measured.landing_s - model.observations.measured.opening_s
     out = []
     for i, gamma in enumerate(block.gammas):
-        events = intervals.firm(np.array([i]))
+        events = intervals.landings(np.array([i]))
         if len(events) < FEWEST:
             continue
-        half_us = 1e6 * intervals.half_s(events, block.option.hold_cycles / HOLD_CYCLES)
         numbers = {
-            "gamma": gamma, "low_us": -half_us, "high_us": half_us, "rival_us": 1e6 * np.nanmedian(rival_s[events]),
-            "declared_us": 1e6 * np.nanmedian(declared_s[events]), "flight_ms": 1e3 * np.mean(flight_s[events]),
+            "gamma": gamma, "within_us": 1e6 * intervals.half_s(events), "flight_ms": 1e3 * np.mean(flight_s[events]),
+            "rival_us": 1e6 * np.median(rival_s[events]), "declared_us": 1e6 * np.median(declared_s[events]),
         }  # fmt: skip
-        out.append(StakedStep.model_validate({k: float(f"{x:.6g}") for k, x in numbers.items()}))
+        finite = {k: float(f"{x:.6g}") for k, x in numbers.items() if np.isfinite(x)}
+        out.append(StakedStep.model_validate(finite))
     return out
 
 
@@ -200,12 +199,7 @@ class _Intervals:
 
     @classmethod
     def of(
-        cls,
-        model: ForwardModel,
-        values: Values,
-        keys: Sequence[ParameterId],
-        covariance: Floats,
-        m: int,
+        cls, model: ForwardModel, values: Values, keys: Sequence[ParameterId], covariance: Floats, m: int
     ) -> _Intervals:
         """Of the observations of ``model``; ``m`` intervals together are missed by chance with `MISSED_P`."""
         ev, whitener = model.observations, Whitener.of(model, values, lean=True)
@@ -218,15 +212,15 @@ class _Intervals:
         sigmas = (1.0 + SCALE_KNOWN) * float(norm.isf(0.5 * MISSED_P / m))
         return cls(usable, ev.measured.step, uncertainty_at(model, values), slopes, covariance, sigmas)
 
-    def firm(self, steps: Integers) -> Integers:
+    def landings(self, steps: Integers) -> Integers:
         """Landings of some steps that count."""
         return np.flatnonzero(self.usable & np.isin(self.step, steps))
 
-    def half_s(self, events: Integers, more: float = 1.0) -> float:
-        """Half the interval of the median of some landings of a step; there will be ``more`` of them than here."""
+    def half_s(self, events: Integers) -> float:
+        """Half the interval of the median of some landings of a step."""
         own, by_tone = self.noise.landing_sigma_s[events], self.noise.landing_by_tone[events]
         slope = np.median(self.slopes[events], axis=0)
-        variance = MEDIAN * float(np.mean(own**2)) / (more * len(events)) + SHARED_S**2
+        variance = MEDIAN * float(np.mean(own**2)) / len(events) + SHARED_S**2
         variance += float(np.sum(np.median(by_tone, axis=0) ** 2) + slope @ self.covariance @ slope)
         return self.sigmas * math.sqrt(variance)
 
@@ -234,17 +228,10 @@ class _Intervals:
 # -- a later run -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class StepMet:
-    """A staked step of a later run.
+    """A staked step of a later run."""
 
-    Attributes
-    ----------
-    staked
-        What was predicted of it, with the noise of earlier runs.
-    median_us, half_us, landings
-        The median found in so many landings, and half its interval about zero with this run's own noise.
-    """
-
-    staked: StakedStep
+    staked: StakedStep  # what was predicted of it, with the noise of earlier runs
+    # median_us, half_us, landings: the median of so many, and half its interval with this run's own noise
     median_us: float
     half_us: float
     landings: int
@@ -257,22 +244,13 @@ class StepMet:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A later run held against a stake.
-
-    Attributes
-    ----------
-    steps
-        The staked steps.
-    flights, plate
-        Rms of event residuals (take-offs or landings, the larger), and of plate data, over what noise and the
-        parameters' own uncertainty make of them.
-    flights_met, plate_met
-        Whether these are as small as a verdict asks for.
-    """
+    """A later run held against a stake."""
 
     steps: tuple[StepMet, ...]
+    # flights, plate: rms of residuals (of take-offs or landings, the larger) over noise and parameters' uncertainty
     flights: float
     plate: float
+    # flights_met, plate_met: whether these are as small as a verdict asks for
     flights_met: bool
     plate_met: bool
 
@@ -293,12 +271,12 @@ class Outcome:
         return f"not met: the verdict is withdrawn ({'; '.join(faults)})" if faults else "met"
 
 
-def held_against(stake: Stake, seen: Observations, name: str) -> Outcome:
+def held_against(stake: Stake, observations: Observations, name: str) -> Outcome:
     """A later run held against a stake; nothing is fitted.
 
     Parameters
     ----------
-    stake, seen
+    stake, observations
         The prediction, and the observations of the later run.
     name
         Of the recording, for messages.
@@ -308,27 +286,27 @@ def held_against(stake: Stake, seen: Observations, name: str) -> Outcome:
     InputError
         Where the run lacks a staked step.
     """
-    model = ForwardModel(seen, resolve(seen.setup.declared_values()))
+    model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     keys: list[ParameterId] = [(p.effect, p.parameter) for p in stake.parameters]
     values = dict(zip(keys, (p.value for p in stake.parameters), strict=True))
     intervals = _Intervals.of(model, values, keys, np.array(stake.covariance), len(stake.steps))
     missed_s = model.residuals(values).landing_s
     steps = []
     for step in stake.steps:
-        rows = np.flatnonzero(np.abs(seen.steps.gamma / step.gamma - 1.0) < SAME_GAMMA)
-        events = intervals.firm(rows)
+        rows = np.flatnonzero(np.abs(observations.steps.gamma / step.gamma - 1.0) < SAME_GAMMA)
+        events = intervals.landings(rows)
         if len(events) < FEWEST:
             raise InputError(
                 f"{name}: wanted {FEWEST} landings at the staked gamma {step.gamma:g}, found {len(events)}; drive the "
                 "stake's ramp to its end"
             )
         # a landing that is not predicted is missed by as much as can be
-        missed = np.where(np.isfinite(missed_s[events]), missed_s[events], seen.steps.plate.period_s[rows[0]])
+        missed = np.where(np.isfinite(missed_s[events]), missed_s[events], observations.steps.plate.period_s[rows[0]])
         steps.append(StepMet(step, 1e6 * float(np.median(missed)), 1e6 * intervals.half_s(events), len(events)))
     whitener = Whitener.of(model, values, lean=True)
     raw, slopes = slopes_of(model, _free_of_priors(model), whitener, values, keys)
     flights = _flights(whitener, raw, slopes, stake, intervals.usable)
-    n, sigma = len(whitener.step), seen.plate.sigma
+    n, sigma = len(whitener.step), observations.plate.sigma
     z = np.clip(raw[n:] / sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
     plate = _standardised(z, slopes[n:] / sigma[:, None], stake)[0] if len(z) else 0.0
     by_chance = all(p >= FROZEN.lack_p or ratio <= FROZEN.lack_ratio for ratio, p in flights)
@@ -362,8 +340,9 @@ def _standardised(z: Floats, jacobian: Floats, stake: Stake) -> tuple[float, flo
 
 def with_outcome(loop: ClosedLoop, outcome: Outcome, run: str) -> ClosedLoop:
     """The loop with what came of its stake in the later ``run``: where that is not met, its verdict is withdrawn."""
-    loop = replace(loop, notes=(*loop.notes, f"the prediction staked on {run}: {outcome.words}"))
+    note = f"the prediction staked on {run}: {outcome.words}"
+    loop = replace(loop, notes=(*(n for n in loop.notes if n != note), note))
     if outcome.met:
         return loop
-    missed = sum(not step.met for step in outcome.steps)
-    return replace(loop, verdict="unexplained", failed=(*loop.failed, Failed("stake", float(missed), 0.0)))
+    missed = Failed("stake", float(sum(not step.met for step in outcome.steps)), 0.0)
+    return replace(loop, verdict="unexplained", failed=(*(f for f in loop.failed if f.test != "stake"), missed))

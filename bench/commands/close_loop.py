@@ -29,6 +29,9 @@ def command(
     report: Path | None = typer.Option(None, "--report", metavar="FOLDER", help="Write the report with its pictures."),
     improved: Path | None = typer.Option(None, "--improved", metavar="PROFILE", help="Write the improved profile."),
     next_run: Path | None = typer.Option(None, "--next-run", metavar="PROFILE", help="Write the best next profile."),
+    stake: Path | None = typer.Option(
+        None, "--stake", metavar="PROFILE", help="Stake the verdict on a ramp never driven; bench stake judges it."
+    ),
     until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
     scenario: outputs.Scenario = None,
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
@@ -64,6 +67,7 @@ def command(
     check_outputs(
         File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
         File("--improved", improved, outputs.PROFILE), File("--next-run", next_run, outputs.PROFILE),
+        File("--stake", stake, outputs.PROFILE),
         File("--summaries", summaries, outputs.ROWS, continues=holds_summaries),
         inputs=[*recordings, profile, scenario], overwrite=overwrite,
     )  # fmt: skip
@@ -72,13 +76,19 @@ def command(
         raise InputError("--summaries: are of runs that differ only; give --runs-differ as well, or leave it out")
     _check_recordings(recordings)
     if runs_differ:
-        single = {"improved": improved, "next-run": next_run, "until-clear": until_clear, "keep-term": keep_term}
+        single = {
+            "improved": improved,
+            "next-run": next_run,
+            "stake": stake,
+            "until-clear": until_clear,
+            "keep-term": keep_term,
+        }
         if given := [f"--{name}" for name, value in single.items() if value]:
             why = "belongs to a single run or to runs alike, and --runs-differ was given; leave out one of them"
             raise InputError(f"{', '.join(given)}: {why}")
         complete = judge_runs(recordings, profile, summaries, json, report, anyway=anyway)
     else:
-        wanted = _Wanted(json, report, improved, next_run, effect_file, profile)
+        wanted = _Wanted(json, report, improved, next_run, stake, effect_file, profile)
         complete = _close(recordings, wanted, (scenario, seed) if until_clear else None, anyway=anyway)
     if not complete:
         raise SystemExit(EXIT_FAILED)
@@ -110,6 +120,7 @@ class _Wanted:
     report: Path | None
     improved: Path | None
     next_run: Path | None
+    stake: Path | None
     effect_file: Path | None
     profile: Path | None
 
@@ -146,6 +157,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.report.wording import term_effect_in_words
     from bench.jobs.loops.keep_term import keep_term
     from bench.jobs.loops.keep_verdict import conclude, drawn
+    from bench.jobs.stakes import write_stake
     from bench.profiles.improved import write_improved
     from bench.profiles.next_run import possible_runs, write_next
 
@@ -179,6 +191,10 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
         else:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")
 
+    def staking(path: Path) -> None:
+        for line in write_stake(loop, fitted, recordings, text, path):
+            say(line)
+
     def verdict() -> None:
         write_json(loop_json(loop, ranking_json(ranked), term_effect), wanted.json)
 
@@ -190,7 +206,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     improved = None if wanted.effect_file is not None else wanted.improved
     for name, write, path in (
         ("report", report, wanted.report), ("improved profile", improve, improved),
-        ("next run's profile", following, wanted.next_run),
+        ("next run's profile", following, wanted.next_run), ("stake", staking, wanted.stake),
     ):  # fmt: skip
         if path is not None:
             writers.append((name, partial(write, path)))

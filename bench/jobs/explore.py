@@ -382,7 +382,9 @@ def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], ai
     def driven(option: Option) -> list[float]:
         return [g for ratio, g in visited if ratio == option.setup.forcing.ratio]
 
-    option = min((option for option in options if option.rising), key=lambda x: len(driven(x)))
+    # up and down in turn: what drifts with time then changes the other way with gamma, as no compression does
+    rising = len(blocks) % 2 == 0
+    option = min((option for option in options if option.rising == rising), key=lambda x: len(driven(x)))
     near, chosen = driven(option), list[float]()
     if not near:
         places = np.linspace(1, len(option.gammas) - 2, aims.steps).round().astype(int)
@@ -390,4 +392,6 @@ def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], ai
     while len(chosen) < aims.steps:
         rest = [g for g in option.gammas if g not in chosen]
         chosen.append(max(rest, key=lambda g: min(abs(g - other) for other in (*near, *chosen))))
-    return _chosen(text, option, sorted(chosen), aims, f"{reason}: as far as can be from the steps driven")
+    return _chosen(
+        text, option, sorted(chosen, reverse=not rising), aims, f"{reason}: as far as can be from the steps driven"
+    )

@@ -8,8 +8,10 @@ from collections.abc import Iterator, MutableMapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.jobs.blocks import Aims, Chosen, block_text, forcing_in_words, run_seconds
+from bench.jobs.blocks import Aims, Chosen, as_driven, block_text, forcing_in_words, offers, run_seconds
+from bench.jobs.loops.keep_verdict import verdict_file
 from bench.profiles.edit import with_values
+from daq.files.whole_file import write_whole
 from daq.recording import open_recording
 from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from analysis.explore.choice import Option
     from analysis.explore.stake import Outcome
     from analysis.loop.close_loop import FittedLoop
+    from analysis.loop.result import ClosedLoop
     from analysis.residuals.observations import Observations
 
 IN_WORDS = ("name", "description", "calibration_days")  # of a setup: they change no measurement
@@ -57,10 +60,32 @@ def staked_block(
     return Chosen(own, run_seconds(profile), f"{forcing_in_words(profile)}: {why}")
 
 
+def write_stake(
+    loop: ClosedLoop, fitted: FittedLoop, recordings: Sequence[Path], text: str | None, path: Path
+) -> list[str]:
+    """Write what the verdict on ``recordings`` is staked on to the file ``path``; what was written, in lines.
+
+    ``text`` is that of the profile by which the loop was closed, if not the first recording's own.
+
+    Raises `InputError` where that profile cannot be driven.
+    """
+    if loop.verdict != "explained":
+        return [f"stake: {path} is not written, because only a verdict that explains everything stakes a prediction"]
+    aims = Aims(0.0)
+    text = as_driven(recordings[0]).text if text is None else text
+    block = staked_block(text, fitted, offers(text, aims), aims, recordings)
+    if block is None:
+        return [
+            f"stake: {path} is not written, because no ramp that the rig may drive would put the verdict to the test"
+        ]
+    write_whole(path, block.text)
+    return [f"stake: {path} ({block.reason})", f"  bench ramp {path} --out next.h5; bench stake {path} next.h5"]
+
+
 def stake_toml(stake: Stake) -> str:
     """The table ``[stake]``, a line for each step and each parameter."""
     lines = ["[stake]  # predicted before the run; a changed number is another prediction"]
-    for name, value in stake.model_dump(mode="json").items():
+    for name, value in stake.model_dump(mode="json", exclude_none=True).items():
         if isinstance(value, list) and value and isinstance(value[0], dict | list):
             lines += [f"{name} = [", *(f"  {_inline(row)}," for row in value), "]"]
         else:
@@ -108,6 +133,21 @@ def outcome_of(
         _refuse_earlier(stake, str(opened.attrs.get("started") or ""), recording)
         _refuse_other_rig(parse_profile(text, "the stake").setup(), opened.setup, recording)
     return held_against(stake, observations_from([recording], known=known), str(recording))
+
+
+def amended(stake: Stake, outcome: Outcome, recording: Path) -> Path | None:
+    """The saved verdict that the stake is of, after what came of it was written there; None where there is none."""
+    from analysis.explore.stake import with_outcome
+    from analysis.loop.storage import is_verdict, load_verdict, save_verdict
+
+    path = verdict_file([Path(name) for name in stake.recordings])
+    if not (path.exists() and is_verdict(path)):
+        return None
+    loop = load_verdict(path)
+    if loop.selection.names != stake.named:  # another verdict since
+        return None
+    save_verdict(with_outcome(loop, outcome, recording.name), path)
+    return path
 
 
 def _refuse_earlier(stake: Stake, started: str, recording: Path) -> None:

@@ -25,14 +25,15 @@ class StakedParameter(Frozen):
 class StakedStep(Frozen):
     """What is predicted of one step: the median of measured minus predicted landings, each one flight ahead.
 
-    The intervals hold the noise of earlier runs; the later run is judged with its own noise in its place.
+    Its interval holds the noise of earlier runs; the later run is judged with its own noise in its place.
     """
 
     gamma: float = Field(ge=0)
-    low_us: float = Field(description="the interval in which that median lies, if the named causes are right")
-    high_us: float
-    rival_us: float = Field(description="where it would lie, if the strongest rival were right instead")
-    declared_us: float = Field(description="where it would lie, if nothing but what is declared acted")
+    within_us: float = Field(gt=0, description="half the interval about zero in which that median lies")
+    rival_us: float | None = Field(
+        default=None, description="where it would lie, if the strongest rival were right; left out: it lands elsewhere"
+    )
+    declared_us: float | None = Field(default=None, description="the same, if nothing but what is declared acted")
     flight_ms: float = Field(gt=0, description="mean flight time expected; no test, as it hangs on how a motion began")
 
 
@@ -54,12 +55,10 @@ class Stake(Frozen):
 
     @model_validator(mode="after")
     def _square(self) -> Self:
-        """Refuse a covariance of other parameters, and intervals of no width."""
+        """Refuse a covariance of other parameters."""
         n = len(self.parameters)
         if [len(row) for row in self.covariance] != [n] * n:
             raise ValueError(f"covariance: wanted {n} rows of {n} numbers, one for each of the parameters")
-        if not all(step.low_us < step.high_us for step in self.steps):
-            raise ValueError("steps: wanted low_us below high_us in each")
         return self
 
 

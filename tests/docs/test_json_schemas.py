@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 
 import shakerbench as sb
 from bench.cli import COMMANDS, app
+from bench.jobs.stakes import stake_toml
+from tests.bench.jobs.test_stakes import a_stake
 
 ROOT = Path(__file__).parents[2]
 SCHEMAS = ROOT / "docs" / "reference" / "schemas"
@@ -44,6 +46,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"ramp.gamma": [0.6], "ramp.settle_cycles": 2, "ramp.hold_cycles": 8}
     )
     (where / "one.toml").write_text(brief.text, encoding="utf-8")
+    staked = brief.with_values({"ramp.gamma": [0.8]})
+    (where / "stake.toml").write_text(f"{staked.text}\n{stake_toml(a_stake(gammas=(0.8,)))}", encoding="utf-8")
+    sb.run(staked, where / "staked.h5", scenario="friction", seed=5)
     t = np.arange(8000) / 2000.0
     drive = np.sin(2 * np.pi * 25.37 * t) * np.where(t < 2, 0.3, 0.6)
     columns = np.column_stack([t, np.zeros_like(t), 0.2 * drive, drive])
@@ -81,6 +86,7 @@ ANSWERS = {
     "close-loop": "close-loop {0}/r.h5",
     "close-loop-runs": "close-loop {0}/m0.h5 {0}/m1.h5 {0}/m2.h5 --runs-differ",
     "explore": "explore {0}/p.toml --scenario friction --out {0}/explored --budget 5",
+    "stake": "stake {0}/stake.toml {0}/staked.h5",
     "batch": "batch {0}/r.h5 --do compare --out {0}/rows.csv",
     "report": "report {0}/r.h5 --out {0}/r.html --no-loop",
     "drop": "drop {0}/times.csv --no-pictures",

@@ -60,7 +60,7 @@ def test_steps_are_held_longer_while_something_is_unexplained():
 
 
 def test_blocks_are_spread_until_a_verdict_is_possible():
-    """With too few steps for a verdict the next block is of another forcing, whatever the best set so far is."""
+    """With too few steps for a verdict the next block is of another forcing, from above, whatever the best set is."""
     aims = Aims(60.0)
     offered = partial(offered_for, aims)
     first, _ = _next(TEXT, None, (), offered, aims)
@@ -68,7 +68,7 @@ def test_blocks_are_spread_until_a_verdict_is_possible():
     second, why = _next(TEXT, judged, (first,), offered, aims)
     assert why == "" and "too few steps for a verdict yet: spread over the range" in second.reason
     one, two = (parse_profile(block.text) for block in (first, second))
-    assert one.forcing != two.forcing
+    assert one.forcing != two.forcing and (one.ramp.order, two.ramp.order) == ("up", "down")
     assert len(one.ramp.gammas()) == len(two.ramp.gammas()) == aims.steps
 
 
