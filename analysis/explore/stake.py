@@ -172,11 +172,13 @@ def _predicted(
         events = intervals.landings(np.array([i]))
         if len(events) < FEWEST:
             continue
-        numbers = {
-            "gamma": gamma, "within_us": 1e6 * intervals.half_s(events), "flight_ms": 1e3 * np.mean(flight_s[events]),
-            "rival_us": 1e6 * np.median(rival_s[events]), "declared_us": 1e6 * np.median(declared_s[events]),
+        numbers: dict[str, float] = {
+            "gamma": gamma, "within_us": 1e6 * intervals.half_s(events),
+            "flight_ms": 1e3 * float(np.mean(flight_s[events])),
+            "rival_us": 1e6 * float(np.median(rival_s[events])),
+            "declared_us": 1e6 * float(np.median(declared_s[events])),
         }  # fmt: skip
-        finite = {k: float(f"{x:.6g}") for k, x in numbers.items() if np.isfinite(x)}
+        finite = {k: float(f"{x:.6g}") for k, x in numbers.items() if math.isfinite(x)}
         out.append(StakedStep.model_validate(finite))
     return out
 
