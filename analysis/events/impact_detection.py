@@ -86,12 +86,13 @@ class _Bank(NamedTuple):
 class ImpactScan:
     """Impacts in successive pieces: maxima of the matched filter, each timed by sliding the fine template over it.
 
-    The ringing of others is subtracted first; a candidate that is small in comparison is dropped. Uncertainties are
-    those of the fit in the noise as measured. All works on means over ``template.width`` samples.
+    The ringing of others is subtracted first; a candidate that is small in comparison is dropped, unless ``every`` one
+    above the noise is to be found, as in what a subtraction of the sure ones leaves. Uncertainties are those of the fit
+    in the noise as measured. All works on means over ``template.width`` samples.
     """
 
-    def __init__(self, template: ImpactTemplate, rate_hz: float) -> None:
-        self.template, self.rate_hz = template, rate_hz  # of the recording
+    def __init__(self, template: ImpactTemplate, rate_hz: float, *, every: bool = False) -> None:
+        self.template, self.rate_hz, self.every = template, rate_hz, every  # of the recording
         shifts = np.arange(-SHIFTS, SHIFTS + 1)
         points = np.clip(np.arange(LENGTH) * FINE - shifts[:, None], 0, len(template.fine) - 1)
         bank = template.fine[points] @ template.whitener.T
@@ -125,7 +126,9 @@ class ImpactScan:
         recent = self._found[-RECENT:]
         out = np.zeros((RECENT + score.size // APART, MARGIN + 1))
         out[: len(recent)] = recent
-        total = _search(volts, first - pad, pad, score, count, self.template.threshold, self._bank, out, len(recent))
+        total = _search(
+            volts, first - pad, pad, score, count, self.template.threshold, self._bank, out, len(recent), self.every
+        )
         new = out[len(recent) : total].copy()
         self._found = np.concatenate([self._found, new])
         return np.rint(self._recorded(new[:, 0])).astype(np.int64)
@@ -254,7 +257,7 @@ def _fit(own, index, bank, room, row):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _search(x, offset, pad, score, count, limit, bank, out, n):  # type: ignore[no-untyped-def]
+def _search(x, offset, pad, score, count, limit, bank, out, n, every):  # type: ignore[no-untyped-def]
     """Find impacts in the filter's output ``score`` from ``x[pad]`` on, the loudest of those near each other first.
 
     What each one adds to the output is taken away before the next is sought, so that a bounce is found in the ringing
@@ -289,7 +292,7 @@ def _search(x, offset, pad, score, count, limit, bank, out, n):  # type: ignore[
         while place > 0 and out[place - 1, PLACE] > row[PLACE]:
             place -= 1
         near = place > 0 and row[PLACE] - out[place - 1, PLACE] < 0.5 * LEAD
-        least = max(limit, doubtful, ECHO_MARGIN * loud)
+        least = limit if every else max(limit, doubtful, ECHO_MARGIN * loud)
         if place < n and out[place, PLACE] - row[PLACE] < LENGTH + LEAD:
             near = near or out[place, PLACE] - row[PLACE] < 0.5 * LEAD
             least = max(least, FORERUNNER * out[place, SCORE])

@@ -178,6 +178,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     contact = CrossingScan(known.levels or NO_CIRCUIT)
     restorer = LevelRestorer(known.coupling, rate_hz) if known.coupling is not None else None
     detector = ImpactScan(known.template, rate_hz) if known.template is not None else None
+    remains = ImpactScan(known.template, rate_hz, every=True) if known.template is not None else None
     accumulator = StepAccumulator(recording, steps, known.mask_s, known.ends_v)
     for piece in pieces(recording, channels):
         acceleration_v, drive_v = piece.channels["accelerometer"], piece.channels.get("drive")
@@ -188,9 +189,12 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
             fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
             found = contact.add(fraction, piece.first, PAD, piece.count)
             landings.append(found.sample[found.kind != OPENS])
-        if detector is not None:
+        if detector is not None and remains is not None:
             landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
             detector.subtract_impacts(acceleration_v, piece.first, PAD)
+            # rebounds that are no sure impacts ring in the plate's motion all the same
+            remains.add(acceleration_v, piece.first, PAD, piece.count)
+            remains.subtract_impacts(acceleration_v, piece.first, PAD)
         if high_pass is not None:
             high_pass.redo(piece)
         trimmed = PlatePiece(

@@ -119,3 +119,20 @@ def test_the_filter_is_the_correlation_with_its_taps(waveform: ImpactTemplate) -
     _match(volts, PAD, waveform.taps, out)
     own = volts[PAD - LEAD : PAD - LEAD + 777 + waveform.taps.size - 1]
     np.testing.assert_allclose(out, np.correlate(own.astype(np.float64), waveform.taps), rtol=0, atol=2e-5)
+
+
+def test_what_a_subtraction_leaves_is_taken_away_as_well(waveform: ImpactTemplate) -> None:
+    """A rebound of a seventh of what still rings is no sure impact; its own ringing is subtracted all the same."""
+    rng = np.random.default_rng(8)
+    first = 1200.0 + 600.0 * np.arange(36) + rng.random(36)
+    volts = ringing(25_000, first, rng) + ringing(25_000, first + 31.3, rng, 0.02)
+    scan, remains = ImpactScan(waveform, RATE_HZ), ImpactScan(waveform, RATE_HZ, every=True)
+    left = []
+    for detector in (scan, remains):
+        detector.add(volts, PAD, PAD, volts.size - 2 * PAD)
+        detector.subtract_impacts(volts, PAD, PAD)
+        left.append(np.sqrt(np.mean([np.var(volts[b + 35 : b + 60]) for b in first.astype(int)])))
+    assert scan.impacts().time_s.size == 36
+    noise = 0.003 * np.sqrt(2.0)
+    assert left[0] > 1.5 * noise
+    assert left[1] < 1.15 * noise
