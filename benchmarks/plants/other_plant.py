@@ -233,7 +233,10 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
             if touching:
                 u, h, rested = 0.0, 0.0, hit
             else:
-                h, left = u * (1.0 - share) * dt, hit
+                # the ball flies on for the rest of the step; left out, each rebound would last half a step longer
+                rest = (1.0 - share) * dt
+                back = _slide(q, g, 0.0, u, _push(q, g, 0.0, u, v + yv + u, last) - a - ya, here)
+                h, u, left = rest * (u + 0.5 * rest * back), u + rest * back, hit
                 edges[n_edges] = hit
                 n_edges += 1
         if n_edges > edges.size - 4 or n_impacts == impacts.shape[0]:
