@@ -206,7 +206,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
             *remarks(mode, fitted, recording.rate_hz),
         ),
         mode=mode,
-        pushed=(mode.known_plate,) if mode and mode.known_plate else (),
+        pushed=(mode.pushed,) if mode and mode.pushed else (),
         closure_s=closure_s(measured, flights.heard()[keep]),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,

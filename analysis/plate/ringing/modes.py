@@ -46,7 +46,6 @@ RESOLVED, RESOLVED_RATIO = 0.03, 0.002  # of half-width, damping and mass ratio:
 LAGS = 2  # pieces whose scores are correlated
 FEWEST_IMPACTS = 20
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
-HEAVY = 0.06  # mass ratio from which the motion is taken as recorded: a lighter one is better known from impacts
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
 LEFT_BY_TWO = 0.9  # of what one mode leaves of the acceleration, where a second one is said to be missing
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
@@ -77,15 +76,9 @@ class PlateMode:
         """Whether no other minimum comes near, so that its values may be taken for measured."""
         return self.gain_nats > SURE_NATS
 
-    @property
-    def known_plate(self) -> PushedPlate | None:
-        """What the ball did to a plate whose motion is taken as recorded; None where that is not."""
-        return self.pushed if self.mass_ratio > HEAVY else None
-
     def motion(self) -> ModeMotion | None:
-        """How it moved; None where that is not taken as recorded."""
-        known = (self.frequency_hz, self.damping, self.mass_ratio)
-        return None if self.known_plate is None else self.known_plate.moved(*known)
+        """How it moved; None where it is not sure."""
+        return None if self.pushed is None else self.pushed.moved(self.frequency_hz, self.damping, self.mass_ratio)
 
     def measured(self) -> dict[tuple[str, str], tuple[float, float]]:
         """Values and standard deviations, by effect and parameter."""
@@ -121,7 +114,7 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         landing_s[landed], recording.setup.g_mps2.value,
     )  # fmt: skip
     skipped = max(len(acceleration) - round(MOST_S / block_s), 0)
-    record, begun, found = whole.last(skipped), [0], None
+    record, begun, found = replace(whole.last(skipped), forces=0), [0], None
     if len(record.landing_s) < FEWEST_IMPACTS:
         return None
     for _ in range(MOST_RESTARTS + 1):
@@ -129,9 +122,12 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
             return None
         try:
             seen, found = record.settled(begun, found)
-            if len(seen.shaken) > 1 and not seen.forced(found):  # a plate that goes as it is asked feels no force
-                record = replace(record, forces=0)
-                seen, found = record.settled(begun, found)
+            # a plate that goes as it is asked feels no force of the drive: none is looked for where noise is left
+            if len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
+                driven = replace(record, forces=whole.forces)
+                other, x = driven.settled(begun, None)
+                if other.forced(x):
+                    record, seen, found = driven, other, x
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return None
         worst = seen.worst_cluster(found)
@@ -285,6 +281,11 @@ class _Regression:
         fewer = np.delete(columns, np.s_[1 : len(self.shaken)], axis=1)
         before, after = (float(np.sum((self.left - c @ self.sizes(c)) ** 2)) for c in (fewer, columns))
         return 0.5 * (before / after - 1.0) * len(self.left) > SURE_NATS
+
+    def left_nats(self, x: Floats) -> float:
+        """By how much the likelihood could rise if what is left beyond noise were explained."""
+        left = self.remainder(x)
+        return 0.5 * (over_noise(left, self.known) - 1.0) * len(left)
 
     def remainder(self, x: Floats) -> Floats:
         """What is left at the logarithms of frequency and damping."""
