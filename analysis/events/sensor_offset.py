@@ -36,6 +36,7 @@ class SensorOffset:
     uncertainty_s: float  # its standard error; infinite there
     pairs: int  # landings used
     spread_s: float = 0.0  # standard deviation of the two sensors' times about it: what the contact jitters, too
+    jitter_s: float = 0.0  # the contact's part of it, beyond the uncertainty of its edges
 
 
 def calibrate(
@@ -46,6 +47,7 @@ def calibrate(
     edge_bias_s: float,
     sampling_s: float,
     elsewhere: SensorOffset | None = None,
+    repeated_s: float = 0.0,
 ) -> tuple[Impacts, SensorOffset]:
     """Impacts on the time axis of the contact edges, and the offset between the sensors.
 
@@ -64,6 +66,8 @@ def calibrate(
         Interval between the samples of the recording.
     elsewhere : SensorOffset, optional
         What other recordings of the rig show, taken where these landings show none.
+    repeated_s : float
+        By how much landings of the contact circuit scatter from cycle to cycle, beyond their uncertainties.
     """
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
@@ -92,11 +96,15 @@ def calibrate(
     if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
         return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
+    # no contact jitters by more than the sensors differ, nor than landings that repeat; less than edges err by is chance
+    jitter = min(repeated_s, math.sqrt(max(spread**2 - float(np.median(own)) ** 2, 0.0)))
+    jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0
+    own = np.hypot(own, jitter)
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
     factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread)
+    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 
 
@@ -120,7 +128,8 @@ def common_offset(offsets: Sequence[SensorOffset]) -> SensorOffset | None:
     centre = float(np.average(place, weights=sigma**-2.0))
     scatter = max(mad_sigma(place - np.median(place)), ONSET_S) if len(known) > 2 else float(np.ptp(place)) + ONSET_S
     own = float(np.hypot(scatter, sigma.min()))
-    return SensorOffset(centre, own, sum(x.pairs for x in known), float(np.median([x.spread_s for x in known])))
+    spread, jitter = (float(np.median([getattr(x, name) for x in known])) for name in ("spread_s", "jitter_s"))
+    return SensorOffset(centre, own, sum(x.pairs for x in known), spread, jitter)
 
 
 def _delay_s(impact_s: Floats, landing_s: Floats) -> float:
@@ -186,6 +195,7 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     if not closing.size or not impacts.time_s.size:
         return edges
     time_s, sigma = edges.time_s.copy(), edges.uncertainty_s.copy()
+    sigma[closing] = np.hypot(sigma[closing], offset.jitter_s)
     partner = nearest(impacts.time_s, time_s[closing])
     own = np.hypot(impacts.uncertainty_s[partner], offset.uncertainty_s)
     difference = impacts.time_s[partner] - time_s[closing]

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.crossings import CLOSES, DIP, OPENS
+from analysis.events.edge_jitter import Scatter
 from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
 from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts
@@ -121,7 +122,8 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
     impacts, offset = NO_IMPACTS, None
     if found.survey.template is not None:
         own = takeoff[whole], landing[whole], landing_sigma[whole]
-        impacts, offset = calibrate(found.impacts, *own, closing.tau_uncertainty_s, 1.0 / rate_hz, found.elsewhere)
+        repeated_s, rest = _repeated_s(found, *own, rate_hz), (closing.tau_uncertainty_s, 1.0 / rate_hz)
+        impacts, offset = calibrate(found.impacts, *own, *rest, found.elsewhere, repeated_s)
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)
@@ -143,6 +145,14 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
     report = EdgeReport(levels, opening, closing, offset, dips, found.survey.mask_s, found.missed.size, changes)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
+
+
+def _repeated_s(found: Scan, takeoff: Floats, landing: Floats, sigma: Floats, rate_hz: float) -> float:
+    """Scatter of the circuit's landings from cycle to cycle, beyond ``sigma``; 0 where too few steps repeat."""
+    step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
+    period_s = np.array([np.inf if s is None else 1.0 / s.frequency_hz for s in found.plate.steps])
+    scatter = Scatter.of(landing, sigma, step, unsteady == 0, period_s, sampling_s=1.0 / rate_hz)
+    return float(scatter.raised(np.zeros(1))[0]) if scatter.tells else 0.0
 
 
 def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, Floats, Floats, Floats, Integers]:

@@ -260,8 +260,8 @@ class ForwardModel:
         """
         x = self.inputs(values, tones, rows)
         measured, mode = self.measured_at(x, wanted), self.measured_mode(x.rows)
-        if mode is not None:
-            measured = replace(measured, mode=mode.state)
+        if mode is not None:  # it is known everywhere, and so is a kick to it
+            measured, kick = replace(measured, mode=mode.kicked(kick)), (0.0, 0.0)
         if landing_shift_s is not None:
             measured = replace(measured, landing_s=measured.landing_s + landing_shift_s)
         p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=mode or near)

@@ -66,6 +66,18 @@ class PushedPlate:
         motion = ModeMotion(turn, push, mass_ratio, np.asarray(pressed), time_s, kicks)
         return replace(motion, kicks=kicks + self._correction(motion)) if self.known.any() else motion
 
+    def error_mps(self, frequency_hz: float, damping: float, mass_ratio: float) -> float:
+        """Standard deviation of a mode's speed as `moved`, and of its displacement times the angular frequency.
+
+        The amplitude's error is a damped random walk, by kicks that are not known exactly, which the acceleration
+        shows in white noise: what a smoother leaves of it (Kailath, Sayed, Hassibi, Linear Estimation, 2000, ch. 16).
+        """
+        turn, lasts_s = turn_of(frequency_hz, damping), len(self.known) * self.push.block_s
+        # a kick is a change of speed: half of its variance goes to each quadrature, and so does what a block shows
+        walk = 0.5 * np.sum(KICK_MPS**2 + (KICK_PART * self.push.impulse_mps) ** 2) / lasts_s
+        shown = 0.5 * (abs(turn) * mass_ratio / self.noise_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
+        return mass_ratio * math.sqrt(walk / (2.0 * math.sqrt(turn.real**2 + walk * shown)))
+
     def _correction(self, motion: ModeMotion) -> Complexes:
         """By how much kicks differ from those of a motion: a smoother of the mode's state, (1 + k,).
 

@@ -111,11 +111,10 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
 
 
 def kicks_of(model: ForwardModel, values: Values) -> Kicks:
-    """One sigma of a plate mode's displacement and speed at the start of a step: half a typical impact."""
+    """One sigma of a plate mode's displacement and speed in a step: as recorded, or at its start half an impact's."""
     rows, place = model.inputs(values).rows, columns_of("plate_mode")
-    # a mode that is followed as recorded has a known state at the start of every step
-    if model.measured_mode(rows) is not None:
-        return ()
+    if (mode := model.measured_mode(rows)) is not None:
+        return (mode.error_mps / mode.omega_radps, 0.0), (0.0, mode.error_mps)
     rows = rows.reshape(-1, rows.shape[-1])
     if not rows[:, place].any():
         return ()

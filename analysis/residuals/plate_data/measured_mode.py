@@ -20,21 +20,34 @@ class MeasuredMode:
     """Where the mode was, and what it adds to the measured tones; see `model.integrator.one_step`."""
 
     state: Floats  # displacement and velocity at each opening and just after each landing, (n, 4)
-    # this and what follows as in `model.integrator.one_step.Predicted`
+    # mode_amplitudes, projection, observed_s: as in `model.integrator.one_step.Predicted`
     mode_amplitudes: Complexes
     projection: Complexes
     observed_s: Floats
+    turning: Complexes  # phase of the mode at the times of ``state``, (n, 2)
+    omega_radps: float
+    error_mps: float  # standard deviation of the speed, and of the displacement times the angular frequency
+
+    def kicked(self, kick: tuple[float, float]) -> Floats:
+        """``state`` with a displacement (m) and a speed (m/s) added that ring on in it all the time."""
+        q, qd = kick
+        z = (qd + 1j * self.omega_radps * q) * self.turning
+        added = np.stack([z.imag / self.omega_radps, z.real], axis=2)
+        return self.state + added.reshape(self.state.shape)
 
     @classmethod
     def of(cls, observations: Observations, ringing: Ringing, mode: tuple[float, float, float]) -> Self:
         """Of a ``mode`` of angular frequency, damping and mass ratio, in recordings that show what the ball did."""
         omega_radps, damping, mass_ratio = mode
         motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.pushed]
-        of = observations.steps.recording[observations.measured.step]
+        of, seen = observations.steps.recording[observations.measured.step], observations.measured
         state = np.empty((len(observations), 4))
         for i, motion in enumerate(motions):
-            own, seen = of == i, observations.measured
+            own = of == i
             opened, landed = seen.opening_s[own], seen.landing_s[own]
             state[own] = np.hstack([motion.state(opened), motion.state(landed, landings=True)])
         projection, seconds = ringing.of_motions(motions, observations.steps.recording), ringing.intervals.seconds
-        return cls(state, ringing.of_tones(projection, seconds), projection, seconds)
+        turning = np.exp(1j * motions[0].turn.imag * np.stack([seen.opening_s, seen.landing_s], axis=1))
+        errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.pushed]
+        amplitudes = ringing.of_tones(projection, seconds)
+        return cls(state, amplitudes, projection, seconds, turning, omega_radps, max(errors))

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analysis.plate.ringing.ball_push import Push
-from analysis.plate.ringing.mode_motion import ModeMotion, PushedPlate
+from analysis.plate.ringing.mode_motion import KICK_MPS, KICK_PART, ModeMotion, PushedPlate
 
 HZ, DAMPING, RATIO, BLOCK_S = 6.0, 0.05, 0.1, 1e-3
 IMPACT_S, IMPULSE_MPS = np.array([0.1234, 0.2005, 0.3141]), np.array([-0.3, -0.2, -0.25])
@@ -96,3 +96,20 @@ def test_kicks_are_unknown_where_flights_were_missed(motion: ModeMotion) -> None
     at_s = np.array([0.25, 0.35])
     np.testing.assert_allclose(plate.moved(HZ, DAMPING, RATIO).state(at_s), motion.state(at_s), atol=3e-4)
     assert np.abs(_pushed(missed).moved(HZ, DAMPING, RATIO).state(at_s) - motion.state(at_s)).max() > 5e-3
+
+
+@pytest.mark.parametrize("noise_mps2", [0.01, 0.1])
+def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
+    """Kicks that err by what is taken for granted, and an acceleration with noise: speeds as found, and as they were."""
+    rng, n = np.random.default_rng(4), 40000
+    impact_s = np.arange(0.02, n * BLOCK_S, 0.04)
+    impulse = -rng.uniform(0.2, 0.4, len(impact_s))
+    push = Push(np.zeros(n), impact_s, impulse, BLOCK_S)
+    wrong = np.hypot(KICK_MPS, KICK_PART * impulse) * rng.standard_normal(len(impact_s))
+    blind = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=bool), noise_mps2)
+    true = replace(blind, push=replace(push, impulse_mps=impulse + wrong)).moved(HZ, DAMPING, RATIO)
+    answer = true.gained_mps() / BLOCK_S + noise_mps2 * rng.standard_normal(n)
+    seen = replace(blind, answer_mps2=answer, known=np.ones(n, dtype=bool))
+    at_s = np.arange(2.0, 38.0, 0.0137)
+    error = (seen.moved(HZ, DAMPING, RATIO).state(at_s) - true.state(at_s)) * [2.0 * np.pi * HZ, 1.0]
+    assert np.std(error) == pytest.approx(seen.error_mps(HZ, DAMPING, RATIO), rel=0.15)

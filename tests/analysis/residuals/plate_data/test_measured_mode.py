@@ -10,6 +10,7 @@ import pytest
 
 from analysis.flights.assemble import flights_of
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.observations import Observations, observed
 from analysis.residuals.values import TREND
 from benchmarks.plants import other_plant
@@ -46,6 +47,20 @@ def test_landings_over_a_plate_as_it_moved_are_missed_by_less(both: tuple[Observ
     """A long-lived mode that is followed from flight to flight carries the errors of all impacts with it."""
     seen, _ = both
     assert _missed_us(seen) < 0.5 * _missed_us(replace(seen, pushed=()))
+
+
+def test_a_light_slow_mode_makes_landings_less_sure(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What the accelerometer leaves unknown of a mode's motion counts: landings are missed by as much as is stated."""
+    hidden = {"table_resonance.hz": 5.3, "table_resonance.damping": 0.04, "table_resonance.ratio": 0.045}
+    gammas = np.random.default_rng(5).permutation(np.round(np.linspace(0.6, 2.0, 14), 4))
+    run = other_plant.Run(hidden=hidden, seed=5, gammas=tuple(gammas.tolist()), closure_s=5e-4, instrument=Instrument())
+    path: Path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path_factory.mktemp("light"))
+    with open_recording(path) as recording:
+        model = ForwardModel(observed(recording, flights_of(recording)), {})
+    values = dict(zip(VALUES, (0.045, 5.3, 0.04), strict=True))
+    left, sigma = model.residuals(values).landing_s, uncertainty_at(model, values).landing_total_s
+    z = (left / sigma)[np.isfinite(left)]
+    assert 0.7 < 1.48 * np.median(np.abs(z)) < 1.3
 
 
 def test_what_rings_is_no_noise_of_the_plates_tones(both: tuple[Observations, Observations]) -> None:
