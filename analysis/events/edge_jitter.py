@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -99,6 +99,11 @@ class Scatter:
             np.concatenate([x.freedom for x in parts]),
             parts[0].sampling_s if alike else 0.0,
         )
+
+    def less(self, motion_s: float) -> Self:
+        """Without the scatter of the motion itself, which a ringing plate makes."""
+        repeated = np.maximum(self.repeated_s2 - motion_s**2, 0.0)
+        return replace(self, excess_s2=self.excess_s2 - motion_s**2, repeated_s2=repeated)
 
     @property
     def tells(self) -> bool:

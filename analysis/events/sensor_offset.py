@@ -37,6 +37,7 @@ class SensorOffset:
     pairs: int  # landings used
     spread_s: float = 0.0  # standard deviation of the two sensors' times about it: what the contact jitters, too
     jitter_s: float = 0.0  # the contact's part of it, beyond the uncertainty of its edges
+    motion_s: float = 0.0  # of the scatter of landings from cycle to cycle what the sensors' difference lacks: the ball's
 
 
 def calibrate(
@@ -98,13 +99,14 @@ def calibrate(
     core = np.abs(d - centre) < CORE_SPREADS * spread
     # no contact jitters by more than the sensors differ, nor than landings that repeat; less than edges err by is chance
     jitter = min(repeated_s, math.sqrt(max(spread**2 - float(np.median(own)) ** 2, 0.0)))
+    motion = math.sqrt(repeated_s**2 - jitter**2)
     jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0
     own = np.hypot(own, jitter)
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
     factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter)
+    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 
 
@@ -128,8 +130,8 @@ def common_offset(offsets: Sequence[SensorOffset]) -> SensorOffset | None:
     centre = float(np.average(place, weights=sigma**-2.0))
     scatter = max(mad_sigma(place - np.median(place)), ONSET_S) if len(known) > 2 else float(np.ptp(place)) + ONSET_S
     own = float(np.hypot(scatter, sigma.min()))
-    spread, jitter = (float(np.median([getattr(x, name) for x in known])) for name in ("spread_s", "jitter_s"))
-    return SensorOffset(centre, own, sum(x.pairs for x in known), spread, jitter)
+    middle = (float(np.median([getattr(x, name) for x in known])) for name in ("spread_s", "jitter_s", "motion_s"))
+    return SensorOffset(centre, own, sum(x.pairs for x in known), *middle)
 
 
 def _delay_s(impact_s: Floats, landing_s: Floats) -> float:

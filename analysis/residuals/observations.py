@@ -177,14 +177,16 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         measured = launches.of_flights(measured, recording, number, flights.takeoff_s[keep])
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
-    bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    bare, offset = (
+        (flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]),
+        flights.edges.sensor_offset,
+    )
     rest = period_s, lines, 1.0 / recording.rate_hz
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
-        Scatter.of(measured.landing_s, bare[1], step, scored, *rest),
+        Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(offset.motion_s if offset else 0.0),
     )
-    shown = flights.edges.sensor_offset is not None
-    weak = weak_mps(measured, steps.plate, flights, keep) if shown else np.full(len(scored), np.inf)
+    weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(

@@ -94,6 +94,8 @@ def _measured(
         q, qd = _rested(opening - last.t, pressed, last, bare, p)
         start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
     q, qd = _rested(start - last.t, pressed, last, bare, p)
+    if not (direct or np.isnan(event.q)):
+        q, qd = event.q, event.qd  # the state after the landing before is that of a ball which leaves it
     if not (event.relaunched and bounces):
         lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
     # a flight from rest that lands farther from the measured landing is another one

@@ -86,6 +86,25 @@ def test_a_contact_that_jitters_is_not_believed_where_it_errs_most() -> None:
     assert np.abs(error - np.median(error)).max() < 2.5e-5
 
 
+@pytest.mark.parametrize("motion_s", [0.0, 4e-5])
+def test_jitter_that_repeated_cycles_show_is_the_contacts_and_not_the_impacts(motion_s: float) -> None:
+    """Soft impacts in noise beside loud ones, edges that jitter by 25 us: landings are the impacts, as sure as stated.
+    What the ball itself scatters from cycle to cycle, the two sensors do not differ by."""
+    rng = np.random.default_rng(7)
+    exact, _, edges = closings(False)
+    own = np.where(np.arange(200) % 2 == 0, 1e-6, 8e-6)
+    edges = Edges(np.sort(edges.time_s + 2.5e-5 * rng.standard_normal(200)), edges.uncertainty_s, edges.kind)
+    impacts = Impacts(exact + own * rng.standard_normal(200), own, np.linspace(5.0, 20.0, 200))
+    seen = impacts, edges.time_s - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S
+    moved, offset = calibrate(*seen, repeated_s=float(np.hypot(2.5e-5, motion_s)))
+    assert offset.jitter_s == pytest.approx(2.5e-5, rel=0.2)
+    assert offset.motion_s == pytest.approx(motion_s, abs=1e-5)
+    landings = combine_with_impacts(edges, moved, offset)
+    error = landings.time_s - exact - np.median(landings.time_s - exact)
+    assert np.std(error[own < 2e-6]) < 3e-6 and np.std(error[own > 2e-6]) < 1e-5
+    assert 0.6 < np.std(error / landings.uncertainty_s) < 1.2
+
+
 def test_a_recording_whose_contact_never_closes_takes_the_offset_that_others_of_the_rig_show() -> None:
     """Three recordings of one step each show it, a fourth, in which no landing closes the contact, is corrected by it;
     three that differ by 6 us say no more than that."""

@@ -52,12 +52,14 @@ def test_a_mode_rings_on_from_flights_in_the_fade(tmp_path: Path) -> None:
     values = {"ramp.gamma": [1.1, 1.7, 2.3], "ramp.settle_cycles": 8, "ramp.hold_cycles": 12}
     path = tmp_path / "ringing.h5"
     sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=5)
-    observations = observations_from([path])
+    recorded = observations_from([path])
+    observations = replace(recorded, pushed=())  # the mode is followed from flight to flight
     unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
     abrupt = replace(observations, measured=replace(unread, other_step=None, share=None))
     assert scatter_us(replace(observations, measured=unread)) < 8.0
     assert scatter_us(abrupt) > 3.0 * scatter_us(replace(observations, measured=unread))
     assert scatter_us(observations) < 8.0
+    assert scatter_us(recorded) < 8.0
 
 
 def test_a_fade_found_too_long_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,7 +74,7 @@ def test_a_fade_found_too_long_does_not_matter(tmp_path: Path, monkeypatch: pyte
         return replace(exact(recording), length_s=twice_s, earlier_s=twice_s)
 
     monkeypatch.setattr(Fades, "of", found)
-    observations = observations_from([path])
+    observations = replace(observations_from([path]), pushed=())  # the mode is followed from flight to flight
     unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
     assert scatter_us(observations) < 6.0
     assert scatter_us(replace(observations, measured=unread)) > 2.0 * scatter_us(observations)
