@@ -98,7 +98,8 @@ def calibrate(
         return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
     # no contact jitters by more than the sensors differ, nor than landings that repeat; less than edges err by is chance
-    jitter = min(repeated_s, math.sqrt(max(spread**2 - float(np.median(own)) ** 2, 0.0)))
+    scatter = mad_sigma(d[core] - np.median(d[core]))
+    jitter = min(repeated_s, math.sqrt(max(scatter**2 - float(np.median(own)) ** 2, 0.0)))
     motion = math.sqrt(repeated_s**2 - jitter**2)
     jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0
     own = np.hypot(own, jitter)

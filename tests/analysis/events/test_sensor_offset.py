@@ -97,8 +97,8 @@ def test_jitter_that_repeated_cycles_show_is_the_contacts_and_not_the_impacts(mo
     impacts = Impacts(exact + own * rng.standard_normal(200), own, np.linspace(5.0, 20.0, 200))
     seen = impacts, edges.time_s - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S
     moved, offset = calibrate(*seen, repeated_s=float(np.hypot(2.5e-5, motion_s)))
-    assert offset.jitter_s == pytest.approx(2.5e-5, rel=0.2)
-    assert offset.motion_s == pytest.approx(motion_s, abs=1e-5)
+    assert offset.jitter_s == pytest.approx(2.5e-5, rel=0.3)
+    assert offset.motion_s == pytest.approx(motion_s, abs=2e-5)
     landings = combine_with_impacts(edges, moved, offset)
     error = landings.time_s - exact - np.median(landings.time_s - exact)
     assert np.std(error[own < 2e-6]) < 3e-6 and np.std(error[own > 2e-6]) < 1e-5
