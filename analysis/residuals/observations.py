@@ -191,7 +191,8 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
-        scatters[0].raised(bare[0]),
+        # openings that do not repeat jitter as the circuit's closings do
+        scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s),
         scatters[1].raised(bare[1]),
         scored,
         measured.landing_s.copy(),
