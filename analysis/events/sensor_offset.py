@@ -37,7 +37,7 @@ class SensorOffset:
     pairs: int  # landings used
     spread_s: float = 0.0  # standard deviation of the two sensors' times about it: what the contact jitters, too
     jitter_s: float = 0.0  # the contact's part of it, beyond the uncertainty of its edges
-    motion_s: float = 0.0  # of the scatter of landings from cycle to cycle what the sensors' difference lacks: the ball's
+    motion_s: float = 0.0  # the ball's own scatter from cycle to cycle, in which the sensors do not differ
 
 
 def calibrate(
@@ -97,7 +97,8 @@ def calibrate(
     if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
         return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
-    # no contact jitters by more than the sensors differ, nor than landings that repeat; less than edges err by is chance
+    # no contact jitters by more than the sensors differ, nor than landings that repeat; less than its edges' error is
+    # chance
     scatter = mad_sigma(d[core] - np.median(d[core]))
     jitter = min(repeated_s, math.sqrt(max(scatter**2 - float(np.median(own)) ** 2, 0.0)))
     motion = math.sqrt(repeated_s**2 - jitter**2)
