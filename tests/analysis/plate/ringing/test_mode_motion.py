@@ -100,7 +100,7 @@ def test_kicks_are_unknown_where_flights_were_missed(motion: ModeMotion) -> None
 
 @pytest.mark.parametrize("noise_mps2", [0.01, 0.1])
 def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
-    """Kicks that err by what is taken for granted, and an acceleration with noise: the speed is off by what is stated."""
+    """Kicks that err by what is taken for granted, and a noisy acceleration: the speed errs by what is stated."""
     rng, n = np.random.default_rng(4), 40000
     impact_s = np.arange(0.02, n * BLOCK_S, 0.04)
     impulse = -rng.uniform(0.2, 0.4, len(impact_s))
