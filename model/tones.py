@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,6 +66,15 @@ class Forcing:
     ) -> Forcing:
         """``b1 sin(phi + p1) + b2 sin(c phi + p2)``; at ``c = 1`` the two tones are one, their complex sum."""
         return cls((1.0, float(ratio)), amplitude, phase_rad)
+
+    @classmethod
+    def of_displacements(cls, harmonic: Sequence[float], displacement: Complexes, *, from_first: bool) -> Forcing:
+        """Tones of ``chi_p`` as ``Re[displacement_j exp(i n_j phi)]``; ``from_first``: the first has phase zero."""
+        n = np.asarray(harmonic, dtype=np.float64)
+        phase = np.angle(displacement) + 0.5 * np.pi
+        if from_first:
+            phase = np.mod(phase - n * phase[0] + np.pi, 2.0 * np.pi) - np.pi
+        return cls(tuple(n.tolist()), tuple(np.abs(displacement).tolist()), tuple(phase.tolist()))
 
     @property
     def periodic(self) -> bool:

@@ -65,11 +65,8 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
     rows = [plate.multiples.index(m) for m in multiples]
     n = np.array(multiples, dtype=float)
     z = plate.acceleration.amplitudes[rows] / accelerometer_response(effects, 2.0 * np.pi * plate.frequency_hz * n)
-    displacement = np.abs(z) / n**2
-    phase = np.angle(z) - 0.5 * np.pi
-    phase = np.mod(phase - n * phase[0] + np.pi, 2.0 * np.pi) - np.pi
-    b = displacement / (setup.g_mps2.value * plate.gamma)
-    return Forcing(tuple(n), tuple(b.tolist()), tuple(phase.tolist())), plate.gamma
+    displacement = -z / (n**2 * setup.g_mps2.value * plate.gamma)
+    return Forcing.of_displacements(multiples, displacement, from_first=True), plate.gamma
 
 
 def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, Forcing, float]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import cmath
-import math
+import numpy as np
 
 from daq.setup.errors import InputError
 from model.bifurcations.continuation import CycleBranch, cycle_branches
@@ -28,12 +27,8 @@ def branch_hold(profile: Profile) -> BranchHold:
 
 def locked_branch(profile: Profile) -> CycleBranch:
     """The branch of locked cycles of one flight a period that reaches highest in the ramp; raises `InputError`."""
-    tones = profile.forcing.displacement_tones()
-    forcing = Forcing(
-        tuple(float(m) for m, _ in tones),
-        tuple(abs(d) for _, d in tones),
-        tuple(cmath.phase(d) + 0.5 * math.pi for _, d in tones),
-    )
+    multiples, displacements = zip(*profile.forcing.displacement_tones(), strict=True)
+    forcing = Forcing.of_displacements(multiples, np.array(displacements), from_first=False)
     frequency_hz, g_mps2 = profile.forcing.frequency_hz, profile.g_mps2.value
     ball = make_ball(forcing, ball_effects(profile.declared_values()), frequency_hz=frequency_hz, g_mps2=g_mps2)
     highest = max(profile.ramp.gammas())

@@ -30,12 +30,8 @@ ZONE_GAMMAS = 120
 
 def nominal_forcing(setup: Setup) -> Forcing:
     """The forcing as the profile asks for it, its first tone at phase zero."""
-    tones = setup.forcing.displacement_tones()
-    n = np.array([multiple for multiple, _ in tones], float)
-    z = np.array([displacement for _, displacement in tones])
-    phase = np.angle(z) + 0.5 * np.pi
-    phase = np.mod(phase - n * phase[0] + np.pi, 2.0 * np.pi) - np.pi
-    return Forcing(tuple(n), tuple(np.abs(z).tolist()), tuple(phase.tolist()))
+    multiples, displacements = zip(*setup.forcing.displacement_tones(), strict=True)
+    return Forcing.of_displacements(multiples, np.array(displacements), from_first=True)
 
 
 def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any]]:
