@@ -26,9 +26,8 @@ class ToneFit:
     amplitudes: Complexes  # ``Re[z exp(i 2 pi f t)]``, t = 0 at sample 0 of the recording
     covariance: Floats  # of ``(Re z_0, Im z_0, Re z_1, Im z_1, ...)``, from the residual rms taken as white.
     rms: float  # root mean square of the residual, degrees of freedom counted
-    # offset, offset_uncertainty: the constant fitted with the tones, and its standard deviation
-    offset: float
-    offset_uncertainty: float
+    offset: float  # the constant fitted with the tones
+    offset_uncertainty: float  # its standard deviation
     n: int  # values used
 
     def amplitude_sigma(self) -> Floats:

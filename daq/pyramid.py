@@ -156,14 +156,11 @@ def build_pyramid(recording: Recording, path: Path) -> None:
 class View:
     """One stretch of a recording."""
 
-    # start_s, stop_s: its ends on the recording's time axis, lost samples included
-    start_s: float
-    stop_s: float
+    start_s: float  # its begin on the recording's time axis, lost samples included
+    stop_s: float  # its end
     time_s: Floats  # times (n,) of the samples, or of the middles of the columns
-    # low_v, high_v: by channel, the least and the greatest voltage (n,) of each column, NaN where it has no sample;
-    # the same array where the samples themselves are shown
-    low_v: dict[str, Floats]
-    high_v: dict[str, Floats]
+    low_v: dict[str, Floats]  # by channel, the least voltage of each column, (n,), NaN where it has no sample
+    high_v: dict[str, Floats]  # the greatest; the same array where the samples themselves are shown
     samples_per_point: float  # samples that one column stands for; 1 where the samples themselves are shown
     lost: Floats  # ``(start_s, stop_s, samples)`` (m, 3) of the gaps; those that touch within a column are one
 

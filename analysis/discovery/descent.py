@@ -29,9 +29,8 @@ class StackedResiduals:
 
     event: Integers  # the flight
     first: Bools  # True for openings
-    # sigma_s, period_s: uncertainty without excess, and the forcing's period
-    sigma_s: Floats
-    period_s: Floats
+    sigma_s: Floats  # uncertainty without excess
+    period_s: Floats  # of the forcing
     train: Bools  # True where a fit may look
 
     @classmethod
@@ -106,10 +105,8 @@ Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) th
 class Problem(Generic[X]):
     """What is fitted: a point of some kind with p parameters, and k stacked residuals."""
 
-    # residuals, slopes: residuals at a point, (k,); their derivatives there, (k, p), from the point and its
-    # residuals
-    residuals: Callable[[X], Floats]
-    slopes: Callable[[X, Floats], Floats]
+    residuals: Callable[[X], Floats]  # at a point, (k,)
+    slopes: Callable[[X, Floats], Floats]  # from the point and its residuals to the derivatives there, (k, p)
     moved: Callable[[X, Floats], X]  # the point after a step (p,), within its bounds
     penalty: Callable[[X], Penalty] | None = None  # a quadratic form of the parameters; none where not given
 

@@ -61,24 +61,17 @@ class Discovery:
     curve: Band  # the term over the covariate. A force is positive where it pushes up.
     # values of the covariate at the flights, or the range of each flight in a quantity that varies within it
     seen: Floats
-    # gain, over_constant: held-out log-score gain over the best named hypothesis, and over the same term as a
-    # constant
-    gain: LogScoreDifference
-    over_constant: LogScoreDifference
+    gain: LogScoreDifference  # held-out log-score gain over the best named hypothesis
+    over_constant: LogScoreDifference  # over the same term as a constant
     # named effects that shift the flights in a similar pattern, with the correlation
     similar_effects: tuple[tuple[str, float], ...]
     tied_covariates: tuple[str, ...]  # other covariates that do as well on held-out steps
-    # after, noise_floor_us: errors on the reserved steps with the term, and the rms that noise leaves of
-    # landings there
-    after: Errors
-    noise_floor_us: float
-    # of, within_flight: name of the covariate for programs, and whether it varies within the flight
-    of: str = ""
-    within_flight: bool = False
-    # forms, suggested: formulas fitted in its place, best first, and the name of the one to prefer to the
-    # curve; empty: the curve
-    forms: tuple[FittedForm, ...] = ()
-    suggested: str = ""
+    after: Errors  # errors on the reserved steps with the term
+    noise_floor_us: float  # rms that noise leaves of landings there
+    of: str = ""  # name of the covariate for programs
+    within_flight: bool = False  # whether it varies within the flight
+    forms: tuple[FittedForm, ...] = ()  # formulas fitted in its place, best first
+    suggested: str = ""  # name of the one to prefer to the curve; empty: the curve
 
     @property
     def form(self) -> FittedForm | None:

@@ -65,15 +65,13 @@ REACH_SIGMAS = 6.0  # clip of standardised landings
 class RefinedTerm:
     """A term fitted jointly with everything else."""
 
-    # curve, covariance: the term, and the covariance of its values from the noise of events
-    curve: Curve
-    covariance: Floats
+    curve: Curve  # the term
+    covariance: Floats  # of its values, from the noise of events
     folds: Floats  # its values without some of the steps, (f, k)
     # root mean square of the landings over their uncertainty, each step's with the curve that the others give
     scatter: float
-    # model, explanation: the forward model with the term, the fit there, and its held-out losses
-    model: AugmentedModel
-    explanation: Hypothesis
+    model: AugmentedModel  # with the term
+    explanation: Hypothesis  # the fit there, and its held-out losses
 
     @property
     def per_step(self) -> Floats:

@@ -137,19 +137,15 @@ NUDGE = 1e-3  # finite difference, of a parameter's unit
 class FittedForm:
     """A formula fitted in place of a discovered curve."""
 
-    # name, expression: of `Form`; ``x`` is the covariate in SI units
-    name: str
-    expression: str
-    # parameters, kinds, units: names, kinds and units of its parameters
-    parameters: tuple[str, ...]
-    kinds: tuple[str, ...]
-    units: tuple[str, ...]
-    # values, sigmas: as fitted, SI, with standard deviations
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
-    # loss, error: held-out loss over that of the curve, nats (negative: better), with its standard error
-    loss: float
-    error: float
+    name: str  # of `Form`
+    expression: str  # the same; ``x`` is the covariate in SI units
+    parameters: tuple[str, ...]  # names
+    kinds: tuple[str, ...]  # of each parameter
+    units: tuple[str, ...]  # of each parameter
+    values: tuple[float, ...]  # as fitted, SI
+    sigmas: tuple[float, ...]  # their standard deviations
+    loss: float  # held-out loss over that of the curve, nats; negative: better
+    error: float  # its standard error
     as_good: bool  # whether held-out steps do not tell it from the curve, or prefer it
 
 

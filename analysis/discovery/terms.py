@@ -88,12 +88,10 @@ class Term:
 
     name: str  # ``force``, ``friction``, ``threshold`` or ``restitution``
     of: str  # covariate: a name of `analysis.residuals.covariates.COVARIATES`, or a quantity within the flight.
-    # unit, words: as printed for a person
-    unit: str
-    words: str
-    # low, high: bounds of its value
-    low: float
-    high: float
+    unit: str  # as printed for a person
+    words: str  # the same
+    low: float  # least value
+    high: float  # largest value
     nudge: float  # for finite differences
     # parameters that it sets: one value for each flight. Empty for a term within the flight.
     columns: tuple[ParameterId, ...] = ()

@@ -19,9 +19,8 @@ class Corrections:
     An impact that is moved is one left out and one added.
     """
 
-    # from_s, until_s: part of the file that is used, in its own time
-    from_s: float | None = None
-    until_s: float | None = None
+    from_s: float | None = None  # begin of the part that is used, in the file's own time
+    until_s: float | None = None  # its end
     ignore_s: tuple[float, ...] = ()  # times of impacts (or frames) to be left out
     add_s: tuple[float, ...] = ()  # times of impacts that were not found
     region: tuple[int, int, int, int] | None = None  # (left, top, right, bottom) of the picture, pixels

@@ -37,10 +37,9 @@ class ModelCurve:
 class FitPlot:
     """Data and models."""
 
-    # x_label, y_label, left_label: axes, with units
-    x_label: str
-    y_label: str
-    left_label: str
+    x_label: str  # with unit
+    y_label: str  # with unit
+    left_label: str  # with unit
     data: list[Curve]  # (x, y), one for each drop or flight
     models: list[ModelCurve]  # the plainest model first, then the best where it is another
     clips: list[int]  # which file each of ``data`` is from

@@ -41,10 +41,8 @@ class Path2D:
     frame_s: float | None  # seconds a frame, as the file states
     metres: bool  # heights are metres
     tracked: Tracked | None = None  # for a film
-    # remarks, not_read: what was noticed, and what of the file was not read, with the reason (with the file's first
-    # path)
-    remarks: tuple[str, ...] = ()
-    not_read: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # what was noticed
+    not_read: tuple[str, ...] = ()  # what of the file was not read, with the reason (with the file's first path)
     # (n,) (n,) times, s (frames where no clock is known), and heights of a fall without a bounce, as the table has them
     fall: tuple[Floats, Floats] | None = None
 

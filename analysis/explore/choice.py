@@ -53,12 +53,10 @@ class Option:
 class Block:
     """Steps chosen, and why."""
 
-    # option, steps: the forcing, and the places of the steps among its gammas
-    option: Option
-    steps: tuple[int, ...]
-    # nats, seconds: expected information, and rig time
-    nats: float
-    seconds: float
+    option: Option  # the forcing
+    steps: tuple[int, ...]  # places of the steps among its gammas
+    nats: float  # expected information
+    seconds: float  # of rig time
     separates: tuple[tuple[str, ...], tuple[str, ...]]  # the two explanations that it separates best, by names
     sharpening: float = 0.0  # part of the information that is about parameters asked for
 

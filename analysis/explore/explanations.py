@@ -129,13 +129,10 @@ def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
 class _Fit:
     """The linear model around a fit of K coordinates."""
 
-    # information, gradient: of the data, (K, K) and (K,)
-    information: Floats
-    gradient: Floats
-    # stiffness, off: one over the variance of each calibration that the fit holds to, and its distance from
-    # what is stated, (K,)
-    stiffness: Floats
-    off: Floats
+    information: Floats  # of the data, (K, K)
+    gradient: Floats  # of the data, (K,)
+    stiffness: Floats  # one over the variance of each calibration that the fit holds to, (K,)
+    off: Floats  # its distance from what is stated, (K,)
     shared: int  # how many of the coordinates the fit varies; they come first
 
     def _others(self, own: Integers) -> Integers:

@@ -233,10 +233,9 @@ class StepMet:
     """A staked step of a later run."""
 
     staked: StakedStep  # what was predicted of it, with the noise of earlier runs
-    # median_us, half_us, landings: the median of so many, and half its interval with this run's own noise
     median_us: float
-    half_us: float
-    landings: int
+    half_us: float  # half of its interval with this run's own noise
+    landings: int  # how many there are
 
     @property
     def met(self) -> bool:
@@ -249,12 +248,10 @@ class Outcome:
     """A later run held against a stake."""
 
     steps: tuple[StepMet, ...]
-    # flights, plate: rms of residuals (of take-offs or landings, the larger) over noise and parameters' uncertainty
-    flights: float
-    plate: float
-    # flights_met, plate_met: whether these are as small as a verdict asks for
-    flights_met: bool
-    plate_met: bool
+    flights: float  # rms of residuals over noise and parameters' uncertainty, of take-offs or landings, the larger
+    plate: float  # the same of plate data
+    flights_met: bool  # whether ``flights`` is as small as a verdict asks for
+    plate_met: bool  # the same of ``plate``
 
     @property
     def met(self) -> bool:

@@ -29,10 +29,8 @@ class StepClass:
     kind: Literal["rest", "cycle", "irregular", "undecided"]
     n: int  # flights of the cycle; 0 otherwise
     locked: bool  # a 1-cycle whose flight lasts a whole number of forcing periods
-    # flights, double_hits: true flights in the hold; double hits are counted separately and are not part of the
-    # cycle
-    flights: int
-    double_hits: int
+    flights: int  # true flights in the hold
+    double_hits: int  # counted separately: they are not part of the cycle
     repeat_s: float  # median change of a flight time after one cycle of the best n, per flight; NaN without flights
     expected_s: float  # the same from only the measurement's uncertainty
     spread_s: float  # the same between flights taken at random

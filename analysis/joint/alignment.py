@@ -27,9 +27,8 @@ class Aligned:
     runs: tuple[Quadratic, ...]  # a quadratic each; what a run cannot show has no information
     prior: Prior  # of means and shared parameters
     width: Floats  # of the priors of what runs have their own values of, (q,)
-    # low, high: bounds of the coordinates, (K,)
-    low: Floats
-    high: Floats
+    low: Floats  # least values of the coordinates, (K,)
+    high: Floats  # largest ones, (K,)
 
     @property
     def named(self) -> int:

@@ -21,14 +21,12 @@ from kernels.arrays import Floats
 class Constancy:
     """Whether values of several runs are one."""
 
-    # chi_square, degrees: of the values about their weighted mean
-    chi_square: float
-    degrees: int
+    chi_square: float  # of the values about their weighted mean
+    degrees: int  # of freedom
     p: float  # probability of so large a chi-square for a constant
     spread: float  # standard deviation between runs beyond the values' own uncertainty
-    # slope, slope_sigma: linear trend, per unit of time
-    slope: float
-    slope_sigma: float
+    slope: float  # linear trend, per unit of time
+    slope_sigma: float  # its standard deviation
     p_trend: float  # probability of so large a trend for a constant
 
     def differs(self, p: float) -> bool:
@@ -69,9 +67,8 @@ class OneRun:
     """The only run that shows a parameter."""
 
     place: int  # of the run
-    # others, others_sigma: mean of all other runs, and its standard deviation
-    others: float
-    others_sigma: float
+    others: float  # mean of all other runs
+    others_sigma: float  # its standard deviation
 
 
 def one_run_alone(values: Floats, sigmas: Floats, null: float, width: float) -> OneRun | None:

@@ -31,9 +31,8 @@ class Quadratic:
     """Log likelihood of one run about a point, second order; calibrations first (q), then shared parameters."""
 
     origin: Floats  # the point, (K,)
-    # gradient, information: slope and negative curvature there, (K,) and (K, K)
-    gradient: Floats
-    information: Floats
+    gradient: Floats  # slope there, (K,)
+    information: Floats  # negative curvature, (K, K)
 
     def without_own(self, spread: Floats) -> Quadratic:
         """The run's own deviations integrated out: calibrations are then those of the population.

@@ -37,13 +37,11 @@ class OverRuns:
     parameter: str
     unit: str
     kind: str  # ``effect`` (named), or ``calibration``
-    # value, sigma: mean of all runs, or the value that they share
-    value: float
-    sigma: float
+    value: float  # mean of all runs, or the value that they share
+    sigma: float  # its standard deviation
     spread: float  # from run to run
-    # values, sigmas: of each run by itself, (R,); infinite where it cannot tell
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
+    values: tuple[float, ...]  # of each run by itself, (R,)
+    sigmas: tuple[float, ...]  # their standard deviations, (R,); infinite where a run cannot tell
     constancy: Constancy  # test of these values, with a trend per day
     differs: bool  # whether they differ between runs beyond chance
     one_run: OneRun | None  # the only run that shows a named effect; None where others show it, too
@@ -54,9 +52,8 @@ class Systematic:
     """A systematic error of the contact's edges that all runs share, fitted with everything else."""
 
     name: str  # what is late
-    # value_us, sigma_us: by how much, and how well that is known
-    value_us: float
-    sigma_us: float
+    value_us: float  # by how much
+    sigma_us: float  # how well that is known
     prior_us: float  # standard deviation of its prior about zero
 
 

@@ -22,9 +22,8 @@ class GammaScale:
     """The measure of gamma that is shown."""
 
     factor: float  # shown value over gamma
-    # name, symbol: its name in plain text, and as a sign in figures
-    name: str
-    symbol: str
+    name: str  # in plain text
+    symbol: str  # a sign in figures
     label: str  # of an axis, with the definition
     definition: str  # one sentence
 

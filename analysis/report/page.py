@@ -50,11 +50,9 @@ class Drawn:
     figure: Figure  # its row of the table of figures
     element: Markup  # ``<svg>`` or ``<img>``
     remark: str = ""  # what follows the caption; else empty
-    # key, flights, points: its name in the page, that of the table of flights behind its points, and the points
-    # (`interactive.packed`); no points in a figure that the pointer does not know.
-    key: str = ""
-    flights: str = ""
-    points: Mapping[str, str] | None = None
+    key: str = ""  # its name in the page
+    flights: str = ""  # that of the table of flights behind its points
+    points: Mapping[str, str] | None = None  # see `interactive.packed`; None in a figure that the pointer does not know
 
     @property
     def place(self) -> str:

@@ -35,9 +35,8 @@ class State:
     """Everything that has to outlive the page."""
 
     profile: str = ""  # name of the profile's file in the folder; empty before one was chosen
-    # scenario, seed: what a simulated rig hides, and the seed of its noise
-    scenario: str = ""
-    seed: int = 0
+    scenario: str = ""  # what a simulated rig hides
+    seed: int = 0  # of its noise
     device: Message = field(default_factory=dict)  # the card as it was found
     results: dict[str, Result] = field(default_factory=dict)  # by gate
     undo: tuple[str, ...] = ()  # earlier texts of the profile, oldest first

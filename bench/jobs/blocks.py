@@ -39,12 +39,10 @@ class Aims:
     # size down to which "nothing missing" is to be shown, in units of the size at which each effect would
     # matter
     limit: float = 1.0
-    # ratios, frequencies_hz: values of c, and of the first tone, that may be driven
-    ratios: tuple[int, ...] = (1, 2, 3)
-    frequencies_hz: tuple[float, ...] = ()
-    # steps, hold_cycles: of each block
-    steps: int = 4
-    hold_cycles: int = 14
+    ratios: tuple[int, ...] = (1, 2, 3)  # values of c that may be driven
+    frequencies_hz: tuple[float, ...] = ()  # of the first tone, that may be driven
+    steps: int = 4  # of each block
+    hold_cycles: int = 14  # of each step
     # waited after each fade. The plate must settle, the ball need not: each flight is judged from the event
     # before.
     settle_cycles: int = 4

@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 class Explored:
     """Outcome of a run that chose its steps."""
 
-    # recordings, blocks: one for each block
-    recordings: tuple[Path, ...]
+    recordings: tuple[Path, ...]  # one for each block
     blocks: tuple[Chosen, ...]
     loop: ClosedLoop | None  # the closed loop on all of them; None where there are too few steps for a verdict
     rig_s: float  # rig time

@@ -79,24 +79,16 @@ EXPECTED = {"lock": math.hypot(math.pi, 1.0), "doubling": math.hypot(math.pi, 2.
 class Numbers:
     """What the paper states, of one run; gamma_peak at c = 1, else gamma. NaN: not seen."""
 
-    # step, onset, first, changed_to: distance of the ramp's steps; take-off and first change after it, known to
-    # half a step; its type
-    step: float
-    onset: float
-    first: float
-    changed_to: str
-    # predicted, one_cycles: first change of the model with the rig's own effects; greatest step with a 1-cycle
-    # below 4.6, where the ideal ball's cycle of two flights ends.
-    predicted: float
-    one_cycles: float
-    # shorter, at_two: medians: part by which flights, every one that shows, are shorter than the ideal ball's,
-    # from 1.3 to 4; flight time over the ideal ball's, rebounds left out, from 2 to 2.3.
-    shorter: float
-    at_two: float
-    # in_band, repeats: part of the flights from 5 to 8 that last .056 to .064 s; part of the steps above 2.3
-    # with a cycle.
-    in_band: float
-    repeats: float
+    step: float  # distance of the ramp's steps
+    onset: float  # take-off, known to half a step
+    first: float  # first change after it, known to half a step
+    changed_to: str  # its type
+    predicted: float  # first change of the model with the rig's own effects
+    one_cycles: float  # greatest step with a 1-cycle below 4.6, where the ideal ball's cycle of two flights ends
+    shorter: float  # median part by which all flights are shorter than the ideal ball's, from 1.3 to 4
+    at_two: float  # median flight time over the ideal ball's, rebounds left out, from 2 to 2.3
+    in_band: float  # part of the flights from 5 to 8 that last .056 to .064 s
+    repeats: float  # part of the steps above 2.3 with a cycle
 
 
 def numbers(shown: Measured, effects: Effects) -> Numbers:

@@ -30,17 +30,13 @@ _POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
 class ReducedStep:
     """One step as a page shows it."""
 
-    # asked, gamma: asked for, and measured on the plate; NaN where it could not be
     asked: float
-    gamma: float
+    gamma: float  # measured on the plate; NaN where it could not be
     label: str  # class of the motion
-    # landing_s, duration_s: of each flight, (n,): since the step's first sample, and of the flight
-    landing_s: Floats
-    duration_s: Floats
-    # residual_s, noise_s: landing less its prediction by the declared model, and the uncertainty of that, (n,);
-    # NaN where not compared
-    residual_s: Floats
-    noise_s: Floats
+    landing_s: Floats  # of each flight since the step's first sample, (n,)
+    duration_s: Floats  # of each flight, (n,)
+    residual_s: Floats  # landing less its prediction by the declared model, (n,); NaN where not compared
+    noise_s: Floats  # uncertainty of that, (n,)
     mark: NDArray[np.uint8]  # `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight), (n,)
     tones: list[dict[str, Any]]  # of each tone: multiple, amplitude and phase (degrees) on the plate and asked for
 

@@ -30,20 +30,17 @@ class Query:
     c: int | None = None  # ratio of the tones
     gamma: tuple[float, float] | None = None  # range; a run is shown whose own range overlaps it
     tags: tuple[str, ...] = ()  # all of them
-    # verdict, ended: one of `WITH_NONE`, of `ENDS`
-    verdict: str = ""
-    ended: str = ""
-    # since, until: dates as ISO 8601, or the beginning of one; ``until`` includes what begins so
-    since: str = ""
-    until: str = ""
+    verdict: str = ""  # one of `WITH_NONE`
+    ended: str = ""  # one of `ENDS`
+    since: str = ""  # date as ISO 8601, or the beginning of one
+    until: str = ""  # the same; what begins so is included
     # every word of it occurs in the file's name, the profile, a note, a tag, the reason of an end or the
     # verdict
     text: str = ""
     lost: bool = False  # only runs that lost samples
-    # sort, backwards, limit: one of `SORTS`; how many rows at most, -1: all
-    sort: str = "date"
+    sort: str = "date"  # one of `SORTS`
     backwards: bool = False
-    limit: int = -1
+    limit: int = -1  # how many rows at most; -1: all
 
     def __post_init__(self) -> None:
         """Refuse words that are none of those known."""

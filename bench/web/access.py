@@ -33,8 +33,7 @@ class Access:
     Raises `InputError` for another address than the own machine's without a token.
     """
 
-    # host, port: where the server listens
-    host: str
+    host: str  # where the server listens
     port: int
     # secret that a browser presents once (``?token=``) and keeps as a cookie; None on the own machine only
     token: str | None = None

@@ -31,9 +31,8 @@ class Section:
     """Pages of one module."""
 
     name: str  # short name; its static files are served under ``/static/NAME/``
-    # title, href: entry of the navigation, and the page that it opens
-    title: str
-    href: str
+    title: str  # of the navigation's entry
+    href: str  # the page that it opens
     routes: Sequence[BaseRoute]  # starlette routes, websockets included; paths of different sections must differ
     static: Path | None = None  # folder of scripts, styles and pictures; None without any
     # context held open while the server runs (readers, workers); None without any

@@ -22,9 +22,8 @@ UNSOLVABLE = 1e-12  # part of a column's square sum below which its remainder is
 class Lag:
     """Place of a recorded piece among the played samples."""
 
-    # samples, sigma: lag and its standard deviation; infinite where the drive does not determine it
     samples: float
-    sigma: float
+    sigma: float  # standard deviation; infinite where the drive does not determine it
     rms_v: float  # root mean square residual of the fit
     gain: float  # recorded volts a played volt
 

@@ -26,13 +26,11 @@ class Found:
     """An answer: frames before ``at`` fit the lag known before, the rest fits ``lag``."""
 
     lag: float | None  # the lag from there on; None where no played sample fits
-    # at, lost, uncertainty: frame of the piece before which samples are missing, their number, and its uncertainty
-    at: int = -1
-    lost: int = 0
-    uncertainty: int = 0
-    # gain, rms_v: heard volts a played volt, and the fit's residual
-    gain: float = 0.0
-    rms_v: float = 0.0
+    at: int = -1  # frame of the piece before which samples are missing
+    lost: int = 0  # how many
+    uncertainty: int = 0  # of that number
+    gain: float = 0.0  # heard volts a played volt
+    rms_v: float = 0.0  # residual of the fit
 
 
 NOTHING = Found(None)
@@ -46,10 +44,9 @@ class WhichLatency:
     piece is taken before one is believed.
     """
 
-    # played, heard, first: played samples, recorded loop-back (n,), and the number of its first frame
     played: Stretch
-    heard: Floats
-    first: int
+    heard: Floats  # recorded loop-back, (n,)
+    first: int  # number of its first frame
     lost: int  # samples lost so far
     last: bool  # whether there will be no longer piece
 
@@ -68,15 +65,13 @@ class WhichLatency:
 class WhichLoss:
     """Search for the number and place of the samples missing in a piece."""
 
-    # played, heard, first: played samples, recorded loop-back (n,), and the number of its first frame
     played: Stretch
-    heard: Floats
-    first: int
+    heard: Floats  # recorded loop-back, (n,)
+    first: int  # number of its first frame
     before: Floats  # loop-back before the piece
-    # lag, gain, usual_v: the lag before, the gain of the loop-back, and the usual residual of a fit
-    lag: float
-    gain: float
-    usual_v: float
+    lag: float  # before the piece
+    gain: float  # of the loop-back
+    usual_v: float  # usual residual of a fit
     chunk: int  # frames that are looked at together
     excess_samples: float | None  # samples by which the blocks' clock ran ahead; None without a clock
     # whether that clock is the device's own count: a loss that it contradicts by half a period is none

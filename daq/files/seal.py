@@ -59,9 +59,9 @@ class Checked:
     """Result of a comparison with the seal."""
 
     patches: tuple[tuple[int, bytes], ...] = ()  # offset and right bytes of what differs and is known
-    # lost, mended: by column, samples that differ, as ``(first, one past the last)``: for good, or put right by their
-    # checksum
+    # by column, samples that differ for good, as ``(first, one past the last)``
     lost: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
+    # the same of samples that were put right by their checksum
     mended: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     where: tuple[str, ...] = ()  # one line for each thing that differs
     seal_differs: bool = False  # the seal itself is damaged: nothing was compared

@@ -77,9 +77,8 @@ class ImportOptions:
 
     mapping: Mapping[str, Column] = field(default_factory=dict)  # columns by role where their names do not say it
     rate_hz: float | None = None  # sample rate where there is no time column
-    # note, extra: stored in the recording
-    note: str | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    note: str | None = None  # stored in the recording
+    extra: Mapping[str, Any] = field(default_factory=dict)  # stored as well
 
 
 def _columns_and_rate(source: Source, options: ImportOptions, setup: Setup) -> tuple[dict[str, Column], float | None]:

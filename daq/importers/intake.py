@@ -69,20 +69,16 @@ LONGEST_S = 9e9  # longest span that 64 bits of nanoseconds hold
 class Intake:
     """Rows taken in so far: checks of each piece, and properties of all of them."""
 
-    # source, columns: the foreign file, and its columns by role
-    source: Source
-    columns: Mapping[str, Column]
+    source: Source  # the foreign file
+    columns: Mapping[str, Column]  # by role
     scales: Mapping[str, tuple[float, float]]  # by channel, volts of one unit of what is stored, and the offset
     setup: Setup  # ranges of the channels
-    # origin, origin_s, last_s: the first time as it stands in the file and in seconds; the last one, in seconds after
-    # it
-    origin: Any = 0
-    origin_s: float = 0.0
-    last_s: float = -np.inf
+    origin: Any = 0  # the first time as it stands in the file
+    origin_s: float = 0.0  # the same in seconds
+    last_s: float = -np.inf  # the last one, in seconds after it
     n_rows: int = 0
-    # quantum_s, spacing_s: rounding step of the time column, and coarsest step of its floating-point type
-    quantum_s: float = np.inf
-    spacing_s: float = 0.0
+    quantum_s: float = np.inf  # rounding step of the time column
+    spacing_s: float = 0.0  # coarsest step of its floating-point type
     repeated: str = ""  # the first row whose time equals the one before
     # by role, from which row on a value was set
     set_values: dict[str, list[tuple[int, float]]] = field(default_factory=dict)

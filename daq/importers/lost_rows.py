@@ -52,9 +52,8 @@ def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
 class _Jump:
     """Phases of the tones before and after a border of two steps."""
 
-    # before, after: unit phasors of the tones at sample 0 by the mean frequency, (k,)
-    before: Complexes
-    after: Complexes
+    before: Complexes  # unit phasors of the tones at sample 0 by the mean frequency, (k,)
+    after: Complexes  # the same, (k,)
     sigma_rad: Floats  # uncertainty of the phase between them, (k,)
     turns: Floats  # cycles of each tone in a sample, (k,)
 

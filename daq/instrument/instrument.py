@@ -32,24 +32,18 @@ class Doubt:
 class Instrument:
     """Properties of the instruments, as the recording shows them; None where it does not."""
 
-    # rate_hz, steps: samples a second; steps of the recording
-    rate_hz: float
-    steps: int
-    # noise_mps2, noise_mps2_rthz: the accelerometer's noise away from impacts: rms over its whole band, and
-    # density at its low end, m/s^2 and m/s^2/Hz^0.5.
-    noise_mps2: float | None
-    noise_mps2_rthz: float | None
+    rate_hz: float  # samples a second
+    steps: int  # of the recording
+    noise_mps2: float | None  # the accelerometer's noise away from impacts, rms over its whole band
+    noise_mps2_rthz: float | None  # its density at the low end, m/s^2/Hz^0.5
     # frequency at which the power of that noise has fallen by half for good; None: flat to half the rate
     bandwidth_hz: float | None
     bias_v: float | None  # the accelerometer's mean over whole cycles
-    # tones_hz, tones_g: the forcing's tones in the loudest step, and their amplitudes in the accelerometer,
-    # units of g
-    tones_hz: tuple[float, ...]
-    tones_g: tuple[float, ...]
+    tones_hz: tuple[float, ...]  # the forcing's tones in the loudest step
+    tones_g: tuple[float, ...]  # their amplitudes in the accelerometer, units of g
     phase_deg: float | None  # plate after drive at the strongest tone, by the profile's sense; None without a drive
-    # takeoffs, takeoff_g: openings of the contact after a rest, and the median acceleration of the plate there,
-    # by the profile's sense and scale: -1 where both are right
-    takeoffs: int
+    takeoffs: int  # openings of the contact after a rest
+    # median acceleration of the plate there, by the profile's sense and scale: -1 where both are right
     takeoff_g: float | None
     levels_v: tuple[float, float] | None  # lower and upper level of the contact circuit
     doubts: tuple[Doubt, ...] = ()  # contradictions to the profile

@@ -30,21 +30,16 @@ RESTS = 0.9  # peak below which it certainly rests
 class Hold:
     """One step's hold; accelerations by the profile's sense and scale, in units of g."""
 
-    # frequency_hz, tones_hz: of the step, and of the tones found in the drive (the accelerometer where there is
-    # none)
-    frequency_hz: float
-    tones_hz: tuple[float, ...]
-    # plate, drive: fits in volts of the profile's tones, first, and of others that were found; ``drive`` is
-    # None where it was not recorded
-    plate: ToneFit
-    drive: ToneFit | None
+    frequency_hz: float  # of the step
+    tones_hz: tuple[float, ...]  # found in the drive; in the accelerometer where there is none
+    plate: ToneFit  # fit in volts of the profile's tones, first, and of others that were found
+    drive: ToneFit | None  # the same; None where it was not recorded
     peak_g: float  # largest acceleration of the plate, up or down, by its tones
     middle: Mapping[str, float]  # by channel, part of the samples between its extremes
     high: float = np.nan  # part of the time that the contact is at its higher level; NaN without one
-    # rises_g, falls_g: the plate's acceleration at `DELAYS_S` after the contact's voltage rises or falls, after
-    # standing still, (n, 7)
+    # the plate's acceleration at `DELAYS_S` after the contact's voltage rises from standing still, (n, 7)
     rises_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))
-    falls_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))
+    falls_g: Floats = field(default_factory=lambda: np.zeros((0, len(DELAYS_S))))  # the same after it falls, (n, 7)
     growth: float = 0.0  # relative growth of the strongest tone from the hold's begin to its end
 
     def gammas(self, setup: Setup) -> tuple[float, float, float]:

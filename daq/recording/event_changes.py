@@ -25,12 +25,10 @@ class EventChange:
     """One event that was moved, removed (``now_s`` is None) or added (``was_s`` is None)."""
 
     kind: Kind  # take-off and landing are edges of the contact circuit, an impact is one in the accelerometer
-    # was_s, now_s: its time before and after, seconds on the recording's axis
-    was_s: float | None
-    now_s: float | None
-    # at, by: when it was changed (UTC, ISO 8601), and by whom
-    at: str = ""
-    by: str = ""
+    was_s: float | None  # its time before, on the recording's axis
+    now_s: float | None  # its time after
+    at: str = ""  # when it was changed (UTC, ISO 8601)
+    by: str = ""  # by whom
 
     def __post_init__(self) -> None:
         """Refuse what is no change; raises `InputError`."""

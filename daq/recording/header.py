@@ -95,22 +95,18 @@ class Header:
 
     # `stored_id`: the same for each copy of a run; empty where the run is not closed
     identity: str
-    # state, where: as in `daq.recording.verify.VerifyReport`, of what was compared
-    state: str
-    where: tuple[str, ...]
+    state: str  # as in `daq.recording.verify.VerifyReport`, of what was compared
+    where: tuple[str, ...]  # the same
     all_bytes: bool  # whether the samples were compared with the seal as well
     attrs: dict[str, Any]  # root attributes
     setup: dict[str, Any]  # the setup as a JSON object (`daq.setup.setup.Setup`)
-    # rate_hz, n_samples, lost_samples, channels: samples a second, samples a channel, samples declared as lost, names
-    # of the channels
     rate_hz: float
-    n_samples: int
-    lost_samples: int
-    channels: tuple[str, ...]
-    # gammas, achieved_gammas, ratios: of each step; None where it is not known
-    gammas: tuple[float | None, ...] = ()
-    achieved_gammas: tuple[float | None, ...] = ()
-    ratios: tuple[int, ...] = ()
+    n_samples: int  # of a channel
+    lost_samples: int  # declared as lost
+    channels: tuple[str, ...]  # names
+    gammas: tuple[float | None, ...] = ()  # of each step; None where it is not known
+    achieved_gammas: tuple[float | None, ...] = ()  # the same
+    ratios: tuple[int, ...] = ()  # of each step
     notes: tuple[tuple[int, int, str], ...] = ()  # Sample, Unix time (ns) and text of each note of the run
 
 

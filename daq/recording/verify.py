@@ -269,10 +269,9 @@ class VerifyReport:
     state: State
     # one line for each thing a person should know: damaged ranges, the reason of a stop, gaps
     where: list[str] = field(default_factory=list)
-    # n_samples, rate_hz, lost_samples: size, and samples declared as lost
     n_samples: int = 0
     rate_hz: float = float("nan")
-    lost_samples: int = 0
+    lost_samples: int = 0  # declared as lost
     suspect: bool = False  # samples are missing that no gap accounts for
 
 

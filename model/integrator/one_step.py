@@ -36,22 +36,18 @@ OF_KERNEL = ("takeoff_s", "landing_s", "opening_s", "hidden", "kind", "launch_mp
 class Predicted:
     """Prediction of each measured flight from the landing before; arrays of shape (n,), NaN where there is none."""
 
-    # takeoff_s, landing_s, opening_s: predicted events; the circuit opens at ``opening_s``
-    takeoff_s: Floats
-    landing_s: Floats
-    opening_s: Floats
+    takeoff_s: Floats  # predicted
+    landing_s: Floats  # predicted
+    opening_s: Floats  # predicted opening of the circuit
     hidden: Floats  # flights passed over
     kind: Floats  # 1 thrown or bounced at once, 0 after a rest, -1 no prediction
-    # launch_mps, impact_mps: speeds of the measured flight itself
-    launch_mps: Floats
-    impact_mps: Floats
+    launch_mps: Floats  # speed of the measured flight itself
+    impact_mps: Floats  # the same
     # by how much later the landing may be detected, where bounces that no instrument resolves follow it
     ambiguity_s: Floats
     mode_amplitudes: Complexes  # contribution of a plate mode to each of the plate's tones, (m, k), m/s^2
-    # projection, observed_s: the mode's motion projected on the tones of a `ToneProbe` in its intervals, (r,
-    # l), and for how much of their time it is known, (r,)
-    projection: Complexes
-    observed_s: Floats
+    projection: Complexes  # the mode's motion projected on the tones of a `ToneProbe` in its intervals, (r, l)
+    observed_s: Floats  # for how much of their time it is known, (r,)
 
 
 @dataclass(frozen=True)

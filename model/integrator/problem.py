@@ -19,10 +19,8 @@ _T = TypeVar("_T", bound=np.generic)
 class PlateSteps:
     """The plate's motion in each step: tones on one time axis."""
 
-    # omega_radps, acceleration_mps2: angular frequencies and complex amplitudes, shape (m, k); the plate's
-    # acceleration is ``Re sum acceleration exp(i omega t)``. Unused places hold zeros and any positive
-    # frequency.
-    omega_radps: Floats
+    omega_radps: Floats  # (m, k); any positive frequency in unused places
+    # (m, k): the plate's is ``Re sum acceleration exp(i omega t)``; zeros in unused places
     acceleration_mps2: Complexes
     period_s: Floats  # period of the forcing, shape (m,)
     derived: int = 0  # how many of the last tones were not measured but follow from the others
@@ -32,27 +30,21 @@ class PlateSteps:
 class Measured:
     """Measured flights in order, as the predictions need them; arrays of shape (n,)."""
 
-    # opening_s, landing_s: when the circuit opened and closed
-    opening_s: Floats
-    landing_s: Floats
+    opening_s: Floats  # when the circuit opened
+    landing_s: Floats  # when it closed
     relaunched: Bools  # the ball left at the landing before, not after a rest
     linked: Bools  # the flight before in the table is the flight before in reality
     step: Integers  # row of `PlateSteps`
     wanted: Bools  # flights for which a prediction is wanted
-    # other_step, share: in a fade: row of the other step (-1: the plate at rest), and the share of its motion.
-    # None without fades.
-    other_step: Integers | None = None
-    share: Floats | None = None
-    # gained_mps, pressed_mps, pressed_at: integral of the plate's acceleration plus gravity in a fade, as the
-    # accelerometer shows it: over the flight, and over the contact before it, whose centre is at the part
-    # ``pressed_at`` of the contact. NaN where the plate's tones tell it; None where they always do.
+    other_step: Integers | None = None  # in a fade: row of the other step (-1: the plate at rest); None without fades
+    share: Floats | None = None  # and the share of its motion
+    # integral of the plate's acceleration plus gravity over a flight in a fade, as the accelerometer shows it; NaN
+    # where the plate's tones tell it, None where they always do
     gained_mps: Floats | None = None
-    pressed_mps: Floats | None = None
-    pressed_at: Floats | None = None
-    # part, ahead_s: part by which the plate moved more in the flight than in its step, and by how much earlier.
-    # None for all alike.
-    part: Floats | None = None
-    ahead_s: Floats | None = None
+    pressed_mps: Floats | None = None  # the same over the contact before it
+    pressed_at: Floats | None = None  # part of the contact at which the centre of ``pressed_mps`` is
+    part: Floats | None = None  # part by which the plate moved more in the flight than in its step; None for all alike
+    ahead_s: Floats | None = None  # by how much earlier
     # displacement and velocity of a plate mode at the opening, and just after the landing, (n, 4), as measured.
     # NaN or None where it is followed from flight to flight.
     mode: Floats | None = None

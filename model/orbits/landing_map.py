@@ -28,9 +28,8 @@ FINER = 2.0  # power by which cells of small speed are finer: the bounces of a c
 class LandingMap:
     """One flight from each of many states, arrays of equal length."""
 
-    # phase, speed: take-off: radians within one period, and speed off the plate in g/w
-    phase: Floats
-    speed: Floats
+    phase: Floats  # of the take-off: radians within one period
+    speed: Floats  # off the plate in g/w
     tau: Floats  # flight time, 1/w
     branch: Integers  # see `branch_of`
     share: Floats  # part of all flights in the long run; the sum is 1

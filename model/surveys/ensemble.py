@@ -49,16 +49,13 @@ class Axis:
 class Job:
     """A grid of parameter points: every gamma for every combination of the axes; gamma runs fastest."""
 
-    # ratio, phase_rad: c and the second tone's phase
-    ratio: int
+    ratio: int  # c
     gammas: tuple[float, ...]  # in the order of a sweep, where there is one
-    phase_rad: float = 0.0
-    # effects, axes: effects fixed, and varied
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    axes: tuple[Axis, ...] = ()
-    # frequency_hz, g_mps2: needed by effects with a scale of their own
-    frequency_hz: float | None = None
-    g_mps2: float = STANDARD_GRAVITY_MPS2
+    phase_rad: float = 0.0  # of the second tone
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # fixed
+    axes: tuple[Axis, ...] = ()  # varied
+    frequency_hz: float | None = None  # needed by effects with a scale of their own
+    g_mps2: float = STANDARD_GRAVITY_MPS2  # the same
     sweep: bool = False  # whether the state is carried along the gammas; then a chunk is a whole row of gammas
     keep: int = KEEP  # flight times stored of each point
 

@@ -33,12 +33,9 @@ class Reading:
 class Flip:
     """What a flip test says of the accelerometer."""
 
-    # sensitivity, sensitivity_uncertainty: in the profile's unit; negative where the profile's sign is wrong
-    sensitivity: float
+    sensitivity: float  # in the profile's unit; negative where the profile's sign is wrong
     sensitivity_uncertainty: float
-    # offset_v, offset_uncertainty_v: reading at zero acceleration; where the profile says that gravity is not
-    # read, at rest as mounted
-    offset_v: float
+    offset_v: float  # reading at zero acceleration; at rest as mounted where the profile says that gravity is not read
     offset_uncertainty_v: float
 
 

@@ -25,10 +25,9 @@ _FIELDS = 11
 class Motion:
     """The plate over one block."""
 
-    # acceleration_mps2, velocity_mps, displacement_m: peaks from rest, impacts filtered out
-    acceleration_mps2: float
-    velocity_mps: float
-    displacement_m: float
+    acceleration_mps2: float  # peak from rest, impacts filtered out
+    velocity_mps: float  # the same
+    displacement_m: float  # the same
     square_sum: float  # sum of the squared acceleration over the block's samples
     since_impact: int  # samples since the last impact
     quiet: Bools  # where no impact rings, shape (n,)

@@ -22,9 +22,8 @@ class Parameter:
     strong: tuple[float, float]  # range drawn from when the effect is strong
     scales: bool = True  # True where strength multiplies this number; False where it only shapes the effect
     neutral: float = 0.0  # the value at which the effect is absent (shape parameters: any harmless value)
-    # low, high: limits accepted in a scenario file
-    low: float = -np.inf
-    high: float = np.inf
+    low: float = -np.inf  # least value accepted in a scenario file
+    high: float = np.inf  # largest one
 
 
 @dataclass(frozen=True)

@@ -74,10 +74,10 @@ class Judged:
     setting: Setting
     noise: Noise
     verdict: Verdict[FallCandidate]
-    # between, uncalibrated: `held_out` of the model chosen, where a drop's own axis comes from every other stretch of
-    # it, and the error is of the stretches between; or where only its release is its own
+    # `held_out` of the model chosen where a drop's own axis comes from every other stretch of it: the error of the
+    # stretches between
     between: list[Floats]
-    uncalibrated: list[Floats]
+    uncalibrated: list[Floats]  # the same where only the release is the drop's own
     # Fits of drag with the distortion of the axis, and how likely each is: `_OWN_AXES` one after the other.
     fits: list[FallFit]
     odds: Floats

@@ -30,14 +30,12 @@ class Impacts:
 
     clip: Integers  # (n,)
     frame: Floats  # (n,) impact times
-    # speed_in, speed_out: (n,) NaN where the flight on that side was not resolved
-    speed_in: Floats
-    speed_out: Floats
+    speed_in: Floats  # NaN where the flight on that side was not resolved, (n,)
+    speed_out: Floats  # the same, (n,)
     floor: Floats  # (n,) height of the ball at the impact; NaN for an impact after which nothing is known
-    # in_draws, out_draws, floor_draws: (m, n) the same for each draw of the fit
-    in_draws: Floats
-    out_draws: Floats
-    floor_draws: Floats
+    in_draws: Floats  # ``speed_in`` for each draw of the fit, (m, n)
+    out_draws: Floats  # of ``speed_out``, (m, n)
+    floor_draws: Floats  # of ``floor``, (m, n)
 
     @property
     def bounced(self) -> Bools:
@@ -55,14 +53,11 @@ class Impacts:
 class RestitutionFit:
     """``e = e0 - e1 u``, or constant."""
 
-    # theta, half_width: (p,) ``e0`` (and ``e1`` per unit speed) with half of the 95 % interval
-    theta: Floats
-    half_width: Floats
+    theta: Floats  # ``e0`` (and ``e1`` per unit speed), (p,)
+    half_width: Floats  # half of the 95 % interval, (p,)
     scatter: float  # standard deviation of the restitution from bounce to bounce, beyond the measuring error
-    # predicted, held_out: (n,) restitution of each bounce from all, and from the other bounces (NaN where there are
-    # too few)
-    predicted: Floats
-    held_out: Floats
+    predicted: Floats  # restitution of each bounce from all, (n,)
+    held_out: Floats  # from the other bounces, (n,); NaN where there are too few
     scores: Floats  # (n,) held-out log likelihood of each bounce; 0 where there are too few to hold any out
     chi_square: float = 0.0  # of the bounces against nothing but their measuring errors
     freedom: int = 0  # bounces less parameters

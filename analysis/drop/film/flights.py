@@ -29,16 +29,14 @@ class Clip:
     """The ball's path in one file, upright."""
 
     name: str
-    # frame, height: (n,) time in frames (not always whole), and height in the file's unit, counted upward
-    frame: Floats
-    height: Floats
+    frame: Floats  # in frames, not always whole, (n,)
+    height: Floats  # in the file's unit, counted upward, (n,)
     acceleration: float  # rough free-fall acceleration, unit per frame^2
     across: Floats | None = None  # (n,) place across the fall, where the unit is pixels
     # the film has edges by which a motion of its camera along the fall would be seen, and was moved back
     watched: bool = True
-    # no_impact, impact: frames at which a person says that there is no impact, or is one
-    no_impact: tuple[float, ...] = ()
-    impact: tuple[float, ...] = ()
+    no_impact: tuple[float, ...] = ()  # frames at which a person says that there is no impact
+    impact: tuple[float, ...] = ()  # at which there is one
 
 
 @dataclass(frozen=True)
@@ -47,9 +45,8 @@ class Flight:
 
     clip: int  # number of the file it belongs to
     order: int  # 0 for the fall, then 1, 2, ...
-    # frame, height: (n,)
-    frame: Floats
-    height: Floats
+    frame: Floats  # in frames, not always whole, (n,)
+    height: Floats  # in the file's unit, counted upward, (n,)
     lands: bool  # whether an impact at the end was filmed
     # height from the middle of the picture's used part to its ends, where its distortion is taken as none
     reach: float = 0.0

@@ -53,9 +53,8 @@ class Track:
 
     index: Integers  # (n,) which of the points it is, in time order
     clock: Floats  # (n,) frame numbers or seconds
-    # x, height: (n,) position across, and height counted upward, in the points' unit
-    x: Floats
-    height: Floats
+    x: Floats  # position across, in the points' unit, (n,)
+    height: Floats  # counted upward, (n,)
     acceleration: float  # typical downward acceleration in free flight (unit per clock^2), positive
     remarks: tuple[str, ...] = ()  # what was noticed
 

@@ -28,9 +28,8 @@ class Units:
     frame_s: float | None  # seconds a frame; None where it is not known
     scale_m: float | None  # metres a unit of height; None: taken from gravity
     g_mps2: float
-    # scale_uncertainty, frame_rate_uncertainty: relative, one standard deviation
-    scale_uncertainty: float = 0.0
-    frame_rate_uncertainty: float = 0.0
+    scale_uncertainty: float = 0.0  # relative, one standard deviation
+    frame_rate_uncertainty: float = 0.0  # the same
     assumed_rate: bool = False  # the frame rate is the film's playback rate, which a person has not confirmed
     ball: float | None = None  # height of the ball, in the file's unit
 

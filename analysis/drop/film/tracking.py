@@ -33,12 +33,10 @@ class Tracked:
     """The ball in a film."""
 
     track: Track  # in pixels and frames
-    # x_px, y_px: (n,) centre of each of the track's points in the picture
-    x_px: Floats
-    y_px: Floats
-    # width_px, tall_px: (n,) size of the moving area of each
-    width_px: Floats
-    tall_px: Floats
+    x_px: Floats  # centre of each of the track's points in the picture, (n,)
+    y_px: Floats  # the same, (n,)
+    width_px: Floats  # width of the moving area of each, (n,)
+    tall_px: Floats  # its height, (n,)
     composite: Image  # (rows, columns, 3) the ball stamped from every few frames onto the background
     fps: float | None  # as the file states
     lost: Integers  # (m,) frames between the track's first and last in which the ball was not found

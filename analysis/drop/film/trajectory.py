@@ -34,9 +34,8 @@ _OTHER_G = 4.0  # times as large or small as from single arcs: a strong drag wou
 class Seen:
     """One flight under a shape, at the apex that suits it best; the apex is eliminated from the slopes."""
 
-    # at, top: frame and height of the apex
-    at: float
-    top: float
+    at: float  # frame of the apex
+    top: float  # its height
     residual: Floats  # (n,) measured less seen over the noise; far ones count less (Huber)
     slopes: Floats  # (n, p) of what is seen by the shape's values, the apex following
     local: Floats  # (2, 2) covariance of the apex, in squares of the noise

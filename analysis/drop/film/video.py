@@ -29,9 +29,8 @@ class Film:
     path: Path  # a file, or a folder of pictures
     fps: float | None  # frame rate that the file states (playback rate: not what a slow-motion camera filmed at)
     count: int  # frames stated by the file, or pictures found
-    # first, last: frames that are used
-    first: int = 0
-    last: int = 1 << 60
+    first: int = 0  # frame that is used
+    last: int = 1 << 60  # last frame that is used; a large number: to the end
     # (left, top, right, bottom) of the part of the picture that is used, pixels
     region: tuple[int, int, int, int] | None = None
     # (n, 2) by which each used frame is off the first, across and down, px; frames are moved back by it

@@ -50,9 +50,8 @@ class Points:
     """Tracked positions, one or more at each instant."""
 
     clock: Floats  # (n,) frame number, or seconds
-    # x, y: (n,) positions in pixels, or in metres where ``metres`` is set
-    x: Floats
-    y: Floats
+    x: Floats  # pixels, or metres where ``metres`` is set, (n,)
+    y: Floats  # the same, (n,)
     in_seconds: bool  # whether ``clock`` is in seconds
     metres: bool  # whether positions are metres
 

@@ -30,9 +30,8 @@ class Fit:
     """A candidate fitted."""
 
     model: BounceModel
-    # theta, covariance: (p,), (p, p) parameters in the model's order
-    theta: Floats
-    covariance: Floats
+    theta: Floats  # parameters in the model's order, (p,)
+    covariance: Floats  # (p, p)
     widths: Widths  # estimated standard deviations
     residuals_s: Floats  # (drops, longest) measured less predicted duration; NaN where there is no data
     white: Floats  # (rows,) the same, whitened

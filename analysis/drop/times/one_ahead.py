@@ -41,15 +41,13 @@ class Drop:
 class Rows:
     """One-bounce-ahead predictions, by drop: shape (drops, longest)."""
 
-    # before_s, after_s: flight before the bounce, and after it
-    before_s: Floats
-    after_s: Floats
+    before_s: Floats  # flight before the bounce
+    after_s: Floats  # flight after it
     edges: Integers  # (drops, longest, 3) impacts that start the flight before, part the two, and end the flight after
     valid: Bools  # which are data (the others pad, or are held out)
     from_height: Bools  # the row starts from the stated height, not from a flight
-    # height_m, height_sigma_m: (drops,) the stated heights (NaN where not used)
-    height_m: Floats
-    height_sigma_m: Floats
+    height_m: Floats  # as stated, (drops,); NaN where not used
+    height_sigma_m: Floats  # its standard deviation, (drops,)
 
     @property
     def count(self) -> int:

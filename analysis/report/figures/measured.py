@@ -14,8 +14,7 @@ from daq.recording import Recording
 class Measured:
     """An open recording and what was made of it."""
 
-    # recording, flights: open, and its flights
-    recording: Recording
+    recording: Recording  # open
     flights: Flights
     compared: Comparison | None = None  # with the model; None where no flight was seen
     loop: ClosedLoop | None = None  # None where the loop was not closed

@@ -20,10 +20,9 @@ class MeasuredMode:
     """Where the mode was, and what it adds to the measured tones; see `model.integrator.one_step`."""
 
     state: Floats  # displacement and velocity at each opening and just after each landing, (n, 4)
-    # mode_amplitudes, projection, observed_s: as in `model.integrator.one_step.Predicted`
-    mode_amplitudes: Complexes
-    projection: Complexes
-    observed_s: Floats
+    mode_amplitudes: Complexes  # as in `model.integrator.one_step.Predicted`
+    projection: Complexes  # the same
+    observed_s: Floats  # the same
     turning: Complexes  # phase of the mode at the times of ``state``, (n, 2)
     omega_radps: float
     error_mps: float  # standard deviation of the speed, and of the displacement times the angular frequency
