@@ -40,6 +40,8 @@ PARTS = ("reprocess", "compare", "close-loop")
 def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, anyway: bool = False) -> Row:
     """The row of one recording.
 
+    Text, numbers or None by column; ``failed`` is the reason why something is missing, else None.
+
     Parameters
     ----------
     path
@@ -50,11 +52,6 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, any
         Replaces the recording's own.
     anyway
         As in `analysis.loop.close_loop.close_loop`.
-
-    Returns
-    -------
-    dict
-        Text, numbers or None by column; ``failed`` is the reason why something is missing, else None.
     """
     from bench.profiles.find import load_measuring
     from daq.recording import open_recording

@@ -282,7 +282,8 @@ def fit_tones(
 ) -> ToneFit:
     """Joint least squares for the complex amplitudes of known tones and a constant.
 
-    Raises `ValueError` for too few samples, or tones too close to be distinguished.
+    Raises `ValueError` for too few samples, or tones too close to be distinguished. Phases refer to sample 0 of the
+    recording.
 
     Parameters
     ----------
@@ -293,11 +294,6 @@ def fit_tones(
     frequencies_hz : array, shape (k,)
     mask : bool array, shape (n,), optional
         True where a sample counts.
-
-    Returns
-    -------
-    ToneFit
-        Phases refer to sample 0 of the recording.
     """
     lock_in = LockIn(rate_hz, frequencies_hz)
     if mask is None:

@@ -39,11 +39,8 @@ def private_interfaces() -> ModuleType | None:
 def build(kernel: Kernel, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any], bytes | None]:
     """Compile ``kernel`` for the types of ``arguments``.
 
-    Returns
-    -------
-    tuple
-        What runs it, and its pickled `kernels.machine_code.StoredKernel`; None where it holds addresses of this
-        process, or numba's release is not one of `TESTED`.
+    Returns what runs it, and its pickled `kernels.machine_code.StoredKernel`; None where it holds addresses of this
+    process, or numba's release is not one of `TESTED`.
     """
     dispatcher = dispatcher_of(kernel)
     if private_interfaces() is None:

@@ -84,6 +84,9 @@ def discover(
 ) -> Discovery | None:
     """Search for a smooth term that explains what the named effects do not.
 
+    None where no term gains on held-out steps over the named effects and its constant. Of terms within chance of the
+    best it is the one of least curvature.
+
     Parameters
     ----------
     model, fitter
@@ -92,12 +95,6 @@ def discover(
         The best set of named effects.
     limits
         Thresholds of gains and ties.
-
-    Returns
-    -------
-    Discovery or None
-        None where no term gains on held-out steps over the named effects and its constant. Of terms within chance of
-        the best it is the one of least curvature.
     """
     train, tables = fitter.train, model.covariates(explanation.fitted.values)
     found: list[RefinedTerm] = []

@@ -35,6 +35,8 @@ def short_contact(
 ) -> tuple[float, float, float, float] | None:
     """Closing and opening of one short contact, in samples from the window's first, each with its uncertainty.
 
+    Returns close, close_sigma, open, open_sigma; None where no single pulse fits (a contact that bounces).
+
     Parameters
     ----------
     fraction : array, shape (n,)
@@ -49,11 +51,6 @@ def short_contact(
         Impact in the accelerometer, and its uncertainty, in samples.
     longest : float
         Length of the longest contact, in samples.
-
-    Returns
-    -------
-    close, close_sigma, open, open_sigma : float
-        None where no single pulse fits (a contact that bounces).
     """
     tau = (max(tau_samples[0], MIN_TAU_SAMPLES), max(tau_samples[1], MIN_TAU_SAMPLES))
 

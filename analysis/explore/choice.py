@@ -215,12 +215,7 @@ def best_block(
     """The block of most nats a second: of each option the best steps one by one, then the best option.
 
     ``worth`` gives the nats of what a block's products sum to; by default they are about which explanation is true and
-    about the parameters ``wanted``.
-
-    Returns
-    -------
-    Block or None
-        None where nothing that the rig may do would tell anything.
+    about the parameters ``wanted``. None where nothing that the rig may do would tell anything.
     """
     some = known.explanations[:MOST_EXPLANATIONS]
     probability = np.array([x.probability for x in some])

@@ -63,6 +63,8 @@ def staked(
 ) -> Staked | None:
     """The block by which the rivals of a named set would contradict it most for the rig's time, and the prediction.
 
+    None where nothing is named, where a drift is (a later run does not share it), or no rival differs anywhere.
+
     Parameters
     ----------
     fitted
@@ -71,11 +73,6 @@ def staked(
         Forcings that may be driven, and the steps of a block.
     written, recordings
         Software and time of writing, and the recordings that the verdict is on.
-
-    Returns
-    -------
-    Staked or None
-        None where nothing is named, where a drift is (a later run does not share it), or no rival differs anywhere.
     """
     model, best = fitted.model, fitted.selection.best
     if not best.free or any(q.endswith(TREND) for _, q in best.free):

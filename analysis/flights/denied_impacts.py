@@ -76,6 +76,8 @@ def denied(
 ) -> Bools:
     """Whether the flight that an impact would end did not end there.
 
+    Shape (m,).
+
     Parameters
     ----------
     plate : PlateMotion
@@ -88,10 +90,6 @@ def denied(
         Impacts within intervals, in order; the strength is NaN where it is not known.
     host : int array, shape (m,)
         The interval of each impact.
-
-    Returns
-    -------
-    bool array, shape (m,)
     """
 
     def flights(left: Integers) -> tuple[_Flight, Bools]:

@@ -71,10 +71,6 @@ def join_runs(
     progress
         Called with what is being done and the fraction of the pass.
 
-    Returns
-    -------
-    JointVerdict
-
     Raises
     ------
     InputError

@@ -111,10 +111,6 @@ def fit_population(
         Places of what is fitted: all calibrations first.
     fixed_spread
         Keep the spreads as given.
-
-    Returns
-    -------
-    Population
     """
     spread, width = spread.copy(), np.maximum(spread, 1e-300)
     # EM converges slowly where a spread is small: up to 300 rounds

@@ -26,10 +26,7 @@ class ContactFlightFit:
     def log_gain(self) -> tuple[float, float] | None:
         """Logarithm of the first tone's amplitude in flight over that in contact, and its standard deviation.
 
-        Returns
-        -------
-        tuple of float or None
-            None where contact or flight has too few blocks, or they cannot be separated.
+        None where contact or flight has too few blocks, or they cannot be separated.
         """
         contact, total = self.contact, self.total
         # fewer blocks do not fix the tones of contact and of flight separately

@@ -77,6 +77,9 @@ class MainsLine:
 def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> Floats:
     """Power of a residual near its tones from number ``first`` on, over that of white noise of its size, times bins.
 
+    Returns that power, and the number of bins of the periodogram that it was measured in: their median, so that other
+    lines do not count.
+
     Parameters
     ----------
     residual
@@ -85,12 +88,6 @@ def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> 
         Frequencies of the tones (k,), a block.
     first, rate_hz
         The first mains line among the tones, and blocks a second.
-
-    Returns
-    -------
-    array, shape (k - first, 2)
-        That power, and the number of bins of the periodogram that it was measured in: their median, so that other lines
-        do not count.
     """
     out = np.zeros((cycles.size - first, 2))
     size, spectrum = residual.size, np.fft.rfft(residual)

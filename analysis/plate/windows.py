@@ -90,10 +90,7 @@ class Scratch(NamedTuple):
 def fit_windows(state: StepState, rate_hz: float) -> ChunkFit | None:
     """Slow residual and windowed amplitudes of the open chunk at ``rate_hz`` blocks a second.
 
-    Returns
-    -------
-    ChunkFit or None
-        None where the tones cannot be fitted.
+    None where the tones cannot be fitted.
     """
     lock_in = state.lock_in
     if lock_in is None:

@@ -56,6 +56,8 @@ COVARIATES: Mapping[str, Covariate] = {
 def covariates_of(ev: Observations, late_s: tuple[Floats, Floats], reading: Complexes | Floats) -> dict[str, Floats]:
     """Covariates of every flight of the observations.
 
+    Arrays (n,) by the names of `COVARIATES`, SI units; NaN where the flight before is not known.
+
     Parameters
     ----------
     ev
@@ -64,11 +66,6 @@ def covariates_of(ev: Observations, late_s: tuple[Floats, Floats], reading: Comp
         By how much later than they happened openings and landings were seen, (n,) each.
     reading
         What the accelerometer shows of each tone of the plate, relative to it, (m, k).
-
-    Returns
-    -------
-    dict of arrays (n,)
-        By the names of `COVARIATES`, SI units; NaN where the flight before is not known.
     """
     gravity = ev.setup.g_mps2.value
     events, step = ev.measured, ev.measured.step

@@ -142,10 +142,7 @@ def _lost(model: ForwardModel, values: Mapping[ParameterId, float], landing_s: F
 def noise_floors_us(model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers) -> tuple[float, float]:
     """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
 
-    Returns
-    -------
-    tuple of float
-        Of landings, and of the take-offs that were seen; NaN where there are none.
+    Of landings, and of the take-offs that were seen; NaN where there are none.
     """
     u, from_rest = uncertainty_at(model, values), rows[model.from_rest[rows]]
     landing, opening = u.landing_total_s[rows], u.opening_total_s[from_rest]
@@ -161,12 +158,8 @@ def noise_quantiles_us(
 ) -> tuple[float, float]:
     """Root mean squares that noise exceeds with probability ``chance_p`` in such a set of flights.
 
-    Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor.
-
-    Returns
-    -------
-    tuple of float
-        Of landings, and of the take-offs that were seen; 0 where there are none.
+    Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor. Of
+    landings, and of the take-offs that were seen; 0 where there are none.
     """
     u, from_rest, rng = uncertainty_at(model, values), rows[model.from_rest[rows]], np.random.default_rng(seed)
     step = model.observations.measured.step

@@ -40,7 +40,7 @@ def calibrate_into(
     """Do what `bench calibrate` does, and write it into the profile's file.
 
     Raises `InputError` or `BackendError` when the device failed or nothing could be measured; the file is left as it
-    was.
+    was. Returns the profile as it was, its back end, and what was measured.
 
     Parameters
     ----------
@@ -52,11 +52,6 @@ def calibrate_into(
         Of a simulated rig.
     ask
         Called before the accelerometer is laid upside down (True) and back (False).
-
-    Returns
-    -------
-    tuple
-        The profile as it was, its back end, and what was measured.
     """
     profile, backend = open_rig(path, "calibrate", scenario, seed)
     if kind == "accelerometer":

@@ -62,12 +62,8 @@ class Desk:
     def start(self, profile: Path, scenario: str | None, asked: AskedRun) -> Message:
         """Start a ramp in a process of its own, which outlives this one.
 
-        Raises `InputError` when the profile cannot be read.
-
-        Returns
-        -------
-        dict
-            What `attach` needs to find the run again: ``board``, ``profile`` and ``out``.
+        Raises `InputError` when the profile cannot be read. Returns what `attach` needs to find the run again:
+        ``board``, ``profile`` and ``out``.
         """
         known, _ = load(profile)
         if self.watch is not None:

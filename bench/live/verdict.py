@@ -70,6 +70,8 @@ def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any
 def verdict_of(seen: Observations, step: int, look: int, upcoming: tuple[float, ...]) -> dict[str, Any]:
     """The verdict after a step.
 
+    Returns a message: ``within`` noise or not, ``headline``, ``candidates`` and ``lines`` in words, ``floor_us``.
+
     Parameters
     ----------
     seen
@@ -80,11 +82,6 @@ def verdict_of(seen: Observations, step: int, look: int, upcoming: tuple[float, 
         The number of this verdict among those of the run, from 1.
     upcoming
         Gammas of the steps to come.
-
-    Returns
-    -------
-    dict
-        A message: ``within`` noise or not, ``headline``, ``candidates`` and ``lines`` in words, ``floor_us``.
     """
     found = judge_so_far(seen, look)
     out: dict[str, Any] = {"kind": "verdict", "step": step, "within": True, "candidates": []}

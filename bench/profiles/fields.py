@@ -31,12 +31,9 @@ def _schema() -> dict[str, Any]:
 def fields_of(text: str) -> list[Field]:
     """Every key that the profile ``text`` has or may have; raises `InputError` when the text is not TOML.
 
-    Returns
-    -------
-    list of dict
-        ``key`` (dotted), ``text`` (the value as TOML writes it; empty where it is not set), ``unit``, ``limit``,
-        ``help``, ``choices`` (a list, empty where any value goes). The kind of back end is not among them: another one
-        is another profile.
+    Returns ``key`` (dotted), ``text`` (the value as TOML writes it; empty where it is not set), ``unit``, ``limit``,
+    ``help``, ``choices`` (a list, empty where any value goes). The kind of back end is not among them: another one is
+    another profile.
     """
     try:
         held = tomllib.loads(text)

@@ -22,7 +22,8 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     A loop whose verdict is "unexplained" declares nothing; its effects are written as comments, ready to be declared by
     whoever believes them.
 
-    Raises `InputError` when the recording holds no profile.
+    Raises `InputError` when the recording holds no profile. Returns what was written, and what was found and is not
+    declared, a line each.
 
     Parameters
     ----------
@@ -32,11 +33,6 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
         The new file.
     text
         The profile by which the loop was closed, where that is not the recording's own.
-
-    Returns
-    -------
-    list of str
-        What was written, and what was found and is not declared, a line each.
     """
     if text is None:
         with open_recording(recording) as opened:

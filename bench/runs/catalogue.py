@@ -80,17 +80,14 @@ class Catalogue(Closing):
     def update(self, *, all_bytes: bool = False, progress: Callable[[str, float], None] | None = None) -> int:
         """Read the files that are new or have changed, and forget those that are gone.
 
+        Returns the number of files read.
+
         Parameters
         ----------
         all_bytes
             Compare every byte of the recordings with their checksums, where that has not been done.
         progress
             Called with what is being read and the part done.
-
-        Returns
-        -------
-        int
-            Files read.
         """
         found = {file.path: file for file in files_below(self.folder)}
         with self._updating:

@@ -57,10 +57,7 @@ def show(loop: ClosedLoop) -> None:
 def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
     """Write each output by its function; one that fails is reported under its name and does not stop the others.
 
-    Returns
-    -------
-    bool
-        Whether all were written.
+    Returns whether all were written.
     """
     complete = True
     for name, write in outputs:

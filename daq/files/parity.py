@@ -63,14 +63,12 @@ def sector_crcs(data: bytes | memoryview) -> NDArray[np.uint32]:
 def parity_of(read: Callable[[int, int], bytes], n_bytes: int) -> tuple[Bytes, NDArray[np.uint32]]:
     """Stripes of parity of the first ``n_bytes`` of a file, and the CRC-32 of all its sectors.
 
+    Shapes (SPARE, bytes of a stripe) and (sectors,).
+
     Parameters
     ----------
     read
         Gives the bytes from an offset on, so many of them.
-
-    Returns
-    -------
-    array (SPARE, bytes of a stripe), array
     """
     length = stripe_sectors(n_bytes) * SECTOR
     parity, crcs = np.zeros((SPARE, length), np.uint8), [np.zeros(0, np.uint32)]

@@ -70,12 +70,8 @@ class Checked:
 def write_seal(path: Path, columns: tuple[str, ...]) -> NDArray[np.void]:
     """Append the seal to a closed HDF5 file whose one-dimensional, chunked datasets ``columns`` hold the samples.
 
-    Raises `OSError` when the disk refuses.
-
-    Returns
-    -------
-    array
-        `EXTENT_DTYPE` rows: the whole file, with the CRC-32 of what was just read of it.
+    Raises `OSError` when the disk refuses. Returns `EXTENT_DTYPE` rows: the whole file, with the CRC-32 of what was
+    just read of it.
     """
     chunks: list[tuple[int, int, int, int, int, int]] = []
     with h5py.File(path, "r") as file:

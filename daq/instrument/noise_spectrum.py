@@ -94,6 +94,8 @@ def measure_noise(
 ) -> NoiseSpectrum | None:
     """Spectrum of the noise from the frames in which nothing but noise is.
 
+    None where too few samples are usable, or the channel stands still.
+
     Parameters
     ----------
     volts
@@ -104,11 +106,6 @@ def measure_noise(
         Sampling rate.
     frame
         Samples of a periodogram: more show lower frequencies.
-
-    Returns
-    -------
-    NoiseSpectrum or None
-        None where too few samples are usable, or the channel stands still.
     """
     rows = []
     for own, good in zip(volts, usable, strict=True):

@@ -34,12 +34,7 @@ def open_quickly(path: Path) -> Recording | None:
 
     Its samples are as safe as HDF5's own checksum of each chunk; `daq.recording.open_recording` compares them all.
 
-    Raises `InputError` when it is not a recording, or cannot be read.
-
-    Returns
-    -------
-    Recording or None
-        None for a file without a sound seal.
+    Raises `InputError` when it is not a recording, or cannot be read. None for a file without a sound seal.
     """
     require_file(path)
     found = check_tables(path)

@@ -136,11 +136,6 @@ def fill_edges(tones: Floats, turning: Floats, gamma: float, edge: Floats) -> in
     edge : (m + 2,) array
         On return ``edge[0] < edge[1] < ... < edge[2 w]``: window ``i`` is ``[edge[2 i], edge[2 i + 1])``,
         ``edge[0]`` is in ``[0, 2 pi)`` and ``edge[2 w] = edge[0] + 2 pi`` closes the period.
-
-    Returns
-    -------
-    int
-        ``w``.
     """
     m = turning.shape[0]
     if m == 0 or gamma <= 0.0:

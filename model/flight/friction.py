@@ -129,10 +129,8 @@ def land_with_friction(
 ) -> tuple[float, float, float, int]:  # fmt: skip
     """One flight from the take-off at ``phi0`` with relative speed ``v0``.
 
-    Returns
-    -------
-    tau (hanging included), landing phase (any turn), impact speed, flag
-        tau is inf, flag RESTS, when the ball stays on the rod.
+    Returns tau (hanging included), landing phase (any turn), impact speed, flag; tau is inf, flag RESTS, when the ball
+    stays on the rod.
     """
     if v0 > 0.0:
         short, tau, speed = short_bounce(tones, gamma, law, phi0, v0)

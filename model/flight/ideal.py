@@ -23,6 +23,8 @@ def land(
 ) -> tuple[float, float, float, int]:
     """The first landing after the take-off at the folded phase ``phi0``.
 
+    Returns tau, landing phase (folded into the period of ``edge``), impact speed, flag.
+
     Parameters
     ----------
     tones, edge, n_windows
@@ -35,10 +37,6 @@ def land(
         ``gamma q(phi0) - 1``; exactly 0 at a threshold.
     v0 : float
         Speed relative to the plate, >= 0; with 0 the phase must be inside a window.
-
-    Returns
-    -------
-    tau, landing phase (folded into the period of ``edge``), impact speed, flag
     """
     s0, slope0, _ = shape(tones, phi0)
     segment = Segment(phi0, s0, slope0, a0, v0, 0.0, 1.0)

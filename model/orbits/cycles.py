@@ -125,13 +125,9 @@ def fly_until_closed_of(flight: Callable[..., Any], after_impact: Callable[..., 
         """Fly from the plate at ``phi`` with rebound speed ``v`` until a threshold repeats or the arrays are full.
 
         The bounces of a chatter's run that stay in one branch are marked `SMALL`: they are one symbol of the itinerary,
-        so that it does not depend on where the sum of the tail sets in.
-
-        Returns
-        -------
-        first, stop, periods, phase, speed
-            The cycle is flights ``first .. stop - 1`` and lasts ``periods``; ``first = -1`` when nothing repeated. Then
-            the state in which the ball was left. A ball that stays on the rod ends the orbit unclosed.
+        so that it does not depend on where the sum of the tail sets in. Returns first, stop, periods, phase, speed. The
+        cycle is flights ``first .. stop - 1`` and lasts ``periods``; ``first = -1`` when nothing repeated. Then the
+        state in which the ball was left. A ball that stays on the rod ends the orbit unclosed.
         """
         tau, phase, speed, symbol, threshold, mark = flown
         up, n_up = tables.up, tables.n_up
@@ -209,12 +205,10 @@ def locked_family_of(tables_of: Callable[..., EdgeTables], flight: Callable[...,
     ) -> tuple[bool, float, float, float, int]:
         """``n`` flights that never stick, from a take-off ``after`` (>= 0, radians) the threshold of ``window``.
 
-        Returns
-        -------
-        ok, miss, multiplier, half, code
-            ``miss`` is landing minus take-off modulo ``2 pi``: 0 on a cycle; ``half`` is the same half-way (0 where an
-            even cycle folds onto one of half its length; NaN for odd ``n``); ``code`` differs between itineraries. Not
-            ``ok`` where the ball sticks before the last landing or the window is too short.
+        Returns ok, miss, multiplier, half, code. ``miss`` is landing minus take-off modulo ``2 pi``: 0 on a cycle;
+        ``half`` is the same half-way (0 where an even cycle folds onto one of half its length; NaN for odd ``n``);
+        ``code`` differs between itineraries. Not ``ok`` where the ball sticks before the last landing or the window is
+        too short.
         """
         tables = tables_of(tones, turning, gamma, law)
         edge, n_windows = tables.up, tables.n_up
@@ -253,13 +247,9 @@ def close_cycle_of(flight: Callable[..., Any]) -> Callable[..., Any]:
     ) -> tuple[bool, int, float, float]:
         """Newton for a cycle of as many flights as ``cycle`` (4, n) has room for, from the state just after an impact.
 
-        Fills its rows with flight times, take-off phases, impact speeds and take-off speeds.
-
-        Returns
-        -------
-        ok, periods, trace, determinant
-            The last two are those of the Jacobian of all flights. Not ``ok`` where the ball rests on the way, or Newton
-            does not converge.
+        Fills its rows with flight times, take-off phases, impact speeds and take-off speeds. Returns ok, periods,
+        trace, determinant. The last two are those of the Jacobian of all flights. Not ``ok`` where the ball rests on
+        the way, or Newton does not converge.
         """
         taus, phases, speeds, starts = cycle
         up, n_up = tables.up, tables.n_up

@@ -32,11 +32,6 @@ def open_backend(
         Its ``[backend]`` names the kind, `rig.backends.kinds.find.kind_of` what that is.
     scenario, seed, real_time, replay
         As in `rig.backends.kinds.base.OpenOptions`.
-
-    Returns
-    -------
-    Backend
-        As `rig.backends.base.Backend` promises.
     """
     options = OpenOptions(scenario, seed, real_time, replay)
     kind = kind_of(profile.backend.kind)

@@ -42,6 +42,8 @@ class Flip:
 def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> Flip:
     """Read the accelerometer at rest as mounted, upside down, and as mounted again.
 
+    With ``V = offset + S (a + g)``: ``S = (V_up - V_down) / 2g``, and ``offset = (V_up + V_down) / 2``.
+
     Parameters
     ----------
     profile
@@ -50,11 +52,6 @@ def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
         Not yet started. One that is `FlipsSensor` turns its sensor by itself.
     ask
         Has a person lay the sensor upside down (True) or as mounted (False), and returns once it lies still.
-
-    Returns
-    -------
-    Flip
-        With ``V = offset + S (a + g)``: ``S = (V_up - V_down) / 2g``, and ``offset = (V_up + V_down) / 2``.
 
     Raises
     ------

@@ -52,7 +52,8 @@ def run_ramp(
     """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
 
     Raises `daq.setup.errors.InputError` before anything moves, where the device's delay exceeds what the branch's
-    multiplier allows.
+    multiplier allows. The run's end is ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed``
+    when the device or the disk failed. Whatever was recorded stays readable.
 
     Parameters
     ----------
@@ -72,12 +73,6 @@ def run_ramp(
         What holds the ball on a branch, where it is to be held.
     clock
         The machine's, or that of a simulation.
-
-    Returns
-    -------
-    RunSummary
-        ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed`` when the device or the disk
-        failed. Whatever was recorded stays readable.
     """
     instruments = replace(_Instruments.of(profile, backend, programme or plan(profile)), hold=hold)
     watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest(), clock)

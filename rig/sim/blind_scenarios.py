@@ -62,6 +62,8 @@ def sealed_scenario(
 ) -> Scenario:
     """Draw what a rig hides; raises `ValueError` where more effects are asked for than named.
 
+    The nonce is fresh.
+
     Parameters
     ----------
     rng : numpy.random.Generator
@@ -78,11 +80,6 @@ def sealed_scenario(
         Let the first effect's size drift by half to all of itself in a minute.
     nuisances : bool
         Add a contact gap of 0.05 to 0.5 micrometres and contact bounce of up to 0.5 ms.
-
-    Returns
-    -------
-    Scenario
-        With a fresh nonce.
     """
     if not 0 <= count <= len(names):
         raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")
@@ -104,10 +101,7 @@ def sealed_scenario(
 def ordinary_instrument(rng: np.random.Generator) -> dict[str, float]:
     """Draw an instrument as a laboratory has it, whose parts stay within what a profile states of its channels.
 
-    Returns
-    -------
-    dict
-        Keys of a scenario's ``[rig]``.
+    Returns keys of a scenario's ``[rig]``.
     """
     return {
         "low_pass_hz": float(np.exp(rng.uniform(np.log(4e3), np.log(9e3)))),

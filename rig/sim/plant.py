@@ -228,17 +228,13 @@ class Plant:
     def exchange(self, drive_v: Floats) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.
 
-        Raises `ValueError` where `drive_v` is not one-dimensional or not finite.
+        Raises `ValueError` where `drive_v` is not one-dimensional or not finite. Returns codes of `channels`, (n, 3 or
+        4).
 
         Parameters
         ----------
         drive_v : float64 array (n,)
             Volts at the amplifier's input; finite.
-
-        Returns
-        -------
-        int16 array (n, 3 or 4)
-            Codes of `channels`.
         """
         drive = np.ascontiguousarray(drive_v, dtype=np.float64)
         if drive.ndim != 1 or not np.isfinite(drive).all():

@@ -49,11 +49,8 @@ def draw_orbit(forcing: Forcing, gamma: float, figure: Figure) -> dict[str, Floa
 def draw_branches(found: LandingMap, flights: Flights, figure: Figure) -> dict[str, Floats]:
     """Draw flight time over take-off phase, the measured return map, and shares; a colour for each branch.
 
-    Returns
-    -------
-    dict
-        ``from_periods`` (n,), the lower edges of the bins, and in each the ``predicted_m`` and ``measured_m`` part of
-        all flights longer than `SHORTEST` that belong to branch m.
+    Returns ``from_periods`` (n,), the lower edges of the bins, and in each the ``predicted_m`` and ``measured_m`` part
+    of all flights longer than `SHORTEST` that belong to branch m.
     """
     frequency_hz = np.array([np.nan if p is None else p.frequency_hz for p in flights.plate.steps])
     periods = flights.duration_s * frequency_hz[np.maximum(flights.step, 0)]

@@ -176,12 +176,8 @@ def name_flights(line: Any, rows: Integers) -> None:
 def clipped_dots(ax: Any, x: Floats, y: Floats, limit: float, flights: Integers | None = None, **style: Any) -> int:
     """Dots within ``+-limit``; points beyond are triangles at the edge that point outwards.
 
-    ``flights`` (n,) are the rows of the flights behind the points, where there are any.
-
-    Returns
-    -------
-    int
-        Number of points beyond.
+    ``flights`` (n,) are the rows of the flights behind the points, where there are any. Returns the number of points
+    beyond.
     """
     above, below = y > limit, y < -limit
     inside = ~above & ~below

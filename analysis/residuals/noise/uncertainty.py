@@ -267,7 +267,8 @@ def rounding_errors(time_s: Floats, sigma_s: Floats, sampling_s: float, jitter_s
 
     The place of the samples is unknown, so that the covariance of two errors is that of a sawtooth of random phase,
     ``T^2 cos(2 pi m d) / (2 pi^2 m^2)`` summed over its harmonics ``m``, for places that differ by ``d`` samples.
-    Jitter of standard deviation ``J`` before the rounding makes it smaller by ``exp(-(2 pi m J / T)^2)``.
+    Jitter of standard deviation ``J`` before the rounding makes it smaller by ``exp(-(2 pi m J / T)^2)``. Shape (n, 2 *
+    HARMONICS), zero for edges that were not rounded.
 
     Parameters
     ----------
@@ -279,11 +280,6 @@ def rounding_errors(time_s: Floats, sigma_s: Floats, sampling_s: float, jitter_s
         Interval ``T`` between samples; 0 where edges are not rounded.
     jitter_s : float
         Jitter ``J``; infinite where nothing tells it.
-
-    Returns
-    -------
-    array, shape (n, 2 * HARMONICS)
-        Zero for edges that were not rounded.
     """
     if sampling_s == 0.0 or math.isinf(jitter_s):
         return np.zeros((len(time_s), 2 * HARMONICS))

@@ -29,11 +29,8 @@ def verdict_file(recordings: Sequence[Path]) -> Path:
 def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
     """Write a closed loop into the folder of its recordings, in place of an earlier one.
 
-    Returns
-    -------
-    str
-        Why it could not be saved, in a sentence; empty where it is. A folder that cannot be written, as of an archive,
-        or a file of that name that is no closed loop, costs no verdict.
+    Returns why it could not be saved, in a sentence; empty where it is saved. A folder that cannot be written, as of an
+    archive, or a file of that name that is no closed loop, costs no verdict.
     """
     from analysis.loop.storage import is_verdict, save_verdict
 
@@ -70,7 +67,7 @@ def conclude(
 def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False, **more: Any) -> Path:
     """Have a verdict drawn by `bench.jobs.loops.drawing`: what computes a verdict needs none of what draws it.
 
-    Raises `InputError` when it could not be written.
+    Raises `InputError` when it could not be written. Returns the path of what was written.
 
     Parameters
     ----------
@@ -82,11 +79,6 @@ def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False
         Without a progress bar.
     more
         Further arguments of `write_report`, or of `analysis.report.figures.several.write_pictures`.
-
-    Returns
-    -------
-    Path
-        Of what was written.
     """
     call = [sys.executable, "-m", "bench.jobs.loops.drawing"]
     what = pickle.dumps((found, folder, quiet, more))

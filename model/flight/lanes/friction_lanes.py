@@ -133,11 +133,8 @@ def _standstill(
 def rise_in_lanes(tones: Floats, flat: Floats, rows: Any, gamma: Number, segment: Segment, wanted: Any) -> Any:
     """The end of a rise in every ``wanted`` lane.
 
-    ``rows`` are the first row of ``flat`` that holds the branches of rises, and the number of branches.
-
-    Returns
-    -------
-    tau, phase, h, h', (s, s', q) at the phase, plain
+    ``rows`` are the first row of ``flat`` that holds the branches of rises, and the number of branches. Returns tau,
+    phase, h, h', (s, s', q) at the phase, plain.
     """
     m = gamma * segment.slope + segment.speed + segment.pull * segment.phase
     branch, turns = _end_of_rise(flat, rows, segment.phase, m, segment.pull)
@@ -198,16 +195,14 @@ def land_in_lanes(
 ) -> Any:  # fmt: skip
     """Where the falls of the ``wanted`` lanes end on the plate.
 
+    Returns tau, phase, h', (s, s', q) at the phase, plain.
+
     Parameters
     ----------
     rows
         The first row of ``flat`` that holds the edges, from the last of the turn before on, and the windows.
     stop
         Where the ball would stand still below the plate: tau (or infinite), h, q.
-
-    Returns
-    -------
-    tau, phase, h', (s, s', q) at the phase, plain
     """
     phi0, s0, slope0, a0, v0, h0, level = segment
     (lo, s_lo, slope_lo), (hi, s_hi, slope_hi), turns = _branch_of_landing(flat, rows, gamma, segment, stop[0])

@@ -26,12 +26,8 @@ def _step_on(far: Number, t: Number, wraps: Any, clear: Any, v: Number, end: Any
     """From the ``end`` (h, h') of a branch, at ``far`` and ``t`` after the start, on to the next branch.
 
     Whole turns during which the ball is surely above the plate (between the times ``clear``) are left out; where it
-    ``wraps`` the table's period ends.
-
-    Returns
-    -------
-    phase, h, h', turns
-        Of the next branch's start; the turns, in radians, are those to be added.
+    ``wraps`` the table's period ends. Returns phase, h, h' of the next branch's start, and the turns to be added, in
+    radians.
     """
     clear_from, clear_to = clear
     h, h1 = end
@@ -54,11 +50,8 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
     """Whether a convex branch that falls and rises again touches the plate, in every ``unsure`` lane.
 
     ``left`` and ``right`` are points (phase, h, h') of the branch. The tangents at both lie below it: where they meet
-    above the plate it is clear. A point found below encloses the first root, and only that one, with ``left``.
-
-    Returns
-    -------
-    touches, undecided, left, right
+    above the plate it is clear. A point found below encloses the first root, and only that one, with ``left``. Returns
+    touches, undecided, left, right.
     """
     never = unsure & ~unsure
     touched, undecided = never, never
@@ -87,16 +80,14 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
 def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: Any, take_off: Any) -> Any:
     """First landings after take-offs in the windows of each lane.
 
+    Returns x, turns, speed, (s, s') there, plain.
+
     Parameters
     ----------
     place
         Of each lane's table and its last edge, and the branch of the take-off, a window.
     take_off
         Phase, s and s' there.
-
-    Returns
-    -------
-    x, turns, speed, (s, s') there, plain
     """
     (base, last, i), (phi0, s0, slope0) = place, take_off
     v = gamma * slope0

@@ -110,7 +110,8 @@ def root_in_branch(
     """The one root of ``h``, or ``of_speed`` ``h'``, in the bracket of every lane that is ``away`` from it.
 
     From a good start, by steps of third order; for a standstill one of Halley's comes before, for which the sine and
-    cosine are turned. Seldom must any lane do so twice.
+    cosine are turned. Seldom must any lane do so twice. Returns phase, (h, h', s, s', q) there, lanes that have not
+    converged.
 
     Parameters
     ----------
@@ -120,10 +121,6 @@ def root_in_branch(
         ``(lo, hi)``.
     x
         Where to begin.
-
-    Returns
-    -------
-    phase, (h, h', s, s', q) there, lanes that have not converged
     """
     lo, hi = bracket
     end = (x, x, x, x, x)
