@@ -31,7 +31,6 @@ from benchmarks.scoring.tables import show
 from benchmarks.scoring.trial import Job, conditions, run
 from benchmarks.scoring.version import code_version
 from daq.files.whole_file import Journal
-from kernels import BLAS_THREADS
 from model.surveys.workers import outcomes
 
 TELL_EVERY = 50  # trials
@@ -128,8 +127,6 @@ def _same(value: Any, text: str) -> bool:
 def main() -> None:
     """Run what is missing within the time, then print."""
     args = _options()
-    for name in BLAS_THREADS:  # of the workers, as in `bench`
-        os.environ.setdefault(name, "1")
     journal = Journal(args.results)
     if not (args.show or args.against):
         wanted = [
