@@ -259,13 +259,14 @@ def _is_constant(fr: float, direction: float, p: Floats) -> bool:
 
 @inlined
 def segment(
-    t0: float, s0: float, begin: tuple[float, float], direction: float, plate: Plate, law: Law, gap: float
-) -> tuple[int, float, float, float, float]:
+    t0: float, s0: float, begin: tuple[float, float], direction: float, plate: Plate, law: Law, gap: float,
+    longest_s: float,
+) -> tuple[int, float, float, float, float]:  # fmt: skip
     """Fly until impact or, with dry friction, standstill.
 
     ``s0`` is the time since take-off (and since the mode's state), ``begin`` height and velocity then. Returns
-    (ended, s, h, v, opened): ended is `LANDS`, `STANDS`, or `GOES_ON` where neither comes; ``opened`` the time since
-    take-off at which the height passed ``gap``, or -1.
+    (ended, s, h, v, opened): ended is `LANDS`, `STANDS`, or `GOES_ON` where neither comes in ``longest_s`` from
+    take-off; ``opened`` the time since take-off at which the height passed ``gap``, or -1.
     """
     p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
     g = gravity(p)
@@ -284,7 +285,8 @@ def segment(
     if not halved:
         turn_twice_as_far(moving, turning)
     s, opened = 0.0, -1.0
-    while s < LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s:
+    last = min(LONGEST_PERIODS * STEPS_PER_PERIOD * law.step_s, longest_s - s0)
+    while s < last:
         se = s + step
         middle = _coasting(s + 0.5 * step, start, turned(moving, turning), g) if halved else (0.0, 0.0, 0.0, 0.0)
         end = _coasting(se, start, turned(moving, turning), g)
@@ -315,14 +317,15 @@ def segment(
 
 
 @compiled
-def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float) -> tuple[float, float, float]:
+def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float, longest_s: float) -> tuple[float, float, float]:
     """From leaving the plate at t0 with relative velocity v0 to the impact.
 
-    Returns (duration, impact speed, time from take-off to opening); duration -1 when it does not land.
+    Returns (duration, impact speed, time from take-off to opening); duration -1 when it does not land within
+    ``longest_s``.
     """
     s, h, v, opened, direction = 0.0, 0.0, v0, -1.0, 1.0
     for _ in range(200):
-        ended, s, h, v, o = segment(t0 + s, s, (h, v), direction, plate, law, gap)
+        ended, s, h, v, o = segment(t0 + s, s, (h, v), direction, plate, law, gap, longest_s)
         if opened < 0.0:
             opened = o
         if ended == LANDS:

@@ -97,14 +97,14 @@ def _measured(
     if not (direct or np.isnan(event.q)):
         q, qd = event.q, event.qd  # the state after the landing before is that of a ball which leaves it
     if not (event.relaunched and bounces):
-        lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0)
+        lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0, landing + 0.1 * period - start)
     # a flight from rest that lands farther from the measured landing is another one
     if lasts < 0.0 or abs(start + lasts - landing) > 0.1 * period:
         if direct:
             start, q, qd = last.t, last.q, last.qd
         # the prediction is a flight whose landing is known: a start for the secant
-        near = out.launch if passed == 0 and out.kind == 1.0 and event.relaunched else -1.0
-        v0, hit = launch_of(start, landing, near, out.landing_s, with_state(bare, q, qd), law)
+        near = out.launch if passed == 0 and out.kind == 1.0 and out.takeoff_s == start else -1.0
+        v0, hit = launch_of(start, landing, (near, out.landing_s, out.impact), with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
 

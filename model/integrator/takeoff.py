@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, narrowed, pull, pull_of, wait
 from model.integrator.hooks import dry_friction, gravity, rebound, takeoff_threshold
 from model.integrator.plate import (
@@ -22,6 +24,8 @@ from model.integrator.records import Flight, Law, Plate, Visibility, compiled, i
 MOST_BOUNCES = 400
 MOST_RESTITUTION = 0.999
 PASSABLE_S = 2e-3  # shorter flights may have escaped the contact circuit
+LANDS_WITHIN_S = 1e-9  # of a flight that is asked for
+CHORD_S2 = 1e-11  # product of two misses between which landings are linear in launches, to some `LANDS_WITHIN_S`
 RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 
 
@@ -84,7 +88,7 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
             break
         qt, qdt = mode_under_ball(t, off - t, plate, law.p)
         flying = with_state(plate, qt, qdt)
-        lasts, v_hit, opened = flight(off, v0, flying, law, seen.gap_m)
+        lasts, v_hit, opened = flight(off, v0, flying, law, seen.gap_m, np.inf)
         if lasts < 0.0:
             break
         if lasts > seen.unseen_s and not (lasts < PASSABLE_S and off + lasts < after):
@@ -127,7 +131,9 @@ def weak_rebounds(
         passed += 1
         lasts, v_next = end - off, 0.0
         if kind == 1:
-            lasts, v_next, _ = flight(off, v0, plate, law, 0.0)
+            # a longer flight ends at an impact that was seen, or farther from the target than the nearest one
+            farthest = max(near, target) + max(RESOLVED_S, abs(near - target))
+            lasts, v_next, _ = flight(off, v0, plate, law, 0.0, seen.unseen_s if marked else farthest - off)
             if lasts < 0.0 or (marked and lasts > seen.unseen_s):
                 break
             q, qd = strike(plate.mode, lasts, v_next, law.p)
@@ -146,12 +152,12 @@ def weak_rebounds(
 
 
 @inlined
-def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, law: Law) -> tuple[float, float]:
+def launch_of(t0: float, t1: float, near: tuple[float, float, float], plate: Plate, law: Law) -> tuple[float, float]:
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
-    Secant on the landing time from the drag-free answer, or from a launch velocity ``v_near`` known to land at
-    ``t_near`` (-1: none); the drag-free answer itself where no flight lands at all. Without forces and friction that
-    answer is exact, and only flown: a ball cannot leave downwards, nor pass through the plate on its way.
+    Secant on the landing time from the drag-free answer, or from a flight that is known: ``near`` is its launch
+    velocity (-1: none), landing and impact speed. The drag-free answer itself where no flight lands at all: without
+    forces and friction it is exact, and only flown, as a ball cannot leave downwards, nor pass through the plate.
     """
     g, (tones, mode) = gravity(law.p), plate
     x0, vp0, _ = tones_at(t0, tones)
@@ -162,31 +168,27 @@ def launch_of(t0: float, t1: float, v_near: float, t_near: float, plate: Plate, 
     # free flight from plate to plate: h = 0 at both ends gives the launch speed
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
-    va, fa, va_hit = v_near, t_near - t1, hit
-    first = 0 if v_near < 0.0 or not (law.forced or law.rubbed) else 1
-    vb = max(v0, 0.0) if first == 0 else max(v_near - 0.5 * g * fa, 0.0)
-    for i in range(first, 7):
-        s, v_hit, _ = flight(t0, vb, plate, law, 0.0)
+    known = near[0] >= 0.0 and (law.forced or law.rubbed)
+    va, fa, hit_a = near[0], near[1] - t1, near[2]
+    # on a still plate a flight lasts 2 v / g: the first step is by that
+    vb, hit_b = max(va - 0.5 * g * fa, 0.0) if known else max(v0, 0.0), hit
+    for _ in range(6 if known else 7):
+        s, v_hit, _ = flight(t0, vb, plate, law, 0.0, np.inf)
         if s < 0.0:
             return max(v0, 0.0), max(hit, 0.0)
-        fb = s - lasts
-        va_hit = v_hit
-        if abs(fb) < 1e-9:
+        fb, hit_b = s - lasts, v_hit
+        if abs(fb) < LANDS_WITHIN_S:
             break
-        if i == 0 or vb == va:
-            va, fa = vb, fb
-            # on a still plate a flight lasts 2 v / g: the first step by that, then the secant
-            vb = max(vb - 0.5 * g * fb, 0.0)
-            if vb == va:
-                break
-        else:
-            slope = (fb - fa) / (vb - va) if vb != va else 0.0
-            if slope <= 0.0:
-                break
-            va, fa, vb = vb, fb, max(vb - fb / slope, 0.0)
-            if vb == va:
-                break
-    return vb, va_hit
+        slope = (fb - fa) / (vb - va) if known and vb != va else 2.0 / g
+        if slope <= 0.0:
+            break
+        on = max(vb - fb / slope, 0.0)
+        if on == vb:
+            break
+        if known and abs(fa * fb) < CHORD_S2 and abs(on - vb) < abs(vb - va):
+            return on, hit_b + (hit_b - hit_a) / (vb - va) * (on - vb)
+        va, fa, hit_a, vb, known = vb, fb, hit_b, on, True
+    return vb, hit_b
 
 
 @inlined

@@ -29,8 +29,8 @@ def test_a_ball_leaves_upwards_and_lands_when_it_was_seen_to(excess_mps2, launch
     law = law_of({"local_gravity": {"excess_mps2": excess_mps2}}, G_MPS2)
     law = law._replace(step_s=step_length(PERIOD_S, tones), turning=np.empty((len(tones) + 1, 6)))
     plate, start_s = Plate(tones, NO_MODE), 1.1 * PERIOD_S
-    lasts, hit_mps, _ = flight(start_s, launch_mps or 0.0, plate, law, 0.0)
+    lasts, hit_mps, _ = flight(start_s, launch_mps or 0.0, plate, law, 0.0, np.inf)
     assert seconds is None or seconds < lasts
-    found_mps, found_hit = launch_of(start_s, start_s + (seconds or lasts), -1.0, 0.0, plate, law)
+    found_mps, found_hit = launch_of(start_s, start_s + (seconds or lasts), (-1.0, 0.0, 0.0), plate, law)
     assert found_mps == pytest.approx(launch_mps or 0.0, abs=WITHIN_MPS)
     assert found_hit == pytest.approx(hit_mps, abs=WITHIN_MPS)
