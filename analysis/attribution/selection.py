@@ -217,10 +217,12 @@ class StepwiseSelection:
 
         A fit that had stopped short would let any other effect look needed.
         """
+        refitted = None
         for _ in range(MOST_REFITS):
             chosen = self.judge.choose(best, found, depth, null)
-            if chosen is None:
-                return None, best, null
+            if chosen is None or chosen is refitted:  # from the same start to the same fit
+                return chosen, best, null
+            refitted = chosen
             start = {k: v for k, v in chosen.fitted.values.items() if k in best.free or k in self.fitter.priors}
             again = self.refits.attempted(
                 best.candidates, self.refits.converged, best.candidates, chosen.whitener, best.free, start

@@ -15,7 +15,6 @@ is, is measured: see `benchmarks.scoring.tables`.
 from __future__ import annotations
 
 import argparse
-import os
 import socket
 import sys
 import time
