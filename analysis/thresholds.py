@@ -48,7 +48,7 @@ class Thresholds:
     noise_like_ratio: float = 1.25  # ratio, of flights and of plate data, below which no second cause is sought
     max_rms_over_floor: float = 1.5  # largest held-out error over the noise floor of an explained recording
     chance_p: float = 1e-3  # probability of a held-out error that noise may still have made
-    most_effects: int = 3  # largest number of named effects
+    most_effects: int = 3  # largest number of effects that act on the ball and are named
     knots_rms: float = 1.05  # rms of standardised landings below which no finer knots are tried
     base_rms: float = 1.15  # the same for a second set of named effects
     # correlation of its mark on the flights above which a named effect is reported as similar to a smooth term

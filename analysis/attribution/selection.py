@@ -24,9 +24,11 @@ from analysis.attribution.proposals import Proposals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, Thresholds
+from model.effects.routing import ball_effects
 
 Progress = Callable[[str, float], None]
 
+MOST_ROUNDS = 6
 MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
 
 
@@ -142,7 +144,9 @@ class StepwiseSelection:
         rng = generator_of(self.model)
         chain: list[Hypothesis] = [before]
         last: _Round | None = None
-        for depth in range(self.limits.most_effects):
+        for depth in range(MOST_ROUNDS):
+            if self._flights_effects(best) == self.limits.most_effects:
+                break
             if depth and best.noise_like(self.limits.noise_like_ratio):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
@@ -194,9 +198,14 @@ class StepwiseSelection:
             first,
         )
 
+    def _flights_effects(self, found: Hypothesis) -> int:
+        """How many effects flights have to tell; what instruments and recorded volts show does not count."""
+        known = {name for name, _ in self.fitter.identified}
+        return len(ball_effects({n: {} for n in found.names if n not in known}))
+
     def _round(self, best: Hypothesis, options: Sequence[Candidate], depth: int) -> list[Hypothesis]:
         def progress(name: str, part: float) -> None:
-            self.progress(name, (depth + part) / self.limits.most_effects)
+            self.progress(name, min((depth + part) / self.limits.most_effects, 1.0))
 
         return self.proposals.round(best, options, progress)
 
