@@ -107,6 +107,16 @@ def test_a_first_choice_that_leaves_more_than_noise_gives_way_to_another(
     assert {names for names, _ in result.tried} >= {("viscous_damping",), ("coulomb_friction",)}
 
 
+def test_a_cause_in_the_instruments_takes_no_place_from_those_of_the_ball(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """With one effect on the ball allowed, a late accelerometer is named with a friction."""
+    model = fly_ramp({UP: 0.05, DOWN: 0.05, ("accelerometer_lag", "delay_s"): 5e-4}, 1)
+    few = [c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "accelerometer_lag", "viscous_damping"}]
+    result = StepwiseSelection(model, fitter_of(model), replace(FROZEN, most_effects=1), library=few).run()
+    assert set(result.best.names) == {"coulomb_friction", "accelerometer_lag"}
+
+
 def test_a_first_choice_that_the_verdict_lets_pass_is_followed_alone(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
 ) -> None:
