@@ -112,7 +112,9 @@ def test_a_cause_in_the_instruments_takes_no_place_from_those_of_the_ball(
 ) -> None:
     """With one effect on the ball allowed, a late accelerometer is named with a friction."""
     model = fly_ramp({UP: 0.05, DOWN: 0.05, ("accelerometer_lag", "delay_s"): 5e-4}, 1)
-    few = [c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "accelerometer_lag", "viscous_damping"}]
+    few = [
+        c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "accelerometer_lag", "viscous_damping"}
+    ]
     result = StepwiseSelection(model, fitter_of(model), replace(FROZEN, most_effects=1), library=few).run()
     assert set(result.best.names) == {"coulomb_friction", "accelerometer_lag"}
 
