@@ -17,8 +17,7 @@ from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, fit_tones
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep
-from daq.steps.forcing_detection import Read, gamma_of, weights
-from daq.steps.tone_tracking import fit, tones_hz
+from daq.steps.forcing_detection import Read, Signal, gamma_of, tones_hz, weights
 from kernels.arrays import Bools, Floats, Integers
 
 RINGING_S = (3e-3, 2e-3, 1e-3)  # masked after a closing: the longest that leaves enough
@@ -50,7 +49,8 @@ def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, s
         rows = [multiples.index(m) for m in forcing]
         values, sigmas = values[rows], sigmas[rows]
     except ValueError:  # too few samples for harmonics, or a table that rings on
-        tones = fit(volts["accelerometer"], step.settled(rate_hz), step.stop, rate_hz, step.frequency_hz, setup.forcing)
+        signal = Signal(volts["accelerometer"], rate_hz, setup.forcing)
+        tones = signal.fit(step.settled(rate_hz), step.stop, step.frequency_hz)
         values, sigmas = tones.amplitudes, tones.amplitude_sigma()
     gamma = gamma_of(values / volts_per_g, setup.forcing)
     noise = gamma_of(sigmas / volts_per_g + 0j, setup.forcing)

@@ -50,7 +50,7 @@ from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from daq.steps.find_steps import FoundStep, find_steps, given_step, step_table
-from daq.steps.forcing_detection import Read, gamma_of
+from daq.steps.forcing_detection import Read, Signal, gamma_of
 from kernels.arrays import Floats
 
 LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are stored in nanoseconds, in 64 bits
@@ -262,19 +262,16 @@ def _found(read: Read, base: Timebase, intake: Intake, progress: Progress | None
     changes = {row for values in intake.set_values.values() for row, _ in values}
     cuts = sorted({0, intake.n_rows, *changes, *(int(g) for g in base.gaps[:, 0])})
     found: list[FoundStep] = []
-    forcing, rate_hz = intake.setup.forcing, base.rate_hz
-    near_hz = forcing.frequency_hz
+    signal = Signal(read, base.rate_hz, intake.setup.forcing)
+    near_hz = signal.forcing.frequency_hz
     for a, b in pairwise(cuts):
         near_hz = set_hz.get(a, near_hz)
-        if near_hz > 0.5 * rate_hz and set_hz:
+        if near_hz > 0.5 * signal.rate_hz and set_hz:
             raise InputError(
                 f"set frequency {near_hz:.6g} from sample {a} on: wanted less than half the sample rate, "
-                f"{0.5 * rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
+                f"{0.5 * signal.rate_hz:.6g} Hz; is --map frequency=COLUMN the right column, in Hz?"
             )
-        if intake.set_values:
-            found += given_step(read, a, b, rate_hz, forcing, near_hz)
-        else:
-            found += find_steps(read, a, b, rate_hz, forcing)
+        found += given_step(signal, a, b, near_hz) if intake.set_values else find_steps(signal, a, b)
         if progress is not None:
             progress("finding steps", b)
     return found

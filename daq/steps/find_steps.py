@@ -6,7 +6,7 @@ The frequency is fitted to the phase over the whole hold, because every later ph
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from daq.files.tables import STEP_DTYPE
 from daq.lock_in import ToneFit
 from daq.setup.setup import Forcing
-from daq.steps.forcing_detection import Read, regions
+from daq.steps.forcing_detection import Signal, regions
 from daq.steps.tone_tracking import (
     SETTLE_CYCLES,
     SteadySegment,
-    fit,
     frequency_correction,
     same_frequency,
     split_exactly,
@@ -37,39 +36,25 @@ class FoundStep(SteadySegment):
     tones: ToneFit  # complex amplitudes of the tones (in volts, phase at sample 0) over the hold after settling
 
 
-def find_steps(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[FoundStep]:
-    """Steps between two samples, in order.
-
-    Parameters
-    ----------
-    read
-        Gives volts of samples ``a .. b``.
-    start, stop
-    rate_hz
-    forcing
-        Ratio and relative amplitudes of the tones, and a rough frequency: right within a factor of 8 is enough.
-    """
-    read = _read_ahead(read, stop)
+def find_steps(signal: Signal, start: int, stop: int) -> list[FoundStep]:
+    """Steps between two samples, in order."""
+    signal = _read_ahead(signal, stop)
     found: list[FoundStep] = []
-    near = regions(read, start, stop, rate_hz, forcing)
-    for region in split_exactly(read, near, rate_hz, forcing):
-        for part in same_frequency(read, region, rate_hz, forcing):
-            steady = steady_segments(read, part, rate_hz, forcing)
-            found += [_refined(read, one, rate_hz, forcing) for one in steady]
+    for region in split_exactly(signal, regions(signal, start, stop)):
+        for part in same_frequency(signal, region):
+            found += [_refined(signal, one) for one in steady_segments(signal, part)]
     # a disturbance in a hold looks like a border: the pieces on both sides are one motion
-    found = _joined(read, found, rate_hz, forcing)
+    found = _joined(signal, found)
     loudest = max((float(np.abs(s.tones.amplitudes).max()) for s in found), default=0.0)
     # an amplifier's hum between steps is steady, too, but by far weaker than any hold
     return [s for s in found if np.abs(s.tones.amplitudes).max() > 2e-3 * loudest]
 
 
-def given_step(
-    read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing, frequency_hz: float
-) -> list[FoundStep]:
+def given_step(signal: Signal, start: int, stop: int, frequency_hz: float) -> list[FoundStep]:
     """Step that a file states between two samples, its frequency fitted near ``frequency_hz``; none if too short."""
-    if frequency_hz <= 0 or (stop - start) * frequency_hz / rate_hz < 4.0:
+    if frequency_hz <= 0 or (stop - start) * frequency_hz / signal.rate_hz < 4.0:
         return []
-    return [_refined(_read_ahead(read, stop), SteadySegment(start, start, stop, frequency_hz), rate_hz, forcing)]
+    return [_refined(_read_ahead(signal, stop), SteadySegment(start, start, stop, frequency_hz))]
 
 
 def step_table(
@@ -102,42 +87,41 @@ def step_table(
     return rows
 
 
-def _read_ahead(read: Read, last: int) -> Read:
+def _read_ahead(signal: Signal, last: int) -> Signal:
     """Many small reads in nearly rising order, served from few large ones that end at ``last``."""
     begin, held = 0, np.zeros(0)
 
     def from_held(start: int, stop: int) -> Floats:
         nonlocal begin, held
         if start < begin or stop > begin + len(held):
-            begin, held = start, read(start, min(max(stop, start + (1 << 18)), max(last, stop)))
+            begin, held = start, signal.read(start, min(max(stop, start + (1 << 18)), max(last, stop)))
         return held[start - begin : stop - begin]
 
-    return from_held
+    return replace(signal, read=from_held)
 
 
-def _joined(read: Read, found: list[FoundStep], rate_hz: float, forcing: Forcing) -> list[FoundStep]:
+def _joined(signal: Signal, found: list[FoundStep]) -> list[FoundStep]:
     """Join neighbours that one unbroken motion explains: equal tones, the phase continued across the border."""
     joined = found[:1]
     for step in found[1:]:
-        last, there_s = joined[-1], step.hold / rate_hz
-        nearby = step.hold - last.stop < SETTLE_CYCLES * rate_hz / step.frequency_hz
+        last, there_s = joined[-1], step.hold / signal.rate_hz
+        nearby = step.hold - last.stop < SETTLE_CYCLES * signal.rate_hz / step.frequency_hz
         alike = abs(last.frequency_hz - step.frequency_hz) <= SAME_FREQUENCY * step.frequency_hz
         before, after = (
             one.tones.amplitudes * np.exp(2j * np.pi * one.tones.frequencies_hz * there_s) for one in (last, step)
         )
         if nearby and alike and np.all(np.abs(before - after) < 1e-3 * np.abs(after).max()):
             both = SteadySegment(last.start, last.hold, step.stop, last.frequency_hz)
-            joined[-1] = _refined(read, both, rate_hz, forcing)
+            joined[-1] = _refined(signal, both)
         else:
             joined.append(step)
     return joined
 
 
-def _refined(read: Read, still: SteadySegment, rate_hz: float, forcing: Forcing) -> FoundStep:
+def _refined(signal: Signal, still: SteadySegment) -> FoundStep:
     """Fit the frequency to the phases over the hold, twice (the first time from a rough value), then the tones."""
-    frequency, sigma, settled = still.frequency_hz, np.nan, still.settled(rate_hz)
+    frequency, sigma, settled = still.frequency_hz, np.nan, still.settled(signal.rate_hz)
     for _ in range(2):
-        correction, sigma = frequency_correction(read, settled, still.stop, rate_hz, frequency, forcing)
+        correction, sigma = frequency_correction(signal, settled, still.stop, frequency)
         frequency += correction
-    tones = fit(read, settled, still.stop, rate_hz, frequency, forcing)
-    return FoundStep(still.start, still.hold, still.stop, frequency, sigma, tones)
+    return FoundStep(still.start, still.hold, still.stop, frequency, sigma, signal.fit(settled, still.stop, frequency))

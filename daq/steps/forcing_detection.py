@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.lock_in import ToneFit, ToneFits, fit_tones, fit_tones_each
 from daq.setup.setup import Forcing
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
@@ -34,10 +35,41 @@ class Region:
     frequency_hz: float
 
 
+@dataclass(frozen=True)
+class Signal:
+    """A drive, or the plate's acceleration, and what is known of the forcing in it."""
+
+    read: Read  # gives volts of samples ``a .. b``
+    rate_hz: float
+    forcing: Forcing  # ratio and relative amplitudes of its tones; its frequency is right within a factor of `SPAN`
+
+    def fit(self, start: int, stop: int, frequency_hz: float) -> ToneFit:
+        """The forcing's tones in samples ``start .. stop``."""
+        return fit_tones(self.read(start, stop), start, self.rate_hz, tones_hz(frequency_hz, self.forcing))
+
+    def fits(self, edges: Integers, frequency_hz: float) -> ToneFits:
+        """The forcing's tones in each of the windows between ``edges``."""
+        tones = tones_hz(frequency_hz, self.forcing)
+        nothing = np.zeros(0)
+        parts = [ToneFits(tones, np.zeros((0, len(tones)), np.complex128), nothing, nothing, np.zeros(0, np.int64))]
+        while len(edges) > 1:
+            n = int(np.searchsorted(edges, edges[0] + (1 << 17), side="right")) - 1
+            n = min(max(n, 1), 100, len(edges) - 1)  # windows fitted in one go
+            x = self.read(int(edges[0]), int(edges[n]))
+            parts.append(fit_tones_each(x, edges[: n + 1], self.rate_hz, tones))
+            edges = edges[n:]
+        return ToneFits.join(parts)
+
+
 @lru_cache(maxsize=16)
 def weights(forcing: Forcing) -> tuple[tuple[int, float], ...]:
     """Expected relative acceleration of the tones, ``(multiple, amplitude)``: displacement times multiple squared."""
     return tuple((m, m * m * abs(z)) for m, z in forcing.displacement_tones() if abs(z) > 1e-12)
+
+
+def tones_hz(frequency_hz: float, forcing: Forcing) -> Floats:
+    """Frequencies of the forcing's tones when the first is at ``frequency_hz``."""
+    return frequency_hz * np.array([float(m) for m, _ in weights(forcing)])
 
 
 def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
@@ -49,20 +81,9 @@ def gamma_of(amplitudes: NDArray[Any], forcing: Forcing) -> float:
     return float(np.sum(shape * np.abs(amplitudes)) / np.sum(shape**2))
 
 
-def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing) -> list[Region]:
-    """Stretches of a nearly constant forcing frequency, in order.
-
-    Parameters
-    ----------
-    read
-        Gives volts of samples ``a .. b``.
-    start, stop
-    rate_hz
-    forcing
-        Its tones' ratio and amplitudes, and a frequency that is right within a factor of `SPAN`.
-    """
-    hint_hz = forcing.frequency_hz
-    tones = weights(forcing)
+def regions(signal: Signal, start: int, stop: int) -> list[Region]:
+    """Stretches of a nearly constant forcing frequency between two samples, in order."""
+    rate_hz, hint_hz, tones = signal.rate_hz, signal.forcing.frequency_hz, weights(signal.forcing)
     window = round(min(max(10.0 / hint_hz, 0.1), 2.0) * rate_hz)
     hop = max(window // 2, 1)
     if stop - start < window:
@@ -79,7 +100,7 @@ def regions(read: Read, start: int, stop: int, rate_hz: float, forcing: Forcing)
     for i in range(0, len(starts), many):
         own = starts[i : i + many]
         means = np.empty((len(own), window // reduce))
-        x = np.ascontiguousarray(read(int(own[0]), int(own[-1]) + window), np.float64)
+        x = np.ascontiguousarray(signal.read(int(own[0]), int(own[-1]) + window), np.float64)
         _average(x, own - own[0], reduce, means)
         found.append(_look(means, rate_hz / reduce, tones, hint_hz))
     frequency, amplitude, share = np.concatenate(found, axis=1)

@@ -12,10 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.lock_in import ToneFit, ToneFits, fit_tones, fit_tones_each
-from daq.setup.setup import Forcing
+from daq.lock_in import ToneFits
 from daq.steps.changepoints import segments
-from daq.steps.forcing_detection import Read, Region, weights
+from daq.steps.forcing_detection import Region, Signal, weights
 from kernels.arrays import Bools, Floats, Integers
 
 SETTLE_CYCLES = 2.0  # after a fade, not counted as hold
@@ -51,50 +50,24 @@ class _Track:
     main: int
     loud: Bools
 
-    def frequency_change(self, a: int, b: int, multiple: float, rate_hz: float) -> float:
+    def frequency_change(self, a: int, b: int, signal: Signal) -> float:
         """Distance of windows ``a .. b`` from the reference frequency (first tone, hertz), by the median advance."""
         inner = self.advance[min(a + 1, b - 1) : b]
-        window_s = float(self.edges[b] - self.edges[a]) / ((b - a) * rate_hz)
-        return float(np.median(inner)) / (2.0 * np.pi * window_s * multiple)
+        window_s = float(self.edges[b] - self.edges[a]) / ((b - a) * signal.rate_hz)
+        return float(np.median(inner)) / (2.0 * np.pi * window_s * weights(signal.forcing)[self.main][0])
 
 
-def tones_hz(frequency_hz: float, forcing: Forcing) -> Floats:
-    """Frequencies of the forcing's tones when the first is at ``frequency_hz``."""
-    return frequency_hz * np.array([float(m) for m, _ in weights(forcing)])
-
-
-def fit(read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, forcing: Forcing) -> ToneFit:
-    """The forcing's tones in samples ``start .. stop``."""
-    return fit_tones(read(start, stop), start, rate_hz, tones_hz(frequency_hz, forcing))
-
-
-def _fits(read: Read, edges: Integers, rate_hz: float, frequency_hz: float, forcing: Forcing) -> ToneFits:
-    """The forcing's tones in each of the windows between ``edges``."""
-    tones = tones_hz(frequency_hz, forcing)
-    nothing = np.zeros(0)
-    parts = [ToneFits(tones, np.zeros((0, len(tones)), np.complex128), nothing, nothing, np.zeros(0, np.int64))]
-    while len(edges) > 1:
-        n = int(np.searchsorted(edges, edges[0] + (1 << 17), side="right")) - 1
-        n = min(max(n, 1), 100, len(edges) - 1)  # windows fitted in one go
-        x = read(int(edges[0]), int(edges[n]))
-        parts.append(fit_tones_each(x, edges[: n + 1], rate_hz, tones))
-        edges = edges[n:]
-    return ToneFits.join(parts)
-
-
-def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forcing) -> list[Region]:
+def split_exactly(signal: Signal, near: list[Region]) -> list[Region]:
     """Move the border between two touching regions to where the one frequency stops fitting and the other starts."""
     exact = list(near)
     for i in range(len(exact) - 1):
         left, right = exact[i], exact[i + 1]
         if right.start > left.stop:
             continue
-        reach = round(max(10 / left.frequency_hz, 0.1) * rate_hz)
+        reach = round(max(10 / left.frequency_hz, 0.1) * signal.rate_hz)
         low, high = max(left.start, left.stop - reach), min(right.stop, left.stop + reach)
-        edges = _edges(low, high, rate_hz, min(left.frequency_hz, right.frequency_hz))
-        misfit = np.array(
-            [_fits(read, edges, rate_hz, side.frequency_hz, forcing).rms ** 2 for side in (left, right)]
-        ).T.reshape(-1, 2)
+        edges = _edges(low, high, signal.rate_hz, min(left.frequency_hz, right.frequency_hz))
+        misfit = np.array([signal.fits(edges, side.frequency_hz).rms ** 2 for side in (left, right)]).T.reshape(-1, 2)
         before = np.concatenate([[0.0], np.cumsum(misfit[:, 0])])
         after = np.concatenate([np.cumsum(misfit[::-1, 1])[::-1], [0.0]])
         border = int(edges[np.argmin(before + after)])
@@ -102,20 +75,20 @@ def split_exactly(read: Read, near: list[Region], rate_hz: float, forcing: Forci
     return exact
 
 
-def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing, depth: int = 0) -> list[Region]:
+def same_frequency(signal: Signal, region: Region, depth: int = 0) -> list[Region]:
     """Cut a region where its frequency changes, however little; each part carries its own frequency.
 
     A fit at a frequency that is off wobbles from cycle to cycle by a tenth of what the phase advances, so large
     changes are cut first and each part is looked at again.
     """
-    track = _track(read, region, rate_hz, forcing)
+    track = _track(signal, region)
     if track is None or not track.loud.any():
         return []
     smooth = _running(track.advance[:, None], 5)[:, 0]
     loud = smooth[track.loud]
     spread = float(np.percentile(loud, 98) - np.percentile(loud, 2))
     # all of the region at one frequency, unless the advance of the phase says that it changes
-    own = track.frequency_change(0, len(track.advance), weights(forcing)[track.main][0], rate_hz)
+    own = track.frequency_change(0, len(track.advance), signal)
     settled = replace(region, frequency_hz=region.frequency_hz + own)
     if depth >= 6 or spread < 5.0 * SAME_ADVANCE:
         return [settled]
@@ -128,9 +101,9 @@ def same_frequency(read: Read, region: Region, rate_hz: float, forcing: Forcing,
         return [settled]
     parts: list[Region] = []
     for a, b in cuts:
-        change = track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
+        change = track.frequency_change(a, b, signal)
         piece = Region(int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change)
-        parts += same_frequency(read, piece, rate_hz, forcing, depth + 1)
+        parts += same_frequency(signal, piece, depth + 1)
     return parts
 
 
@@ -148,9 +121,9 @@ def _absorbed(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return parts
 
 
-def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> list[SteadySegment]:
+def steady_segments(signal: Signal, region: Region) -> list[SteadySegment]:
     """Stretches of a region in which every amplitude and the phase's advance are constant, each with its fade."""
-    track = _track(read, region, rate_hz, forcing)
+    track = _track(signal, region)
     if track is None or not track.loud.any():
         return []
     values, sigma, same = _features(track)
@@ -176,26 +149,24 @@ def steady_segments(read: Read, region: Region, rate_hz: float, forcing: Forcing
             fade_from = a if fade_from is None else fade_from
         else:
             begin, b = a if fade_from is None else fade_from, _last_constant(track, a, b)
-            hz = region.frequency_hz + track.frequency_change(a, b, weights(forcing)[track.main][0], rate_hz)
+            hz = region.frequency_hz + track.frequency_change(a, b, signal)
             fade, hold, stop = (int(track.edges[k]) for k in (begin, a, b))
             found.append(SteadySegment(fade, hold, stop, hz))
             fade_from = None
     return found
 
 
-def frequency_correction(
-    read: Read, start: int, stop: int, rate_hz: float, frequency_hz: float, forcing: Forcing
-) -> tuple[float, float]:
+def frequency_correction(signal: Signal, start: int, stop: int, frequency_hz: float) -> tuple[float, float]:
     """Correction to ``frequency_hz`` by the slope of the tones' phases, with its standard deviation."""
-    pieces = _edges(start, stop, rate_hz, frequency_hz)
+    pieces = _edges(start, stop, signal.rate_hz, frequency_hz)
     edges = pieces[:: max(1, len(pieces) // 40)]
     if len(edges) < 3:
         return 0.0, np.inf
-    fits = _fits(read, edges, rate_hz, frequency_hz, forcing)
-    time = (edges[:-1] + edges[1:] - 1) / (2.0 * rate_hz)
+    fits = signal.fits(edges, frequency_hz)
+    time = (edges[:-1] + edges[1:] - 1) / (2.0 * signal.rate_hz)
     time = time - time.mean()
     estimates, information = [], []
-    for k, (multiple, _) in enumerate(weights(forcing)):
+    for k, (multiple, _) in enumerate(weights(signal.forcing)):
         z = fits.amplitudes[:, k]
         phase = np.unwrap(np.angle(z))
         noise = np.median(fits.rms * np.sqrt(2.0 / fits.n)) / max(float(np.abs(z).mean()), 1e-300)
@@ -215,9 +186,9 @@ def _edges(start: int, stop: int, rate_hz: float, frequency_hz: float) -> Intege
     return edges
 
 
-def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Track | None:
+def _track(signal: Signal, region: Region) -> _Track | None:
     """Fits of successive windows of a region; None where it is too short to hold a step."""
-    edges = _edges(region.start, region.stop, rate_hz, region.frequency_hz)
+    edges = _edges(region.start, region.stop, signal.rate_hz, region.frequency_hz)
     if len(edges) < SHORTEST_WINDOWS + 1:
         return None
     looked_at = np.unique(np.linspace(0, len(edges) - 2, 16).astype(np.int64)).tolist()
@@ -225,15 +196,15 @@ def _track(read: Read, region: Region, rate_hz: float, forcing: Forcing) -> _Tra
 
     def noted(start: int, stop: int) -> Floats:
         """Volts; a copy of the windows that are looked at again stays in memory."""
-        x = read(start, stop)
+        x = signal.read(start, stop)
         inside = (k for k in looked_at if start <= edges[k] and edges[k + 1] <= stop)
         windows.update({k: x[edges[k] - start : edges[k + 1] - start].copy() for k in inside})
         return x
 
-    fits = _fits(noted, edges, rate_hz, region.frequency_hz, forcing)
+    fits = replace(signal, read=noted).fits(edges, region.frequency_hz)
     z, rms, n = fits.amplitudes, fits.rms, fits.n
     amplitude = np.abs(z)
-    share = _independent_share(windows, edges, fits, rate_hz)
+    share = _independent_share(windows, edges, fits, signal.rate_hz)
     usual = _running(rms[:, None], 25, 0.8)  # a fade leaves much over, but that is short and no noise
     own = rms * np.sqrt(2.0 / (n * max(share, 1.0)))
     floor = np.maximum(usual * np.sqrt(2.0 / np.maximum(n * share, 1.0))[:, None], own[:, None])

@@ -8,6 +8,7 @@ import pytest
 from bench.profiles.find import load
 from daq.importers.achieved import achieved_gamma
 from daq.steps.find_steps import find_steps
+from daq.steps.forcing_detection import Signal
 from rig.profile import parse_profile
 
 RATE_HZ, HZ, GAMMA = 20_000.0, 25.37, 1.4
@@ -27,7 +28,7 @@ def test_a_table_that_rings_through_the_cycle_does_not_bend_gamma(decay_s: float
         "continuity": np.where(since_s < 0.3 / HZ, 0.0, 5.0) + 1e-3 * rng.standard_normal(time_s.size),
     }
     read = {name: lambda a, b, x=x: x[a:b] for name, x in volts.items()}
-    (step,) = find_steps(read["drive"], 0, time_s.size, RATE_HZ, setup.forcing)
+    (step,) = find_steps(Signal(read["drive"], RATE_HZ, setup.forcing), 0, time_s.size)
     gamma, sigma = achieved_gamma(read, step, RATE_HZ, setup)
     assert gamma == pytest.approx(GAMMA, rel=2e-3)
     assert sigma < 0.01 * gamma

@@ -9,7 +9,7 @@ import pytest
 
 from daq.setup.setup import Forcing
 from daq.steps.find_steps import FoundStep, find_steps, given_step, step_table
-from daq.steps.forcing_detection import gamma_of
+from daq.steps.forcing_detection import Signal, gamma_of
 from kernels.arrays import Floats
 
 RATE_HZ = 2000.0
@@ -19,7 +19,7 @@ Ramp = Callable[..., Floats]
 
 def steps_in(x: Floats, forcing: Forcing, rate_hz: float = RATE_HZ) -> list[FoundStep]:
     """Steps in an array."""
-    return find_steps(lambda a, b: x[a:b], 0, len(x), rate_hz, forcing)
+    return find_steps(Signal(lambda a, b: x[a:b], rate_hz, forcing), 0, len(x))
 
 
 @pytest.mark.parametrize("ratio", [1, 2, 3, 5])
@@ -132,10 +132,11 @@ def test_gamma_follows_the_shape_of_the_forcing() -> None:
 def test_a_given_step_keeps_its_edges(ramp: Ramp) -> None:
     """Where somebody says what was set, the edges are theirs and the frequency is fitted; too short gives none."""
     x = ramp([1.0], [25.37])
-    (step,) = given_step(lambda a, b: x[a:b], 600, 1900, RATE_HZ, Forcing(frequency_hz=10.0), 25.3)
+    signal = Signal(lambda a, b: x[a:b], RATE_HZ, Forcing(frequency_hz=10.0))
+    (step,) = given_step(signal, 600, 1900, 25.3)
     assert (step.start, step.hold, step.stop) == (600, 600, 1900)
     assert step.frequency_hz == pytest.approx(25.37, rel=1e-5)
-    assert given_step(lambda a, b: x[a:b], 600, 700, RATE_HZ, Forcing(frequency_hz=10.0), 25.3) == []
+    assert given_step(signal, 600, 700, 25.3) == []
 
 
 def test_hum_and_impacts_are_not_steps(ramp: Ramp) -> None:
