@@ -114,7 +114,7 @@ def _rivals(fitted: FittedLoop) -> Weighed:
     found, best = fitted.selection, fitted.selection.best
     of_all, own = weighed(fitted.model, best.fitter, best, found.ties[1:]), _explanation(best)
     rows, precision = of_all.known_under(own)
-    instead = [_explanation(x) for x in (*found.ties[1:], *_runner_up(found))]
+    instead = [_explanation(x) for x in (*found.ties[1:], *runner_up(found))]
     more = [x for x in of_all.explanations if x.names not in {own.names, *(y.names for y in instead)}]
     rivals = (*instead, _explanation(found.before), *more)[: MOST_EXPLANATIONS - 1]
     keys = tuple(of_all.keys[i] for i in rows)
@@ -125,7 +125,7 @@ def _explanation(x: Hypothesis) -> Explanation:
     return Explanation(x.names, x.free, x.fitted.values, 1.0)
 
 
-def _runner_up(found: SelectionResult) -> list[Hypothesis]:
+def runner_up(found: SelectionResult) -> list[Hypothesis]:
     """The best other cause of the first round, fitted."""
     kin, refits = contained_in(found.best.names), Refits(found.before.fitter)
     library = candidates_of(refits.model)

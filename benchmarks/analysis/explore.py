@@ -17,6 +17,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,13 +25,17 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from bench.jobs.blocks import Aims, Chosen, Driven, by_person, offers, run_seconds
+from analysis.explore.stake import runner_up
+from analysis.loop.close_loop import judge_loop
+from bench.jobs.blocks import Aims, Chosen, Driven, as_driven, by_person, offers, run_seconds
 from bench.jobs.explore import Drive, Explored, explore
+from bench.jobs.stakes import outcome_of, staked_block
 from benchmarks.plants import other_plant
 from benchmarks.scoring.tables import rate
 from benchmarks.scoring.truth import OTHER_NAMED
 from benchmarks.scoring.version import code_version
 from daq.files.whole_file import Journal
+from daq.setup.stake import stake_in
 from model.surveys.workers import outcomes
 from rig.execution.operator import NextSteps
 from rig.profile import parse_profile
@@ -102,22 +107,44 @@ def trial(plant: str, strategy: str, seed: int) -> dict[str, Any]:
         folder = Path(name)
         text, right, drive = rig(plant, seed, folder)
         standard = run_seconds(parse_profile(text))
-        began, said = time.process_time(), list[str]()
+        began = time.process_time()
         if strategy == "ramp":
             found = _ramp(text, folder, drive, standard)
         else:
             aims, rng = Aims(standard), np.random.default_rng((seed, 7))
             ask = partial(_at_random, text, aims, rng) if strategy == "random" else None
-            found = explore(text, folder, aims, drive, say=said.append, ask=ask)
+            found = explore(text, folder, aims, drive, say=lambda line: None, ask=ask)
+        took = time.process_time() - began
+        stakes = [(s.named, s.nats) for p in found.recordings if (s := stake_in(as_driven(p).text, str(p))) is not None]
+        wrong = _wrong_stake(text, folder, drive, found) if strategy == "chosen" else None
     loop = found.loop
     return {
         "plant": plant, "strategy": strategy, "seed": seed, "hidden": right, "rig_s": found.rig_s,
         "standard_s": standard, "verdict": loop.verdict if loop else "none",
         "named": loop.selection.names if loop else (),
         "why": found.why, "blocks": [(block.reason, block.seconds) for block in found.blocks],
-        "not_met": [line for line in said if line.startswith("not met")],
-        "processor_s": time.process_time() - began,
+        "stakes": stakes, "wrong": wrong, "processor_s": took,
     }  # fmt: skip
+
+
+def _wrong_stake(text: str, folder: Path, drive: Drive, found: Explored) -> dict[str, Any] | None:
+    """What comes of a stake on the best other first cause, named in place of the one that was found."""
+    if found.loop is None or found.loop.verdict != "explained":
+        return None
+    before = [p for p in found.recordings if stake_in(as_driven(p).text, str(p)) is None]
+    fitted = judge_loop(before)[1]
+    others = runner_up(fitted.selection)
+    if not others:
+        return None
+    selection = replace(fitted.selection, best=others[0], ties=(others[0],))
+    aims = Aims(0.0)
+    block = staked_block(text, replace(fitted, selection=selection), offers(text, aims), aims, before)
+    if block is None:
+        return {"named": others[0].names, "outcome": "nothing to stake"}
+    path = folder / "wrong.h5"
+    drive(block, path, 99)
+    stake = stake_in(block.text, "the stake")
+    return {"named": others[0].names, "outcome": "" if stake is None else outcome_of(stake, block.text, path).words}
 
 
 def _ramp(text: str, folder: Path, drive: Drive, seconds: float) -> Explored:
@@ -183,10 +210,36 @@ def show(rows: list[dict[str, Any]]) -> None:
                 f"{np.mean([r['processor_s'] for r in own]):.0f}",
             )
             print(f"| {plant} | {strategy} | {' | '.join(cells)} |")
+    show_stakes([r for r in rows if r["strategy"] == "chosen"])
     for r in rows:
         if not closed(r):
             told = f"{r['verdict']} {' + '.join(r['named'])}; {r['why']}"
             print(f"\n{r['plant']} {r['seed']} {r['strategy']}: hidden {' + '.join(r['hidden']) or 'nothing'}, {told}")
+
+
+def show_stakes(rows: list[dict[str, Any]]) -> None:
+    """Verdicts before the first stake and after the last, paired, and what came of stakes on wrong names."""
+    print("\n| plant | right before the stake | wrong | right after it | wrong | met at once | stakes on wrong names met "
+          "| rig s before | with the stake |\n|---|---|---|---|---|---|---|---|---|")  # fmt: skip
+    for plant in sorted({r["plant"] for r in rows}):
+        own = [r for r in rows if r["plant"] == plant and r["stakes"]]
+        first = [set(r["stakes"][0][0]) == set(r["hidden"]) for r in own]
+        last = [(r["verdict"] == "explained", set(r["named"]) == set(r["hidden"])) for r in own]
+        wrong = [r["wrong"]["outcome"] == "met" for r in own if r["wrong"]]
+        seconds = [(sum(s for reason, s in r["blocks"][: _first_stake(r)]), r["rig_s"]) for r in own]
+        print(
+            f"| {plant} | {sum(first)} of {len(own)} | {len(own) - sum(first)} | {sum(e and right for e, right in last)} "
+            f"| {sum(e and not right for e, right in last)} | {sum(len(r['stakes']) == 1 and e for r, (e, _) in zip(own, last, strict=True))} "
+            f"| {sum(wrong)} of {len(wrong)} | {np.median([a for a, _ in seconds]):.1f} | {np.median([b for _, b in seconds]):.1f} |"
+        )
+    for r in rows:
+        if r["wrong"] and r["wrong"]["outcome"] == "met" or len(r["stakes"]) > 1:
+            print(f"{r['plant']} {r['seed']}: hidden {r['hidden']}, stakes {r['stakes']}, on a wrong name {r['wrong']}")
+
+
+def _first_stake(row: dict[str, Any]) -> int:
+    """Place of the first block that was staked on."""
+    return next(i for i, (reason, _) in enumerate(row["blocks"]) if " is staked on it" in reason)
 
 
 def missing(args: argparse.Namespace, journal: Journal, end: float) -> Iterator[tuple[str, tuple[str, str, int]]]:

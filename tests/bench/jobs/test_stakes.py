@@ -148,11 +148,11 @@ def test_a_right_verdict_meets_its_stake_and_another_rig_misses_it(friction: Pat
 @pytest.mark.slow
 def test_a_wrong_verdict_misses_its_stake(friction: Path) -> None:
     """A force with height, named in place of the friction, predicts a forcing that was never driven wrongly."""
-    from analysis.explore.stake import _runner_up
+    from analysis.explore.stake import runner_up
 
     _, fitted = fit_loop([friction / "r.h5"])
     found, text = fitted.selection, with_values(load("simulated")[1], {}, "p")
-    (wrong,) = _runner_up(found)
+    (wrong,) = runner_up(found)
     assert wrong.names != ("coulomb_friction",)
     stake = staked(
         replace(fitted, selection=replace(found, best=wrong, ties=(wrong,))),
