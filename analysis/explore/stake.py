@@ -82,8 +82,10 @@ def staked(
     pools = [_new(Pool.of(option, model, best.fitter, known), model.observations) for option in options]
     pools = [pool for pool in pools if len(pool.option.gammas) >= steps]
 
+    weights = np.array([x.probability for x in known.explanations[1:]])
+
     def worth(total: Floats) -> float:  # a rival that is far off already is not worth another step
-        return float(np.sum(np.log1p(divergences(total, known, known.explanations)[1:, 0])))
+        return float(weights @ np.log1p(divergences(total, known, known.explanations)[1:, 0]))
 
     block = best_block(pools, known, (), steps, worth)
     if block is None:
@@ -109,7 +111,8 @@ def staked(
 def _rivals(fitted: FittedLoop) -> Weighed:
     """The named set, then its rivals: what ties, the best other first cause, the declared model, each further effect.
 
-    All that is known is of the named set's own parameters.
+    Each but the further effects, which have their own probability, counts fully. All that is known is of the named
+    set's own parameters.
     """
     found, best = fitted.selection, fitted.selection.best
     of_all, own = weighed(fitted.model, best.fitter, best, found.ties[1:]), _explanation(best)
@@ -230,7 +233,7 @@ class StepMet:
     """A staked step of a later run."""
 
     staked: StakedStep  # what was predicted of it, with the noise of earlier runs
-    median_us: float
+    median_us: float  # NaN where there are too few
     half_us: float  # half of its interval with this run's own noise
     landings: int  # how many there are
 
@@ -290,15 +293,18 @@ def held_against(stake: Stake, observations: Observations, name: str) -> Outcome
     steps = []
     for step in stake.steps:
         rows = np.flatnonzero(np.abs(observations.steps.gamma / step.gamma - 1.0) < SAME_GAMMA)
-        events = intervals.landings(rows)
-        if len(events) < FEWEST:
+        if not len(rows):
             raise InputError(
-                f"{name}: wanted {FEWEST} landings at the staked gamma {step.gamma:g}, found {len(events)}; drive the "
-                "stake's ramp to its end"
+                f"{name}: has no step at the staked gamma {step.gamma:g}; drive the stake's ramp to its end"
             )
-        # a landing that is not predicted is missed by as much as can be
-        missed = np.where(np.isfinite(missed_s[events]), missed_s[events], observations.steps.plate.period_s[rows[0]])
-        steps.append(StepMet(step, 1e6 * float(np.median(missed)), 1e6 * intervals.half_s(events), len(events)))
+        events = intervals.landings(rows)
+        median = half = math.nan  # where the ball does not fly as predicted
+        if len(events) >= FEWEST:
+            # a landing that is not predicted is missed by as much as can be
+            period_s = observations.steps.plate.period_s[rows[0]]
+            missed = np.where(np.isfinite(missed_s[events]), missed_s[events], period_s)
+            median, half = 1e6 * float(np.median(missed)), 1e6 * intervals.half_s(events)
+        steps.append(StepMet(step, median, half, len(events)))
     whitener = Whitener.of(model, values, lean=True)
     raw, slopes = slopes_of(model, _free_of_priors(model), whitener, values, keys)
     flights = _flights(whitener, raw, slopes, stake, intervals.usable)

@@ -27,6 +27,7 @@ from scipy.stats import binom
 
 from analysis.explore.stake import runner_up
 from analysis.loop.close_loop import judge_loop
+from analysis.thresholds import FROZEN
 from bench.jobs.blocks import Aims, Chosen, Driven, as_driven, by_person, offers, run_seconds
 from bench.jobs.explore import Drive, Explored, explore
 from bench.jobs.stakes import outcome_of, staked_block
@@ -139,12 +140,15 @@ def _wrong_stake(text: str, folder: Path, drive: Drive, found: Explored) -> dict
     selection = replace(fitted.selection, best=others[0], ties=(others[0],))
     aims = Aims(0.0)
     block = staked_block(text, replace(fitted, selection=selection), offers(text, aims), aims, before)
-    if block is None:
-        return {"named": others[0].names, "outcome": "nothing to stake"}
+    stake = None if block is None else stake_in(block.text, "the stake")
+    if block is None or stake is None:
+        return None
     path = folder / "wrong.h5"
     drive(block, path, 99)
-    stake = stake_in(block.text, "the stake")
-    return {"named": others[0].names, "outcome": "" if stake is None else outcome_of(stake, block.text, path).words}
+    return {
+        "named": others[0].names, "explains": others[0].passes(FROZEN), "nats": stake.nats,
+        "outcome": outcome_of(stake, block.text, path).words,
+    }  # fmt: skip
 
 
 def _ramp(text: str, folder: Path, drive: Drive, seconds: float) -> Explored:
@@ -219,21 +223,24 @@ def show(rows: list[dict[str, Any]]) -> None:
 
 def show_stakes(rows: list[dict[str, Any]]) -> None:
     """Verdicts before the first stake and after the last, paired, and what came of stakes on wrong names."""
-    print("\n| plant | right before the stake | wrong | right after it | wrong | met at once | stakes on wrong names met "
-          "| rig s before | with the stake |\n|---|---|---|---|---|---|---|---|---|")  # fmt: skip
+    head = ("plant", "right before a stake", "wrong", "right after it", "wrong", "right, met at once", "withdrawn")
+    print(f"\n| {' | '.join((*head, 'wrong names staked that met', 'rig s before', 'rig s in all'))} |")
     for plant in sorted({r["plant"] for r in rows}):
         own = [r for r in rows if r["plant"] == plant and r["stakes"]]
-        first = [set(r["stakes"][0][0]) == set(r["hidden"]) for r in own]
-        last = [(r["verdict"] == "explained", set(r["named"]) == set(r["hidden"])) for r in own]
-        wrong = [r["wrong"]["outcome"] == "met" for r in own if r["wrong"]]
-        seconds = [(sum(s for reason, s in r["blocks"][: _first_stake(r)]), r["rig_s"]) for r in own]
-        print(
-            f"| {plant} | {sum(first)} of {len(own)} | {len(own) - sum(first)} | {sum(e and right for e, right in last)} "
-            f"| {sum(e and not right for e, right in last)} | {sum(len(r['stakes']) == 1 and e for r, (e, _) in zip(own, last, strict=True))} "
-            f"| {sum(wrong)} of {len(wrong)} | {np.median([a for a, _ in seconds]):.1f} | {np.median([b for _, b in seconds]):.1f} |"
-        )
+        first = sum(set(r["stakes"][0][0]) == set(r["hidden"]) for r in own)
+        stand = [r for r in own if r["verdict"] == "explained"]
+        right = [r for r in stand if closed(r)]
+        wrong = [r["wrong"]["outcome"] for r in own if r["wrong"] and r["wrong"]["explains"]]
+        others = [r["wrong"]["outcome"] for r in own if r["wrong"] and not r["wrong"]["explains"]]
+        before_s = [sum(s for _, s in r["blocks"][: _first_stake(r)]) for r in own]
+        cells = (
+            f"{first} of {len(own)}", len(own) - first, len(right), len(stand) - len(right),
+            sum(len(r["stakes"]) == 1 for r in right), len(own) - len(stand), f"{wrong.count('met')} of {len(wrong)}", f"{others.count('met')} of {len(others)}",
+            f"{np.median(before_s):.1f}", f"{np.median([r['rig_s'] for r in own]):.1f}",
+        )  # fmt: skip
+        print(f"| {plant} | {' | '.join(map(str, cells))} |")
     for r in rows:
-        if r["wrong"] and r["wrong"]["outcome"] == "met" or len(r["stakes"]) > 1:
+        if len(r["stakes"]) > 1 or (r["wrong"] and r["wrong"]["outcome"] == "met"):
             print(f"{r['plant']} {r['seed']}: hidden {r['hidden']}, stakes {r['stakes']}, on a wrong name {r['wrong']}")
 
 
