@@ -224,7 +224,8 @@ def show(rows: list[dict[str, Any]]) -> None:
 def show_stakes(rows: list[dict[str, Any]]) -> None:
     """Verdicts before the first stake and after the last, paired, and what came of stakes on wrong names."""
     head = ("plant", "right before a stake", "wrong", "right after it", "wrong", "right, met at once", "withdrawn")
-    print(f"\n| {' | '.join((*head, 'wrong names staked that met', 'rig s before', 'rig s in all'))} |")
+    more = ("wrong names that explain: met", "that do not: met", "rig s before", "rig s in all")
+    print(f"\n| {' | '.join((*head, *more))} |")
     for plant in sorted({r["plant"] for r in rows}):
         own = [r for r in rows if r["plant"] == plant and r["stakes"]]
         first = sum(set(r["stakes"][0][0]) == set(r["hidden"]) for r in own)
@@ -235,7 +236,8 @@ def show_stakes(rows: list[dict[str, Any]]) -> None:
         before_s = [sum(s for _, s in r["blocks"][: _first_stake(r)]) for r in own]
         cells = (
             f"{first} of {len(own)}", len(own) - first, len(right), len(stand) - len(right),
-            sum(len(r["stakes"]) == 1 for r in right), len(own) - len(stand), f"{wrong.count('met')} of {len(wrong)}", f"{others.count('met')} of {len(others)}",
+            sum(len(r["stakes"]) == 1 for r in right), len(own) - len(stand), f"{wrong.count('met')} of {len(wrong)}",
+            f"{others.count('met')} of {len(others)}",
             f"{np.median(before_s):.1f}", f"{np.median([r['rig_s'] for r in own]):.1f}",
         )  # fmt: skip
         print(f"| {plant} | {' | '.join(map(str, cells))} |")

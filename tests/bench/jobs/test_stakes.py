@@ -106,6 +106,7 @@ def test_a_stake_that_is_missed_withdraws_the_verdict(closed_loop: ClosedLoop) -
     step = a_stake().steps[0]
     met = Outcome((StepMet(step, 3.0, 5.0, 20),), 1.0, 1.0, True, True)
     missed = replace(met, steps=(*met.steps, StepMet(step, -7.0, 5.0, 20)))
+    assert not replace(met, steps=(StepMet(step, float("nan"), float("nan"), 0),)).met  # the ball did not fly there
     stands = with_outcome(closed_loop, met, "next.h5")
     assert (stands.verdict, stands.failed) == (closed_loop.verdict, closed_loop.failed)
     assert stands.notes[-1] == "the prediction staked on next.h5: met"
