@@ -332,12 +332,18 @@ def _slow_under(fine: Floats, quick: Floats, peak: int, width: int) -> Floats:
 
 
 def _slow_without(fine: Floats, decay: Decay, width: int) -> Floats:
-    """Slow motion under a ringing of one mode: what is left without the mode, smoothed; constant before its begin."""
+    """Slow motion under a ringing of one mode: what is left without the mode, smoothed.
+
+    Until a ``width`` after the mode's begin, where the smoothing is whole, it is a straight line, and before constant.
+    """
     rest = fine[decay.begin :] - decay.ringing(np.arange(decay.begin, fine.size))
     box = np.ones(width) / width
     for _ in range(2):
         ends = (width // 2, width - 1 - width // 2)  # a slope goes on there
         rest = np.convolve(np.pad(rest, ends, mode="reflect", reflect_type="odd"), box, mode="valid")
+    whole = np.arange(width, min(3 * width, rest.size))
+    if whole.size > 1:
+        rest[:width] = np.polyval(np.polyfit(whole, rest[whole], 1), np.arange(width))
     return np.append(np.full(decay.begin, rest[0]), rest)
 
 

@@ -120,3 +120,14 @@ def test_a_landing_serves_up_to_the_next_one_that_is_not_far_weaker() -> None:
     snippets, _ = _snippets(np.arange(2000.0), np.ones(2000, dtype=np.bool_), found, 12.0, 128, None)
     assert snippets[:, LEAD].tolist() == [400.0, 1400.0]
     assert np.isfinite(snippets).sum(axis=1).tolist() == [128, LEAD + 61]
+
+
+def test_slow_motion_before_a_decay_is_not_a_single_point() -> None:
+    """A weak second mode that lasts into the decay of the first is not taken for slow motion before that."""
+    points_hz = 25_600.0 * FINE
+    time_s = (np.arange(round(23.7e-3 * points_hz)) - LEAD * FINE) / points_hz
+    rings = ring(time_s, 2.7e-3, 1500.0) + 0.03 * ring(time_s, 2e-3, 4100.0)
+    known = ringing_part(rings, 1e-5, 25_600.0)
+    assert known is not None
+    left = (known[: time_s.size] - rings)[(time_s > 1e-3) & (time_s < 4e-3)]
+    assert np.abs(left.mean()) < 3e-4
