@@ -253,7 +253,8 @@ def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedL
     """
     best = fitted.selection.best
     found, notes = None, loop.notes
-    if loop.verdict == "unexplained":
+    # no term of the ball's motion changes take-offs alone
+    if loop.verdict == "unexplained" and not loop.remainder.only_takeoffs_fail(loop.limits):
         try:
             found = discover(fitted.model, best.fitter, best, loop.limits)
         except NotFiniteError as error:

@@ -54,10 +54,15 @@ class GoodnessOfFit:
     p_between: float  # steps against their own scatter
     p_scatter: float  # scatter against the uncertainty
     p_serial: float  # events against their neighbours
+    landing_ratio: float = math.inf  # ``ratio`` of landings
 
     def flights_pass(self, limits: Thresholds) -> bool:
         """Whether flights leave no more than noise, or no more than is let pass."""
         return self.p_lack_of_fit >= limits.lack_p or self.ratio <= limits.lack_ratio
+
+    def only_takeoffs_fail(self, limits: Thresholds) -> bool:
+        """Whether flights leave more than is let pass, and neither landings nor plate data do."""
+        return not self.flights_pass(limits) and self.landing_ratio <= limits.lack_ratio and self.plate_passes(limits)
 
     def plate_passes(self, limits: Thresholds) -> bool:
         """Whether plate data leave no more than is let pass."""
@@ -102,23 +107,28 @@ def goodness_of_fit(model: ForwardModel, values: Values, limits: Thresholds = FR
     return GoodnessOfFit(
         # Bonferroni: the best of four tests
         min(1.0, 4.0 * min(p_first, between, scatter, serial)),
-        rms_standardised(model, values, u),
+        max(sizes := _rms_of_each(model, values, u)),
         plate_rms_standardised(model, values),
         first if p_first < limits.lack_p else None,
         {k: math.exp(v) for k, v in logs.items()},
         between,
         scatter,
         serial,
+        sizes[1],
     )
 
 
 def rms_standardised(model: ForwardModel, values: Values, u: Uncertainty) -> float:
     """Rms of residuals over uncertainty, clipped at `FARTHEST_SIGMAS`; the larger of openings and landings."""
+    return max(_rms_of_each(model, values, u))
+
+
+def _rms_of_each(model: ForwardModel, values: Values, u: Uncertainty) -> list[float]:
+    """`rms_standardised` of openings and of landings; 0 where there are none."""
     firm = ~near_grazing(model, values)  # the others may or may not happen
-    return max(
-        (float(np.sqrt(np.mean(z[firm[rows]] ** 2))) for z, rows in _units(model, values, u) if firm[rows].any()),
-        default=0.0,
-    )
+    return [
+        float(np.sqrt(np.mean(z[firm[rows]] ** 2))) if firm[rows].any() else 0.0 for z, rows in _units(model, values, u)
+    ]
 
 
 def least_rms_standardised(model: ForwardModel, values: Values, u: Uncertainty) -> float:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from analysis.loop.result import AddedEffect
+from analysis.loop.verdict import Failed
 from analysis.report.narrative import headline, reasoning, why_this_verdict
 from analysis.report.wording import coverage_in_words, lost_in_words, what_is_left
 from analysis.thresholds import FROZEN
@@ -35,6 +36,15 @@ def test_a_number_that_a_few_landings_make_never_contradicts_the_verdict(closed_
     assert lost_in_words(loop) == words
     assert words in headline(loop)
     assert f"{words}." in why_this_verdict(loop)
+
+
+def test_take_offs_that_alone_are_late_lead_to_the_contact(closed_loop):
+    """Landings are as predicted, take-offs are not: the sentence names the contact, not the ball."""
+    failed = (Failed("flights", 2.0, FROZEN.lack_ratio),)
+    for landing_ratio in (1.0, 1.9):
+        remainder = replace(closed_loop.remainder, p_lack_of_fit=1e-12, ratio=2.0, landing_ratio=landing_ratio)
+        loop = changed(closed_loop, verdict="unexplained", failed=failed, remainder=remainder)
+        assert ("look for a contact that opens late" in why_this_verdict(loop)[0]) == (landing_ratio == 1.0)
 
 
 def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):
