@@ -20,6 +20,7 @@ from analysis.statistics import mad_sigma, nearest
 from kernels.arrays import Floats
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
+SHORTEST_S = 2e-3  # flight at whose end an impact is its own
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
@@ -76,7 +77,8 @@ def calibrate(
     delay_s = _delay_s(impacts.time_s, landing_s)
     begin = np.searchsorted(impacts.time_s, takeoff_s + delay_s - REACH_S + SHORTEST_MASK_S)
     end = np.searchsorted(impacts.time_s, landing_s + delay_s + REACH_S)
-    lone = np.flatnonzero(end - begin == 1)
+    # of a shorter flight the impact before it may be the only one that is heard
+    lone = np.flatnonzero((end - begin == 1) & (landing_s - takeoff_s > SHORTEST_S))
     partner = begin[lone]
     d = impacts.time_s[partner] - landing_s[lone]
     own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])

@@ -105,6 +105,20 @@ def test_jitter_that_repeated_cycles_show_is_the_contacts_and_not_the_impacts(mo
     assert 0.6 < np.std(error / landings.uncertainty_s) < 1.2
 
 
+def test_rebounds_too_soft_to_be_heard_do_not_hide_the_offset() -> None:
+    """A contact that jitters by 20 us, and after most landings a rebound of .7 ms whose own landing is not heard."""
+    rng = np.random.default_rng(8)
+    exact, impact_s, edges = closings(False)
+    landing = np.sort(edges.time_s + 2e-5 * rng.standard_normal(200))
+    again = landing[rng.random(200) < 0.7]
+    takeoff_s, landing_s = np.concatenate([landing - 0.02, again + 1e-4]), np.concatenate([landing, again + 7e-4])
+    order = np.argsort(landing_s)
+    impacts = Impacts(impact_s + 1e-4, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
+    sigma = np.full(len(order), ROUNDING_S)
+    moved, _ = calibrate(impacts, takeoff_s[order], landing_s[order], sigma, 0.0, SAMPLING_S)
+    assert np.abs(moved.time_s - exact).max() < 1e-5
+
+
 def test_a_recording_whose_contact_never_closes_takes_the_offset_that_others_of_the_rig_show() -> None:
     """Three recordings of one step each show it, a fourth, in which no landing closes the contact, is corrected by it;
     three that differ by 6 us say no more than that."""
