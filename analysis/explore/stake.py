@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.special import chdtrc
@@ -39,6 +40,7 @@ from analysis.residuals.observations import Observations
 from analysis.residuals.prediction_errors import near_grazing
 from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.thresholds import FARTHEST_SIGMAS, FROZEN, OUTLIER_FRACTION, SCALE_KNOWN, SHARED_S
+from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.stake import Stake, StakedParameter, StakedStep
 from kernels.arrays import Bools, Floats, Integers
@@ -59,7 +61,7 @@ class Staked:
 
 
 def staked(
-    fitted: FittedLoop, options: Sequence[Option], steps: int, written: tuple[str, str], recordings: Sequence[str]
+    fitted: FittedLoop, options: Sequence[Option], steps: int, written: tuple[str, str], recordings: Sequence[Path]
 ) -> Staked | None:
     """The block by which the rivals of a named set would contradict it most for the rig's time, and the prediction.
 
@@ -79,7 +81,8 @@ def staked(
         return None
     known = _rivals(fitted)
     rival = known.explanations[1]
-    pools = [_new(Pool.of(option, model, best.fitter, known), model.observations) for option in options]
+    driven = _driven(recordings)
+    pools = [_new(Pool.of(option, model, best.fitter, known), driven) for option in options]
     pools = [pool for pool in pools if len(pool.option.gammas) >= steps]
 
     weights = np.array([x.probability for x in known.explanations[1:]])
@@ -103,7 +106,7 @@ def staked(
     )
     return Staked(block, Stake(
         named=best.names, rival=rival.names, nats=nats, chance=MISSED_P,
-        software=written[0], written=written[1], recordings=tuple(recordings), parameters=parameters,
+        software=written[0], written=written[1], recordings=tuple(map(str, recordings)), parameters=parameters,
         covariance=tuple(tuple(map(float, row)) for row in covariance), steps=tuple(rows),
     ))  # fmt: skip
 
@@ -139,13 +142,22 @@ def runner_up(found: SelectionResult) -> list[Hypothesis]:
     return sorted((x for x in fits if x is not None), key=lambda x: float(x.per_step.sum()))[:1]
 
 
-def _new(pool: Pool, observations: Observations) -> Pool:
-    """The pool with the steps in which the ball flies, of gammas that no recording had at that forcing."""
+def _driven(recordings: Sequence[Path]) -> Floats:
+    """Ratio, frequency and gamma that were asked for in each step of the recordings, (m, 3)."""
+    rows: list[tuple[float, float, float]] = []
+    for path in recordings:
+        with open_recording(path) as opened:
+            own_hz = opened.setup.forcing.frequency_hz
+            rows += [(float(step["ratio"]), own_hz, float(step["gamma"])) for step in opened.steps]
+    return np.array(rows).reshape(-1, 3)
+
+
+def _new(pool: Pool, driven: Floats) -> Pool:
+    """The pool with the steps in which the ball flies, of gammas that were not ``driven`` at that forcing."""
     forcing, gammas = pool.option.setup.forcing, np.array(pool.option.gammas)
-    own_hz = 1.0 / observations.steps.plate.period_s
-    same = (observations.steps.ratio == forcing.ratio) & np.isclose(own_hz, forcing.frequency_hz, rtol=SAME_GAMMA)
-    driven = np.abs(gammas[:, None] / observations.steps.gamma[same] - 1.0) < SAME_GAMMA
-    places = np.flatnonzero(np.isfinite(pool.flight_s) & ~driven.any(axis=1))
+    same = (driven[:, 0] == forcing.ratio) & np.isclose(driven[:, 1], forcing.frequency_hz, rtol=SAME_GAMMA)
+    near = np.isclose(gammas[:, None], driven[same, 2], rtol=SAME_GAMMA)
+    places = np.flatnonzero(np.isfinite(pool.flight_s) & ~near.any(axis=1))
     option = replace(
         pool.option,
         gammas=tuple(gammas[places].tolist()),
@@ -270,20 +282,31 @@ class Outcome:
         return f"not met: the verdict is withdrawn ({'; '.join(faults)})" if faults else "met"
 
 
-def held_against(stake: Stake, observations: Observations, name: str) -> Outcome:
+def steps_of(stake: Stake, recording: Path) -> list[Integers]:
+    """Numbers of the steps of a recording in which each staked gamma was asked for.
+
+    Raises `InputError` where one was not.
+    """
+    with open_recording(recording) as opened:
+        asked = opened.steps["gamma"]
+    found = [np.flatnonzero(np.isclose(asked, step.gamma, rtol=SAME_GAMMA)) for step in stake.steps]
+    for step, numbers in zip(stake.steps, found, strict=True):
+        if not len(numbers):
+            raise InputError(
+                f"{recording}: has no step at the staked gamma {step.gamma:g}; drive the stake's ramp to its end"
+            )
+    return found
+
+
+def held_against(stake: Stake, observations: Observations, numbers: Sequence[Integers]) -> Outcome:
     """A later run held against a stake; nothing is fitted.
 
     Parameters
     ----------
     stake, observations
         The prediction, and the observations of the later run.
-    name
-        Of the recording, for messages.
-
-    Raises
-    ------
-    InputError
-        Where the run lacks a staked step.
+    numbers
+        Of each staked step, that of `steps_of` the run.
     """
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     keys: list[ParameterId] = [(p.effect, p.parameter) for p in stake.parameters]
@@ -291,12 +314,8 @@ def held_against(stake: Stake, observations: Observations, name: str) -> Outcome
     intervals = _Intervals.of(model, values, keys, np.array(stake.covariance), len(stake.steps))
     missed_s = model.residuals(values).landing_s
     steps = []
-    for step in stake.steps:
-        rows = np.flatnonzero(np.abs(observations.steps.gamma / step.gamma - 1.0) < SAME_GAMMA)
-        if not len(rows):
-            raise InputError(
-                f"{name}: has no step at the staked gamma {step.gamma:g}; drive the stake's ramp to its end"
-            )
+    for step, own in zip(stake.steps, numbers, strict=True):
+        rows = np.flatnonzero(np.isin(observations.steps.number, own))
         events = intervals.landings(rows)
         median = half = math.nan  # where the ball does not fly as predicted
         if len(events) >= FEWEST:

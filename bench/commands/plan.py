@@ -48,6 +48,8 @@ def command(
         forcing = checked.forcing
         print_lines(f"{checked.name}: {forcing.frequency_hz:g} Hz, c = {forcing.ratio}; peaks from rest")
         _print(programme, rows)
+        if (stake := checked.stake) is not None:
+            print_lines(f"{' + '.join(stake.named)} is staked on it: bench stake holds the run against its prediction")
     if faults:
         fail(refusal(profile, faults), EXIT_USAGE)
 

@@ -47,7 +47,7 @@ def staked_block(
     from analysis.explore.stake import staked
 
     written = f"{software_version()} {software_commit()}".strip(), now_utc()
-    found = staked(fitted, options, aims.steps, written, [str(path) for path in recordings])
+    found = staked(fitted, options, aims.steps, written, recordings)
     if found is None:
         return None
     forcing, stake = found.block.option.setup.forcing, found.stake
@@ -126,13 +126,14 @@ def outcome_of(
     InputError
         Where it was begun before the prediction was written, is of another rig, or lacks a staked step.
     """
-    from analysis.explore.stake import held_against
+    from analysis.explore.stake import held_against, steps_of
     from analysis.residuals.observations import observations_from
 
     with open_recording(recording) as opened:
         _refuse_earlier(stake, str(opened.attrs.get("started") or ""), recording)
         _refuse_other_rig(parse_profile(text, "the stake").setup(), opened.setup, recording)
-    return held_against(stake, observations_from([recording], known=known), str(recording))
+    numbers = steps_of(stake, recording)
+    return held_against(stake, observations_from([recording], known=known), numbers)
 
 
 def amended(stake: Stake, outcome: Outcome, recording: Path) -> Path | None:

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import shakerbench as sb
-from analysis.explore.stake import Outcome, StepMet, held_against, staked, with_outcome
+from analysis.explore.stake import Outcome, StepMet, held_against, staked, steps_of, with_outcome
 from analysis.loop.close_loop import fit_loop
 from analysis.loop.result import ClosedLoop
 from analysis.loop.storage import load_verdict
@@ -47,13 +47,14 @@ def staked_text(**changes: object) -> str:
     return TEXT + "\n" + stake_toml(a_stake(**changes))
 
 
-def test_a_stake_is_a_profile_that_can_be_driven_and_read_again() -> None:
+def test_a_stake_is_a_profile_that_can_be_driven_and_read_again(tmp_path: Path) -> None:
     """What is written is read as it was, with its ramp around it; steps that a person changes drop it."""
     text = staked_text()
     assert stake_in(text, "stake.toml") == a_stake() == parse_profile(text, "stake.toml").stake
     lost = a_stake().model_copy(update={"steps": (a_stake().steps[0].model_copy(update={"rival_us": None}),)})
     assert stake_in(stake_toml(lost), "stake.toml") == lost
-    assert parse_profile(text).ramp.gammas() == (0.6, 0.8)
+    (tmp_path / "stake.toml").write_text(text, encoding="utf-8")
+    assert "coulomb_friction is staked on it" in called(f"plan {tmp_path}/stake.toml")
     assert stake_in(by_person(Chosen(text, 1.0, "staked"), NextSteps((0.7, 0.9))).text, "block") is None
 
 
@@ -136,7 +137,6 @@ def test_a_right_verdict_meets_its_stake_and_another_rig_misses_it(friction: Pat
     """The stake is driven as a profile; the same rig meets it, one that hides something else withdraws the verdict."""
     stake, loop = friction / "stake.toml", friction / "r.loop"
     assert "coulomb_friction is staked on it" in called(f"close-loop {friction}/r.h5 --stake {stake}")
-    called(f"plan {stake}")
     staked_on = set(parse_profile(stake.read_text("utf-8")).ramp.gammas())
     for name, met in (("friction", True), ("bouncy", False)):
         called(f"ramp {stake} --scenario {name} --seed 40 --out {friction}/{name}.h5 --json -")
@@ -169,5 +169,5 @@ def test_a_wrong_verdict_misses_its_stake(friction: Path) -> None:
         "ramp.order": "up" if stake.block.option.rising else "down",
     }  # fmt: skip
     sb.run(sb.load_profile("simulated").with_values(ramp), out, scenario="friction", seed=41)
-    outcome = held_against(stake.stake, observations_from([out]), "wrong.h5")
+    outcome = held_against(stake.stake, observations_from([out]), steps_of(stake.stake, out))
     assert not outcome.met and "the verdict is withdrawn" in outcome.words
