@@ -181,6 +181,12 @@ class ChanceGains:
         self.best, self.options, self.rng, self.draws = best, options, rng, draws
         self._drawn: dict[int, tuple[Hypothesis, Floats, Floats]] = {}
 
+    def beside(self, best: Hypothesis) -> ChanceGains:
+        """The same beside another fit of the hypothesis; derivatives are those of the first."""
+        other = ChanceGains(best, self.options, self.rng, self.draws)
+        other._slopes = self._slopes
+        return other
+
     def p(self, x: Hypothesis) -> float:
         """Probability of the gain of ``x``, at least ``1 / (draws + 1)``.
 

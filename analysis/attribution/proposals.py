@@ -28,7 +28,7 @@ Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 MOST_DRIFTING = 4  # strong candidates of a round that are tried with a drift
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
-PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up
+PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up until it has half of its promise
 MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
 
 
@@ -224,8 +224,14 @@ class Proposals:
         def reached(point: Point, part: float) -> Point:
             return {k: v if k in shapes else part * v + (1.0 - part) * here[k] for k, v in point.items()}
 
-        points = [reached(point, part) for _, point in steps[:MOST_SHAPES] for part in PARTS]
-        return steps[0][0], [(self.refits.profile_loss(best.whitener, p), p) for p in points]
+        level, led = self.refits.profile_loss(best.whitener, best.fitted.values), list[tuple[float, Point]]()
+        for promised, point in steps[:MOST_SHAPES]:
+            for part in PARTS:
+                there = reached(point, part)
+                led.append((self.refits.profile_loss(best.whitener, there), there))
+                if level - led[-1][0] > 0.5 * promised:
+                    break
+        return steps[0][0], led
 
     def _fitted_from(self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
         """Fit from a start with the weights of ``best``; where that loses, with the sharper ones of the start."""

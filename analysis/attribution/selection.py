@@ -238,7 +238,7 @@ class StepwiseSelection:
             )
             if again is None or not self.judge.gain(best, again).gain > self.limits.negligible_nats:
                 return chosen, best, null
-            best, null = again, ChanceGains(again, null.options, null.rng)
+            best, null = again, null.beside(again)
         return self.judge.choose(best, found, depth, null), best, null
 
     def _simplest(
