@@ -184,19 +184,12 @@ class StepwiseSelection:
         if best is not before:
             best = self.pruning.without_excess(best)
             ties = (best, *ties[1:])
-        return (
-            SelectionResult(
-                before,
-                best,
-                ties,
-                tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried),
-                tuple(rounds),
-                max((x for x in refused if not set(x.names) <= set(best.names)), key=lambda x: x.gain, default=None),
-                tuple(chance),
-                tuple(chain[:-1]),
-            ),
-            first,
-        )
+        strongest = max((x for x in refused if not set(x.names) <= set(best.names)), key=lambda x: x.gain, default=None)
+        gains = tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried)
+        result = SelectionResult(
+            before, best, ties, gains, tuple(rounds), strongest, tuple(chance), tuple(chain[:-1])
+        )  # fmt: skip
+        return result, first
 
     def _flights_effects(self, found: Hypothesis) -> int:
         """How many effects flights have to tell; what instruments and recorded volts show does not count."""

@@ -165,8 +165,6 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
 
     Parameters
     ----------
-    recording : Recording
-        Open.
     progress : callable, optional
         Called with the part done, 0 to 1, after each piece.
     high_pass_hz : float, optional

@@ -177,10 +177,8 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         measured = launches.of_flights(measured, recording, number, flights.takeoff_s[keep])
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
-    bare, offset = (
-        (flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]),
-        flights.edges.sensor_offset,
-    )
+    bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
+    offset = flights.edges.sensor_offset
     rest = period_s, lines, 1.0 / recording.rate_hz
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
@@ -188,6 +186,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     )
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
+    notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -202,12 +201,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         setup,
         unseen_s=GLITCH_S,
         sources=(str(recording.path),),
-        notes=(
-            *notes,
-            *flights.plate.saturation_warnings(),
-            *in_words(flights.edges.by_hand),
-            *remarks(mode, fitted, recording.rate_hz),
-        ),
+        notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
         mode=mode,
         pushed=(mode.pushed,) if mode and mode.pushed else (),
         closure_s=closure_s(measured, flights.heard()[keep]),

@@ -35,15 +35,9 @@ def command(
     until_clear: bool = typer.Option(False, "--until-clear", help="On the simulated rig: run again while sets tie."),
     scenario: outputs.Scenario = None,
     seed: int = typer.Option(100, "--seed", help="Of the noise of runs made by --until-clear."),
-    keep_term: str | None = typer.Option(
-        None, "--keep-term", metavar="NAME", help="Try a discovered term as an effect."
-    ),
-    runs_differ: bool = typer.Option(
-        False, "--runs-differ", help="Runs of different days, each with its calibrations."
-    ),
-    summaries: Path | None = typer.Option(
-        None, "--summaries", metavar="FILE", help="With --runs-differ: keep each run's summary there, to go on."
-    ),
+    keep_term: str | None = typer.Option(None, "--keep-term", metavar="NAME", help="Try a found term as an effect."),
+    runs_differ: bool = typer.Option(False, "--runs-differ", help="Runs of different days, each calibrated by itself."),
+    summaries: Path | None = typer.Option(None, "--summaries", metavar="FILE", help="Of --runs-differ, to go on with."),
     anyway: outputs.Anyway = False,
     overwrite: outputs.Overwrite = False,
 ) -> None:
@@ -67,9 +61,8 @@ def command(
     check_outputs(
         File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
         File("--improved", improved, outputs.PROFILE), File("--next-run", next_run, outputs.PROFILE),
-        File("--stake", stake, outputs.PROFILE),
         File("--summaries", summaries, outputs.ROWS, continues=holds_summaries),
-        inputs=[*recordings, profile, scenario], overwrite=overwrite,
+        File("--stake", stake, outputs.PROFILE), inputs=[*recordings, profile, scenario], overwrite=overwrite,
     )  # fmt: skip
     effect_file = None if keep_term is None else place_for(keep_term, overwrite=overwrite)
     if summaries is not None and not runs_differ:
@@ -77,12 +70,9 @@ def command(
     _check_recordings(recordings)
     if runs_differ:
         single = {
-            "improved": improved,
-            "next-run": next_run,
-            "stake": stake,
-            "until-clear": until_clear,
+            "improved": improved, "next-run": next_run, "stake": stake, "until-clear": until_clear,
             "keep-term": keep_term,
-        }
+        }  # fmt: skip
         if given := [f"--{name}" for name, value in single.items() if value]:
             why = "belongs to a single run or to runs alike, and --runs-differ was given; leave out one of them"
             raise InputError(f"{', '.join(given)}: {why}")
@@ -195,17 +185,16 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
         for line in write_stake(loop, fitted, recordings, text, path):
             say(line)
 
-    def verdict() -> None:
-        write_json(loop_json(loop, ranking_json(ranked), term_effect), wanted.json)
-
     # the order matters: ranking and the term's effect are part of the JSON; the profile is then that of the second loop
     writers: list[tuple[str, Callable[[], object]]] = []
     if wanted.effect_file is not None:
         writers.append(("the term's effect", partial(keep, wanted.effect_file)))
-    writers += [("list of next runs", rank), ("verdict as JSON", verdict)]
-    improved = None if wanted.effect_file is not None else wanted.improved
+    as_json = partial(write_json, target=wanted.json)
+    writers.append(("list of next runs", rank))
+    writers.append(("verdict as JSON", lambda: as_json(loop_json(loop, ranking_json(ranked), term_effect))))
     for name, write, path in (
-        ("report", report, wanted.report), ("improved profile", improve, improved),
+        ("report", report, wanted.report),
+        ("improved profile", improve, wanted.improved if wanted.effect_file is None else None),
         ("next run's profile", following, wanted.next_run), ("stake", staking, wanted.stake),
     ):  # fmt: skip
         if path is not None:

@@ -74,15 +74,13 @@ def explore(
 
     Parameters
     ----------
-    text, aims
-        The profile (TOML), and when to stop.
+    text, aims, anyway
+        The profile (TOML), when to stop, and whether to judge recordings that contradict the profile, too.
     folder
         For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven, also those that a person
         has put there. One that was stopped too early to tell anything is left out.
     drive, ask, say
         Drives a block; asked before each (None: go on unasked); called with each choice and what came of it.
-    anyway
-        Judge recordings that contradict the profile, too.
     """
     offered = functools.cache(lambda hold_cycles: offers(text, replace(aims, hold_cycles=hold_cycles)))
     offered(aims.hold_cycles)  # what cannot be driven is refused before anything is judged
@@ -100,10 +98,10 @@ def explore(
     while True:
         if own is None:
             last = _last_stake(made, known)
-            if last is not None and last.run == made[-1] and last.outcome.met:
-                judged = judged or _judge(made[:-1], known, anyway=anyway)
-                return ended(f"{' + '.join(last.stake.named)} explains everything, and met what was staked on it")
             if last is not None and last.run == made[-1]:
+                if last.outcome.met:
+                    judged = judged or _judge(made[:-1], known, anyway=anyway)
+                    return ended(f"{' + '.join(last.stake.named)} explains everything, and met what was staked on it")
                 say(last.outcome.words)
             judged = _judge(made, known, anyway=anyway) if made else None
             own, why = _next(text, judged, blocks, offered, aims)
