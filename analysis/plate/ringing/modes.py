@@ -342,7 +342,9 @@ class _Regression:
             least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, max_nfev=MOST_STEPS)
             for x in starts
         ]
-        return np.asarray(min(fits, key=lambda f: f.cost).x)
+        # none at a bound where there is another: with the mode out of range free states explain much, but no impact
+        inside = [f for f in fits if math.log(LOWEST_HZ) < f.x[0] < math.log(HIGHEST_HZ)]
+        return np.asarray(min(inside or fits, key=lambda f: f.cost).x)
 
     def worst_cluster(self, x: Floats) -> int | None:
         """The first piece with far more left than the usual one; None where none is."""
