@@ -143,3 +143,14 @@ def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() 
         assert (second is not None) == is_mode
     assert second is not None
     assert (second.frequency_hz, second.mass_ratio) == pytest.approx((12.0, 0.01), rel=0.05)
+
+
+def test_of_several_minima_one_at_a_bound_is_left_for_one_in_range() -> None:
+    """A slow wander is best described far below the lowest mode; the mode that the push shakes is taken all the same."""
+    rng, n = np.random.default_rng(6), 8000
+    push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
+    wander = answer(np.cumsum(rng.standard_normal(n)), 1e-3, 0.2, 0.5)
+    acceleration = 0.05 * answer(push, 1e-3, 2.0, 0.05) + 0.5 * wander / np.std(wander)
+    seen = _Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
+    starts = [np.log([0.36, 0.4]), np.log([2.1, 0.05])]
+    assert np.exp(seen.followed(starts)[0]) == pytest.approx(2.0, rel=0.05)
