@@ -146,7 +146,7 @@ def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() 
 
 
 def test_of_several_minima_one_at_a_bound_is_left_for_one_in_range() -> None:
-    """A slow wander is best described far below the lowest mode; the mode that the push shakes is taken all the same."""
+    """A slow wander is best described far below the lowest mode; the mode that the push shakes is taken instead."""
     rng, n = np.random.default_rng(6), 8000
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     wander = answer(np.cumsum(rng.standard_normal(n)), 1e-3, 0.2, 0.5)
