@@ -47,11 +47,11 @@ class Stake(Frozen):
     software: str = Field(description="version and commit of the program that predicted")
     written: str = Field(description="when, ISO 8601; only a run that began later can meet it")
     recordings: tuple[str, ...] = Field(description="that the verdict is on")
-    parameters: tuple[StakedParameter, ...] = Field(min_length=1)
+    parameters: tuple[StakedParameter, ...] = Field(min_length=1, description="at which the prediction is made")
     covariance: tuple[tuple[float, ...], ...] = Field(
         description="of the parameters, each in the library's scale of it, in their order"
     )
-    steps: tuple[StakedStep, ...] = Field(min_length=1)
+    steps: tuple[StakedStep, ...] = Field(min_length=1, description="what is predicted of each step of the ramp")
 
     @model_validator(mode="after")
     def _square(self) -> Self:
