@@ -74,6 +74,36 @@ def calibrate(
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return _not_shown(impacts, elsewhere)
+    d, own, strength = _differences(impacts, takeoff_s, landing_s, landing_sigma_s)
+    # of two landings no half is closer together than the other: neither offset nor spread is known
+    if d.size < 3:
+        return _not_shown(impacts, elsewhere)
+    centre, spread = _shortest_half(d)
+    spread = max(spread, float(np.median(own)))
+    shared = np.abs(impacts.time_s[nearest(impacts.time_s, landing_s + centre)] - landing_s - centre)
+    # a chatter ends at any distance, so that at a large offset most landings must have their impact there
+    chance = abs(centre) > SMALL_OFFSET_S and float(np.mean(shared < CORE_SPREADS * spread)) < 0.5
+    if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, strength):
+        return _not_shown(impacts, elsewhere)
+    core = np.abs(d - centre) < CORE_SPREADS * spread
+    # no contact jitters by more than the sensors differ, nor than landings that repeat
+    scatter = mad_sigma(d[core] - np.median(d[core]))
+    jitter = min(repeated_s, math.sqrt(max(scatter**2 - float(np.median(own)) ** 2, 0.0)))
+    motion = math.sqrt(repeated_s**2 - jitter**2)
+    jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0  # less than its edges err by is chance
+    own = np.hypot(own, jitter)
+    weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
+    centre = float(np.average(d[core], weights=weight))
+    factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
+    own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
+    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion)
+    return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
+
+
+def _differences(
+    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Impact minus edge of flights that end with a single impact, its uncertainty, and the impact's strength, (m,)."""
     delay_s = _delay_s(impacts.time_s, landing_s)
     begin = np.searchsorted(impacts.time_s, takeoff_s + delay_s - REACH_S + SHORTEST_MASK_S)
     end = np.searchsorted(impacts.time_s, landing_s + delay_s + REACH_S)
@@ -83,35 +113,16 @@ def calibrate(
     d = impacts.time_s[partner] - landing_s[lone]
     own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
     near = np.abs(d - delay_s) < REACH_S
-    d, own = d[near], own[near]
-    # of two landings no half is closer together than the other: neither offset nor spread is known
-    if d.size < 3:
-        return _not_shown(impacts, elsewhere)
-    ordered = np.sort(d)
-    width = ordered[(d.size - 1) // 2 + np.arange(d.size - (d.size - 1) // 2)] - ordered[: d.size - (d.size - 1) // 2]
+    return d[near], own[near], impacts.strength[partner][near]
+
+
+def _shortest_half(values: Floats) -> tuple[float, float]:
+    """Median of the shortest interval that holds half of ``values`` (n,), and the standard deviation by its length."""
+    ordered, half = np.sort(values), (values.size - 1) // 2
+    width = ordered[half:] - ordered[: values.size - half]
     k = int(np.argmin(width))
-    centre = float(np.median(ordered[k : k + (d.size - 1) // 2 + 1]))
     # half of a normal distribution lies within 1.35 standard deviations about its centre
-    spread = max(float(width[k]) / 1.35, float(np.median(own)))
-    shared = np.abs(impacts.time_s[nearest(impacts.time_s, landing_s + centre)] - landing_s - centre)
-    # a chatter ends at any distance, so that at a large offset most landings must have their impact there
-    chance = abs(centre) > SMALL_OFFSET_S and float(np.mean(shared < CORE_SPREADS * spread)) < 0.5
-    if spread > MAX_SPREAD_S or chance or _may_be_chatter(centre, spread, impacts.strength[partner][near]):
-        return _not_shown(impacts, elsewhere)
-    core = np.abs(d - centre) < CORE_SPREADS * spread
-    # no contact jitters by more than the sensors differ, nor than landings that repeat; less than its edges' error is
-    # chance
-    scatter = mad_sigma(d[core] - np.median(d[core]))
-    jitter = min(repeated_s, math.sqrt(max(scatter**2 - float(np.median(own)) ** 2, 0.0)))
-    motion = math.sqrt(repeated_s**2 - jitter**2)
-    jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0
-    own = np.hypot(own, jitter)
-    weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
-    centre = float(np.average(d[core], weights=weight))
-    factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
-    own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion)
-    return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
+    return float(np.median(ordered[k : k + half + 1])), float(width[k]) / 1.35
 
 
 def _not_shown(impacts: Impacts, elsewhere: SensorOffset | None) -> tuple[Impacts, SensorOffset]:
