@@ -58,7 +58,7 @@ class Stake(Frozen):
         """Refuse a covariance of other parameters."""
         n = len(self.parameters)
         if [len(row) for row in self.covariance] != [n] * n:
-            raise ValueError(f"covariance: wanted {n} rows of {n} numbers, one for each of the parameters")
+            raise ValueError(f"covariance: expected {n} rows of {n} numbers, one for each of the parameters")
         return self
 
 
