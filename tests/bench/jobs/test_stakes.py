@@ -61,7 +61,7 @@ def test_a_stake_is_a_profile_that_can_be_driven_and_read_again(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("  [0.0001, 0.0],\n", "", r"stake: covariance: wanted 2 rows of 2 numbers"),
+        ("  [0.0001, 0.0],\n", "", r"stake: covariance: expected 2 rows of 2 numbers"),
         ("nats = 50.0", "nat = 50.0", r"stake.nat: unknown key; did you mean nats\?"),
         ("within_us = 5.0", "within_us = 0.0", r"stake.steps\[0\].within_us: wanted a number greater than 0"),
         ("value = 0.12", 'value = "much"', r"stake.parameters\[0\].value: wanted a number"),
