@@ -182,7 +182,9 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     rest = period_s, lines, 1.0 / recording.rate_hz
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
-        Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(offset.motion_s if offset else 0.0),
+        Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(
+            offset.motion_s if offset and motion else 0.0
+        ),
     )
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
