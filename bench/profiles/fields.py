@@ -33,7 +33,7 @@ def fields_of(text: str) -> list[Field]:
 
     Returns ``key`` (dotted), ``text`` (the value as TOML writes it; empty where it is not set), ``unit``, ``limit``,
     ``help``, ``choices`` (a list, empty where any value goes). The kind of back end is not among them: another one is
-    another profile.
+    another profile. Nor is a stake, which the program writes.
     """
     try:
         held = tomllib.loads(text)
@@ -41,7 +41,8 @@ def fields_of(text: str) -> list[Field]:
         raise InputError(f"not valid TOML: {error}") from error
     backend = held.get("backend")
     kind = str(backend.get("kind", "simulated")) if isinstance(backend, dict) else "simulated"
-    return [one for one in _walk(_schema(), "", held, kind) if one["key"] != "backend.kind"]
+    every = _walk(_schema(), "", held, kind)
+    return [one for one in every if one["key"] != "backend.kind" and not one["key"].startswith("stake.")]
 
 
 def value_of(key: str, text: str) -> Any:
