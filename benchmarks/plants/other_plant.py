@@ -112,8 +112,7 @@ class Run:
     def values(self) -> np.ndarray:
         """Hidden numbers in the order of `NAMES`; absent ones are zero."""
         vector = np.zeros(len(NAMES))
-        for name, value in self.hidden.items():
-            vector[PLACE[name]] = value
+        vector[[PLACE[name] for name in self.hidden]] = list(self.hidden.values())
         return vector
 
 
@@ -190,8 +189,7 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
     g = 9.80665 * (1.0 + q[_GRAVITY])
     slow_w = 2.0 * math.pi * q[_TABLE_HZ]
     y = yv = load = h = u = rested = left = last = 0.0  # h, u: height and speed above the plate
-    touching, hanging = True, False
-    n_edges = n_impacts = 0
+    touching, hanging, n_edges, n_impacts = True, False, 0, 0
     _, v, a = _plate(q, gammas, step_s, fade_s, w, c, 0.0)
     q, mu = q.copy(), q[_MU]
     for k in range(plate.size * every):
@@ -278,8 +276,7 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     most = 200 * len(gammas) * run.cycles
     over = 1 if run.instrument is None else STEPS_PER_SAMPLE if run.rate_hz < FINE_HZ else STEPS_PER_SAMPLE // 2
     plate, edges, impacts = np.zeros(n * over), np.zeros(2 * most), np.zeros((most, 2))
-    dt = 1.0 / (run.rate_hz * STEPS_PER_SAMPLE)
-    every = STEPS_PER_SAMPLE // over
+    dt, every = 1.0 / (run.rate_hz * STEPS_PER_SAMPLE), STEPS_PER_SAMPLE // over
     n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, every, plate, edges, impacts)
     impacts, edges = impacts[:n_impacts], edges[:n_edges]
     measured = _ideally if run.instrument is None else _by_instrument
@@ -321,8 +318,7 @@ def _by_instrument(
     felt = _felt_g(run, plate, over * run.rate_hz)
     felt_v = accelerometer_v(part, felt, impacts, run.rate_hz, over, run.accelerometer_noise_g, rng)
     times, opens = edge_times(edges, run.hidden.get(LATENCY, 0.0), run.closure_s, run.jitter_s, rng)
-    circuit_v = contact_v(part, times, opens, run.rate_hz, over, n, rng)
-    circuit_v = circuit_v + run.contact_noise_v * rng.standard_normal(n)
+    circuit_v = contact_v(part, times, opens, run.rate_hz, over, n, rng) + run.contact_noise_v * rng.standard_normal(n)
     return felt_v, circuit_v, np.arange(n) / run.rate_hz + part.shown_at_s(DRIVE, run.rate_hz)
 
 
