@@ -77,8 +77,7 @@ def explore(
     text, aims, anyway
         The profile (TOML), when to stop, and whether to judge recordings that contradict the profile, too.
     folder
-        For the recordings, ``block-01.h5`` and on; blocks that are there are taken as driven, also those that a person
-        has put there. One that was stopped too early to tell anything is left out.
+        For ``block-01.h5`` and on; blocks there are taken as driven, but for one stopped too early to tell anything.
     drive, ask, say
         Drives a block; asked before each (None: go on unasked); called with each choice and what came of it.
     """
@@ -105,14 +104,12 @@ def explore(
                 say(last.outcome.words)
             judged = _judge(made, known, anyway=anyway) if made else None
             own, why = _next(text, judged, blocks, offered, aims)
-            if own is None and judged is not None:
-                left_s = aims.budget_s - sum(block.seconds for block in blocks)
-                own, why = _stake(text, judged, made, offered(aims.hold_cycles), replace(aims, budget_s=left_s), why)
+            if own is None:
+                own, why = _stake(text, judged, made, blocks, offered, aims, why)
             if own is None:
                 return ended(why)
             say(f"\nblock {number + 1}: {own.reason}")
-            own = own if ask is None else ask(own)
-            if own is None:
+            if ask is not None and (own := ask(own)) is None:
                 return ended("a person stopped it")
         number += 1
         path, block, own = folder / f"block-{number:02d}.h5", own, None
@@ -211,15 +208,17 @@ def _last_stake(made: Sequence[Path], known: dict[Path, Observations]) -> _HeldS
 
 
 def _stake(
-    text: str, judged: _Judged, made: Sequence[Path], options: Sequence[Option], aims: Aims, why: str
-) -> tuple[Chosen | None, str]:
-    """The last block, on which an explanation is staked; or why there is none. ``aims`` has the rig time left."""
-    if judged.loop is None or judged.fitted is None or judged.loop.verdict != "explained":
+    text: str, judged: _Judged | None, made: Sequence[Path], blocks: Sequence[Chosen],
+    offered: Callable[[int], Sequence[Option]], aims: Aims, why: str,
+) -> tuple[Chosen | None, str]:  # fmt: skip
+    """The last block, on which an explanation is staked; or why there is none. The others are as in `_next`."""
+    if judged is None or judged.loop is None or judged.fitted is None or judged.loop.verdict != "explained":
         return None, why
-    block = staked_block(text, judged.fitted, options, aims, made)
+    left_s = aims.budget_s - sum(block.seconds for block in blocks)
+    block = staked_block(text, judged.fitted, offered(aims.hold_cycles), replace(aims, budget_s=left_s), made)
     if block is None:
         return None, f"{why}; nothing that the rig may drive would put it to the test"
-    if block.seconds > aims.budget_s:
+    if block.seconds > left_s:
         return None, f"{why}; the rig time left is too short to stake it on a block"
     return block, why
 
