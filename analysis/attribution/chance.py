@@ -181,8 +181,8 @@ class ChanceGains:
         self.best, self.options, self.rng, self.draws = best, options, rng, draws
         self._drawn: dict[int, tuple[Hypothesis, Floats, Floats]] = {}
 
-    def beside(self, best: Hypothesis) -> ChanceGains:
-        """The same beside another fit of the hypothesis; derivatives are those of the first."""
+    def of_refit(self, best: Hypothesis) -> ChanceGains:
+        """The same of another fit of the hypothesis; derivatives are those of the first."""
         other = ChanceGains(best, self.options, self.rng, self.draws)
         other._slopes = self._slopes
         return other

@@ -28,7 +28,7 @@ from model.effects.routing import ball_effects
 
 Progress = Callable[[str, float], None]
 
-MOST_ROUNDS = 6
+MOST_ROUNDS = 6  # twice as many as effects on the ball: instruments and plate may have as many
 MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
 
 
@@ -145,7 +145,7 @@ class StepwiseSelection:
         chain: list[Hypothesis] = [before]
         last: _Round | None = None
         for depth in range(MOST_ROUNDS):
-            if self._flights_effects(best) == self.limits.most_effects:
+            if self._ball_effects(best) == self.limits.most_effects:
                 break
             if depth and best.noise_like(self.limits.noise_like_ratio):
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
@@ -191,7 +191,7 @@ class StepwiseSelection:
         )  # fmt: skip
         return result, first
 
-    def _flights_effects(self, found: Hypothesis) -> int:
+    def _ball_effects(self, found: Hypothesis) -> int:
         """How many effects flights have to tell; what instruments and recorded volts show does not count."""
         known = {name for name, _ in self.fitter.identified}
         return len(ball_effects({n: {} for n in found.names if n not in known}))
@@ -231,7 +231,7 @@ class StepwiseSelection:
             )
             if again is None or not self.judge.gain(best, again).gain > self.limits.negligible_nats:
                 return chosen, best, null
-            best, null = again, null.beside(again)
+            best, null = again, null.of_refit(again)
         return self.judge.choose(best, found, depth, null), best, null
 
     def _simplest(

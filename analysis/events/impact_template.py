@@ -51,14 +51,12 @@ MEDIAN_ERROR = 1.2533  # standard error of the median of normal values over that
 class ImpactTemplate:
     """Mean waveform of an impact in the accelerometer."""
 
-    # mean waveform in volts per unit strength, ``FINE`` points a sample, the landing at point ``LEAD * FINE``, (n *
-    # FINE,)
+    # mean waveform in volts per unit strength, (n * FINE,): ``FINE`` points a sample, the landing at ``LEAD * FINE``
     fine: Floats
-    # filter matched to the waveform in the noise as measured, blind to constants, slopes and curvature (so to the
-    # tones), (LENGTH,); the noise leaves it with a standard deviation of 1
+    # filter (LENGTH,) matched to the waveform in the noise as measured, blind to constants, slopes and curvature (so to
+    # the tones); the noise leaves it with a standard deviation of 1
     taps: npt.NDArray[np.float32]
-    # makes the noise of a snippet white, of unit variance, and removes constants, slopes, curvature and tones, (LENGTH,
-    # LENGTH)
+    # square matrix: makes a snippet's noise white, of unit variance, removes constants, slopes, curvature and tones
     whitener: Floats
     ring_s: float  # time after an impact that is masked in the tone fits
     # output of the filter from which an impact is taken for one, in standard deviations of the noise

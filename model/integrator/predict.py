@@ -93,9 +93,10 @@ def _measured(
     if not (direct and bounces):  # without a bounce the ball leaves as if from rest, at once or soon after
         q, qd = _rested(opening - last.t, pressed, last, bare, p)
         start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
-    q, qd = _rested(start - last.t, pressed, last, bare, p)
-    if not (direct or np.isnan(event.q)):
-        q, qd = event.q, event.qd  # the state after the landing before is that of a ball which leaves it
+    if direct or np.isnan(event.q):
+        q, qd = _rested(start - last.t, pressed, last, bare, p)
+    else:  # the state after the landing before is that of a ball which leaves it
+        q, qd = event.q, event.qd
     if not (event.relaunched and bounces):
         lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0, landing + 0.1 * period - start)
     # a flight from rest that lands farther from the measured landing is another one
