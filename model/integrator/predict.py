@@ -105,7 +105,7 @@ def _measured(
             start, q, qd = last.t, last.q, last.qd
         # the prediction is a flight whose landing is known: a start for the secant
         near = out.launch if passed == 0 and out.kind == 1.0 and out.takeoff_s == start else -1.0
-        v0, hit = launch_of(start, landing, (near, out.landing_s, out.impact), with_state(bare, q, qd), law)
+        v0, hit = launch_of(start, landing, (near, out.landing_s), with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
 

@@ -25,7 +25,6 @@ MOST_BOUNCES = 400
 MOST_RESTITUTION = 0.999
 PASSABLE_S = 2e-3  # shorter flights may have escaped the contact circuit
 LANDS_WITHIN_S = 1e-9  # of a flight that is asked for
-CHORD_S2 = 1e-11  # product of two misses between which landings are linear in launches, to some `LANDS_WITHIN_S`
 RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 
 
@@ -152,12 +151,13 @@ def weak_rebounds(
 
 
 @inlined
-def launch_of(t0: float, t1: float, near: tuple[float, float, float], plate: Plate, law: Law) -> tuple[float, float]:
+def launch_of(t0: float, t1: float, near: tuple[float, float], plate: Plate, law: Law) -> tuple[float, float]:
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
     Secant on the landing time from the drag-free answer, or from a flight that is known: ``near`` is its launch
-    velocity (-1: none), landing and impact speed. The drag-free answer itself where no flight lands at all: without
-    forces and friction it is exact, and only flown, as a ball cannot leave downwards, nor pass through the plate.
+    velocity (-1: none) and landing. The drag-free answer itself where no flight lands at all: without forces and
+    friction it is exact, and only flown, as a ball cannot leave downwards, nor pass through the plate. The last flight
+    is flown: what is interpolated makes derivatives noisy.
     """
     g, (tones, mode) = gravity(law.p), plate
     x0, vp0, _ = tones_at(t0, tones)
@@ -169,14 +169,14 @@ def launch_of(t0: float, t1: float, near: tuple[float, float, float], plate: Pla
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
     known = near[0] >= 0.0 and (law.forced or law.rubbed)
-    va, fa, hit_a = near[0], near[1] - t1, near[2]
+    va, fa = near[0], near[1] - t1
     # on a still plate a flight lasts 2 v / g: the first step is by that
-    vb, hit_b = max(va - 0.5 * g * fa, 0.0) if known else max(v0, 0.0), hit
+    vb, flown_hit = max(va - 0.5 * g * fa, 0.0) if known else max(v0, 0.0), hit
     for _ in range(6 if known else 7):
-        s, v_hit, _ = flight(t0, vb, plate, law, 0.0, np.inf)
+        s, flown_hit, _ = flight(t0, vb, plate, law, 0.0, np.inf)
         if s < 0.0:
             return max(v0, 0.0), max(hit, 0.0)
-        fb, hit_b = s - lasts, v_hit
+        fb = s - lasts
         if abs(fb) < LANDS_WITHIN_S:
             break
         slope = (fb - fa) / (vb - va) if known and vb != va else 2.0 / g
@@ -185,10 +185,8 @@ def launch_of(t0: float, t1: float, near: tuple[float, float, float], plate: Pla
         on = max(vb - fb / slope, 0.0)
         if on == vb:
             break
-        if known and abs(fa * fb) < CHORD_S2 and abs(on - vb) < abs(vb - va):
-            return on, hit_b + (hit_b - hit_a) / (vb - va) * (on - vb)
-        va, fa, hit_a, vb, known = vb, fb, hit_b, on, True
-    return vb, hit_b
+        va, fa, vb, known = vb, fb, on, True
+    return vb, flown_hit
 
 
 @inlined

@@ -37,7 +37,7 @@ def test_a_ball_leaves_upwards_and_lands_when_it_was_seen_to(excess_mps2, launch
     plate, law = _rig({"local_gravity": {"excess_mps2": excess_mps2}})
     lasts, hit_mps, _ = flight(START_S, launch_mps or 0.0, plate, law, 0.0, np.inf)
     assert seconds is None or seconds < lasts
-    found_mps, found_hit = launch_of(START_S, START_S + (seconds or lasts), (-1.0, 0.0, 0.0), plate, law)
+    found_mps, found_hit = launch_of(START_S, START_S + (seconds or lasts), (-1.0, 0.0), plate, law)
     assert found_mps == pytest.approx(launch_mps or 0.0, abs=WITHIN_MPS)
     assert found_hit == pytest.approx(hit_mps, abs=WITHIN_MPS)
 
@@ -47,10 +47,9 @@ def test_a_launch_under_friction_and_drag_is_found_from_any_flight_nearby(near_m
     """From a flight that is known, or from the drag-free answer, launch and impact are those of the flight."""
     plate, law = _rig({"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}, "viscous_damping": {"rate_per_s": 0.5}})
     lasts, hit_mps, _ = flight(START_S, 0.3, plate, law, 0.0, np.inf)
-    near = (-1.0, 0.0, 0.0)
+    near = (-1.0, 0.0)
     if near_mps is not None:
-        its_s, its_hit, _ = flight(START_S, near_mps, plate, law, 0.0, np.inf)
-        near = near_mps, START_S + its_s, its_hit
+        near = near_mps, START_S + flight(START_S, near_mps, plate, law, 0.0, np.inf)[0]
     found_mps, found_hit = launch_of(START_S, START_S + lasts, near, plate, law)
     assert found_mps == pytest.approx(0.3, abs=WITHIN_MPS)
     assert found_hit == pytest.approx(hit_mps, abs=WITHIN_MPS)
