@@ -126,8 +126,13 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
                 _check_file(output, path, named, read, overwrite)
             elif isinstance(output, Folder):
                 _check_folder(output, path, named, read, overwrite)
-            else:
-                _check_edited(path, named, read)
+            else:  # a profile that is changed in place
+                _refuse_input(path, named, read)
+                if not path.is_file():
+                    made = "make one from a shipped one: bench profile new rig.toml"
+                    raise InputError(f"{named}: wanted a profile's file to write into; {made}")
+                _check_suffix(PROFILE, path, named)
+                path.open("ab").close()  # opens for writing, changes nothing
         except (OSError, RuntimeError) as error:  # RuntimeError: links that lead to one another, before Python 3.13
             why = getattr(error, "strerror", None) or error
             raise InputError(f"{named}: cannot be written ({why}); name another place") from error
@@ -135,16 +140,6 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
             if _same(path, other):
                 raise InputError(f"{named}: is also what {option} writes; give each a name of its own")
         taken.append((output.option, path))
-
-
-def check_or_leave(*outputs: Output, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
-    """`check_outputs`; a path that is refused leaves the program with status 2."""
-    from bench.terminal.console import EXIT_USAGE, fail
-
-    try:
-        check_outputs(*outputs, inputs=inputs, overwrite=overwrite)
-    except InputError as error:
-        fail(str(error), EXIT_USAGE)
 
 
 def _check_file(output: File, path: Path, named: str, read: list[Path], overwrite: bool) -> None:
@@ -171,8 +166,7 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
         )
     if not overwrite:
         raise InputError(f"{named}: exists already; choose another name, or give --overwrite to replace it")
-    with path.open("ab"):
-        pass  # opens for writing, changes nothing
+    path.open("ab").close()  # opens for writing, changes nothing
 
 
 def _check_folder(output: Folder, path: Path, named: str, read: list[Path], overwrite: bool) -> None:
@@ -190,18 +184,6 @@ def _check_folder(output: Folder, path: Path, named: str, read: list[Path], over
             f"{named}: holds {there[0].name}{more} already; choose another folder, or give --overwrite to replace what "
             "is written again"
         )
-
-
-def _check_edited(path: Path, named: str, read: list[Path]) -> None:
-    """One profile that is changed in place; no other input."""
-    _refuse_input(path, named, read)
-    if not path.is_file():
-        raise InputError(
-            f"{named}: wanted a profile's file to write into; make one from a shipped one: bench profile new rig.toml"
-        )
-    _check_suffix(PROFILE, path, named)
-    with path.open("ab"):
-        pass  # opens for writing, changes nothing
 
 
 def _check_suffix(form: Form, path: Path, named: str) -> None:

@@ -8,8 +8,7 @@ from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdicts import VERDICTS
 from analysis.report.numbers import interval, microseconds, plus_minus, probability
-from analysis.residuals.values import TREND
-from model.effects.registry import effect, trend_name
+from model.effects.registry import unit_of
 
 # 95 % intervals that held the truth, of how many, on recordings of another plant: docs/results/closed-loop.md
 COVERAGE = {"harmonic_distortion": (19, 24), "restitution": (9, 12)}
@@ -24,14 +23,6 @@ def capital(text: str) -> str:
 def plain(name: str) -> str:
     """The name of an effect for a person."""
     return name.replace("_", " ")
-
-
-def unit_of(name: str, parameter: str) -> str:
-    """Unit of a parameter as printed; empty where it has none."""
-    if name == trend_name():  # its parameters are those of other effects, relative to their middle
-        return ""
-    unit = effect(name).effect.parameter(parameter.removesuffix(TREND)).unit
-    return "" if unit == "1" else unit
 
 
 def size_of(found: AddedEffect) -> str:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_or_leave
-from bench.terminal.console import EXIT_USAGE, fail, print_lines, write_json
+from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_outputs
+from bench.terminal.console import print_lines, write_json
+from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from bench.jobs.drop_test import Request
@@ -83,7 +84,7 @@ def command(
     from bench.jobs.drop_test import Request, check_request, parse_region
 
     made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track", "sound"))
-    check_or_leave(
+    check_outputs(
         File("--json", json_target, JSON), Folder("--out", out if pictures and not page else None, made),
         Edited("--into", into), inputs=[*files, balls], overwrite=overwrite,
     )  # fmt: skip
@@ -101,23 +102,13 @@ def command(
 
 def _serve(request: Request, json_target: str | None, into: Path | None, port: int | None) -> None:
     """The desk's page of this drop test, until Ctrl-C."""
-    from bench.web.packages import require_packages
+    from bench.web.packages import serve_pages
 
     if into is not None or json_target == "-":
-        fail("--page: the page writes JSON into the file of --json; --into and --json - go without it", EXIT_USAGE)
-    require_packages()
-    from bench.web.section import Place
-    from bench.web.serve import bind, serve
-
-    listening, access = bind(port=port)
-
-    def say() -> None:
-        print_lines(f"open {access.url} in a browser; Ctrl-C ends the page")
-        sys.stdout.flush()
-
+        raise InputError("--page: the page writes JSON into the file of --json; --into and --json - go without it")
     target = None if json_target is None else Path(json_target)
-    place = Place(request.files[0].resolve().parent, {"drop": {"request": request, "target": target}})
-    serve(listening, access, ["bench.drops.section"], place, on_ready=say)
+    folder, options = request.files[0].resolve().parent, {"drop": {"request": request, "target": target}}
+    serve_pages(["bench.drops.section"], folder, port=port, options=options)
 
 
 def _measure(request: Request, json_target: str | None, out: Path | None, into: Path | None, stale: str) -> None:
@@ -125,26 +116,22 @@ def _measure(request: Request, json_target: str | None, out: Path | None, into: 
     from bench.jobs.drop_test import declare_into, draw, measure
 
     if stale not in ("ask", "keep", "remove"):
-        fail(f"--stale {stale}: expected ask, keep or remove", EXIT_USAGE)
-    done = measure(request, _bar)
+        raise InputError(f"--stale {stale}: expected ask, keep or remove")
+
+    def bar(what: str, done: int, total: int) -> None:  # nothing in a pipe
+        if sys.stderr.isatty() and (done % 10 == 0 or done >= total):
+            sys.stderr.write(f"\r{what}: {done} of {total}" + ("\n" if done >= total else ""))
+
+    def answer_to(question: str) -> bool | None:  # None without a terminal
+        return typer.confirm(question) if sys.stdin.isatty() else None
+
+    done = measure(request, bar)
     outcome = done.outcome
     if out is not None:
         draw(done, out)
-    refused = declare_into(into, outcome, stale, _answer_to) if into is not None else None
+    refused = declare_into(into, outcome, stale, answer_to) if into is not None else None
     write_json(outcome.payload, json_target)
     if json_target != "-":
-        for sentence in outcome.sentences:
-            sys.stdout.write(sentence + "\n")
+        print_lines(*outcome.sentences)
     if refused is not None:
-        fail(refused, EXIT_USAGE)
-
-
-def _answer_to(question: str) -> bool | None:
-    """A person's answer; None without a terminal."""
-    return typer.confirm(question) if sys.stdin.isatty() else None
-
-
-def _bar(what: str, done: int, total: int) -> None:
-    """A progress line on a terminal; nothing in a pipe."""
-    if sys.stderr.isatty() and (done % 10 == 0 or done >= total):
-        sys.stderr.write(f"\r{what}: {done} of {total}" + ("\n" if done >= total else ""))
+        raise InputError(refused)

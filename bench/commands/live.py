@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-import webbrowser
 from pathlib import Path
 
 import typer
 
 from bench.outputs import Host, Port
-from bench.terminal.console import print_lines
 from bench.web.packages import serve_pages
 from daq.setup.errors import InputError
 
@@ -34,17 +31,10 @@ def command(
 
 
 def open_page(runs: Path, profile: str | None, host: str = "127.0.0.1", port: int | None = None) -> None:
-    """Serve the desk until Ctrl-C and open it in a browser where a person looks on; as `command` in all else."""
+    """Serve the desk until Ctrl-C; as `command`, in a folder that is there."""
     from bench.live.processes import sections
     from bench.profiles.find import find_profile
 
-    def say(url: str) -> None:
-        print_lines(f"open {url} in a browser; Ctrl-C ends the page")
-        sys.stdout.flush()
-        if sys.stdout.isatty():
-            webbrowser.open(url)
-
     if profile is not None:
         find_profile(profile)
-    modules = sections(starts=True)
-    serve_pages(modules, runs, say, host=host, port=port, options={"gates": {"offered": profile}})
+    serve_pages(sections(starts=True), runs, host=host, port=port, options={"gates": {"offered": profile}})

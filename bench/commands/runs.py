@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,7 +70,7 @@ def command(
         else:
             print_lines(f"{catalogue.folder}: no recordings that meet this; files read: {read}")
     if page:
-        serve_pages(["bench.runs.pages"], folder, _open)
+        serve_pages(["bench.runs.pages"], folder)
     elif verify and any(row["ended"] == "damaged" for row in rows):
         raise typer.Exit(EXIT_FAILED)
 
@@ -112,10 +110,3 @@ def _print(rows: list[Row]) -> None:
             print_lines(f"{row['path']}: damaged: {line(row['why'])}")
         if row["remarks_problem"]:
             print_lines(line(row["remarks_problem"]))
-
-
-def _open(url: str) -> None:
-    """Open the pages in a browser."""
-    print_lines(f"pages: {url}  (end with Ctrl-C)")
-    sys.stdout.flush()
-    webbrowser.open(url)

@@ -6,7 +6,6 @@ import asyncio
 import json
 import math
 import multiprocessing
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -72,8 +71,7 @@ class DropDesk:
         if self.request is not None:
             self._measure()
         while True:
-            if self.hub.lease.pass_time(time.monotonic()):
-                self.hub.tell_lease()
+            self.hub.pass_time()
             self._look_at_worker()
             await asyncio.sleep(TICK_S)
 
@@ -110,16 +108,11 @@ class DropDesk:
 
     def _obey(self, browser: Browser, said: Message) -> None:
         """Do what a browser asks; all but questions of the lease only for the holder of the controls."""
-        wanted, lease, name = said.get("do"), self.hub.lease, browser.name
-        if wanted == "ask":
-            lease.ask(name, time.monotonic())
-        elif wanted in ("hand_over", "keep"):
-            (lease.keep if wanted == "keep" else lease.hand_over)(name)
-        if wanted in ("ask", "hand_over", "keep"):
-            self.hub.tell_lease()
+        wanted = said.get("do")
+        if self.hub.gives_controls(browser, wanted):
             return
         try:
-            if not lease.may(name):
+            if not self.hub.lease.may(browser.name):
                 raise InputError("another browser holds the controls")
             self._do(str(wanted), said)
         except (InputError, HTTPException) as error:

@@ -131,7 +131,13 @@ def outcome_of(
 
     with open_recording(recording) as opened:
         _refuse_earlier(stake, str(opened.attrs.get("started") or ""), recording)
-        _refuse_other_rig(parse_profile(text, "the stake").setup(), opened.setup, recording)
+        staked, own = parse_profile(text, "the stake").setup(), opened.setup
+        for name in (f for f in Setup.model_fields if f not in IN_WORDS):
+            for key, wanted, found in _differing(getattr(staked, name), getattr(own, name), name):
+                raise InputError(
+                    f"{recording}: its profile has {key} = {found}, the stake {wanted}; a prediction holds for one "
+                    "ball, plate and rig: drive the stake itself with bench ramp, or import with it as --profile"
+                )
     numbers = steps_of(stake, recording)
     return held_against(stake, observations_from([recording], known=known), numbers)
 
@@ -163,16 +169,6 @@ def _refuse_earlier(stake: Stake, started: str, recording: Path) -> None:
             f"{recording}: was begun {started or 'before'}, the prediction was written {stake.written}; only a later "
             "run can meet it: drive the stake with bench ramp"
         )
-
-
-def _refuse_other_rig(staked: Setup, own: Setup, recording: Path) -> None:
-    """Refuse a recording whose profile is another one, by the first key that differs."""
-    for name in (f for f in Setup.model_fields if f not in IN_WORDS):
-        for key, wanted, found in _differing(getattr(staked, name), getattr(own, name), name):
-            raise InputError(
-                f"{recording}: its profile has {key} = {found}, the stake {wanted}; a prediction holds for one ball, "
-                "plate and rig: drive the stake itself with bench ramp, or import with it as --profile"
-            )
 
 
 def _differing(a: Any, b: Any, key: str) -> Iterator[tuple[str, Any, Any]]:

@@ -104,8 +104,7 @@ class Desk:
     async def _tick_for_ever(self) -> None:
         due = time.monotonic()
         while True:
-            if self.hub.lease.pass_time(time.monotonic()):
-                self.hub.tell_lease()
+            self.hub.pass_time()
             if self.watch is not None:
                 self.watch.tick()
                 self._follow(self.watch)
@@ -136,37 +135,22 @@ class Desk:
 
     def obey(self, browser: Browser, said: Message) -> None:
         """Do what a browser asks: anyone may stop the run at once; all else is for the browser with the controls."""
-        wanted, lease, name = said.get("do"), self.hub.lease, browser.name
-        if wanted == "ask":
-            lease.ask(name, time.monotonic())
-        elif wanted == "hand_over":
-            lease.hand_over(name)
-        elif wanted == "keep":
-            lease.keep(name)
-        elif wanted == "now":
+        wanted = said.get("do")
+        if self.hub.gives_controls(browser, wanted):
+            return
+        if wanted == "now":
             if self.watch is not None:
                 self.watch.command({"do": "now"})
-            return
-        else:
-            if not lease.may(name):
-                refused = {"kind": "refused", "why": "another browser holds the controls", "at": time.time()}
-                browser.send(json.dumps(refused))
-            elif wanted == "share":
-                self._share(on=said.get("on") is True)
-            elif wanted in COMMANDS and self.watch is not None:
-                self.watch.command({"do": wanted, "text": str(said.get("text", ""))[:LONGEST_NOTE]})
-            return
-        self.hub.tell_lease()
-
-    def _share(self, *, on: bool) -> None:
-        """Open or close the door for watchers, and say where it is to those who are not."""
-        if on:
-            self.watchers.open()
-        else:
-            self.watchers.close()
-        for browser in self.hub.browsers:
-            if not browser.reads_only:
-                browser.send(json.dumps({"kind": "shared", "url": self.watchers.url}))
+        elif not self.hub.lease.may(browser.name):
+            refused = {"kind": "refused", "why": "another browser holds the controls", "at": time.time()}
+            browser.send(json.dumps(refused))
+        elif wanted == "share":
+            (self.watchers.open if said.get("on") is True else self.watchers.close)()
+            for one in self.hub.browsers:
+                if not one.reads_only:
+                    one.send(json.dumps({"kind": "shared", "url": self.watchers.url}))
+        elif wanted in COMMANDS and self.watch is not None:
+            self.watch.command({"do": wanted, "text": str(said.get("text", ""))[:LONGEST_NOTE]})
 
 
 async def _show_watcher(request: Request) -> Response:

@@ -55,24 +55,20 @@ def what_if(profile: Described, changes: tuple[str, ...]) -> Described:
             for (effect, parameter), power in OF_MASS.items():
                 if quantity := data["declared"].get(effect, {}).get(parameter):
                     quantity["value"] *= (value / data["ball"]["mass_kg"]) ** power
-        path = key.split(".")
-        table = _table_of(data, path[:-1], key, profile.name)
-        table[path[-1]] = {**table[path[-1]], "value": value} if isinstance(table.get(path[-1]), dict) else value
+        *path, last = key.split(".")
+        table = data
+        # a declared effect may be named without `declared`
+        for place in ["declared", *path] if path and path[0] in data["declared"] else path:
+            table = table.get(place, {}) if isinstance(table.get(place, {}), dict) else {}
+        if last not in table:
+            declared = ", ".join(f"{e}.{q}" for e, own in data["declared"].items() for q in own) or "none"
+            where = f"profile {profile.name!r} has no such value; its declared effects: {declared}"
+            raise InputError(f"--what-if {key}: {where}")
+        table[last] = {**table[last], "value": value} if isinstance(table[last], dict) else value
     try:
         return type(profile).model_validate(data)
     except ValidationError as error:
         raise InputError(f"--what-if {' '.join(changes)}: {error.errors()[0]['msg']}") from error
-
-
-def _table_of(data: dict[str, Any], path: list[str], key: str, name: str) -> dict[str, Any]:
-    """The table that holds the last part of a key; a declared effect may be named without `declared`."""
-    last, table = key.rpartition(".")[2], data
-    for place in ["declared", *path] if path and path[0] in data["declared"] else path:
-        table = table.get(place, {}) if isinstance(table.get(place, {}), dict) else {}
-    if last not in table:
-        declared = ", ".join(f"{e}.{q}" for e, own in data["declared"].items() for q in own) or "none"
-        raise InputError(f"--what-if {key}: profile {name!r} has no such value; its declared effects: {declared}")
-    return table
 
 
 def with_profile(request: Request, given: GivenProfile) -> Request:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from analysis.loop.result import ClosedLoop
 from bench.profiles.edit import Measured, declare
+from bench.profiles.next_run import profile_text
 from daq.files.whole_file import write_whole
-from daq.recording import open_recording
 from daq.setup.errors import InputError
 
 
@@ -34,9 +34,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     text
         The profile by which the loop was closed, where that is not the recording's own.
     """
-    if text is None:
-        with open_recording(recording) as opened:
-            text = str(opened.attrs.get("profile_text", ""))
+    text = profile_text(recording) if text is None else text
     if not text.strip():
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
     on, source = datetime.date.today(), f"closed loop on {recording.name}"

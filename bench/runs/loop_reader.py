@@ -18,12 +18,13 @@ from analysis.loop.storage import load_verdict
 from analysis.loop.verdicts import VERDICTS, short_verdict
 from analysis.statistics import Z95
 from bench.runs.events import on_scope
-from bench.runs.rows import quantity, unit_of
+from bench.runs.rows import quantity
 from daq.files.json_values import json_object
 from daq.recording.event_changes import BY_HAND
 from daq.recording.subprocess_reader import Tell
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
+from model.effects.registry import unit_of
 
 
 def look(names: list[str], tell: Tell) -> dict[str, Any]:

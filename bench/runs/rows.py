@@ -70,6 +70,8 @@ def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
 
 def stated_quantities(header: Header) -> list[dict[str, Any]]:
     """Scales and effects that the profile of a recording states, as `quantity` has them."""
+    from model.effects.registry import unit_of
+
     setup = header.setup
     accelerometer, drive = setup["channels"]["accelerometer"], setup["drive"]
     stated = [("accelerometer.sensitivity", accelerometer["sensitivity"], accelerometer["unit"])]
@@ -84,13 +86,3 @@ def stated_quantities(header: Header) -> list[dict[str, Any]]:
 def quantity(name: str, value: float, sigma: float | None, unit: str, origin: str) -> dict[str, Any]:
     """A value with its standard deviation (None: unknown) and unit; ``origin``: profile or verdict."""
     return {"name": name, "value": float(value), "sigma": sigma, "unit": unit, "origin": origin}
-
-
-def unit_of(effect: str, parameter: str) -> str:
-    """Unit of a parameter of the model; empty of one that it does not know."""
-    from model.effects.registry import effect as named
-
-    try:
-        return next((p.unit for p in named(effect).effect.parameters if p.name == parameter), "")
-    except (KeyError, ValueError):
-        return ""

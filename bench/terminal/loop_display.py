@@ -16,10 +16,10 @@ from analysis.report.wording import (
     moved_calibrations,
     others_in_words,
     rejected_in_words,
-    unit_of,
     verdict_line,
 )
 from daq.setup.errors import InputError
+from model.effects.registry import unit_of
 
 
 def show(loop: ClosedLoop) -> None:

@@ -155,6 +155,24 @@ class Hub:
             delivering.cancel()
             self.leave(browser)
 
+    def gives_controls(self, browser: Browser, wanted: object) -> bool:
+        """Do what a browser wants of the controls (ask, hand_over, keep); whether it wanted one of these."""
+        if wanted == "ask":
+            self.lease.ask(browser.name, time.monotonic())
+        elif wanted == "hand_over":
+            self.lease.hand_over(browser.name)
+        elif wanted == "keep":
+            self.lease.keep(browser.name)
+        else:
+            return False
+        self.tell_lease()
+        return True
+
+    def pass_time(self) -> None:
+        """Take the controls from who is gone or silent."""
+        if self.lease.pass_time(time.monotonic()):
+            self.tell_lease()
+
     def tell_lease(self) -> None:
         """Tell every browser whether it holds the controls."""
         lease, active = self.lease, [one for one in self.browsers if not one.reads_only]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+import sys
+import webbrowser
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.terminal.console import print_lines
 from daq.setup.errors import InputError
 
 MISSING = 'the page needs packages that are not installed ({}); run: pip install "shakerbench[live]"'
@@ -22,20 +25,19 @@ def require_packages() -> None:
 def serve_pages(
     modules: Sequence[str],
     folder: Path,
-    say: Callable[[str], None],
     *,
     host: str = "127.0.0.1",
     port: int | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> None:
-    """Serve sections until Ctrl-C; raises `InputError` without the packages, and when the address cannot be bound.
+    """Serve sections until Ctrl-C; their address is printed, and opened in a browser where a person looks on.
+
+    Raises `InputError` without the packages, and when the address cannot be bound.
 
     Parameters
     ----------
     modules, folder, options
         Of the sections (`bench.web.serve.serve`, `bench.web.section.Place`).
-    say
-        Called with the address of the first page, once pages are answered.
     host, port
         As of `bench.web.serve.bind`.
     """
@@ -44,4 +46,11 @@ def serve_pages(
     from bench.web.serve import bind, serve
 
     listening, access = bind(host, port)
-    serve(listening, access, modules, Place(folder.resolve(), options or {}), on_ready=lambda: say(access.url))
+
+    def say() -> None:
+        print_lines(f"open {access.url} in a browser; Ctrl-C ends the page")
+        sys.stdout.flush()
+        if sys.stdout.isatty():
+            webbrowser.open(access.url)
+
+    serve(listening, access, modules, Place(folder.resolve(), options or {}), on_ready=say)

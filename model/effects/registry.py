@@ -150,6 +150,14 @@ def effect(name: str) -> Registered:
     raise InputError(f"no effect is called {name!r}{hint}")
 
 
+def unit_of(name: str, parameter: str) -> str:
+    """Unit of a parameter, or of its trend (``name@...``), as printed; empty where it has none or is not known."""
+    known = _by_name().get(name)
+    found = () if known is None else known.effect.parameters
+    unit = next((q.unit for q in found if q.name == parameter.partition("@")[0]), "")
+    return "" if unit == "1" else unit
+
+
 def resolve(declared: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
     """Check names and bounds of ``declared`` effects and fill in the parameters left out.
 

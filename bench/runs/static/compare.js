@@ -40,7 +40,7 @@ class Drift {
     figure.append(canvas);
     place.append(figure);
     this.rows = rows;
-    const unit = rows[0].unit && rows[0].unit !== "1" ? rows[0].unit : "dimensionless";
+    const unit = rows[0].unit || "dimensionless";
     this.axes = new Axes(canvas, { x: "", y: unit, title: name, left: 70, bottom: 24 });
     new ResizeObserver(() => { this.axes.fit(); this.paint(); }).observe(figure);
     addEventListener("themechange", () => this.paint());
