@@ -42,16 +42,7 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, any
 
     Text, numbers or None by column; ``failed`` is the reason why something is missing, else None.
 
-    Parameters
-    ----------
-    path
-        The recording.
-    parts
-        What to do, of `PARTS`.
-    profile
-        Replaces the recording's own.
-    anyway
-        As in `analysis.loop.close_loop.close_loop`.
+    ``parts`` is what to do, of `PARTS`; ``profile`` replaces the recording's own.
     """
     from bench.profiles.find import load_measuring
     from daq.recording import open_recording

@@ -186,14 +186,8 @@ class Pyramid:
 
         Raises `InputError` for times that are no stretch of the recording, or a width out of range.
 
-        Parameters
-        ----------
-        start_s, stop_s
-            Cut to the recording.
-        width
-            Columns, 1 to `WIDEST`.
-        opened
-            Opens the recording, where samples are needed; closed again.
+        The stretch is cut to the recording; ``width`` is 1 to `WIDEST` columns. ``opened`` opens the recording, where
+        samples are needed.
         """
         layout = self.layout
         if not 1 <= width <= WIDEST:

@@ -67,12 +67,8 @@ def best_constant(table: Floats, stack: StackedResiduals, name: str) -> tuple[fl
 def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floats, knots: Floats) -> ScreenedTerm:
     """Spline of one covariate on the table: the best value near each knot, then Gauss-Newton.
 
-    Parameters
-    ----------
-    table, stack
-        Of `residual_table`.
-    term, x, knots
-        With the covariate's values (n,), and where the spline bends.
+    ``table`` and ``stack`` are of `residual_table`; ``x`` are the covariate's values (n,), and at ``knots`` the spline
+    bends.
     """
     grid = EVENT_GRIDS[term.name]
     basis = basis_of(x, knots)

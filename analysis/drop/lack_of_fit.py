@@ -19,14 +19,7 @@ from kernels.arrays import Floats, Integers
 def of_times(fit: Fit, rows: Rows, g_mps2: float) -> list[str]:
     """Things that a model of impact times leaves unexplained; empty where the residuals are noise of a usual size.
 
-    Parameters
-    ----------
-    fit
-        The model fitted.
-    rows
-        What it was fitted to.
-    g_mps2
-        Local gravity, m/s^2.
+    ``fit`` is the model fitted to ``rows``.
     """
     words = []
     e0, half = float(fit.theta[0]), float(fit.half_width()[0])

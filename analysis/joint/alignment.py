@@ -43,13 +43,7 @@ class Aligned:
 def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[str]) -> Aligned:
     """All runs in the same coordinates.
 
-    Parameters
-    ----------
-    summaries
-        Of the runs, all at ``point``.
-    point
-    released
-        Effects that were named: the mean of what they set has no prior.
+    All summaries are at ``point``; ``released`` effects were named: the mean of what they set has no prior.
     """
     counts: dict[Option, int] = {}
     for run in summaries:

@@ -45,15 +45,7 @@ class Tested:
 
 
 class Candidates:
-    """All candidates, each added to one fit of the population.
-
-    Parameters
-    ----------
-    model, found
-        The runs, and their fit.
-    limits
-        Thresholds of the verdict.
-    """
+    """All candidates, each added to one fit of the population."""
 
     def __init__(self, model: Aligned, found: Population, limits: Thresholds) -> None:
         self.model, self.found, self.limits = model, found, limits
@@ -72,10 +64,7 @@ class Candidates:
     def tested(self, depth: int) -> list[Tested]:
         """Every candidate that gains anything, the one of greatest held-out gain first.
 
-        Parameters
-        ----------
-        depth
-            Number of effects named before.
+        ``depth`` is the number of effects named before.
         """
         out: dict[tuple[str, ...], Tested] = {}
         for option in self.model.options:

@@ -35,18 +35,8 @@ def outcome_of(
 ) -> JointVerdict:
     """The joint verdict.
 
-    Parameters
-    ----------
-    summaries, model, found
-        Of the last pass.
-    limits
-        Thresholds of the verdict.
-    declared
-        Priors of calibrations before any run.
-    names, ties
-        What was named, and what ties with it.
-    course
-        ``detection``, ``candidates``, ``rounds`` and ``passes`` of the result.
+    Summaries, model and fit are of the last pass; ``declared`` are priors of calibrations before any run; ``course``
+    has ``detection``, ``candidates``, ``rounds`` and ``passes`` of the result.
     """
     days, dated = days_since_first([s.outcome.started for s in summaries])
     columns = model.columns[: model.named - len(PLACES)]

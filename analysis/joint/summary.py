@@ -126,16 +126,8 @@ def summarise(
 ) -> RunSummary:
     """Reduce one recording to its summary; raises `InputError` where the file is no recording, or shows too little.
 
-    Parameters
-    ----------
-    path
-        The recording.
-    point
-        Where it is linearised; its own calibrations are fitted first.
-    limits
-        Thresholds of the verdict.
-    setup, known
-        As in `analysis.residuals.observations.observations_from`.
+    It is linearised at ``point``, its own calibrations fitted first; ``setup`` and ``known`` as in
+    `analysis.residuals.observations.observations_from`.
     """
     with open_recording(path) as opened:
         started = str(opened.attrs.get("started") or "")

@@ -42,16 +42,8 @@ def calibrate_into(
     Raises `InputError` or `BackendError` when the device failed or nothing could be measured; the file is left as it
     was. Returns the profile as it was, its back end, and what was measured.
 
-    Parameters
-    ----------
-    path
-        Of the profile.
-    kind
-        accelerometer, drive or contact.
-    scenario, seed
-        Of a simulated rig.
-    ask
-        Called before the accelerometer is laid upside down (True) and back (False).
+    ``kind``: accelerometer, drive or contact. ``ask`` is called before the accelerometer is laid upside down (True) and
+    back (False).
     """
     profile, backend = open_rig(path, "calibrate", scenario, seed)
     if kind == "accelerometer":

@@ -69,14 +69,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
 class Analyst:
     """Steps of one run, reduced as they grow.
 
-    Parameters
-    ----------
-    profile, board
-        Of the run.
-    pipe
-        Where results go.
-    pictures
-        As of `start_analyst`.
+    Results go into ``pipe``; ``pictures`` as of `start_analyst`.
     """
 
     def __init__(self, profile: Profile, board: Board, pipe: Connection, pictures: bool) -> None:

@@ -45,14 +45,7 @@ class PageProcess:
 
     Raises `InputError` when the page cannot be served.
 
-    Parameters
-    ----------
-    profile, board
-        Of the run.
-    folder
-        Of the runs.
-    host, port
-        Where to listen; see `bench.web.serve.bind`.
+    ``host`` and ``port`` as of `bench.web.serve.bind`.
     """
 
     def __init__(self, profile: Profile, board: Board, folder: Path, host: str, port: int | None) -> None:

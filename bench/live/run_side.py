@@ -48,14 +48,7 @@ class WatchedRecorder(RecorderProcess):
 class RunSide:
     """Events out and commands in, for one run (`bench.jobs.run_ramp.Onlooker`).
 
-    Parameters
-    ----------
-    board
-        Between run and page.
-    also
-        Called after each block too.
-    clock
-        The machine's, or that of a simulation.
+    ``also`` is called after each block too.
     """
 
     def __init__(self, board: Board, also: Callable[[Status], None] | None = None, clock: Clock = SYSTEM) -> None:

@@ -21,13 +21,7 @@ Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 
 class Scope:
-    """Views of a recording; raises `InputError` where one does not read.
-
-    Parameters
-    ----------
-    pyramid, recording
-        Their files.
-    """
+    """Views of a recording; raises `InputError` where one does not read."""
 
     def __init__(self, pyramid: Path, recording: Path) -> None:
         self._pyramid, self._file, self._state = Pyramid(pyramid), recording, _state(recording)

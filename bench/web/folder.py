@@ -13,12 +13,7 @@ def file_inside(folder: Path, name: str) -> Path:
     Raises `starlette.exceptions.HTTPException` (404) where there is no such file or it lies elsewhere: a request
     learns nothing of the two.
 
-    Parameters
-    ----------
-    folder
-        The runs' folder.
-    name
-        Relative path with forward slashes, from a request.
+    ``name`` is a relative path with forward slashes, from a request.
     """
     refused = HTTPException(404, "no such file in the runs' folder")
     parts = name.split("/")

@@ -34,12 +34,7 @@ def serve_pages(
 
     Raises `InputError` without the packages, and when the address cannot be bound.
 
-    Parameters
-    ----------
-    modules, folder, options
-        Of the sections (`bench.web.serve.serve`, `bench.web.section.Place`).
-    host, port
-        As of `bench.web.serve.bind`.
+    Arguments are as of `bench.web.serve.serve`, `bench.web.section.Place` and `bench.web.serve.bind`.
     """
     require_packages()
     from bench.web.section import Place

@@ -65,18 +65,8 @@ def serve(
 ) -> None:
     """Serve sections until the process is to end.
 
-    Parameters
-    ----------
-    listening, access
-        Of `bind`.
-    modules
-        Dotted names of modules whose function ``section(place)`` makes a section.
-    place
-        What the sections are made for.
-    on_ready
-        Called once pages are answered.
-    own_signals
-        Whether Ctrl-C and SIGTERM end the server.
+    Each of ``modules`` has a function ``section(place)``. ``on_ready`` is called once pages are answered; with
+    ``own_signals`` Ctrl-C and SIGTERM end the server.
     """
     app = make_app(access, [importlib.import_module(name).section(place) for name in modules])
     Server(app, on_ready, own_signals=own_signals).run([listening])

@@ -146,12 +146,7 @@ def compile_now() -> None:
 def fit_clock(readings: NDArray[np.void], at: Integers) -> NDArray[np.void]:
     """The map at the frames ``at`` (recorded samples, lost ones counted), `MAP_DTYPE` rows; NaN without readings.
 
-    Parameters
-    ----------
-    readings
-        `CLOCK_DTYPE` rows in order.
-    at
-        Frames, in order.
+    ``readings`` are `CLOCK_DTYPE` rows in order, ``at`` frames in order.
     """
     rows = np.zeros(len(at), MAP_DTYPE)
     rows["recorded_sample"] = at

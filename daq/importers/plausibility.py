@@ -105,14 +105,7 @@ def refuse_mixed_rates(path: Path, times: Times, n: int, quantum_s: float) -> No
 
     Raises `InputError` with the two rates, and the row near which they meet.
 
-    Parameters
-    ----------
-    path
-        Named in the error.
-    times, n
-        Seconds, not falling, and how many, at least 2.
-    quantum_s
-        Rounding step of the column.
+    The ``n`` times (at least 2) are seconds that do not fall; ``quantum_s`` is the rounding step of the column.
     """
     parts = min(32, n // 16)
     if parts < 2:

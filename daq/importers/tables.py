@@ -87,11 +87,7 @@ def read_sheets(path: Path, wanted: str = "columns of numbers under their headin
     Raises `InputError` for a table that is too large, unreadable or without numbers, or a workbook without its reader
     (`pip install shakerbench[tables]`).
 
-    Parameters
-    ----------
-    path
-    wanted
-        What the file should hold, for the error where it holds no number.
+    ``wanted`` is what the file should hold, for the error where it holds no number.
     """
     if (size := path.stat().st_size) > LARGEST_BYTES:
         raise InputError(f"{path}: {size >> 20} MB is no table; wanted {wanted}, at most {LARGEST_BYTES >> 20} MB")

@@ -70,12 +70,7 @@ def entries_of(header: Header) -> tuple[Entry, ...]:
 def notebook(header: Header | None, later: Remarks) -> tuple[Entry, ...]:
     """All entries of a recording's notebook, in the order in which they were written.
 
-    Parameters
-    ----------
-    header
-        Of the recording (`daq.recording.header.header_of`); None where it does not read.
-    later
-        Notes since then.
+    ``header`` is None where the recording does not read; ``later`` are notes since then.
     """
     own = () if header is None else entries_of(header)
     return (*own, *(Entry(note.at, None, note.text) for note in later.notes))

@@ -279,11 +279,6 @@ def verify(path: Path | str) -> VerifyReport:
     """Read a recording from end to end and say what state it is in.
 
     Raises `InputError` when there is no such file, or it never was a recording.
-
-    Parameters
-    ----------
-    path
-        Recording, closed or cut off.
     """
     try:
         recording, _ = examine(Path(path))

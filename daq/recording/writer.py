@@ -257,15 +257,7 @@ def require_space(path: Path, n_samples: int, n_channels: int) -> None:
 def copy_columns(recording: Recording, out: Path, attributes: Mapping[str, Any], **options: Any) -> None:
     """Write what an open recording holds as a column file.
 
-    Parameters
-    ----------
-    recording
-    out
-        File to create.
-    attributes
-        Root attributes.
-    options
-        Of `ColumnWriter`.
+    ``attributes`` are root attributes; options as of `ColumnWriter`.
 
     Raises
     ------

@@ -50,15 +50,8 @@ def landing_map(ball: Ball, gamma: float, rng: np.random.Generator, *, spread: f
 
     Raises `InputError` where the ball rests on the plate, or never rebounds.
 
-    Parameters
-    ----------
-    ball : Ball
-        One that rebounds.
-    gamma : float
-    rng : numpy.random.Generator
-        Of the states within a cell.
-    spread : float
-        Standard deviation of gamma from flight to flight, relative: what an amplitude control leaves.
+    ``ball`` must rebound; ``spread`` is the relative standard deviation of gamma from flight to flight, which an
+    amplitude control leaves.
     """
     path = ball.fly(gamma, AT_REST, 4096)
     fastest = float(np.max(np.where(path.reset[1:], 0.0, path.speed[:-1]), initial=0.0))

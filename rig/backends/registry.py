@@ -26,12 +26,7 @@ def open_backend(
 
     Raises `InputError` when an option is given that this kind does not heed, or the back end cannot be opened.
 
-    Parameters
-    ----------
-    profile
-        Its ``[backend]`` names the kind, `rig.backends.kinds.find.kind_of` what that is.
-    scenario, seed, real_time, replay
-        As in `rig.backends.kinds.base.OpenOptions`.
+    Options as in `rig.backends.kinds.base.OpenOptions`.
     """
     options = OpenOptions(scenario, seed, real_time, replay)
     kind = kind_of(profile.backend.kind)

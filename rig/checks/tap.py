@@ -19,12 +19,7 @@ SHOWN = 0.5  # least part of the power that is the mode's
 def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | None:
     """Frequency in Hz and damping over critical of the mode that rings longest after a tap; None where none is seen.
 
-    Parameters
-    ----------
-    acceleration
-        In any unit, (n,), from before the tap on.
-    rate_hz
-        Of its samples.
+    ``acceleration`` (n,) is in any unit, from before the tap on.
     """
     width = max(round(rate_hz / BLOCK_HZ), 1)
     x = acceleration[: len(acceleration) // width * width].reshape(-1, width).mean(axis=1)

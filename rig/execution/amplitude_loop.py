@@ -45,13 +45,6 @@ def achieved_gamma(setup: Setup, measured: Amplitudes) -> tuple[float, float]:
 class AmplitudeLoop:
     """Brings every step's tones to their target before it may hold.
 
-    Parameters
-    ----------
-    profile
-        With a ``[control]`` table.
-    control
-        That table.
-
     Attributes
     ----------
     worst : float

@@ -99,14 +99,7 @@ class Launch:
 class BranchHold:
     """Hold a ball on ``branch`` once it is on it, through a programme's steps.
 
-    Parameters
-    ----------
-    profile
-        Forcing, rate and drive scale.
-    table
-        Authority, kicks and uncertainty.
-    branch
-        The locked cycle over gamma, as predicted.
+    ``table`` has authority, kicks and uncertainty; ``branch`` is the locked cycle over gamma, as predicted.
 
     Attributes
     ----------

@@ -70,14 +70,7 @@ class _Window:
 class Interlock:
     """The clamp and the watch of one run.
 
-    Parameters
-    ----------
-    profile
-        Limits, scales and forcing.
-    channels
-        Names of a frame's columns.
-    scales
-        ``(volts_per_code, offset_v)`` of each.
+    ``channels`` names a frame's columns; ``scales`` has ``(volts_per_code, offset_v)`` of each.
 
     Attributes
     ----------
@@ -130,14 +123,7 @@ class Interlock:
     def inspect(self, drive_v: Floats, block: Block, motion: Motion) -> str | None:
         """Why the run must stop after this exchange, or None.
 
-        Parameters
-        ----------
-        drive_v
-            What was played, shape (n,).
-        block
-            What came back for it.
-        motion
-            The plate's motion by its accelerometer.
+        ``drive_v`` (n,) was played, and ``block`` came back for it; ``motion`` is the plate's by its accelerometer.
         """
         codes = block.codes
         self._n_seen += len(codes)

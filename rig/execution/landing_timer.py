@@ -24,13 +24,7 @@ class Landing:
 
 
 class LandingTimer:
-    """Find and time the one landing in a short stretch of the accelerometer.
-
-    Parameters
-    ----------
-    rate_hz
-        Samples a second.
-    """
+    """Find and time the one landing in a short stretch of the accelerometer."""
 
     def __init__(self, rate_hz: float) -> None:
         # the waveform from before the impact until most of the ringing is over

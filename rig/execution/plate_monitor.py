@@ -36,12 +36,7 @@ class Motion:
 class MotionWatch:
     """Follow the accelerometer from block to block.
 
-    Parameters
-    ----------
-    setup
-        Forcing and rate.
-    mps2_per_code
-        Signed scale of the accelerometer's codes.
+    ``mps2_per_code`` is the signed scale of the accelerometer's codes.
     """
 
     def __init__(self, setup: Setup, mps2_per_code: float) -> None:

@@ -31,16 +31,7 @@ class JackSerialPlant(PlantClient):
 
     Raises `InputError` when there is no such server, it runs at another rate, or the system has no pseudo-terminals.
 
-    Parameters
-    ----------
-    profile
-        Its ``[backend]`` gives the client's name and the full scale of the output.
-    scenario, seed
-        As for the simulated rig.
-    server
-        Name of the JACK server.
-    ppm, ppm_per_minute
-        As for `rig.virtual.serial_device.SerialDevice`.
+    Arguments are as of `rig.virtual.jack.JackPlant` and `rig.virtual.serial_device.SerialDevice`.
 
     Attributes
     ----------

@@ -120,14 +120,8 @@ def fit_falls(
 ) -> FallFit:
     """Least squares of all falls under the priors.
 
-    Parameters
-    ----------
-    names
-        Parameters of `OWNER` to be fitted beyond each release.
-    known
-        Values of further parameters.
-    near
-        A fit to start from.
+    ``names`` are parameters of `OWNER` to be fitted beyond each release, ``known`` values of further ones; the fit
+    starts from ``near``.
     """
     fitted = (*names, "top_m", "release_s")
     slots = list(dict.fromkeys((name, owner_of(name, fall)) for name in fitted for fall in falls))

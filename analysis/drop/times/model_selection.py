@@ -61,16 +61,7 @@ def judge(
 ) -> Verdict[Judged]:
     """Fit every candidate model to ``drops`` and choose among them.
 
-    Parameters
-    ----------
-    drops
-        Drops of one ball with one set-up.
-    g_mps2
-        Local gravity, m/s^2.
-    rng
-        For the bootstrap.
-    drag_limits
-        Smallest and largest ``k`` that the ball's mass and size allow, 1/m.
+    ``drag_limits``: smallest and largest ``k`` that the ball's mass and size allow, 1/m.
     """
     rows, left_out = usable_rows(drops, g_mps2)
     can_hold_out = bool(_folds(rows))

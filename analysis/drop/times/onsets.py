@@ -66,14 +66,7 @@ def onsets_of_file(path: Path, progress: Progress | None = None) -> Onsets:
 def sound_onsets(samples: Floats, rate_hz: float, where: str) -> Onsets:
     """Onsets in a sound that fits in memory; raises `InputError` where nothing stands out.
 
-    Parameters
-    ----------
-    samples : (n,) or (n, channels) float64
-        The sound; channels are judged together.
-    rate_hz : float
-        Sampling rate.
-    where : str
-        File, for the error text.
+    ``samples`` are (n,) or (n, channels), channels judged together; ``where`` names the file in an error.
     """
     x = np.atleast_2d(np.asarray(samples, dtype=np.float64).T).T
     if not np.isfinite(x).all():

@@ -33,20 +33,7 @@ def until_clear(
 
     Raises `InputError` when the first recording was not made on the simulated rig.
 
-    Parameters
-    ----------
-    recordings
-        Where to begin: recordings made on the simulated rig.
-    scenario
-        What the simulated rig hides (never read by the analysis).
-    seed
-        Of the new runs' noise.
-    say
-        Called with a line on each run.
-    quiet
-        Without a progress bar.
-    anyway
-        As in `analysis.loop.close_loop.close_loop`.
+    ``scenario`` is what the simulated rig hides, which the analysis never reads; ``seed`` is of the new runs' noise.
 
     Returns
     -------

@@ -69,16 +69,7 @@ def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False
 
     Raises `InputError` when it could not be written. Returns the path of what was written.
 
-    Parameters
-    ----------
-    found
-        The verdict.
-    folder
-        Where its pictures go.
-    quiet
-        Without a progress bar.
-    more
-        Further arguments of `write_report`, or of `analysis.report.figures.several.write_pictures`.
+    ``more``: further arguments of `write_report`, or of `analysis.report.figures.several.write_pictures`.
     """
     call = [sys.executable, "-m", "bench.jobs.loops.drawing"]
     what = pickle.dumps((found, folder, quiet, more))

@@ -50,15 +50,7 @@ def running_crcs(codes: NDArray[np.int16]) -> list[int]:
 
 
 class MarkLog:
-    """Rows on their way into marks.
-
-    Parameters
-    ----------
-    attributes
-        Root attributes of the file.
-    n_channels, chunk_rows
-        Shape of a chunk of frames.
-    """
+    """Rows on their way into marks."""
 
     def __init__(self, attributes: Mapping[str, Any], n_channels: int, chunk_rows: int) -> None:
         plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in attributes.items()}
@@ -163,14 +155,7 @@ def _take_rows(marks: Marks, page: bytes, at: int) -> None:
 def rows_after(data: Any, first_sample: int, lengths: Sequence[int], row_bytes: int) -> Iterator[NDArray[np.void]]:
     """Rows (1,) of the block table itself that follow each other from ``first_sample`` on, found by their CRC-32.
 
-    Parameters
-    ----------
-    data
-        Bytes of the file.
-    lengths
-        Samples that a block may have.
-    row_bytes
-        Of a row without its CRC-32.
+    ``lengths``: samples that a block may have; ``row_bytes``: of a row without its CRC-32.
     """
     while True:
         for n in lengths:

@@ -45,14 +45,7 @@ _END_BYTES = 4096
 class FrameWriter:
     """Write a frames file; raises `InputError` when ``path`` exists, or its folder does not.
 
-    Parameters
-    ----------
-    path
-        File to create.
-    channels
-        Names, in the order of a frame.
-    attributes
-        Root attributes; written once, before the first sample.
+    ``channels`` are in the order of a frame; root ``attributes`` are written once, before the first sample.
     """
 
     def __init__(self, path: Path, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:
