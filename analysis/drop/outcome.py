@@ -13,6 +13,7 @@ from scipy import stats
 
 from analysis.drop.laws.choice import Candidate, Verdict
 from analysis.drop.thresholds import LEVEL_SIGMAS
+from daq.setup.values import MeasuredValue
 from kernels.arrays import Floats
 
 Interval = dict[str, float | None]  # value, low, high; None where not known
@@ -21,29 +22,13 @@ _KEYS = {"mu": ("mu_up", "mu_down")}  # in the JSON and in the effect library
 MOST_SAID = 12  # heights or bounces in a sentence
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A parameter with its provenance: effect and parameter by their shared names, one standard deviation, source."""
-
-    effect: str
-    parameter: str
-    value: float
-    uncertainty: float
-    source: str
-
-    @property
-    def key(self) -> str:
-        """Its dotted key in a profile."""
-        return f"declared.{self.effect}.{self.parameter}"
-
-
 @dataclass
 class Outcome:
     """A result on its way out."""
 
     payload: dict[str, Any]  # the JSON
     sentences: list[str] = field(default_factory=list)  # the same for a person, what the data cannot say included
-    measured: list[Measured] = field(default_factory=list)  # what may be declared in a profile
+    measured: list[MeasuredValue] = field(default_factory=list)  # what may be declared in a profile
 
 
 def interval(value: float, low: float, high: float) -> Interval:
@@ -140,7 +125,7 @@ def model_json(candidate: Candidate, to_si: Mapping[str, float], per: float, uni
     }
 
 
-def declared(candidate: Candidate, to_si: Mapping[str, float], source: str) -> list[Measured]:
+def declared(candidate: Candidate, to_si: Mapping[str, float], source: str) -> list[MeasuredValue]:
     """A model's parameters under the names of the effect library, without those that are compatible with zero."""
     out = []
     for name, (value, half) in candidate.estimates().items():
@@ -148,7 +133,8 @@ def declared(candidate: Candidate, to_si: Mapping[str, float], source: str) -> l
         sigma = half / LEVEL_SIGMAS * factor
         if np.isfinite(sigma) and abs(value * factor) > LEVEL_SIGMAS * sigma:
             numbers = round(value * factor, 8), round(sigma, 8)
-            out += [Measured(effect or "restitution", key, *numbers, source) for key in _KEYS.get(name, (name,))]
+            keys = (f"declared.{effect or 'restitution'}.{key}" for key in _KEYS.get(name, (name,)))
+            out += [MeasuredValue(key, *numbers, source) for key in keys]
     return out
 
 

@@ -31,7 +31,6 @@ from kernels.arrays import Floats
 
 CLIP_SIGMAS = 6.0  # of a whitened difference
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
-OTHER_ORBIT = 0.05  # difference of mean flight times, relative, beyond which motions at one gamma are different orbits
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,8 @@ def bistable(pools: Sequence[Pool], block: Block) -> tuple[float, ...]:
         there = dict(zip(pool.option.gammas, pool.flight_s.tolist(), strict=True))
         for i in block.steps:
             here, gamma = float(own.flight_s[i]), block.option.gammas[i]
-            if abs(here / there.get(gamma, np.nan) - 1.0) > OTHER_ORBIT:
+            # motions at one gamma whose mean flight times differ by more than a twentieth are different orbits
+            if abs(here / there.get(gamma, np.nan) - 1.0) > 0.05:
                 out.append(gamma)
     return tuple(out)
 

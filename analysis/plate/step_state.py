@@ -66,7 +66,17 @@ class ChunkFit:
 
 
 @dataclass
-class StepState:
+class PlannedStep:
+    """A step's hold as the step table has it: its number, first tone, the multiples driven, its beginning."""
+
+    step: int
+    nominal_hz: float
+    forcing: tuple[int, ...]
+    first_sample: int
+
+
+@dataclass
+class StepState(PlannedStep):
     """Accumulated state of one step: open spans, tones, normal equations and closed chunks.
 
     ``first_codes`` are its first accelerometer samples as stored, where they came in one piece; ``ends`` the codes at
@@ -74,10 +84,6 @@ class StepState:
     is fitted.
     """
 
-    step: int
-    nominal_hz: float
-    forcing: tuple[int, ...]
-    first_sample: int
     last_sample: int
     hold_s: float
     spans: list[Span] = field(default_factory=list)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import multiprocessing
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -18,6 +17,7 @@ from analysis.drop.film.video import FILMS
 from bench.drops.correct import moved, saved_request, side_file
 from bench.drops.worker import work
 from bench.jobs.drop_test import Request, check_request
+from bench.terminal.signals import spawned
 from bench.web.browsers import Browser, Hub
 from bench.web.folder import file_inside
 from daq.files.json_values import json_text
@@ -191,11 +191,7 @@ class DropDesk:
         if self._asked is not None:
             return
         if self._process is None or not self._process.is_alive():
-            context = multiprocessing.get_context("spawn")
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=work, args=(theirs, not self._fixed), name="drop test", daemon=True)
-            self._process.start()
-            theirs.close()
+            self._pipe, self._process = spawned(work, not self._fixed, name="drop test", daemon=True)
         self._asked = self.request
         self._pipe.send(self._asked)
         self.hub.tell({"kind": "working", "what": "measuring", "done": 0, "total": 0})

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import multiprocessing
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -26,6 +25,7 @@ from bench.profiles.fields import value_of
 from bench.profiles.find import scenario_names
 from bench.profiles.new import profile_in, with_preset
 from bench.profiles.plan import refuse_forbidden
+from bench.terminal.signals import spawned
 from bench.web.browsers import Browser
 from daq.files.whole_file import write_whole
 from daq.recording import verify
@@ -254,11 +254,7 @@ class Gates:
             improved = next(path for path in names if not path.exists())
         rig = self.rig
         job = Job(gate, kind, self.path, rig.get("scenario") or None, rig.get("seed", 0), recording, improved)
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=work, args=(theirs, job), name=gate)  # no daemon: it may record
-        self._process.start()
-        theirs.close()
+        self._pipe, self._process = spawned(work, job, name=gate)  # no daemon: it may record
         self.job = {"gate": gate, "kind": kind, "words": "", "asks": False}
         self._tried = {} if gate == "verdict" else inputs_of(gate, self._known(), rig, self.state.device)
 

@@ -17,7 +17,6 @@ from daq.setup.setup import quantities
 from rig.profile import Profile
 
 Message = dict[str, Any]
-MOST_DRAWN = 400  # steps of a drawing
 
 
 class Shown(Protocol):
@@ -97,7 +96,7 @@ def _plan(profile: Profile) -> Message:
         programme, rows, faults = planned(profile)
     except InputError as error:
         return {"fault": str(error), "steps": [], "limits": {}, "faults": []}
-    every, limits = -(-len(rows) // MOST_DRAWN), profile.limits
+    every, limits = -(-len(rows) // 400), profile.limits
     steps = []
     for at in range(0, len(rows), every):  # several steps are drawn as one, with the highest of each peak
         some = [step for step, _ in rows[at : at + every]]

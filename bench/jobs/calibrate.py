@@ -19,10 +19,11 @@ from analysis.events.impact_detection import ONSET_S
 from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.motion import StepPlate
 from bench.jobs.run_ramp import open_rig, record
-from bench.profiles.edit import Measured, write_into
+from bench.profiles.edit import write_into
 from bench.profiles.plan import refuse_forbidden
 from daq.recording import open_recording
 from daq.setup.errors import InputError
+from daq.setup.values import MeasuredValue
 from model.effects.registry import effect
 from rig.backends.base import Backend
 from rig.checks.flip_test import flip_test
@@ -36,7 +37,7 @@ LEAST_PAIRS = 20  # of impacts and edges
 
 def calibrate_into(
     path: Path, kind: str, scenario: Path | None, seed: int, ask: Callable[[bool], None]
-) -> tuple[Profile, Backend, list[Measured]]:
+) -> tuple[Profile, Backend, list[MeasuredValue]]:
     """Do what `bench calibrate` does, and write it into the profile's file.
 
     Raises `InputError` or `BackendError` when the device failed or nothing could be measured; the file is left as it
@@ -54,7 +55,7 @@ def calibrate_into(
     return profile, backend, measured
 
 
-def accelerometer(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[Measured]:
+def accelerometer(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[MeasuredValue]:
     """Sensitivity and offset by a flip test (`rig.checks.flip_test`); raises `InputError`, `BackendError`."""
     if profile.channels.accelerometer.coupling == "ac":
         raise InputError("channels.accelerometer.coupling is ac: a flip test needs an input that passes a constant")
@@ -69,12 +70,12 @@ def accelerometer(profile: Profile, backend: Backend, ask: Callable[[bool], None
         )
     key, source = "channels.accelerometer", "flip test (bench calibrate accelerometer)"
     return [
-        Measured(f"{key}.sensitivity", flip.sensitivity, flip.sensitivity_uncertainty, source),
-        Measured(f"{key}.offset_v", flip.offset_v, flip.offset_uncertainty_v, source),
+        MeasuredValue(f"{key}.sensitivity", flip.sensitivity, flip.sensitivity_uncertainty, source),
+        MeasuredValue(f"{key}.offset_v", flip.offset_v, flip.offset_uncertainty_v, source),
     ]
 
 
-def drive(profile: Profile, backend: Backend) -> list[Measured]:
+def drive(profile: Profile, backend: Backend) -> list[MeasuredValue]:
     """Gain and phase of the plate for a volt of drive, tone by tone, the block resting on it.
 
     The looped-back drive is compared with the accelerometer at three levels; their scatter, the accelerometer's own
@@ -83,13 +84,13 @@ def drive(profile: Profile, backend: Backend) -> list[Measured]:
     steps, _ = _run(profile, backend, DRIVE_PEAKS)
     if len(steps) < len(DRIVE_PEAKS):
         raise InputError("drive: the plate's motion was not seen in every step; run bench check first")
-    found: list[Measured] = []
+    found: list[MeasuredValue] = []
     for key, multiple in zip(("drive", "drive.second"), steps[0].forcing_multiples, strict=False):
         found += _gain_and_phase(profile, key, [_response(step, multiple, profile.g_mps2.value) for step in steps])
     return found
 
 
-def contact(profile: Profile, backend: Backend) -> list[Measured]:
+def contact(profile: Profile, backend: Backend) -> list[MeasuredValue]:
     """Levels of the contact circuit in contact and in the air, and how late its edges are to the impacts.
 
     The delay is that to the accelerometer's impacts (the way through the table and the sensor included), and becomes
@@ -110,8 +111,8 @@ def contact(profile: Profile, backend: Backend) -> list[Measured]:
     if channel.coupling == "dc":
         spread = f"{source}; uncertainty: noise of a sample"
         found += [
-            Measured("channels.continuity.closed_v", levels.closed_v, levels.noise_v, spread),
-            Measured("channels.continuity.open_v", levels.open_v, levels.noise_v, spread),
+            MeasuredValue("channels.continuity.closed_v", levels.closed_v, levels.noise_v, spread),
+            MeasuredValue("channels.continuity.open_v", levels.open_v, levels.noise_v, spread),
         ]
     if witness is None or not math.isfinite(witness.uncertainty_s) or witness.pairs < LEAST_PAIRS:
         raise InputError(
@@ -122,7 +123,7 @@ def contact(profile: Profile, backend: Backend) -> list[Measured]:
     late = f"{source}; against the impacts in the accelerometer"
     if delay_s < effect("contact_latency").effect.parameter("delay_s").low:
         delay_s, sigma, late = 0.0, math.hypot(sigma, delay_s), f"{late}, which come {-1e6 * delay_s:.0f} us later"
-    return [*found, Measured("declared.contact_latency.delay_s", delay_s, sigma, late)]
+    return [*found, MeasuredValue("declared.contact_latency.delay_s", delay_s, sigma, late)]
 
 
 def _run(profile: Profile, backend: Backend, peaks_g: tuple[float, ...]) -> tuple[list[StepPlate], Flights]:
@@ -155,7 +156,7 @@ def _response(step: StepPlate, multiple: int, g_mps2: float) -> tuple[complex, f
     return z / (v * g_mps2), relative
 
 
-def _gain_and_phase(profile: Profile, key: str, responses: list[tuple[complex, float]]) -> list[Measured]:
+def _gain_and_phase(profile: Profile, key: str, responses: list[tuple[complex, float]]) -> list[MeasuredValue]:
     """One gain and phase from those of the levels."""
     value = np.array([z for z, _ in responses])
     # what the tone fit itself leaves: without it a level of little noise would have all the weight
@@ -169,6 +170,6 @@ def _gain_and_phase(profile: Profile, key: str, responses: list[tuple[complex, f
     relative = math.hypot(gain_off, scale.uncertainty / scale.value, g.uncertainty / g.value)
     source = f"drive to plate, block on, gamma_peak {DRIVE_PEAKS[0]:g} to {DRIVE_PEAKS[-1]:g} (bench calibrate drive)"
     return [
-        Measured(f"{key}.g_per_volt", abs(mean), abs(mean) * relative, source),
-        Measured(f"{key}.phase_deg", math.degrees(cmath.phase(mean)), math.degrees(phase_off), source),
+        MeasuredValue(f"{key}.g_per_volt", abs(mean), abs(mean) * relative, source),
+        MeasuredValue(f"{key}.phase_deg", math.degrees(cmath.phase(mean)), math.degrees(phase_off), source),
     ]

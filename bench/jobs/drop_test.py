@@ -347,7 +347,7 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
     except OSError as error:
         raise InputError(f"{profile}: cannot be read ({error.strerror})") from error
     before = parse_profile(text, str(profile)).declared
-    effects = sorted({item.effect for item in outcome.measured})
+    effects = sorted({item.key.split(".")[1] for item in outcome.measured})
     left = [name for name in ("coulomb_friction", "quadratic_drag") if name in before and name not in effects]
     if left and stale == "ask":
         names = " and ".join(left)

@@ -258,10 +258,7 @@ def _next(
     block = best_block(pools, known, wanted, aims.steps)
     # a block that says less is not worth its time
     worth = block is not None and (block.nats >= 0.2 or block.sharpening > 0.5)
-    # the same steps driven before did not distinguish what they were to
-    before = [(p.forcing, set(p.ramp.gammas())) for p in (parse_profile(one.text, "block") for one in blocks)]
-    in_vain = block is not None and (block.option.setup.forcing, set(block.gammas)) in before
-    if block is not None and worth and (block.sharpening > 0.5 or not in_vain):
+    if block is not None and worth and (block.sharpening > 0.5 or not _in_vain(block, blocks)):
         chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
     elif worth:
         chosen = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
@@ -281,6 +278,14 @@ def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
         return aims
     # longer holds separate tones as near as the mains and a harmonic
     return replace(aims, hold_cycles=2 * aims.hold_cycles)
+
+
+def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
+    """Whether the same steps were driven before: what they were to distinguish, they did not."""
+    profiles = [parse_profile(driven.text, "block") for driven in blocks]
+    before = [(p.forcing.ratio, p.forcing.frequency_hz, set(p.ramp.gammas())) for p in profiles]
+    forcing = block.option.setup.forcing
+    return (forcing.ratio, forcing.frequency_hz, set(block.gammas)) in before
 
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:

@@ -132,8 +132,7 @@ def record(
             progress = typed.obeyed(request, progress)
         summary: RunSummary | None = None
         try:
-            summary = run_ramp(profile, backend, writer, progress=progress, stop_request=request, programme=programme,
-                               hold=hold)  # fmt: skip
+            summary = run_ramp(profile, backend, writer, progress=progress, stop_request=request, hold=hold)
             return summary
         finally:
             if onlooker is not None:

@@ -19,7 +19,7 @@ import numpy as np
 from bench.live.board import Board, Message
 from bench.live.reduce import ReducedStep, cut_to, reduce_run
 from bench.live.verdict import predicted, verdict_of
-from bench.terminal.signals import leave_keys_to_the_parent
+from bench.terminal.signals import leave_keys_to_the_parent, spawned
 from daq.files.seal import Checked
 from daq.recording import open_recording
 from daq.recording.opening import open_checked
@@ -34,12 +34,7 @@ def start_analyst(profile: Profile, board_name: str, *, pictures: bool) -> tuple
 
     Returns the pipe of its results, and the process.
     """
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=analyse, args=(theirs, board_name, profile, pictures), name="analyst", daemon=True)
-    process.start()
-    theirs.close()
-    return ours, process
+    return spawned(analyse, board_name, profile, pictures, name="analyst", daemon=True)
 
 
 def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool) -> None:

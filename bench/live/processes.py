@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-import multiprocessing
 import re
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -19,7 +18,7 @@ from typing import Any
 from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.run_side import RunSide
 from bench.terminal.orders import free_keys
-from bench.terminal.signals import leave_keys_to_the_parent
+from bench.terminal.signals import leave_keys_to_the_parent, spawned
 from bench.web.packages import require_packages
 from daq.setup.errors import InputError
 from rig.execution.operator import NextSteps, StopRequest
@@ -49,14 +48,8 @@ class PageProcess:
     """
 
     def __init__(self, profile: Profile, board: Board, folder: Path, host: str, port: int | None) -> None:
-        modules = sections()
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe(duplex=False)
-        self._process = context.Process(
-            target=_serve_run, args=(theirs, modules, profile, board.name, str(folder), host, port), name="page"
-        )
-        self._process.start()
-        theirs.close()
+        made_of = sections(), profile, board.name, str(folder), host, port
+        ours, self._process = spawned(_serve_run, *made_of, name="page")
         self.url, fault = "", "it does not start"
         try:
             if ours.poll(60.0):

@@ -25,7 +25,6 @@ from rig.programme.sequencer import STILL
 LIMIT_UNITS = {"drive_v": "V", "plate_mps2": "m/s\u00b2", "velocity_mps": "m/s", "displacement_m": "m"}
 STANDING = tuple(state.value for state in STILL)
 SILENT_S = 20.0  # a run says something twenty times a second
-FEW_S = 0.01  # of the scope: less is not held back
 FOLLOWS_S = 2.0  # after which nothing follows a run that ended
 Tell = Callable[..., None]
 
@@ -196,7 +195,8 @@ class WatchedRun:
         scope that got them as they come would stand still between.
         """
         bin_s = self._bin / self._rate_hz
-        if (len(self._bins) - n) * bin_s < FEW_S:
+        # a hundredth of a second of the scope is not held back
+        if (len(self._bins) - n) * bin_s < 0.01:
             n = len(self._bins)
         if n:
             first_s = self._bins_end / self._rate_hz - len(self._bins) * bin_s

@@ -9,9 +9,8 @@ import datetime
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, MutableMapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
@@ -19,30 +18,8 @@ from tomlkit.items import InlineTable
 
 from daq.files.whole_file import whole
 from daq.setup.errors import InputError
+from daq.setup.values import MeasuredValue
 from rig.profile import parse_profile
-
-
-class Quantity(Protocol):
-    """A value with its standard uncertainty and source, for a dotted key of a profile."""
-
-    @property
-    def key(self) -> str: ...
-    @property
-    def value(self) -> float: ...
-    @property
-    def uncertainty(self) -> float: ...
-    @property
-    def source(self) -> str: ...
-
-
-@dataclass(frozen=True)
-class Measured:
-    """One value for a profile: its dotted key, standard uncertainty, and how it was found."""
-
-    key: str
-    value: float
-    uncertainty: float
-    source: str
 
 
 def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
@@ -88,7 +65,7 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
     return edited
 
 
-def declare(text: str, measured: Iterable[Quantity], on: datetime.date, where: str) -> str:
+def declare(text: str, measured: Iterable[MeasuredValue], on: datetime.date, where: str) -> str:
     """The profile ``text`` with ``measured``, rounded, with uncertainty, date and source; raises as `with_values`."""
     return with_values(text, {one.key: _quantity(one, on) for one in measured}, where)
 
@@ -105,7 +82,7 @@ def withdraw(text: str, effects: Iterable[str], where: str) -> str:
     return tomlkit.dumps(document)
 
 
-def write_into(path: Path, measured: Iterable[Measured], on: datetime.date) -> None:
+def write_into(path: Path, measured: Iterable[MeasuredValue], on: datetime.date) -> None:
     """Put each value at its dotted key in the profile ``path``.
 
     Raises
@@ -131,7 +108,7 @@ def _table(parent: MutableMapping[str, Any], name: str, where: str, *, holds_tab
     return found
 
 
-def _quantity(one: Quantity, on: datetime.date) -> dict[str, Any]:
+def _quantity(one: MeasuredValue, on: datetime.date) -> dict[str, Any]:
     """Value, uncertainty, date and source as a profile holds them.
 
     The uncertainty has two digits, the value one more than it can carry.

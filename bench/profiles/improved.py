@@ -10,10 +10,11 @@ import datetime
 from pathlib import Path
 
 from analysis.loop.result import ClosedLoop
-from bench.profiles.edit import Measured, declare
+from bench.profiles.edit import declare
 from bench.profiles.next_run import profile_text
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
+from daq.setup.values import MeasuredValue
 
 
 def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | None = None) -> list[str]:
@@ -39,7 +40,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
         raise InputError(f"{recording}: holds no profile to improve; import it again with --profile")
     on, source = datetime.date.today(), f"closed loop on {recording.name}"
     found = [
-        Measured(f"declared.{p.effect}.{p.parameter}", p.value, p.sigma, source)
+        MeasuredValue(f"declared.{p.effect}.{p.parameter}", p.value, p.sigma, source)
         for p in loop.selection.added
         if not p.trend
     ]

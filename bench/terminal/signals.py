@@ -6,11 +6,15 @@ A closing terminal may send SIGHUP several times: which never makes a soft stop 
 
 from __future__ import annotations
 
+import multiprocessing
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from types import FrameType
+from typing import Any
 
 from rig.execution.operator import StopRequest
 from rig.programme.sequencer import Stop
@@ -21,6 +25,21 @@ def leave_keys_to_the_parent() -> None:
     for name in ("SIGINT", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(signal.Signals[name], signal.SIG_IGN)
+
+
+def spawned(
+    body: Callable[..., None], *arguments: Any, name: str, daemon: bool = False
+) -> tuple[Connection, BaseProcess]:
+    """A started process that runs ``body`` on its end of a pipe and the arguments; our end, and the process.
+
+    The body calls `leave_keys_to_the_parent` first. A daemon ends with this process.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=body, args=(theirs, *arguments), name=name, daemon=daemon)
+    process.start()
+    theirs.close()
+    return ours, process
 
 
 @contextmanager

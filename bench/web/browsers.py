@@ -15,7 +15,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 GONE_S = 6.0  # the controls wait for a browser that loads the page again
 SILENT_S = 15.0  # after which a holder that does not answer loses the controls to the one that asked
-READER_S = 0.5  # between two states of a run for those who only read
 NAME, NO_NAME = re.compile(r"[0-9a-f]{16,64}"), 4400  # of a browser; why a socket is closed without one
 
 
@@ -190,7 +189,8 @@ class Hub:
             now = time.monotonic()
             thinned = now < self._thin_until
             if not thinned:
-                self._thin_until = now + READER_S
+                # those who only read get a state twice a second
+                self._thin_until = now + 0.5
         for one in self.browsers:
             if not (one.reads_only and thinned):
                 one.send(packed, passing=passing)

@@ -48,10 +48,10 @@ def bench(*arguments: str) -> Callable[[], None]:
 
 def write_profile() -> None:
     """What `bench calibrate --into` does last."""
-    from bench.jobs.calibrate import Measured
     from bench.profiles.edit import write_into
+    from daq.setup.values import MeasuredValue
 
-    measured = [Measured("channels.accelerometer.offset_v", 1.25, 0.01, "killed")]
+    measured = [MeasuredValue("channels.accelerometer.offset_v", 1.25, 0.01, "killed")]
     write_into(Path("p.toml"), measured, datetime.date(2026, 1, 1))
 
 

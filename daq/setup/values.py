@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, GetJsonSchemaHandler
@@ -63,3 +64,13 @@ PositiveQuantity = Annotated[Quantity, AfterValidator(_positive_quantity)]
 def quantity(value: float, uncertainty: float = 0.0) -> QuantityTable:
     """A number as a default of a profile."""
     return QuantityTable(value=value, uncertainty=uncertainty)
+
+
+@dataclass(frozen=True)
+class MeasuredValue:
+    """A value for the dotted ``key`` of a profile, with its standard uncertainty, and how it was found."""
+
+    key: str
+    value: float
+    uncertainty: float
+    source: str

@@ -9,11 +9,8 @@ from scipy.optimize import least_squares
 
 from kernels.arrays import Floats
 
-BLOCK_HZ = 1000.0  # of the block means: far above any mode that a ball shakes
 LOWEST_HZ, HIGHEST_HZ = 0.7, 200.0
-STRUCK = 20.0  # of the noise, by which a tap stands out
 AFTER_S, LISTENED_S = 0.02, 4.0  # the hammer itself is over; what is fitted
-SHOWN = 0.5  # least part of the power that is the mode's
 
 
 def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | None:
@@ -21,11 +18,13 @@ def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | N
 
     ``acceleration`` (n,) is in any unit, from before the tap on.
     """
-    width = max(round(rate_hz / BLOCK_HZ), 1)
+    # block means at 1 kHz: far above any mode that a ball shakes
+    width = max(round(rate_hz / 1000.0), 1)
     x = acceleration[: len(acceleration) // width * width].reshape(-1, width).mean(axis=1)
     block_s = width / rate_hz
     away = np.abs(acceleration - np.median(acceleration))
-    if not np.max(away) > STRUCK * 1.4826 * np.median(away):  # an input that stands still, too
+    # a tap stands out of the noise by twenty times; of an input that stands still nothing does
+    if not np.max(away) > 20.0 * 1.4826 * np.median(away):
         return None
     first = int(np.argmax(away)) // width + round(AFTER_S / block_s)
     x = x[first : first + round(LISTENED_S / block_s)]
@@ -49,6 +48,7 @@ def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | N
         for damping in (0.01, 0.1)
     ]
     best = min(fits, key=lambda fit: fit.cost)
-    if 2.0 * best.cost >= (1.0 - SHOWN) * float(x @ x):
+    # at least half of the power is the mode's
+    if 2.0 * best.cost >= 0.5 * float(x @ x):
         return None
     return float(np.exp(best.x[0])), float(np.exp(best.x[1]))

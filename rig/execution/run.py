@@ -45,7 +45,6 @@ def run_ramp(
     *,
     progress: Callable[[Status], None] | None = None,
     stop_request: StopRequest | None = None,
-    programme: Programme | None = None,
     hold: BranchHold | None = None,
     clock: Clock = SYSTEM,
 ) -> RunSummary:
@@ -67,14 +66,12 @@ def run_ramp(
         Called after each block.
     stop_request
         Read before each block.
-    programme
-        `rig.programme.ramp.plan` of the profile, where the caller has it already.
     hold
         What holds the ball on a branch, where it is to be held.
     clock
         The machine's, or that of a simulation.
     """
-    instruments = replace(_Instruments.of(profile, backend, programme or plan(profile)), hold=hold)
+    instruments = replace(_Instruments.of(profile, backend, plan(profile)), hold=hold)
     watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest(), clock)
     run = _Run(profile, backend, writer, instruments, watcher)
     began = clock.monotonic_s()

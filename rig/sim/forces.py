@@ -102,9 +102,8 @@ def _other_forces(s: Any, p: Any, h: float, v: float, u: float, yv: float) -> fl
 
 
 @njit()
-def pull_free(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float, touching: bool) -> float:
-    """Relative acceleration of the ball before friction, m/s^2."""
-    a, _ = plate_acceleration(s, p, u, y, yv, touching)
+def pull_free(s: Any, p: Any, h: float, v: float, u: float, yv: float, a: float) -> float:
+    """Relative acceleration of the ball before friction over a plate of acceleration ``a``, m/s^2."""
     free = -(gravity(p) + a)
     if p.has_force != 0.0:
         free += _other_forces(s, p, h, v, u, yv)
@@ -114,7 +113,7 @@ def pull_free(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float,
 @njit()
 def net(s: Any, p: Any, h: float, v: float, u: float, y: float, yv: float) -> float:
     """Relative acceleration in flight, friction against the current direction included, m/s^2."""
-    free = pull_free(s, p, h, v, u, y, yv, False)
+    free = pull_free(s, p, h, v, u, yv, plate_acceleration(s, p, u, y, yv, False)[0])
     if p.has_friction != 0.0:
         free -= s.direction * gravity(p) * friction(s, p, h, v, s.t_s + u * s.dt_s, s.direction)
     return free
@@ -132,13 +131,13 @@ def release_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
         held += gravity(p) * friction(s, p, 0.0, 0.0, t, 1)
     if p.has_hold != 0.0 and t < s.hold_until_s:
         held += 1e6
-    return float(pull_free(s, p, 0.0, 0.0, u, y, yv, True) - held)
+    return float(pull_free(s, p, 0.0, 0.0, u, yv, plate_acceleration(s, p, u, y, yv, True)[0]) - held)
 
 
 @njit()
 def hang_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
     """Pull in excess of what friction can hold in mid-air, m/s^2: the ball starts to slide when this is positive."""
-    free = pull_free(s, p, s.height_m, 0.0, u, y, yv, True)
+    free = pull_free(s, p, s.height_m, 0.0, u, yv, plate_acceleration(s, p, u, y, yv, True)[0])
     t = s.t_s + u * s.dt_s
     return abs(free) - gravity(p) * friction(s, p, s.height_m, 0.0, t, 1 if free > 0.0 else -1)
 

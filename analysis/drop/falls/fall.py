@@ -13,9 +13,6 @@ from scipy import signal
 from analysis.drop.laws.flight_law import FlightLaw
 from kernels.arrays import Floats
 
-_LARGEST_RISE = 0.05  # of the range: how far a height may go up again in a fall that its noise disturbs
-_LEAST_FALL_SHARE = 0.9  # of the range, between the first and the last samples
-_LEAST_SAMPLES = 8
 _NUMBERED = re.compile(r"[\W_]*(drop|run|trial|fall|test|lancio|versuch)?[\W_]*\d+\W*$", re.IGNORECASE)
 
 
@@ -34,7 +31,7 @@ def is_fall(time: Floats, height: Floats) -> int:
 
     A fall goes one way, but for its noise and single strays, and is faster at its end than at its beginning.
     """
-    if len(height) < _LEAST_SAMPLES or np.any(np.diff(time) <= 0.0):
+    if len(height) < 8 or np.any(np.diff(time) <= 0.0):
         return 0
     height = signal.medfilt(height, 3)
     height[[0, -1]] = height[[1, -2]]  # the filter takes zeros beyond the ends
@@ -47,7 +44,8 @@ def is_fall(time: Floats, height: Floats) -> int:
     gone = down[-1] - down[0]
     third = len(down) // 3
     early, late = (np.polyfit(time[part], down[part], 1)[0] for part in (slice(0, third + 1), slice(-third - 1, None)))
-    falls = behind < _LARGEST_RISE * span and gone > _LEAST_FALL_SHARE * span and late > 1.3 * max(early, 0.0)
+    # in a fall that its noise disturbs a height goes up again by no more than a twentieth of the range
+    falls = behind < 0.05 * span and gone > 0.9 * span and late > 1.3 * max(early, 0.0)
     return sign if falls else 0
 
 

@@ -32,8 +32,6 @@ _TOGETHER = (
 _RICHEST = ("k_per_m", *AXIS, *OWN_AXIS)
 _OPEN = (*_RICHEST, "wind_mps")  # what an interval of a drag leaves open
 _OWN_AXES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08)  # by how much axes of drops may differ; each as likely beforehand
-_STRAY = 6.0  # standard deviations from which a height is none of the ball's
-_STOKES_MPS = 1.0  # beyond which no ball that can be seen has a linear drag in air: a millimetre has Reynolds number 70
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,8 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     first = fit_falls(falls, ("k_per_m",), setting, noise)  # from far away a distorted axis may stand for a strong drag
     for _ in range(3):  # residuals are correlated from sample to sample: how much one is worth sets what a prior weighs
         first = fit_falls(falls, _with_bulk(_RICHEST, falls, setting), setting, noise, near=first)
-        limit = _STRAY * max(mad_sigma(np.concatenate(first.left)), 0.02 * first.sigma_m)
+        # a height more than six standard deviations off is none of the ball's
+        limit = 6.0 * max(mad_sigma(np.concatenate(first.left)), 0.02 * first.sigma_m)
         inside = [np.abs(left) < limit for left in first.left]
         falls = [replace(f, time_s=f.time_s[i], height_m=f.height_m[i]) for f, i in zip(falls, inside, strict=True)]
         left = [own[i] for own, i in zip(first.left, inside, strict=True)]
@@ -137,7 +136,8 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     for causes in _TOGETHER:
         names = tuple(name for cause in causes for name in CAUSES[cause])
         candidates.append(_candidate(BounceModel("+".join(causes), names), falls, setting, noise, near))
-    fast = max(float(np.ptp(f.height_m) / np.ptp(f.time_s)) for f in falls) > _STOKES_MPS
+    # beyond 1 m/s no ball that can be seen has a linear drag in air: a millimetre has Reynolds number 70
+    fast = max(float(np.ptp(f.height_m) / np.ptp(f.time_s)) for f in falls) > 1.0
     verdict = Verdict(tuple(candidates), choose([c for c in candidates if not (fast and "c_per_s" in c.fit.names)]))
     best = verdict.candidate(verdict.best)
     tall = float(np.median([np.ptp(f.height_m) for f in falls]))

@@ -12,10 +12,10 @@ from analysis.drop.falls.fit import AIR_KG_PER_M3, OWN_AXIS, SPHERE
 from analysis.drop.falls.judge import Judged
 from analysis.drop.outcome import around, interval, with_interval
 from analysis.drop.thresholds import LEVEL_SIGMAS
+from daq.setup.values import MeasuredValue
 from kernels.arrays import Floats
 
 AIR_PA_S = 1.8e-5
-_DRAG_CRISIS = 2e5  # Reynolds number beyond which a sphere's drag coefficient may fall to a fifth
 _BELOW_CRISIS = (0.4, 0.6)  # drag coefficient of a sphere below it, smooth or rough
 _OUTLIER = 3.0  # errors on drops not fitted, over their median
 _IN_WORDS = {
@@ -66,7 +66,7 @@ def of_falls(judged: Judged) -> outcome.Outcome:
         k = balls[0]["k_per_m"]
         numbers = round(k["value"], 8), round(outcome.sigma_of(k) or 0.0, 8)
         source = f"falls, {len(falls)} drop(s) ({falls[0].name}), {verdict.best}"
-        measured = [outcome.Measured("quadratic_drag", "k_per_m", *numbers, source)]
+        measured = [MeasuredValue("declared.quadratic_drag.k_per_m", *numbers, source)]
     return outcome.Outcome(payload, _in_words(judged, payload), measured)
 
 
@@ -102,7 +102,8 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
         entry["drag_coefficient"] = interval(k / unit, max(low, 0.0) / unit, high / unit)
         fast = 2.0 * max(float(np.ptp(judged.falls[i].height_m) / np.ptp(judged.falls[i].time_s)) for i in own)
         entry["reynolds"] = AIR_KG_PER_M3 * fast * diameter_m / AIR_PA_S
-        if is_measured and entry["reynolds"] < _DRAG_CRISIS:  # beyond it no coefficient is known
+        # beyond a Reynolds number of 2e5 a sphere's drag coefficient may fall to a fifth: none is known there
+        if is_measured and entry["reynolds"] < 2e5:
             per = AIR_KG_PER_M3 / unit
             middle, ends = sum(_BELOW_CRISIS) / 2.0, (max(low, 0.0) / _BELOW_CRISIS[1], high / _BELOW_CRISIS[0])
             entry["air_kg_per_m3"] = interval(*(x * per for x in (k / middle, *ends)))

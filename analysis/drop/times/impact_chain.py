@@ -25,7 +25,6 @@ _FIT_GAIN = 6.0  # of an impact that fits
 _SKIP_COST = 1.5  # of an event of full strength that is left out
 _MISSED_COST = 3.5
 _BREAK_COST = 3.0
-_MOST_GROWTH = 1.1  # of a flight after an irregular bounce, which may give back some of the spin
 _LEAST_OF_FURTHER = 5  # impacts of a second drop in one recording
 _WINDOW = 400  # events that are searched at once
 _SAME_S = 1e-3  # by which events of a recording played in a loop differ from its period
@@ -283,7 +282,8 @@ def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tupl
             for h in (h for h in _within_reach(i, skipped) if (h, i) in score):
                 offset = np.log(first[:, None]) - np.log(_RATIOS * last_flight[h, i][None])
                 fits = np.abs(offset) < 3.0 * _WIDTHS
-                grows = offset - np.log(_MOST_GROWTH / _RATIOS) >= 0.0
+                # after an irregular bounce a flight may give back some of the spin, a tenth at most
+                grows = offset - np.log(1.1 / _RATIOS) >= 0.0
                 cut_short = np.where(grows | (not may_break), -np.inf, -_BREAK_COST)
                 gain = np.where(fits, _FIT_GAIN * strength[j] - 0.5 * (offset / _WIDTHS) ** 2, cut_short)
                 total = score[h, i][None] + gain + entry[:, None]

@@ -30,7 +30,6 @@ PAGE_BYTES = 4096
 PIECE_BYTES = 256  # of frames, between two checksums
 MOST_PIECES = 256  # of one block
 KNOWN_CHUNKS = 16  # whose places a mark holds
-MOST_PAGE_BYTES = 16 << 20
 
 
 def piece_rows(n_samples: int, n_channels: int) -> int:
@@ -119,7 +118,7 @@ def read_marks(data: Any) -> Marks | None:
     while at >= 0:
         head = data[at : at + _HEAD.size]
         length = int.from_bytes(head[12:16], "little")
-        page = data[at : at + length] if _HEAD.size <= length <= MOST_PAGE_BYTES else b""
+        page = data[at : at + length] if _HEAD.size <= length <= 16 << 20 else b""
         whole = len(page) == length and zlib.crc32(page[12:]) == int.from_bytes(head[8:12], "little")
         if whole and page:
             pages.append((int.from_bytes(head[16:20], "little"), bytes(page)))

@@ -15,10 +15,11 @@ from typer.testing import CliRunner
 from bench.cli import app
 from bench.jobs.calibrate import contact, drive
 from bench.jobs.run_ramp import make_backend
-from bench.profiles.edit import Measured, write_into
+from bench.profiles.edit import write_into
 from bench.profiles.find import load, shipped_folder
 from daq.setup.errors import InputError
 from daq.setup.setup import calibration_warnings
+from daq.setup.values import MeasuredValue
 from rig.backends.simulated import SimulatedBackend
 from rig.profile import Profile
 from rig.sim.scenario import Scenario
@@ -61,7 +62,7 @@ def backend(profile: Profile, seed: int) -> SimulatedBackend:
     return SimulatedBackend(profile.sampling.rate_hz, Scenario("hidden", HIDDEN), seed)
 
 
-def pulls(found: list[Measured], known: list[float]) -> list[float]:
+def pulls(found: list[MeasuredValue], known: list[float]) -> list[float]:
     """Errors over uncertainties."""
     return [(one.value - value) / one.uncertainty for one, value in zip(found, known, strict=True)]
 
@@ -132,7 +133,7 @@ def test_mode_link_and_line_ends_of_a_profile_stay(tmp_path: Path) -> None:
         link.symlink_to(path)
     except OSError:  # Windows lets only some make links
         link = path
-    write_into(link, [Measured("channels.accelerometer.offset_v", 1.98765432, 0.01234, "me")], DAY)
+    write_into(link, [MeasuredValue("channels.accelerometer.offset_v", 1.98765432, 0.01234, "me")], DAY)
     assert path.stat().st_mode == mode
     assert link == path or link.is_symlink()
     assert b"me" in path.read_bytes()
@@ -144,7 +145,9 @@ def test_what_cannot_be_a_profile_is_not_written(tmp_path: Path) -> None:
     path = copied(tmp_path)
     text = path.read_text(encoding="utf-8")
     with pytest.raises(InputError, match="sensitivity"):
-        write_into(path, [Measured("channels.accelerometer.sensitivity", -0.1, 1e-4, "x")], datetime.date(2026, 1, 1))
+        write_into(
+            path, [MeasuredValue("channels.accelerometer.sensitivity", -0.1, 1e-4, "x")], datetime.date(2026, 1, 1)
+        )
     assert path.read_text(encoding="utf-8") == text and [p.name for p in tmp_path.iterdir()] == ["mine.toml"]
 
 
@@ -153,7 +156,7 @@ def test_rounding_and_comments(tmp_path: Path) -> None:
     path = copied(tmp_path)
     text = path.read_text(encoding="utf-8").replace("offset_v = {", "offset_v = 0.0 # shorted\n#{")
     path.write_text(text, encoding="utf-8")
-    write_into(path, [Measured("channels.accelerometer.offset_v", 1.98765432, 0.01234, "me")], DAY)
+    write_into(path, [MeasuredValue("channels.accelerometer.offset_v", 1.98765432, 0.01234, "me")], DAY)
     line = next(line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("offset_v"))
     assert line == 'offset_v = {value = 1.9877, uncertainty = 0.012, date = 2026-01-02, source = "me"} # shorted'
 

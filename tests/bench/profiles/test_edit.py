@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.profiles.edit import Measured, declare, with_values, withdraw
+from bench.profiles.edit import declare, with_values, withdraw
 from bench.profiles.find import find_profile, shipped_names
 from daq.setup.errors import InputError
+from daq.setup.values import MeasuredValue
 
 DAY = datetime.date(2026, 11, 21)
-E0 = Measured("declared.restitution.e0", 0.514, 0.02, 'drop "one"')
+E0 = MeasuredValue("declared.restitution.e0", 0.514, 0.02, 'drop "one"')
 
 
 def test_comments_and_other_tables_stay() -> None:
@@ -96,7 +97,10 @@ def test_an_edit_sets_its_values_and_nothing_else(name: str, values: dict[str, A
 
 def test_values_have_the_digits_that_their_uncertainty_carries() -> None:
     """Two digits of the uncertainty, and one more of the value; a value that is exact stays as it is."""
-    found = [Measured("declared.restitution.e0", 0.51423871, 0.0213987, "x"), Measured("g_mps2", 9.812345, 0.0, "x")]
+    found = [
+        MeasuredValue("declared.restitution.e0", 0.51423871, 0.0213987, "x"),
+        MeasuredValue("g_mps2", 9.812345, 0.0, "x"),
+    ]
     read = tomllib.loads(declare("", found, datetime.date(2026, 11, 25), "text"))
     assert (read["declared"]["restitution"]["e0"]["value"], read["g_mps2"]["value"]) == (0.5142, 9.812345)
     assert read["declared"]["restitution"]["e0"]["uncertainty"] == 0.021
