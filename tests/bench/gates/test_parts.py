@@ -225,13 +225,12 @@ def test_a_verdict_never_replaces_an_improved_profile(tmp_path: Path, monkeypatc
     """
     jobs: list[Job] = []
 
-    def process(args: tuple[Any, Job], **more: Any) -> SimpleNamespace:
+    def started(body: Any, job: Job, **more: Any) -> tuple[Any, SimpleNamespace]:
         assert not more.get("daemon")
-        jobs.append(args[1])
-        return SimpleNamespace(start=lambda: None)
+        jobs.append(job)
+        return multiprocessing.Pipe()[0], SimpleNamespace()
 
-    context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=process)
-    monkeypatch.setattr(desk.multiprocessing, "get_context", lambda _: context)
+    monkeypatch.setattr(desk, "spawned", started)
     (tmp_path / "rig-improved-1.toml").write_text("mine", encoding="utf-8")
     passed(tmp_path)
     gates = opened(tmp_path)
