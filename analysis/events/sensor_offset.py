@@ -39,6 +39,7 @@ class SensorOffset:
     spread_s: float = 0.0  # standard deviation of the two sensors' times about it: what the contact jitters, too
     jitter_s: float = 0.0  # the contact's part of it, beyond the uncertainty of its edges
     motion_s: float = 0.0  # the ball's own scatter from cycle to cycle, in which the sensors do not differ
+    rounding_s: float = 0.0  # that of the impacts to samples, by which all may be early or late; 0 for none
 
 
 def calibrate(
@@ -96,7 +97,7 @@ def calibrate(
     centre = float(np.average(d[core], weights=weight))
     factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion)
+    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 
 
@@ -145,7 +146,10 @@ def common_offset(offsets: Sequence[SensorOffset]) -> SensorOffset | None:
     centre = float(np.average(place, weights=sigma**-2.0))
     scatter = max(mad_sigma(place - np.median(place)), ONSET_S) if len(known) > 2 else float(np.ptp(place)) + ONSET_S
     own = float(np.hypot(scatter, sigma.min()))
-    middle = (float(np.median([getattr(x, name) for x in known])) for name in ("spread_s", "jitter_s", "motion_s"))
+    middle = (
+        float(np.median([getattr(x, name) for x in known]))
+        for name in ("spread_s", "jitter_s", "motion_s", "rounding_s")
+    )
     return SensorOffset(centre, own, sum(x.pairs for x in known), *middle)
 
 

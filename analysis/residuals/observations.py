@@ -22,6 +22,7 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
 from analysis.plate.ringing.modes import PlateMode, identified_mode
 from analysis.plate.ringing.true_to_drive import remarks
+from analysis.residuals.contact_delays import contact_delays
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.held import Launches
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
@@ -178,7 +179,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
-    offset = flights.edges.sensor_offset
+    offset, heard = flights.edges.sensor_offset, flights.heard()[keep]
     rest = period_s, lines, 1.0 / recording.rate_hz
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
@@ -186,14 +187,21 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
             offset.motion_s if offset and motion else 0.0
         ),
     )
+    # openings that do not repeat jitter as the circuit's closings do
+    opening_s = scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s)
+    sharp = flights.edges.opening.tau_s == 0.0
+    delays = offset and contact_delays(
+        measured, scored & ~measured.relaunched, opening_s, steps.plate, setup.g_mps2.value, offset, sharp
+    )
+    measured = delays.taken_off(measured, heard) if delays else measured
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
+    notes = (*notes, delays.in_words()) if delays else notes
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
-        # openings that do not repeat jitter as the circuit's closings do
-        scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s),
+        opening_s,
         scatters[1].raised(bare[1]),
         scored,
         measured.landing_s.copy(),
@@ -206,11 +214,11 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
         mode=mode,
         pushed=(mode.pushed,) if mode and mode.pushed else (),
-        closure_s=closure_s(measured, flights.heard()[keep]),
+        closure_s=closure_s(measured, heard),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         scatters=scatters,
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
-        heard=flights.heard()[keep],
+        heard=heard,
     )
 
 
