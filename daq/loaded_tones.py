@@ -94,10 +94,7 @@ class LoadedTones:
 
         Raises `ValueError` where the values cannot distinguish the tones.
 
-        Parameters
-        ----------
-        load
-            Sums from which the load's share follows; by default those of these values.
+        ``load``: sums from which the load's share follows; by default those of these values.
         """
         x = self.unmasked.solve(0)
         share, share_sigma = (self.load() if load is None else load).share()

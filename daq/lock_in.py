@@ -220,12 +220,12 @@ class LockIn:
             self._fits[channel] = solved(self.frequencies_hz, self.inverse(), self.rhs[:, channel], square, self.n)
         return self._fits[channel]
 
-    def solve_each(self, channel: int = 0) -> ToneFits:
-        """A fit of each sort; raises ``ValueError`` when one cannot distinguish the tones."""
+    def solve_each(self) -> ToneFits:
+        """A fit of each sort of the first channel; raises ``ValueError`` when one cannot distinguish the tones."""
         grams, sides, squares, counts = self._sums
-        inverses, sides = _inverses(grams, counts, self.frequencies_hz), sides[:, :, channel]
+        inverses, sides = _inverses(grams, counts, self.frequencies_hz), sides[:, :, 0]
         solutions = (inverses @ sides[:, :, None])[:, :, 0]
-        left = np.maximum(squares[:, channel] - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
+        left = np.maximum(squares[:, 0] - (solutions[:, None, :] @ sides[:, :, None])[:, 0, 0], 0.0)
         rms = np.sqrt(left / (counts - sides.shape[1]))
         return ToneFits(self.frequencies_hz, solutions[:, 1::2] + 1j * solutions[:, 2::2], solutions[:, 0], rms, counts)
 

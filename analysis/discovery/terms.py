@@ -26,9 +26,9 @@ from model.effects.smooth_force import KNOTS
 ENDS = (0.01, 0.99)  # quantiles at which a covariate's first and last knot lie
 
 
-def knots_of(x: Floats, most: int = 12) -> Floats:
+def knots_of(x: Floats) -> Floats:
     """Knots between evenly spaced ones and quantiles of ``x``; its own values where there are few."""
-    known = x[np.isfinite(x)]
+    known, most = x[np.isfinite(x)], 12
     seen = np.unique(known)
     if len(seen) <= most:
         return np.asarray(seen, dtype=np.float64)

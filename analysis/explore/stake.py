@@ -301,12 +301,7 @@ def steps_of(stake: Stake, recording: Path) -> list[Integers]:
 def held_against(stake: Stake, observations: Observations, numbers: Sequence[Integers]) -> Outcome:
     """A later run held against a stake; nothing is fitted.
 
-    Parameters
-    ----------
-    stake, observations
-        The prediction, and the observations of the later run.
-    numbers
-        Of each staked step, that of `steps_of` the run.
+    ``numbers`` are, of each staked step, that of `steps_of` the run.
     """
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     keys: list[ParameterId] = [(p.effect, p.parameter) for p in stake.parameters]

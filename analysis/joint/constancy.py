@@ -37,12 +37,7 @@ class Constancy:
 def constancy(values: Floats, sigmas: Floats, time: Floats) -> Constancy:
     """Test of values of runs at given times.
 
-    Parameters
-    ----------
-    values, sigmas
-        Of each run, (R,); a sigma that is infinite leaves the run out.
-    time
-        In any unit, (R,).
+    All (R,), the time in any unit; a sigma that is infinite leaves the run out.
     """
     known = np.isfinite(sigmas)
     v, weight, t = values[known], sigmas[known] ** -2.0, time[known]

@@ -37,10 +37,7 @@ class Quadratic:
     def without_own(self, spread: Floats) -> Quadratic:
         """The run's own deviations integrated out: calibrations are then those of the population.
 
-        Parameters
-        ----------
-        spread
-            Standard deviation of each calibration from run to run, (q,).
+        ``spread`` is the standard deviation of each calibration from run to run, (q,).
         """
         q = len(spread)
         # Woodbury's identity in units of the spreads: a spread of 0 needs no inverse

@@ -117,8 +117,6 @@ class StepPlate:
     forcing_multiples: tuple[int, ...]  # multiples of the first tone at which the plate is driven
     multiples: tuple[int, ...]  # multiple of the frequency of each fitted tone; mains lines follow after them
     acceleration: ToneFit  # m/s^2, masked after impacts
-    # its tones as if nothing had been masked: they differ where the ball's load bends the plate, (k,)
-    unmasked_mps2: Complexes
     drive: ToneFit | None  # V, looped back; None where it was not recorded
     contact_flight: ContactFlightFit  # separate amplitudes in contact and in flight, see `flight_log_gain`
     gamma: float  # ``A w^2 / g`` from the accelerometer

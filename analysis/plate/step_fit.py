@@ -96,7 +96,6 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         forcing_multiples=state.forcing,
         multiples=multiples,
         acceleration=acceleration,
-        unmasked_mps2=unmasked,
         drive=drive,
         contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms * wider),
         gamma=gamma,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.outputs import JSON, Edited, File, Folder, Overwrite, check_outputs
+from bench.outputs import JSON, Edited, File, Folder, Json, Overwrite, Port, check_outputs
 from bench.terminal.console import print_lines, write_json
 from daq.setup.errors import InputError
 
@@ -34,7 +34,6 @@ Ignore = Annotated[list[float] | None, typer.Option(help="Leave out the event or
 Add = Annotated[list[float] | None, typer.Option(help="Add an impact at this time, s.")]
 Region = Annotated[str | None, typer.Option(help="Part of the picture to look at: LEFT,TOP,RIGHT,BOTTOM in pixels.")]
 Axis = Annotated[float | None, typer.Option(help="Direction of the fall in the picture: degrees right of down.")]
-Json = Annotated[str | None, typer.Option("--json", help="Write the result as JSON here; - prints it.")]
 Out = Annotated[Path, typer.Option(help="Folder for the pictures.")]
 Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the check picture and the residuals.")]
 Into = Annotated[Path | None, typer.Option(help="Write the result into this rig profile.")]
@@ -42,7 +41,6 @@ Stale = Annotated[
     str, typer.Option(help="Effects declared before that this result does not measure: ask, keep or remove.")
 ]
 Page = Annotated[bool, typer.Option("--page", help="Open the desk's page, where impacts are moved, added and removed.")]
-Port = Annotated[int | None, typer.Option(min=0, max=65535, help="Of the page; by default a free one.")]
 Seed = Annotated[int, typer.Option(help="Seed of the bootstrap.")]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +51,7 @@ def command(
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
     from bench.profiles.find import load_measuring
+    from bench.terminal.progress import progress_bar
     from daq.files.tables import STEP_DTYPE
     from daq.importers.formats.columns import parse_map
     from daq.importers.formats.open import open_source
@@ -64,8 +63,10 @@ def command(
     setup, text = load_measuring(profile)
     source = open_source(raw, _selected(channel), channel_column)
     options = ImportOptions(parse_map(mapping), rate, readable(note))
-    with _progress(json == "-") as progress:
-        summary = import_recording(source, out, setup, text, options, progress=progress)
+    with progress_bar(json == "-") as bar:  # empty: how many rows there are is not known
+        summary = import_recording(
+            source, out, setup, text, options, progress=lambda what, rows: bar(f"{what}: {rows:,} rows", 0.0)
+        )
     base = summary.timebase
     answer = {
         "recording": summary.path, "n_samples": summary.n_samples, "rate_hz": base.rate_hz,
@@ -91,22 +92,6 @@ def _selected(channel: list[str]) -> dict[str, str]:
             f"--channel {' '.join(channel)}: wanted one value, or role=value for each of {', '.join(KINDS)}."
         )
     return selected
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str, int], None] | None]:
-    """A progress callback ``(what, rows)``; None where there is no terminal."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield None
-        return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TextColumn("{task.completed:,} rows"))
-    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        yield lambda what, rows: bar.update(task, description=what, completed=rows)
 
 
 def _print(summary: ImportSummary) -> None:

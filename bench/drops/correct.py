@@ -20,10 +20,7 @@ _PLAIN = {field.name for field in fields(Request)} - {"files", "corrections", "h
 def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
     """``part`` with an impact taken away (``gone_s``), added (``new_s``) or, with both, moved.
 
-    Parameters
-    ----------
-    same_s
-        An added impact within this of ``gone_s`` is the one that is meant.
+    An added impact within ``same_s`` of ``gone_s`` is the one that is meant.
     """
     ignored, added = part.ignore_s, part.add_s
     if gone_s is not None:

@@ -15,7 +15,6 @@ from daq.files.json_values import json_text
 from daq.files.whole_file import write_whole
 
 FILE = "desk.json"
-MOST_UNDO = 20
 Message = dict[str, Any]
 
 
@@ -49,8 +48,8 @@ class State:
         return replace(self, results=self.results | {gate: result})
 
     def edited(self, before: str) -> Self:
-        """This state after the profile, whose text was ``before``, was changed."""
-        return replace(self, undo=(*self.undo, before)[-MOST_UNDO:])
+        """This state after the profile, whose text was ``before``, was changed; 20 changes can be undone."""
+        return replace(self, undo=(*self.undo, before)[-20:])
 
 
 def now() -> str:

@@ -335,7 +335,7 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
     ask
         Puts a question; None where there is no answer.
     """
-    from bench.profiles.edit import declare, withdraw
+    from bench.profiles.edit import declare, with_values
     from daq.files.whole_file import write_whole
     from rig.profile import parse_profile
 
@@ -360,7 +360,7 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
         stale = "remove" if answer else "keep"
     edited = declare(text, outcome.measured, datetime.date.today(), str(profile))
     if left and stale == "remove":
-        edited = withdraw(edited, left, str(profile))
+        edited = with_values(edited, {f"declared.{name}": None for name in left}, str(profile))
         outcome.sentences.append(f"{profile}: removed {', '.join(left)}")
     parse_profile(edited, str(profile))
     write_whole(profile, edited)

@@ -53,12 +53,7 @@ class Onlookers:
 
         Raises `InputError` when the page cannot be served.
 
-        Parameters
-        ----------
-        profile, text
-            Of the run.
-        why
-            Reason of the run, said on a page that is there already.
+        ``why`` is the reason of the run, said on a page that is there already.
         """
         if self._page is None and not self._watch:
             yield None

@@ -34,10 +34,7 @@ COMMANDS = ("finish", "ramp_down", "pause", "go_on", "note", "next")
 class Desk:
     """What browsers see and do.
 
-    Parameters
-    ----------
-    watched
-        Profile and board of a run in a terminal; None where runs are started from the page.
+    ``watched``: profile and board of a run in a terminal; None where runs are started from the page.
     """
 
     def __init__(self, watched: tuple[Profile, str] | None) -> None:

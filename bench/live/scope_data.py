@@ -21,13 +21,7 @@ MOST_BINS_PER_S = 20_000.0  # sent to a page: 50 us each, below which nothing of
 
 
 class MinMax:
-    """Extremes of successive bins of ``n_bin`` samples, whatever pieces the samples come in.
-
-    Parameters
-    ----------
-    n_bin, channels
-        Samples of a bin, and columns of a frame.
-    """
+    """Extremes of successive bins of ``n_bin`` samples of all channels, whatever pieces the samples come in."""
 
     def __init__(self, n_bin: int, channels: int) -> None:
         self._n_bin, self._channels = n_bin, channels
@@ -62,12 +56,8 @@ class PlateHeight:
 
     Acceleration is integrated twice; what is slower than a tenth of the forcing is forgotten.
 
-    Parameters
-    ----------
-    rate_hz, frequency_hz
-        Of sampling, and of the first tone.
-    mps2_per_code, least_m
-        Scale of the accelerometer's codes, and of the result's.
+    ``frequency_hz`` is that of the first tone; ``mps2_per_code`` and ``least_m`` scale the accelerometer's codes
+    and the result's.
     """
 
     def __init__(self, rate_hz: float, frequency_hz: float, mps2_per_code: float, least_m: float) -> None:

@@ -25,19 +25,14 @@ from rig.programme.sequencer import STILL
 LIMIT_UNITS = {"drive_v": "V", "plate_mps2": "m/s\u00b2", "velocity_mps": "m/s", "displacement_m": "m"}
 STANDING = tuple(state.value for state in STILL)
 SILENT_S = 20.0  # a run says something twenty times a second
-FOLLOWS_S = 2.0  # after which nothing follows a run that ended
 Tell = Callable[..., None]
 
 
 class WatchedRun:
     """A run that is being watched.
 
-    Parameters
-    ----------
-    profile, board
-        Of the run.
-    tell
-        Sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may miss.
+    ``tell`` sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may
+    miss.
 
     Attributes
     ----------
@@ -74,7 +69,8 @@ class WatchedRun:
     @property
     def is_silent(self) -> bool:
         """Whether the run has said nothing for so long that its process must be gone, or has ended without another."""
-        return time.monotonic() - self._heard_at > (SILENT_S if self.ended is None else FOLLOWS_S)
+        # two seconds after a run has ended nothing follows it
+        return time.monotonic() - self._heard_at > (SILENT_S if self.ended is None else 2.0)
 
     def command(self, command: Message) -> None:
         """Pass a command to the run."""

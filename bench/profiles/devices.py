@@ -16,10 +16,8 @@ from rig.profile import Profile
 def found_devices(profiles: Sequence[str]) -> dict[str, Any]:
     """What is there: ``cards``, ``ports``, and as ``problem`` why no card could be looked for (else empty).
 
-    Parameters
-    ----------
-    profiles
-        Paths or names to hold against it, besides the shipped ones; raises `InputError` where one cannot be read.
+    ``profiles``, paths or names, are held against it besides the shipped ones; raises `InputError` where one cannot be
+    read.
     """
     from serial.tools.list_ports import comports
 

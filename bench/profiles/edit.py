@@ -70,18 +70,6 @@ def declare(text: str, measured: Iterable[MeasuredValue], on: datetime.date, whe
     return with_values(text, {one.key: _quantity(one, on) for one in measured}, where)
 
 
-def withdraw(text: str, effects: Iterable[str], where: str) -> str:
-    """The profile ``text`` without the declarations of ``effects``; raises `InputError` where it is not TOML."""
-    try:
-        document = tomlkit.parse(text)
-    except TOMLKitError as error:
-        raise InputError(f"{where}: not valid TOML: {error}") from error
-    declared = document.get("declared", {})
-    for effect in effects:
-        declared.pop(effect, None)
-    return tomlkit.dumps(document)
-
-
 def write_into(path: Path, measured: Iterable[MeasuredValue], on: datetime.date) -> None:
     """Put each value at its dotted key in the profile ``path``.
 

@@ -34,12 +34,7 @@ class Catalogue(Closing):
 
     Raises `InputError` where there is no such folder.
 
-    Parameters
-    ----------
-    folder
-        The runs' folder.
-    anew
-        Make the catalogue anew from the files: it is empty here, and unchanged for others, until `update` is done.
+    With ``anew`` it is made from the files: it is empty here, and unchanged for others, until `update` is done.
 
     Attributes
     ----------
@@ -82,12 +77,7 @@ class Catalogue(Closing):
 
         Returns the number of files read.
 
-        Parameters
-        ----------
-        all_bytes
-            Compare every byte of the recordings with their checksums, where that has not been done.
-        progress
-            Called with what is being read and the part done.
+        With ``all_bytes`` every byte of the recordings is compared with its checksum, where that has not been done.
         """
         found = {file.path: file for file in files_below(self.folder)}
         with self._updating:

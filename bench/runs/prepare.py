@@ -106,10 +106,7 @@ def make_evidence(recording: Path, loop: Path, target: Path) -> Path:
 class Workshop:
     """Makes pyramids and flights of the runs of one folder, each once.
 
-    Parameters
-    ----------
-    folder
-        The runs' folder; where nothing can be written in it, a temporary one is used until `close`.
+    Where nothing can be written in the folder, a temporary one is used until `close`.
     """
 
     def __init__(self, folder: Path) -> None:

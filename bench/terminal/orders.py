@@ -94,11 +94,8 @@ def obey(request: StopRequest, line: str) -> str:
 class TypedLines:
     """Lines typed at a terminal.
 
-    Parameters
-    ----------
-    descriptor
-        Of the terminal; read to its end by a thread that ends with the program. Read without a buffer, so that the
-        program may end while the thread waits.
+    ``descriptor`` is read to its end, without a buffer, by a thread that ends with the program: it may end while the
+    thread waits.
     """
 
     def __init__(self, descriptor: int) -> None:

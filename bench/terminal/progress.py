@@ -18,11 +18,8 @@ Progress = Callable[[str, float], None]
 class _Compiling:
     """Watcher of compilations (`kernels.kernel.watchers`); stored kernels cause none.
 
-    Parameters
-    ----------
-    say
-        Called at the beginning and at the end of each compilation with the kernel's name (empty when none is being
-        compiled) and the number of those done.
+    At the beginning and at the end of each compilation ``say`` gets the kernel's name (empty when none is being
+    compiled) and the number of those done.
     """
 
     def __init__(self, say: Callable[[str, int], None]) -> None:

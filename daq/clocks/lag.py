@@ -51,10 +51,7 @@ class Stretch:
 class PlayedBuffer:
     """The last played samples, by their index since the start; zero before it.
 
-    Parameters
-    ----------
-    keep
-        Number of samples that stay, `LATENCY` at least.
+    ``keep`` samples stay, `LATENCY` at least.
     """
 
     def __init__(self, keep: int) -> None:
@@ -172,10 +169,7 @@ def candidates(
 ) -> list[Lag]:
     """Lags between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
 
-    Parameters
-    ----------
-    gain
-        Known gain of the loop-back; 0 lets it be anything positive.
+    ``gain`` is that of the loop-back, where known; 0 lets it be anything positive.
     """
     high = min(high, played.stop - first - len(heard))  # later samples were not played yet
     if high < low:

@@ -44,9 +44,9 @@ class BlockClock:
     anew while the loop-back agrees that nothing is missing, so that a drift between two clocks is no loss.
     """
 
-    def __init__(self, rate_hz: float, keep: int = 64) -> None:
+    def __init__(self, rate_hz: float) -> None:
         self._rate_hz = rate_hz
-        self._delays: deque[float] = deque(maxlen=keep)
+        self._delays: deque[float] = deque(maxlen=64)
 
     def excess(self, clock_ns: int, counted: int) -> float | None:
         """Seconds by which the clock ran ahead of ``counted`` samples since it last agreed; None without a clock."""

@@ -73,10 +73,7 @@ def encode_frame(frame: SerialFrame) -> bytes:
 class FrameDecoder:
     """Bytes, however cut, to the frames that are in them.
 
-    Parameters
-    ----------
-    channels
-        Columns that the device must send; frames with another number are not from this device.
+    Frames with another number of columns than ``channels`` are not from this device.
     """
 
     def __init__(self, channels: int) -> None:

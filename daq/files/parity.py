@@ -65,10 +65,7 @@ def parity_of(read: Callable[[int, int], bytes], n_bytes: int) -> tuple[Bytes, N
 
     Shapes (SPARE, bytes of a stripe) and (sectors,).
 
-    Parameters
-    ----------
-    read
-        Gives the bytes from an offset on, so many of them.
+    ``read`` gives the bytes from an offset on, so many of them.
     """
     length = stripe_sectors(n_bytes) * SECTOR
     parity, crcs = np.zeros((SPARE, length), np.uint8), [np.zeros(0, np.uint32)]

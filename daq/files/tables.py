@@ -138,11 +138,7 @@ def notes_of_rows(rows: NDArray[np.void]) -> list[tuple[int, int, str]]:
 def step_row(step: np.void | Mapping[str, Any]) -> NDArray[np.void]:
     """One step as an array of one `STEP_DTYPE` row; raises `ValueError` for a field that no step has.
 
-    Parameters
-    ----------
-    step
-        A row of a `STEP_DTYPE` array, or a mapping of its fields; a missing float is NaN, a missing integer 0
-        (``ratio`` 1).
+    In a mapping a missing float is NaN, a missing integer 0 (``ratio`` 1).
     """
     row = np.zeros(1, STEP_DTYPE)
     if not isinstance(step, Mapping):

@@ -20,12 +20,7 @@ def lost_rows(read: Read, found: list[FoundStep], rate_hz: float) -> Integers:
     A forcing that runs on through the steps keeps its phase at most of their borders; where it jumps by what a number
     of samples explains in all tones, these are missing. Whole cycles more leave no trace.
 
-    Parameters
-    ----------
-    read
-        Gives volts of samples ``a .. b`` of the channel in which the steps were found.
-    found, rate_hz
-        The steps.
+    ``read`` gives volts of samples ``a .. b`` of the channel in which the steps were found.
     """
     borders = [
         (last, step)

@@ -57,11 +57,6 @@ def refuse_repeated(paths: Sequence[Path]) -> None:
     """Refuse a recording that is named twice.
 
     Raises `InputError`, naming the two: one file, by a second name or a link, or two files that hold the same samples.
-
-    Parameters
-    ----------
-    paths
-        Recordings that are to be judged together.
     """
     if len(paths) < 2:
         return
@@ -122,12 +117,8 @@ class Unread:
 def read_headers(paths: Iterable[Path], *, all_bytes: bool = False) -> Iterator[tuple[Path, Header | Unread]]:
     """Read the headers of recordings, those without a seal last.
 
-    Parameters
-    ----------
-    paths
-        HDF5 files, recordings or not.
-    all_bytes
-        Compare the samples with the seal too, as `daq.recording.verify.verify` does, whatever the size.
+    ``paths`` are HDF5 files, recordings or not. With ``all_bytes`` samples are compared with the seal too, as
+    `daq.recording.verify.verify` does, whatever the size.
 
     Yields
     ------

@@ -96,12 +96,7 @@ class LiveColumns:
     def finish(self, recording: Recording, attributes: dict[str, Any]) -> ColumnWriter | None:
         """The column file of a run that has ended, whole and checked; None where the frames must be asked.
 
-        Parameters
-        ----------
-        recording
-            The closed frames file: its tables are taken, its samples must be those that came.
-        attributes
-            Root attributes.
+        ``recording`` is the closed frames file: its tables are taken, its samples must be those that came.
         """
         frames = recording.frames
         came = self._n_samples + self._n_waiting  # samples that the columns were given

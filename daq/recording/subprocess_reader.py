@@ -63,11 +63,8 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
 
     Raises `InputError` or `OSError` as the function did; whatever else ends it is in the answer.
 
-    Parameters
-    ----------
-    function
-        Takes ``arguments``, and a function by which it says what it is about to do, at least every ``patience_s``.
-        Arguments and answer are what JSON knows.
+    It takes ``arguments``, and a function by which it says what it is about to do, at least every ``patience_s``.
+    Arguments and answer are what JSON knows.
     """
     if _HERE.get():
         said_here = [""]

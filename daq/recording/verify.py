@@ -35,8 +35,6 @@ from daq.recording.reader import ALL, Recording, attributes_intact
 from daq.recording.subprocess_reader import Tell, in_subprocess
 from daq.setup.errors import InputError
 
-MOST_TRIES = 12
-
 
 @dataclass(frozen=True)
 class Survey(Checked):
@@ -133,7 +131,7 @@ def survey(path: Path) -> Survey:
     return found
 
 
-def _survey(path: Path, *, ended: bool, tries: int = MOST_TRIES) -> Survey:
+def _survey(path: Path, *, ended: bool, tries: int = 12) -> Survey:
     """Read all of it, round the places where a process died."""
     skip: list[str] = []
     why: list[str] = []

@@ -290,12 +290,7 @@ def _columns_of(recording: Recording, out: Path, attributes: Mapping[str, Any], 
 def columns_from_frames(source: Path, live: LiveColumns) -> None:
     """Write the column file of a frames file in its place; blocks whose checksum does not fit are flagged, and stay.
 
-    Parameters
-    ----------
-    source
-        Frames file.
-    live
-        Columns that were written while the run lasted.
+    ``live`` are the columns that were written while the run lasted.
     """
     with open_checked(source, Checked()) as recording:
         if recording.frames is None:

@@ -17,10 +17,7 @@ from kernels.arrays import Floats
 class SegmentCosts:
     """Weighted means of a sequence over any range, and the squared deviations from them, in constant time.
 
-    Parameters
-    ----------
-    values, sigma
-        Sequence ``(n, d)`` and the standard deviation of each value.
+    ``values`` is (n, d), as ``sigma``, the standard deviation of each.
     """
 
     def __init__(self, values: Floats, sigma: Floats) -> None:
@@ -52,14 +49,8 @@ class SegmentCosts:
 def segments(values: Floats, sigma: Floats, same: Floats, penalty: float) -> list[tuple[int, int]]:
     """Parts of constant level as ``(start, stop)``, in order, covering the sequence.
 
-    Parameters
-    ----------
-    values, sigma
-        Sequence ``(n, d)`` and the standard deviation of each value.
-    same
-        Neighbouring parts whose means differ by less than this ``(d,)`` in each column are one part.
-    penalty
-        Price of a part.
+    ``values`` is (n, d), as ``sigma``, the standard deviation of each. A part costs ``penalty``; neighbouring parts
+    whose means differ by less than ``same`` (d,) in each column are one.
     """
     costs = SegmentCosts(values, sigma)
     first, *others = pairwise(costs.cuts(penalty))

@@ -32,21 +32,14 @@ SAME = 1e-9  # two edges nearer than this are one event
 BEYOND = 8  # doubles past an edge at which the other side is looked at
 
 
-def bifurcations(
-    ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
-) -> list[Bifurcation]:
+def bifurcations(ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST) -> list[Bifurcation]:
     """All bifurcations between ``low`` and ``high`` of the cycle reached from rest, in order.
 
     Raises `InputError` if the range is empty, negative or not finite.
 
-    Parameters
-    ----------
-    narrowest
-        Width in gamma of the narrowest window whose edges are sought.
-    longest
-        Flights of its longest cycle.
+    Sought are the edges of windows of at least ``narrowest`` in gamma.
     """
-    found = cycle_windows(ball, low, high, narrowest=narrowest, longest=longest)
+    found = cycle_windows(ball, low, high, narrowest=narrowest)
     births, merges = ball.take_off_levels
     levels = {float(g): "new take-off window" for g in births} | {float(g): "take-off windows merge" for g in merges}
     if births.size:
@@ -69,11 +62,8 @@ def find_bifurcations(
 
     Raises `ValueError` if the range is empty, negative or not finite.
 
-    Parameters
-    ----------
-    narrowest
-        Width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution `BOUNCING`. A sweep and
-        an integrated ball are looked at step by step instead (`model.bifurcations.sweep`).
+    ``narrowest`` is the width in gamma of the narrowest window looked for; None: `NARROWEST`, with restitution
+    `BOUNCING`. A sweep and an integrated ball are looked at step by step instead (`model.bifurcations.sweep`).
     """
     if isinstance(ball, IdealBall | FrictionBall) and sweep is None:
         finest = narrowest if narrowest is not None else BOUNCING if ball.bounces else NARROWEST
@@ -81,10 +71,8 @@ def find_bifurcations(
     return list(observed_bifurcations(ball, low, high, sweep=sweep))
 
 
-def cycle_windows(
-    ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST, longest: int = LONGEST
-) -> list[Window]:
-    """The windows of gamma, wider than ``narrowest``, with one cycle of at most ``longest`` flights each, in order.
+def cycle_windows(ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST) -> list[Window]:
+    """The windows of gamma, wider than ``narrowest``, with one cycle of at most `LONGEST` flights each, in order.
 
     Raises `InputError` if the range is empty, negative or not finite.
     """
@@ -110,7 +98,7 @@ def cycle_windows(
             lambda g: ball.itinerary_codes(g, ball.most_flights),
             lambda w: locked_from(ball, w),
             lambda stretches, spacing: locked_within(ball, stretches, spacing),
-            Search(a + room, b - room, narrowest, longest, ball.coarse),
+            Search(a + room, b - room, narrowest, LONGEST, ball.coarse),
         )
     return out
 

@@ -63,12 +63,8 @@ def check_gamma(forcing: Forcing, gamma: ArrayLike, lengthening: ArrayLike = 1.0
 
     Raises `InputError` for a gamma that is negative, not finite or too large.
 
-    Parameters
-    ----------
-    forcing, gamma
-        The plate; any number of amplitudes.
-    lengthening
-        How much longer than the ideal ball's the flights can be (`lengthened`), one number or as ``gamma``.
+    ``lengthening`` is how much longer than the ideal ball's the flights can be (`lengthened`), one number or as
+    ``gamma``.
     """
     if not (np.all(np.isfinite(gamma)) and np.all(np.asarray(gamma) >= 0)):
         raise InputError(f"gamma must be finite and not negative, not {gamma!r}")

@@ -176,12 +176,6 @@ class IdealBall(ExactBall):
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(-flown.tau * h2 / flown.speed)
 
-    @property
-    def peak(self) -> float:
-        """``max(-a_p) / g`` at gamma = 1."""
-        q = _q(self.forcing, windows.turning_points(self.forcing))
-        return float(q.max()) if q.size else 0.0
-
 
 @dataclass(frozen=True)
 class FrictionBall(ExactBall):

@@ -29,10 +29,7 @@ def make_ball(
     Raises `InputError` for an unknown effect or parameter or a value out of bounds, for an effect of the drive or of an
     instrument (the motion of the plate is given here), and where the frequency is needed and missing.
 
-    Parameters
-    ----------
-    frequency_hz
-        First tone; needed where an effect has a scale of its own (a rate, a length, a speed).
+    The frequency of the first tone is needed where an effect has a scale of its own (a rate, a length, a speed).
     """
     values = resolve(effects)
     active = {}

@@ -69,7 +69,7 @@ def empty_rows(gammas: Floats, keep: int) -> Rows:
     )
 
 
-def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
+def diagram(ball: Ball, gammas: ArrayLike) -> Rows:
     """The attractor reached from rest at each gamma; raises `InputError` if a gamma is negative or not finite."""
     grid = np.ascontiguousarray(gammas, dtype=np.float64)
     if not np.all(np.isfinite(grid) & (grid >= 0.0)):
@@ -79,11 +79,11 @@ def diagram(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
     elif isinstance(ball, FrictionBall):
         laws = np.tile(ball.law, (grid.size, 1))
     else:
-        rows = empty_rows(grid, keep)
+        rows = empty_rows(grid, KEEP)
         for i, gamma in enumerate(grid):
             put(rows, i, attractor(ball, float(gamma)))
         return rows
-    return exact_rows(ball.forcing, grid, laws, lambda _: ball, keep)
+    return exact_rows(ball.forcing, grid, laws, lambda _: ball, KEEP)
 
 
 def exact_rows(
@@ -148,10 +148,7 @@ def adaptive(
     Every step of an even grid at whose ends the attractor differs (in kind, period, flights or resets) is halved, again
     and again; chaos next to chaos is left as it is.
 
-    Parameters
-    ----------
-    rows_at
-        Maps gammas to their rows (`diagram` of a ball).
+    ``rows_at`` maps gammas to their rows (`diagram` of a ball).
     """
     rows = rows_at(np.linspace(low, high, steps))
     for _ in range(halvings):

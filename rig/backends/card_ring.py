@@ -21,12 +21,7 @@ DECAY_S = 0.005  # length of the decay to zero where the drive came too late
 class CardRing:
     """Both directions of one stream.
 
-    Parameters
-    ----------
-    rate_hz
-        Frames a second.
-    n_inputs
-        Channels that are recorded; 0 for a card that only plays.
+    ``n_inputs`` channels are recorded: 0 of a card that only plays.
 
     Attributes
     ----------
@@ -84,10 +79,7 @@ class CardRing:
     def exchange(self, recorded: Samples | None, out: Samples, counter: int | None) -> None:
         """The callback's work: play into ``out`` (n,), keep ``recorded`` (n, n_inputs).
 
-        Parameters
-        ----------
-        counter
-            The driver's own count of frames, where it skips callbacks when it is late; else None.
+        ``counter`` is the driver's own count of frames, where it skips callbacks when it is late; else None.
         """
         n = len(out)
         if counter is not None:

@@ -46,11 +46,8 @@ class CardStream:
     def close(self, *, alive: bool) -> None:
         """Let the card go, and PortAudio with it.
 
-        Parameters
-        ----------
-        alive
-            Whether the driver still calls. One that went away is left as it is, at exit too: PortAudio would wait for
-            it for ever, or abort the program. It may go away any time, so it is asked again before each step.
+        A driver that went away is left as it is, at exit too: PortAudio would wait for it for ever, or abort the
+        program. It may go away any time, so it is asked again before each step.
         """
         counter = self._counter
         steps: list[Callable[[], object]] = [

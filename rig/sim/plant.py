@@ -230,11 +230,6 @@ class Plant:
 
         Raises `ValueError` where `drive_v` is not one-dimensional or not finite. Returns codes of `channels`, (n, 3 or
         4).
-
-        Parameters
-        ----------
-        drive_v : float64 array (n,)
-            Volts at the amplifier's input; finite.
         """
         drive = np.ascontiguousarray(drive_v, dtype=np.float64)
         if drive.ndim != 1 or not np.isfinite(drive).all():

@@ -147,11 +147,8 @@ def load_scenario(path: Path) -> Scenario:
     Raises `InputError` where the file is missing, is no TOML, or names something that does not exist; all faults at
     once.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        TOML with ``name``, and optionally ``nonce``, ``[rig]``, ``[effects.NAME]`` tables and
-        ``[effects.parameter_drift]`` with ``"effect.parameter" = change per minute``.
+    It is TOML with ``name``, and optionally ``nonce``, ``[rig]``, ``[effects.NAME]`` tables and
+    ``[effects.parameter_drift]`` with ``"effect.parameter" = change per minute``.
     """
     try:
         raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -61,12 +61,7 @@ class PlantClient:
     Raises `InputError` when the profile's back end is no sound card, or there is no such server, or it runs at another
     rate.
 
-    Parameters
-    ----------
-    profile
-        Its ``[backend]`` gives the client's name and the full scale of the output.
-    server
-        Name of the JACK server.
+    The profile's ``[backend]`` gives the client's name and the full scale of the output.
 
     Attributes
     ----------

@@ -24,9 +24,6 @@ AXIS, OWN_AXIS = ("scale", "bend", "skew"), ("own_scale", "own_bend", "own_skew"
 # was calibrated by itself: what is its own axis's has `Noise.axis`.
 PRIORS = {"scale": 0.05, "bend": 0.1, "skew": 0.05, "below_m": 0.2, "wind_mps": 0.5}
 SPHERE = (0.5, 0.3)  # drag coefficient, smooth or rough, before the drag crisis or beyond it, with holes or without
-# The displaced air's mass over the ball's and its drag, m, where neither mass nor size is known: of a sphere four
-# thirds of the diameter over the drag coefficient, 0.1 m for table tennis and 1 m for a beach ball.
-BULK = (0.5, 0.5)
 AIR_KG_PER_M3 = 1.2
 
 Sizes = Mapping[str, tuple[float, float]]  # ball -> mass, kg, and diameter, m
@@ -178,7 +175,9 @@ def _prior(name: str, owner: str, setting: Setting, noise: Noise) -> tuple[float
     if name == "k_per_m" and (unit := setting.drag_per_m(owner)) is not None:
         return SPHERE[0] * unit, SPHERE[1] * unit
     if name == "bulk_m":
-        return BULK
+        # the displaced air's mass over the ball's and its drag, m, where neither mass nor size is known: of a sphere
+        # four thirds of the diameter over the drag coefficient, 0.1 m for table tennis and 1 m for a beach ball
+        return 0.5, 0.5
     return 0.0, noise.axis if name in OWN_AXIS else PRIORS.get(name, np.inf)
 
 

@@ -111,10 +111,7 @@ def _mixed(fits: Sequence[FallFit], odds: Floats, name: str, owner: str) -> tupl
 def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     """Fit every combination of causes and choose.
 
-    Parameters
-    ----------
-    sizes
-        Mass and diameter of balls, where known: they say how much air a ball displaces, and how much drag it may have.
+    Mass and diameter of a ball say how much air it displaces, and how much drag it may have.
     """
     count = sum(len(fall.time_s) for fall in falls)
     setting = Setting(axis_of(falls), g_mps2, sizes)

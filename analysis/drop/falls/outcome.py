@@ -15,9 +15,7 @@ from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.values import MeasuredValue
 from kernels.arrays import Floats
 
-AIR_PA_S = 1.8e-5
 _BELOW_CRISIS = (0.4, 0.6)  # drag coefficient of a sphere below it, smooth or rough
-_OUTLIER = 3.0  # errors on drops not fitted, over their median
 _IN_WORDS = {
     "quadratic_drag": "quadratic drag of the ball",
     "linear_drag": "linear drag of the ball",
@@ -101,7 +99,7 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
     if unit is not None and diameter_m is not None:
         entry["drag_coefficient"] = interval(k / unit, max(low, 0.0) / unit, high / unit)
         fast = 2.0 * max(float(np.ptp(judged.falls[i].height_m) / np.ptp(judged.falls[i].time_s)) for i in own)
-        entry["reynolds"] = AIR_KG_PER_M3 * fast * diameter_m / AIR_PA_S
+        entry["reynolds"] = AIR_KG_PER_M3 * fast * diameter_m / 1.8e-5  # over the viscosity of air, Pa s
         # beyond a Reynolds number of 2e5 a sphere's drag coefficient may fall to a fifth: none is known there
         if is_measured and entry["reynolds"] < 2e5:
             per = AIR_KG_PER_M3 / unit
@@ -161,7 +159,7 @@ def _in_words(judged: Judged, payload: dict[str, Any]) -> list[str]:
     errors = [(d["held_out_rms_m"], d["file"]) for d in payload["drops"] if d["held_out_rms_m"] is not None]
     usual = float(np.median([e for e, _ in errors])) if errors else 0.0
     words += [f"{name} does not follow: {100 * e:.0f} cm where {100 * usual:.0f} are usual" for e, name in errors
-              if e > _OUTLIER * usual]  # fmt: skip
+              if e > 3.0 * usual]  # fmt: skip
     return words
 
 

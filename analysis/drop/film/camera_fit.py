@@ -173,10 +173,7 @@ def impacts_of(
     """Impacts where neighbouring flights meet, and one more where the last flight comes down to that floor; and the
     heights of the falls.
 
-    Parameters
-    ----------
-    values, at, top : (m, p), (m, flights), (m, flights) float64
-        Draws of the shape, of the apexes' times and of their heights.
+    ``values`` (m, p), ``at`` and ``top`` (m, flights): draws of the shape, of the apexes' times and of their heights.
     """
     laws = law_of(shape.name, np.vstack([shape.values, values]))
     frames, heights = np.vstack([shape.apex_frame, at]), np.vstack([shape.apex_height, top])

@@ -46,10 +46,7 @@ def of_camera(
     Raises `InputError` where the motion is no fall with bounces; where with scale and frame rate its acceleration is
     nowhere near gravity; where the fall is taller than any, as of a film in slow motion read at its playback rate.
 
-    Parameters
-    ----------
-    stated : (height, standard uncertainty), optional
-        Height that a person gave, m, to be checked.
+    ``stated``: a height that a person gave and its standard uncertainty, m, to be checked.
     """
     refuse_other_motion(fit, names[0])
     verdict = judge_camera(fit)

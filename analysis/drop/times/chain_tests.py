@@ -101,10 +101,7 @@ def ends_that_stray(impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
     An end is given up when every simple law of the ratio of successive flights (the same for all, changing with the
     flight or with its square) that follows the other bounces says that it does not belong to them.
 
-    Parameters
-    ----------
-    single : (n - 1,) bool
-        Intervals that are one flight.
+    ``single`` (n - 1,): intervals that are one flight.
     """
     flights = np.diff(impacts_s)
     rows = np.flatnonzero(single[1:] & single[:-1])

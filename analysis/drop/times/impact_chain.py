@@ -83,12 +83,7 @@ def drops_of(events: Onsets | Floats, where: str) -> list[Bounces]:
 
     Raises `InputError` for fewer than three impacts that follow each other, or a chain that is none of a ball's.
 
-    Parameters
-    ----------
-    events
-        Events in any order; bare times, s, are of full strength.
-    where
-        File, for the error text.
+    Bare times, s, are of full strength; ``where`` is the file, for the error text.
     """
     events = events if isinstance(events, Onsets) else unheard(np.asarray(events, dtype=np.float64))
     events = events.part(np.unique(events.times_s, return_index=True)[1])

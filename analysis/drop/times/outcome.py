@@ -29,12 +29,8 @@ def of_times(
 ) -> outcome.Outcome:
     """Result of impact times.
 
-    Parameters
-    ----------
-    stated : sequence of (height, standard uncertainty) or None
-        Heights a person gave.
-    without_heights : Verdict, optional
-        The verdict that does not use the stated heights, where ``verdict`` does.
+    ``stated`` are heights that a person gave, with standard uncertainties; ``without_heights`` is the verdict that does
+    not use them, where ``verdict`` does.
     """
     heights = [_height(drop, without_heights or verdict, g_mps2, rng) for drop in drops]
     each = [_of_one(*parts) for parts in zip(drops, heights, stated, verdict.left_out, strict=True)]

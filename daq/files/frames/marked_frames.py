@@ -29,12 +29,7 @@ class MarkedFrames:
 
     Raises `LookupError` when the file has no marks.
 
-    Parameters
-    ----------
-    data
-        Bytes of a file, as `mapped` gives them.
-    further
-        Rows of tables other than that of the blocks that were read by another way: they are added.
+    ``data`` are a file's bytes, as `mapped` gives them; ``further`` rows of tables, read by another way, are added.
 
     Attributes
     ----------
