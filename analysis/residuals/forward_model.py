@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analysis.flights.assemble import GLITCH_S
+from analysis.memory import Memory
 from analysis.residuals.covariates import COVARIATES, covariates_of
-from analysis.residuals.memory import Memory
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_data.measured_mode import MeasuredMode
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
@@ -291,7 +292,7 @@ class ForwardModel:
 
     def detection_at(self, x: Inputs) -> Detection:
         ev = self.observations
-        return Detection(x.gap_m, ev.unseen_s, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
+        return Detection(x.gap_m, GLITCH_S, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, stored: what touches plate data only needs no new flight."""

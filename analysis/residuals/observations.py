@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.sensor_offset import SensorOffset, common_offset
-from analysis.flights.assemble import GLITCH_S, FlightFlag, Flights, flights_of
+from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
 from analysis.plate.ringing.modes import PlateMode, identified_mode
@@ -80,8 +80,6 @@ class Observations:
     steps: Steps
     plate: PlateData
     setup: Setup  # of the first recording; the others must agree in what scales a measurement
-    unseen_s: float  # shortest flight that the contact circuit shows
-    sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     # of the plate that the ball strikes, from recorded volts; None where none is identified
     mode: PlateMode | None = None
@@ -167,15 +165,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)
     if launches is not None:  # alternating corrections make more tones: each flight's drive holds them
         steps = _of_forcing_only(steps)
-    fades = Fades.of(recording)
-    measured, scored, keep = _events(flights, rows, fades)
-    pushed = pushes(recording, flights, fades, np.flatnonzero(keep))
-    measured = replace(
-        measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
-    )
-    if launches is not None:
-        number = np.array([s.step for s in fitted], dtype=np.int64)[measured.step]
-        measured = launches.of_flights(measured, recording, number, flights.takeoff_s[keep])
+    measured, scored, keep = _events(recording, flights, fitted, rows, launches)
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
@@ -209,8 +199,6 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         steps,
         data,
         setup,
-        unseen_s=GLITCH_S,
-        sources=(str(recording.path),),
         notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
         mode=mode,
         pushed=(mode.pushed,) if mode and mode.pushed else (),
@@ -259,9 +247,14 @@ def _of_forcing_only(steps: Steps) -> Steps:
     return replace(steps, plate=plate, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
 
 
-def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, Bools, Bools]:
-    """True flights of steps whose plate is known, with their links; which are scored; which flights those are."""
-    flags = flights.flags
+def _events(
+    recording: Recording, flights: Flights, fitted: Sequence[StepPlate], rows: Integers, launches: Launches | None
+) -> tuple[Measured, Bools, Bools]:
+    """True flights of steps whose plate is known, with their links; which are scored; which flights those are.
+
+    What the drive does within each, in fades and in corrections of a held ball, goes with them.
+    """
+    fades, flags = Fades.of(recording), flights.flags
     inside = (flights.step >= 0) & (flights.step < len(rows))
     step = np.clip(flights.step, 0, len(rows) - 1)
     early = fades.before_half(step, flights.landing_s)
@@ -286,6 +279,13 @@ def _events(flights: Flights, rows: Integers, fades: Fades) -> tuple[Measured, B
     measured = Measured(
         opening, landing, relaunched, linked, step.astype(np.int64), scored, other_row[keep], share[keep]
     )
+    pushed = pushes(recording, flights, fades, np.flatnonzero(keep))
+    measured = replace(
+        measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
+    )
+    if launches is not None:
+        number = np.array([s.step for s in fitted], dtype=np.int64)[measured.step]
+        measured = launches.of_flights(measured, recording, number, flights.takeoff_s[keep])
     return measured, scored, keep
 
 
@@ -331,8 +331,6 @@ def join(parts: Sequence[Observations]) -> Observations:
         steps=table,
         plate=plate,
         setup=parts[0].setup,
-        unseen_s=max(p.unseen_s for p in parts),
-        sources=tuple(s for p in parts for s in p.sources),
         notes=tuple(dict.fromkeys([*(n for p in parts for n in p.notes), *wanders])),
         mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
         pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),

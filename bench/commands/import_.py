@@ -57,16 +57,13 @@ def command(
     from daq.importers.formats.open import open_source
     from daq.importers.import_recording import ImportOptions, import_recording
 
-    check_outputs(
-        File("--out", out, HDF5, lasting=True), File("--json", json, JSON), inputs=[raw, profile], overwrite=overwrite
-    )
+    files = File("--out", out, HDF5, lasting=True), File("--json", json, JSON)
+    check_outputs(*files, inputs=[raw, profile], overwrite=overwrite)
     setup, text = load_measuring(profile)
     source = open_source(raw, _selected(channel), channel_column)
     options = ImportOptions(parse_map(mapping), rate, readable(note))
-    with progress_bar(json == "-") as bar:  # empty: how many rows there are is not known
-        summary = import_recording(
-            source, out, setup, text, options, progress=lambda what, rows: bar(f"{what}: {rows:,} rows", 0.0)
-        )
+    with progress_bar(json == "-") as bar:
+        summary = import_recording(source, out, setup, text, options, progress=lambda what, n: bar(f"{what} {n:,}", 0))
     base = summary.timebase
     answer = {
         "recording": summary.path, "n_samples": summary.n_samples, "rate_hz": base.rate_hz,

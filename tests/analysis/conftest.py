@@ -172,7 +172,7 @@ def bare_observations() -> Observations:
     )
     edges, yes = np.full(3, EDGE_S), np.ones(3, dtype=bool)
     flights = Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes)
-    return Observations(flights, edges, edges, yes, np.ones(3), np.full(3, 0.03), steps, plate, setup, 2e-4)
+    return Observations(flights, edges, edges, yes, np.ones(3), np.full(3, 0.03), steps, plate, setup)
 
 
 def blurred(observations: Observations, rng: np.random.Generator) -> Observations:

@@ -53,7 +53,6 @@ def seen_observations() -> Observations:
         steps,
         PlateData(none, none, *(nothing,) * 5, none, none[:, None], nothing[:, None]),
         setup,
-        2e-4,
     )
 
 
