@@ -66,7 +66,7 @@ class Systematics:
         )
         # all edges together may be off by a tenth of one edge's uncertainty; closings by half of what their prior
         # allows
-        sigma_s = (0.1 * opening_s, min(0.5 * observations.closure_s, closing_s))
+        sigma_s = (0.1 * opening_s, min(0.5 * observations.circuit.closure_s, closing_s))
         return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
 
 

@@ -184,7 +184,7 @@ def simulate_steps(
         setup=setup,
         modulation=None,
         pushed=(),
-        heard=None,
+        circuit=replace(observations.circuit, heard=None),
         run_part=part[measured.step],
     )
     truth = ForwardModel(made, model.declared)

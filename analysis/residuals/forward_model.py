@@ -230,17 +230,17 @@ class ForwardModel:
 
     def late_s(self, values: Values) -> tuple[Floats, Floats]:
         """By how much later than they happened openings and landings were seen, (n,) each."""
-        ev = self.observations
-        edge, mark = (self.per_step(values, hook)[ev.measured.step] for hook in ("contact_delay_s", "impact_delay_s"))
-        if ev.heard is None:
+        seen, heard = self.observations.measured, self.observations.circuit.heard
+        edge, mark = (self.per_step(values, hook)[seen.step] for hook in ("contact_delay_s", "impact_delay_s"))
+        if heard is None:
             return edge, edge
         # a ball that leaves as it lands was seen when that landing was
-        left_heard = ev.measured.relaunched & np.append(False, ev.heard[:-1])
-        return np.where(left_heard, mark, edge), np.where(ev.heard, mark, edge)
+        left_heard = seen.relaunched & np.append(False, heard[:-1])
+        return np.where(left_heard, mark, edge), np.where(heard, mark, edge)
 
     def is_idle(self, key: ParameterId) -> bool:
         """Whether a parameter changes nothing that was observed."""
-        heard = self.observations.heard
+        heard = self.observations.circuit.heard
         return key == ("accelerometer_lag", "impact_s") and (heard is None or not heard.any())
 
     def predict(
@@ -292,7 +292,7 @@ class ForwardModel:
 
     def detection_at(self, x: Inputs) -> Detection:
         ev = self.observations
-        return Detection(x.gap_m, GLITCH_S, closure_s=ev.closure_s, weak_mps=ev.weak_mps)
+        return Detection(x.gap_m, GLITCH_S, closure_s=ev.circuit.closure_s, weak_mps=ev.weak_mps)
 
     def predicted(self, values: Values) -> Predicted:
         """`predict` at ``values``, stored: what touches plate data only needs no new flight."""

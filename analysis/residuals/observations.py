@@ -67,6 +67,17 @@ class Steps:
 
 
 @dataclass(frozen=True)
+class ContactCircuit:
+    """How well the contact circuit shows the events."""
+
+    closure_s: float = 0.0  # time for which an impact keeps it closed
+    # scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`
+    scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
+    # landings that only the accelerometer shows, (n,), by an unknown delay after the circuit would have; None for none
+    heard: Bools | None = None
+
+
+@dataclass(frozen=True)
 class Observations:
     """Events, steps and plate data of one or several recordings of one rig."""
 
@@ -87,12 +98,8 @@ class Observations:
     pushed: tuple[PushedPlate, ...] = ()
     # change of the forcing's amplitude within steps and from step to step
     modulation: AmplitudeModulation | None = None
-    closure_s: float = 0.0  # time for which an impact keeps the circuit closed
-    # scatter of openings and of landings from cycle to cycle; see `analysis.events.edge_jitter`
-    scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
     run_part: Floats | None = None  # landing within its recording, from -0.5 to 0.5, (n,); None: as the step
-    # landings that only the accelerometer shows, (n,), by an unknown delay after the circuit would have; None for none
-    heard: Bools | None = None
+    circuit: ContactCircuit = ContactCircuit()
 
     def __len__(self) -> int:
         return len(self.scored)
@@ -202,11 +209,9 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
         mode=mode,
         pushed=(mode.pushed,) if mode and mode.pushed else (),
-        closure_s=closure_s(measured, heard),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
-        scatters=scatters,
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
-        heard=heard,
+        circuit=ContactCircuit(closure_s(measured, heard), scatters, heard),
     )
 
 
@@ -320,7 +325,9 @@ def join(parts: Sequence[Observations]) -> Observations:
         recording=np.concatenate([np.full(len(p.steps), i, dtype=np.int64) for i, p in enumerate(parts)]),
         plate=PlateSteps(tones["omega_radps"], tones["acceleration_mps2"], tones["period_s"]),
     )
-    openings, landings = ([p.scatters[i] for p in parts] for i in (0, 1))
+    circuits = [p.circuit for p in parts]
+    openings, landings = ([x.scatters[i] for x in circuits] for i in (0, 1))
+    heard = [np.zeros(len(p), dtype=np.bool_) if p.circuit.heard is None else p.circuit.heard for p in parts]
     swings = [p.modulation for p in parts if p.modulation]
     plate, wanders = with_wander(PlateData.join([p.plate for p in parts], shift), np.arange(len(table)))
     return Observations(
@@ -334,11 +341,13 @@ def join(parts: Sequence[Observations]) -> Observations:
         notes=tuple(dict.fromkeys([*(n for p in parts for n in p.notes), *wanders])),
         mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
         pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),
-        closure_s=float(np.median([p.closure_s for p in parts])),
         modulation=AmplitudeModulation.join(swings) if swings else None,
-        scatters=(Scatter.together(openings), Scatter.together(landings)),
         run_part=np.concatenate(
             [p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part for p in parts]
         ),
-        heard=np.concatenate([np.zeros(len(p), dtype=np.bool_) if p.heard is None else p.heard for p in parts]),
+        circuit=ContactCircuit(
+            float(np.median([x.closure_s for x in circuits])),
+            (Scatter.together(openings), Scatter.together(landings)),
+            np.concatenate(heard),
+        ),
     )

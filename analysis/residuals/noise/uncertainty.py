@@ -88,7 +88,8 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
         edges[:, again], changes[:, again], bent[:, again] = found
     times = _from_exact_landings(model, base, edges)
     opening, landing = (
-        rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s) for i, seen in enumerate(ev.scatters)
+        rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s)
+        for i, seen in enumerate(ev.circuit.scatters)
     )
     # rounding errors are common to edges of a step and are carried separately: this is the rest
     independent = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
@@ -233,7 +234,7 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) ->
     slopes ``edges`` (2, n, 2), and with it an edge's place between two samples.
     """
     ev, predicted = model.observations, np.stack([base.opening_s, base.landing_s], axis=1)
-    out, sampling_s = predicted, ev.scatters[1].sampling_s
+    out, sampling_s = predicted, ev.circuit.scatters[1].sampling_s
     # a rounded landing is carried on through so many flights that begin as the last one ends
     for _ in range(3):
         error = np.clip(np.nan_to_num(ev.measured.landing_s - out[:, 1]), -sampling_s, sampling_s)

@@ -10,7 +10,7 @@ from analysis.attribution.fit import Fitter
 from analysis.loop.design import Design, designs_for, simulate_design
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
-from analysis.residuals.observations import Observations, Steps
+from analysis.residuals.observations import ContactCircuit, Observations, Steps
 from analysis.residuals.plate_data.plate_observables import GAIN, SECOND, PlateData
 from daq.channels.accelerometer import AccelerometerChannel
 from daq.channels.registry import Channels
@@ -90,7 +90,7 @@ def test_the_simulation_holds_what_it_was_made_of(simulated: ForwardModel) -> No
 
 def test_a_run_of_which_some_landings_were_only_heard_has_designs() -> None:
     """What is known of single landings of the run that was made is not carried over to the simulated ones."""
-    seen = replace(seen_observations(), heard=np.array([False, True, False]))
+    seen = replace(seen_observations(), circuit=ContactCircuit(heard=np.array([False, True, False])))
     model = ForwardModel(seen, {})
     made = simulate_design(Design("d", "", 1, (0.8, 1.2)), model, FRICTION)
     assert len(made) != len(seen)

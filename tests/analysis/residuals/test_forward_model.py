@@ -154,7 +154,7 @@ def test_impacts_heard_late_leave_the_residuals_they_would_have_in_time(fly_ramp
         landing_s=made.measured.landing_s + late_s * heard,
         opening_s=made.measured.opening_s + late_s * left,
     )
-    late = ForwardModel(replace(made, measured=shown, heard=heard), {})
+    late = ForwardModel(replace(made, measured=shown, circuit=replace(made.circuit, heard=heard)), {})
     key = ("accelerometer_lag", "impact_s")
     in_time, found = model.residuals(FRICTION), late.residuals({**FRICTION, key: late_s})
     np.testing.assert_allclose(found.landing_s, in_time.landing_s, atol=1e-9)

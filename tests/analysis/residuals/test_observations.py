@@ -10,7 +10,7 @@ import pytest
 
 from analysis.events.edge_jitter import Scatter
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.observations import join
+from analysis.residuals.observations import ContactCircuit, join
 from analysis.residuals.plate_data.plate_observables import OFFSET
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
@@ -33,13 +33,13 @@ def test_joined_recordings_keep_their_own_steps(fly_ramp: Callable[..., ForwardM
 def test_a_short_recording_has_the_jitter_of_all(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Edges of a recording in which too few steps repeat are as uncertain as the steps of all recordings tell."""
     short, long = (fly_ramp(FRICTION, seed, gammas=QUIET).observations for seed in (1, 2))
-    short = replace(short, scatters=(Scatter(np.full(1, 9e-12)), Scatter()))
-    long = replace(long, scatters=(Scatter(np.full(3, 9e-12)), Scatter(np.full(4, 16e-12))))
+    short = replace(short, circuit=ContactCircuit(0.0, (Scatter(np.full(1, 9e-12)), Scatter())))
+    long = replace(long, circuit=ContactCircuit(0.0, (Scatter(np.full(3, 9e-12)), Scatter(np.full(4, 16e-12)))))
     both, n = join([short, long]), len(short)
     assert both.opening_sigma_s[:n] == pytest.approx(np.hypot(short.opening_sigma_s, 3e-6))
     assert both.landing_sigma_s[:n] == pytest.approx(np.hypot(short.landing_sigma_s, 4e-6))
     assert both.opening_sigma_s[n:] == pytest.approx(long.opening_sigma_s)
-    assert [len(x.excess_s2) for x in both.scatters] == [4, 4]
+    assert [len(x.excess_s2) for x in both.circuit.scatters] == [4, 4]
 
 
 def test_a_zero_that_wanders_from_file_to_file_is_as_uncertain_as_it_wanders(

@@ -12,7 +12,7 @@ from analysis.events.edge_jitter import MIN_STEPS, Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.noise.uncertainty import rounding_errors
-from analysis.residuals.observations import Observations
+from analysis.residuals.observations import ContactCircuit, Observations
 from analysis.thresholds import FROZEN
 
 SAMPLING_S = 5e-5
@@ -64,7 +64,7 @@ def test_rounding_that_repeats_is_no_lack_of_fit(fly_ramp: Callable[..., Forward
     read = sampling_s * (np.floor(observations.measured.landing_s / sampling_s) + 0.5)
     rounded = with_landings(observations, read)
     seen = Scatter(repeated_s2=np.zeros(MIN_STEPS), freedom=np.ones(MIN_STEPS, dtype=int), sampling_s=sampling_s)
-    told = goodness_of_fit(ForwardModel(replace(rounded, scatters=(Scatter(), seen)), {}), {})
+    told = goodness_of_fit(ForwardModel(replace(rounded, circuit=ContactCircuit(scatters=(Scatter(), seen))), {}), {})
     untold = goodness_of_fit(ForwardModel(rounded, {}), {})
     assert untold.p_serial < 1e-12
     assert told.p_lack_of_fit > FROZEN.lack_p
