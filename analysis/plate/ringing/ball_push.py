@@ -12,11 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
 
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Bools, Floats, Integers
 
 SHORTEST_REST_S = 1.2e-3  # after a shorter contact the ball left as it landed
-LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction
+LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction and an accelerometer that is late
+USUAL = np.array(
+    [1.0, 1e-4]
+)  # friction (m/s^2) and lateness (s): which of both it is, flights of one length leave open
+LEAST_SPREAD_MPS = 1e-6  # of flights without noise
 
 
 @dataclass(frozen=True)
@@ -91,16 +96,19 @@ def ball_push(
     begun = once(takeoff_s)
     gained, back = once(landing_s) - begun, (twice(landing_s) - twice(takeoff_s)) / length_s - begun
     flown = (np.cumsum(gained) - gained)[flight] + once(until_s) - begun[flight]
-    # A friction slows the ball on both ways: as much of it as brings flights from rest back to the plate.
-    speed, middle_s = np.where(bounced, back, 0.0), edges_s[:-1] + 0.5 * block_s
-    flight = np.clip(np.searchsorted(takeoff_s, middle_s) - 1, 0, len(takeoff_s) - 1)
-    rising = speed[flight] + begun[flight] > once(middle_s)
-    slowing = np.where(rising, 1.0, -1.0) * air
-    slowed, slowed_back = _over_flights(slowing, block_s, takeoff_s, landing_s)
+    inside = np.clip(np.searchsorted(takeoff_s, edges_s[:-1] + 0.5 * block_s) - 1, 0, len(takeoff_s) - 1)
+    free_mps = (np.where(bounced, back, 0.0) + begun)[inside] - once(np.stack([edges_s[:-1], edges_s[1:]]))
     long = ~bounced & (landing_s - takeoff_s > LONG_S)
     if np.sum(long) >= FEWEST_FLIGHTS:
-        friction = -float(np.median(back[long] / slowed_back[long]))
-        gained, back = gained + friction * slowed, back + friction * slowed_back
+        friction, slowed_mps = 0.0, np.zeros_like(free_mps)
+        for _ in range(2):  # a friction slows the ball on both ways, and lets it turn round earlier
+            ball_mps = free_mps - friction * slowed_mps
+            rate = air * np.sum(ball_mps, axis=0) / np.maximum(np.sum(np.abs(ball_mps), axis=0), LEAST_SPREAD_MPS)
+            slowed, slowed_back, slowed_mps = _over_flights(rate, block_s, takeoff_s, landing_s, inside)
+            friction, late_s = _missed(back[long], slowed_back[long], (gained / length_s)[long])
+        begun, ended_s = once(takeoff_s + late_s), landing_s + late_s
+        gained = once(ended_s) - begun + friction * slowed
+        back = (twice(ended_s) - twice(takeoff_s + late_s)) / length_s - begun + friction * slowed_back
     start = np.where(bounced, back, 0.0)
     impulse = gained - start + np.append(start[1:], 0.0)
     # what changes at an impact is the speed over the plate, which recoils
@@ -108,11 +116,31 @@ def ball_push(
     return Push(-np.diff(once(edges_s) - flown) / block_s / loaded, landing_s, -impulse / loaded, block_s)
 
 
-def _over_flights(rate: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats) -> tuple[Floats, Floats]:
-    """Integral of a rate (n,) over each flight, and the mean of it over the flight, (m,) each."""
+def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:
+    """Friction (m/s^2) and lateness (s) of the accelerometer that bring flights from rest (n,) back to the plate.
+
+    By ``back_mps`` each would have had to start to come back. A friction takes ``slowed_back`` times itself from that;
+    a late accelerometer has not shown the end of a flight yet, in which the ball comes closer by ``closing_mps2`` times
+    the lateness and the flight's length.
+    """
+    spread_mps = 1.5 * float(np.median(np.abs(back_mps - np.median(back_mps)))) + LEAST_SPREAD_MPS
+    missed = np.column_stack([slowed_back, closing_mps2])
+
+    def left(x: Floats) -> Floats:
+        return np.append((back_mps + missed @ x) / spread_mps, x / USUAL)
+
+    found = least_squares(left, np.zeros(2), loss="soft_l1", x_scale=USUAL).x
+    return float(found[0]), float(found[1])
+
+
+def _over_flights(
+    rate: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats, flight: Integers
+) -> tuple[Floats, Floats, Floats]:
+    """Integral of a rate (n,) over each flight, the mean of it over the flight, (m,) each; so far in blocks, (2, n)."""
     edges_s = np.arange(len(rate) + 1) * block_s
     once = np.append(0.0, np.cumsum(rate)) * block_s
     twice = np.append(0.0, np.cumsum(0.5 * (once[1:] + once[:-1]))) * block_s
     begun = np.interp(takeoff_s, edges_s, once)
     path = np.interp(landing_s, edges_s, twice) - np.interp(takeoff_s, edges_s, twice)
-    return np.interp(landing_s, edges_s, once) - begun, path / (landing_s - takeoff_s) - begun
+    so_far = np.stack([once[:-1], once[1:]]) - begun[flight]
+    return np.interp(landing_s, edges_s, once) - begun, path / (landing_s - takeoff_s) - begun, so_far

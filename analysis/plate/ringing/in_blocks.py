@@ -20,14 +20,20 @@ END_S = 0.1  # at the end of a recording, where the drive is cut off and its int
 
 
 def volts_in_blocks(recording: Recording, width: int) -> tuple[Floats, Floats]:
-    """Block means of acceleration in m/s^2, whatever its zero, and drive in volts, (n,) each."""
+    """Block means of acceleration in m/s^2, whatever its zero, and drive in volts, (n,) each.
+
+    Blocks begin and end at a sample, of which half belongs to either, so that their times are those of flights.
+    """
     parts: dict[str, list[Floats]] = {"accelerometer": [], "drive": []}
     rest = {name: np.zeros(0, dtype=np.float32) for name in parts}
     for piece in pieces(recording, ("accelerometer", "drive")):
         for name, found in parts.items():
             volts = np.concatenate([rest[name], piece.own(name)])
-            found.append(block_means(volts, width).astype(np.float64))
-            rest[name] = volts[len(volts) // width * width :].copy()
+            n = max(len(volts) - 1, 0) // width
+            found.append(
+                0.5 * np.sum([block_means(volts, width, skip)[:n] for skip in (0, 1)], axis=0, dtype=np.float64)
+            )
+            rest[name] = volts[n * width :].copy()
     both = {name: np.concatenate(found) for name, found in parts.items()}
     return both["accelerometer"] / recording.setup.channels.accelerometer.volts_per_mps2, both["drive"]
 

@@ -35,7 +35,7 @@ GRID = 1.12  # ratio of neighbouring frequencies of the first look
 STARTS = 3
 MOST_STEPS = 25  # of a search from one start
 ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
-REPEATED = 3  # until the impacts agree with the motion
+AGREED_MPS2 = 5e-4  # change of the impacts' mean push at which they agree with the motion: .00005 of the ball's weight
 SETTLED = 3e-4  # relative change of frequency and damping
 RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
 # what is found at a bound, or so damped above the drive, is no mode
@@ -172,7 +172,9 @@ class _Recorded:
 
     def push(self, acceleration: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
         """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it."""
-        zero = -np.mean(acceleration) - (0.0 if impulses is None else mass_ratio * float(np.mean(impulses)))
+        # both ends fade: the plate is cut off there in full swing, as if it went somewhere
+        weight, impulses = np.hanning(len(acceleration)), np.zeros(1) if impulses is None else impulses
+        zero = -np.average(acceleration + mass_ratio * impulses, weights=weight)
         flights = (self.takeoff_s, self.landing_s)
         return ball_push(acceleration + zero, self.block_s, *flights, self.gravity_mps2, mass_ratio)
 
@@ -219,10 +221,13 @@ class _Recorded:
         known, impulses = (float(np.exp(x[0])), float(np.exp(x[1])), float(sizes[0])), None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
         rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), torn_s)
-        for _ in range(REPEATED):  # impacts are sharper from the motion as modelled: it has no noise
+        for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
             plate = PushedPlate(self.push(acceleration, impulses, known[2]), *rest)
             acceleration = driven + plate.moved(*known).gained_mps() / self.block_s
-            impulses = plate.push.impacts_mps2
+            before, impulses = impulses, plate.push.impacts_mps2
+            # what the ball's weight lacks in the mean would lift the plate, and every flight with it
+            if before is not None and abs(float(np.mean(impulses - before))) < AGREED_MPS2:
+                break
         return plate
 
 

@@ -16,6 +16,7 @@ from analysis.plate.ringing.modes import PlateMode, _Regression, identified_mode
 from benchmarks.analysis import shaker_parts
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
+from benchmarks.plants.instrument import Instrument
 from benchmarks.plants.shaker import BALL_KG, Shaker
 from daq.recording import open_recording
 
@@ -57,6 +58,24 @@ def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path])
     assert mode.damping == pytest.approx(0.02, rel=0.15)
     assert mode.mass_ratio == pytest.approx(0.25, rel=0.03)
     assert mode.remainder_mps2 < 0.5 * mode.before_mps2
+
+
+def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_few_in_ten_thousand(tmp_path: Path) -> None:
+    """Neither half a sample, nor where the recording ends, nor the first guess of the impacts is left in them."""
+    restitution, ratio = 0.3, 0.25
+    hidden = dict(_mode(5.0, 0.03, ratio)) | {"restitution.e0": restitution}
+    gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.5, 2.6, 14), 4))
+    run = other_plant.Run(
+        hidden=hidden, seed=3, gammas=tuple(gammas.tolist()), instrument=Instrument(pulse=1.0), closure_s=5e-4
+    )
+    volts = other_plant.simulate(run)
+    hit_s, speed_mps = volts["impacts"].T
+    mode = _found(imported(volts, other_plant.profile_of(run), tmp_path))
+    assert mode is not None and mode.pushed is not None
+    push = mode.pushed.push
+    k = np.argmin(np.abs(hit_s - push.impact_s[:, None]), axis=1)
+    found = push.impulse_mps / (-(1.0 + restitution) / (1.0 + ratio) * speed_mps[k])
+    assert float(np.median(found[speed_mps[k] > 0.1])) == pytest.approx(1.0, abs=5e-4)
 
 
 @pytest.mark.parametrize(("table_kg", "damping"), [(20.0, 0.7), (5.0, 0.1)])
