@@ -32,6 +32,7 @@ class Push:
     impact_s: Floats  # of the impacts, in order, (m,)
     impulse_mps: Floats  # of the same, (m,)
     block_s: float  # length of a block
+    missed_mps: float  # median speed by which flights from rest miss the plate; infinite where they are too few
 
     @property
     def impacts_mps2(self) -> Floats:
@@ -98,7 +99,7 @@ def ball_push(
     flown = (np.cumsum(gained) - gained)[flight] + once(until_s) - begun[flight]
     inside = np.clip(np.searchsorted(takeoff_s, edges_s[:-1] + 0.5 * block_s) - 1, 0, len(takeoff_s) - 1)
     free_mps = (np.where(bounced, back, 0.0) + begun)[inside] - once(np.stack([edges_s[:-1], edges_s[1:]]))
-    long = ~bounced & (landing_s - takeoff_s > LONG_S)
+    long, missed_mps = ~bounced & (landing_s - takeoff_s > LONG_S), np.inf
     if np.sum(long) >= FEWEST_FLIGHTS:
         friction, slowed_mps = 0.0, np.zeros_like(free_mps)
         for _ in range(2):  # a friction slows the ball on both ways, and lets it turn round earlier
@@ -109,11 +110,13 @@ def ball_push(
         begun, ended_s = once(takeoff_s + late_s), landing_s + late_s
         gained = once(ended_s) - begun + friction * slowed
         back = (twice(ended_s) - twice(takeoff_s + late_s)) / length_s - begun + friction * slowed_back
+        missed_mps = float(np.median(np.abs(back[long])))
     start = np.where(bounced, back, 0.0)
     impulse = gained - start + np.append(start[1:], 0.0)
     # what changes at an impact is the speed over the plate, which recoils
     loaded = 1.0 + mass_ratio
-    return Push(-np.diff(once(edges_s) - flown) / block_s / loaded, landing_s, -impulse / loaded, block_s)
+    pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
+    return Push(pressed, landing_s, -impulse / loaded, block_s, missed_mps)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

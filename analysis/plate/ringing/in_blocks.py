@@ -14,6 +14,7 @@ from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats
 
 LEAD_S = 1e-3  # before an impact, left out with it
+HUM_HZ = tuple(k * hz for hz in MAINS_HZ for k in (1, 3, 5))
 INTEGRALS = 3  # the drive, and its first and second integral
 LEAKS = 0.1  # of the forcing's frequency: below it an integral of the drive leaks, as it would wander
 END_S = 0.1  # at the end of a recording, where the drive is cut off and its integrals are not known
@@ -63,7 +64,8 @@ def drive_regressors(recording: Recording, drive_v: Floats, block_s: float) -> t
 
     Each tone with its first two integrals, and each a quarter of a period later: the drive may be a force, or what is
     recorded of it an acceleration, a speed or a path, in any phase. In steady tones these are two columns a tone; where
-    the level changes they are not. Bends by the level, squares, cubes and products of tones are no force.
+    the level changes they are not. Bends by the level, squares, cubes and products of tones are no force. Two for each
+    line of the mains (`HUM_HZ`) are the last columns.
     """
     forcing = recording.setup.forcing
     w, n = 2.0 * math.pi * forcing.frequency_hz, len(drive_v)
@@ -78,7 +80,7 @@ def drive_regressors(recording: Recording, drive_v: Floats, block_s: float) -> t
         columns += [first * further, np.conj(first) * further, further**2]
     bent = _scaled(np.concatenate([[z.real, z.imag] for z in columns]))
     slow = np.cos(np.pi * np.arange(4)[:, None] * np.arange(n) / n)  # the zero wanders
-    hum = [part(2.0 * np.pi * k * hz * time_s) for hz in MAINS_HZ for k in (1, 3, 5) for part in (np.cos, np.sin)]
+    hum = [part(2.0 * np.pi * line * time_s) for line in HUM_HZ for part in (np.cos, np.sin)]
     return np.concatenate([forces, bent, slow, hum]).T, len(forces)
 
 

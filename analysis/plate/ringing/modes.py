@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
-from analysis.plate.ringing.in_blocks import LEAD_S, drive_regressors, over_noise, unmasked, volts_in_blocks
+from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, over_noise, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import TORN_S, ModeMotion, PushedPlate, answer, turn_of
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
@@ -170,13 +170,21 @@ class _Recorded:
         at = np.arange(len(self.known))
         return replace(self, known=self.known & ((at < first) | (at >= stop)))
 
-    def push(self, acceleration: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
-        """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it."""
+    def made(self, sizes: Floats) -> tuple[Floats, Floats]:
+        """What the regressors make with their sizes, and what of it is the mains' hum, (n,) each."""
+        of_mains = 2 * len(HUM_HZ)
+        return self.linear @ sizes, self.linear[:, -of_mains:] @ sizes[-of_mains:]
+
+    def push(self, acceleration: Floats, hum: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
+        """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it.
+
+        Whether the mains' ``hum`` shakes the plate, or only the accelerometer's cable, flights from rest show.
+        """
         # both ends fade: the plate is cut off there in full swing, as if it went somewhere
         weight, impulses = np.hanning(len(acceleration)), np.zeros(1) if impulses is None else impulses
-        zero = -np.average(acceleration + mass_ratio * impulses, weights=weight)
-        flights = (self.takeoff_s, self.landing_s)
-        return ball_push(acceleration + zero, self.block_s, *flights, self.gravity_mps2, mass_ratio)
+        felt = acceleration - np.average(acceleration + mass_ratio * impulses, weights=weight)
+        rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio)
+        return min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
 
     def settled(self, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.
@@ -188,13 +196,13 @@ class _Recorded:
         # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
         basis, upper = np.linalg.qr(self.linear[known])
 
-        def drive_part(seen: Floats) -> Floats:
-            return np.asarray(self.linear @ solve(upper, basis.T @ seen[known]))
+        def drive_part(seen: Floats) -> tuple[Floats, Floats]:
+            return self.made(solve(upper, basis.T @ seen[known]))
 
-        driven = drive_part(self.acceleration)
+        driven, hum = drive_part(self.acceleration)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, known)
         for rounds in range(ROUNDS):
-            push = self.push(acceleration, impulses, ratio)
+            push = self.push(acceleration, hum, impulses, ratio)
             impulses = push.impacts_mps2
             shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, : self.forces].T])
             seen = _Regression.of(acceleration, basis, shaken, known, self.block_s, begun)
@@ -202,7 +210,8 @@ class _Recorded:
             x = seen.searched() if found is None or again else seen.followed([found])
             sizes = seen.sizes(seen.columns(*np.exp(x)))
             mode = seen.answers(*np.exp(x)) @ sizes
-            acceleration = np.where(known, acceleration, drive_part(acceleration - mode) + mode - sizes[0] * impulses)
+            driven, hum = drive_part(acceleration - mode)
+            acceleration = np.where(known, acceleration, driven + mode - sizes[0] * impulses)
             settled = not again and found is not None and bool(np.max(np.abs(x - found)) < SETTLED)
             found, ratio = x, float(sizes[0])
             if settled:
@@ -214,7 +223,7 @@ class _Recorded:
         skipped, sizes = len(self.known) - len(seen.known), seen.sizes(seen.columns(*np.exp(x)))
         mode = seen.answers(*np.exp(x)) @ sizes
         left = (self.acceleration[skipped:] - mode)[seen.known]
-        driven = self.linear @ lstsq(self.linear[skipped:][seen.known], left)[0]
+        driven, hum = self.made(lstsq(self.linear[skipped:][seen.known], left)[0])
         last = len(seen.shaken)
         driven += sizes[1:last] @ answer(self.linear[:, : last - 1].T, self.block_s, *np.exp(x))
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
@@ -222,7 +231,7 @@ class _Recorded:
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
         rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), torn_s)
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
-            plate = PushedPlate(self.push(acceleration, impulses, known[2]), *rest)
+            plate = PushedPlate(self.push(acceleration, hum, impulses, known[2]), *rest)
             acceleration = driven + plate.moved(*known).gained_mps() / self.block_s
             before, impulses = impulses, plate.push.impacts_mps2
             # what the ball's weight lacks in the mean would lift the plate, and every flight with it
