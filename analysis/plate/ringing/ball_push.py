@@ -32,7 +32,7 @@ class Push:
     impact_s: Floats  # of the impacts, in order, (m,)
     impulse_mps: Floats  # of the same, (m,)
     block_s: float  # length of a block
-    missed_mps: float  # median speed by which flights from rest miss the plate; infinite where they are too few
+    missed_mps: float = np.inf  # median speed by which flights from rest miss the plate; none where they are too few
 
     @property
     def impacts_mps2(self) -> Floats:

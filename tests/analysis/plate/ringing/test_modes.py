@@ -60,14 +60,14 @@ def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path])
     assert mode.remainder_mps2 < 0.5 * mode.before_mps2
 
 
-def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_few_in_ten_thousand(tmp_path: Path) -> None:
-    """Neither half a sample, nor where the recording ends, nor the first guess of the impacts is left in them."""
+@pytest.mark.parametrize("mains_v", [0.0, 0.005])
+def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_thousandth(tmp_path: Path, mains_v: float) -> None:
+    """Neither half a sample, nor the end of the recording, nor the first guess, nor hum on the cable is left in them."""
     restitution, ratio = 0.3, 0.25
     hidden = dict(_mode(5.0, 0.03, ratio)) | {"restitution.e0": restitution}
     gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.5, 2.6, 14), 4))
-    run = other_plant.Run(
-        hidden=hidden, seed=3, gammas=tuple(gammas.tolist()), instrument=Instrument(pulse=1.0), closure_s=5e-4
-    )
+    instrument = Instrument(pulse=1.0, mains_v=mains_v, mains_odd=0.5)
+    run = other_plant.Run(hidden=hidden, seed=3, gammas=tuple(gammas.tolist()), instrument=instrument, closure_s=5e-4)
     volts = other_plant.simulate(run)
     hit_s, speed_mps = volts["impacts"].T
     mode = _found(imported(volts, other_plant.profile_of(run), tmp_path))
@@ -75,7 +75,7 @@ def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_few_in_ten_thousan
     push = mode.pushed.push
     k = np.argmin(np.abs(hit_s - push.impact_s[:, None]), axis=1)
     found = push.impulse_mps / (-(1.0 + restitution) / (1.0 + ratio) * speed_mps[k])
-    assert float(np.median(found[speed_mps[k] > 0.1])) == pytest.approx(1.0, abs=5e-4)
+    assert float(np.median(np.abs(found[speed_mps[k] > 0.1] - 1.0))) < 1e-3
 
 
 @pytest.mark.parametrize(("table_kg", "damping"), [(20.0, 0.7), (5.0, 0.1)])
