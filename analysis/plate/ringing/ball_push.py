@@ -32,6 +32,7 @@ class Push:
     impact_s: Floats  # of the impacts, in order, (m,)
     impulse_mps: Floats  # of the same, (m,)
     block_s: float  # length of a block
+    rise_mps2: Floats | float = 0.0  # change of the contact's push over the length of each block, (n,)
     missed_mps: float = np.inf  # median speed by which flights from rest miss the plate; none where they are too few
 
     @property
@@ -116,7 +117,8 @@ def ball_push(
     # what changes at an impact is the speed over the plate, which recoils
     loaded = 1.0 + mass_ratio
     pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
-    return Push(pressed, landing_s, -impulse / loaded, block_s, missed_mps)
+    rise = -(1.0 - air) * once(edges_s[:-1] + 0.5 * block_s, 2) * block_s / loaded
+    return Push(pressed, landing_s, -impulse / loaded, block_s, rise, missed_mps)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

@@ -54,6 +54,7 @@ class PushedPlate:
     answer_mps2: Floats  # acceleration in each block less what the drive makes of it, (n,)
     known: Bools  # where no impact hides it, (n,)
     noise_mps2: float  # standard deviation of the answer without the mode
+    until_s: float = math.inf  # then the ball may have flown on, to after the end of the recording
     torn_s: tuple[float, ...] = ()  # begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there
 
     def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
@@ -86,7 +87,7 @@ class PushedPlate:
         """
         turn, time_s = motion.turn, motion.time_s
         slope = turn.real / turn.imag
-        left_mps2 = self.answer_mps2 - motion.gained_mps() / self.push.block_s
+        left_mps2 = self.answer_mps2 - motion.gained_mps / self.push.block_s
         middle_s = (np.flatnonzero(self.known) + 0.5) * self.push.block_s
         after = np.searchsorted(time_s, middle_s, side="right") - 1
         rate = turn * np.exp(turn * (middle_s - time_s[after])) * (motion.mass_ratio / self.noise_mps2)
@@ -152,6 +153,7 @@ class ModeMotion:
     def _speed(self, z: Complexes) -> Floats:
         return np.asarray(z.real + self.turn.real / self.turn.imag * z.imag)
 
+    @cached_property
     def gained_mps(self) -> Floats:
         """What the speed gains in each block but for the jumps of impacts, (n,): the integral of the acceleration."""
         edges_s = self.push.block_s * np.arange(len(self.pressed), dtype=np.float64)
@@ -159,6 +161,12 @@ class ModeMotion:
         jumps = np.append(0.0, np.cumsum(self._speed(self.kicks)))
         over = jumps[np.searchsorted(self.time_s, edges_s, side="right")]
         return np.asarray(self.mass_ratio * np.diff(self._speed(smooth) - over))
+
+    @cached_property
+    def rises_mps(self) -> Floats:
+        """By how much that gain changes over the length of each block, (n,)."""
+        pressed = self.push.block_s * self.mass_ratio * self.push.contact_mps2
+        return np.gradient(self.gained_mps - pressed) + self.push.block_s * self.mass_ratio * self.push.rise_mps2
 
 
 def without_ringing(step: StepPlate, motion: ModeMotion, rate_hz: float, noise_mps2: float) -> StepPlate:
@@ -175,7 +183,7 @@ def without_ringing(step: StepPlate, motion: ModeMotion, rate_hz: float, noise_m
     """
     fit, block_s = step.acceleration, motion.push.block_s
     first, last = (int(x / rate_hz / block_s) for x in (step.first_sample, step.last_sample))
-    mode = motion.gained_mps()[first:last] / block_s
+    mode = motion.gained_mps[first:last] / block_s
     if not len(mode) or fit.rms == 0.0:
         return step
     turns = 2.0 * np.pi * fit.frequencies_hz * (np.arange(len(mode))[:, None] * block_s)

@@ -63,8 +63,7 @@ class PlateMode:
     before_mps2: float  # the same without it
     gain_nats: float  # by how much the mode raises the likelihood, the remainder's correlation allowed for
     pushed: PushedPlate | None = None  # what the ball did to the plate, where the mode is sure
-    # where one mode does not suffice: the mode that answers what the first one leaves, roughly
-    second: PlateMode | None = None
+    second: PlateMode | None = None  # where one mode does not suffice: it answers what is left, roughly
 
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of frequency, damping and mass ratio."""
@@ -115,10 +114,8 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
     )  # fmt: skip
     skipped = max(len(acceleration) - round(MOST_S / block_s), 0)
     record, begun, found = replace(whole.last(skipped), forces=0), [0], None
-    if len(record.landing_s) < FEWEST_IMPACTS:
-        return None
     for _ in range(MOST_RESTARTS + 1):
-        if np.count_nonzero(record.known) < FEWEST_BLOCKS:
+        if len(record.landing_s) < FEWEST_IMPACTS or np.count_nonzero(record.known) < FEWEST_BLOCKS:
             return None
         try:
             seen, found = record.settled(begun, found)
@@ -172,8 +169,8 @@ class _Recorded:
 
     def made(self, sizes: Floats) -> tuple[Floats, Floats]:
         """What the regressors make with their sizes, and what of it is the mains' hum, (n,) each."""
-        of_mains = 2 * len(HUM_HZ)
-        return self.linear @ sizes, self.linear[:, -of_mains:] @ sizes[-of_mains:]
+        hum = np.s_[-2 * len(HUM_HZ) :]
+        return self.linear @ sizes, self.linear[:, hum] @ sizes[hum]
 
     def push(self, acceleration: Floats, hum: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
         """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it.
@@ -223,16 +220,18 @@ class _Recorded:
         skipped, sizes = len(self.known) - len(seen.known), seen.sizes(seen.columns(*np.exp(x)))
         mode = seen.answers(*np.exp(x)) @ sizes
         left = (self.acceleration[skipped:] - mode)[seen.known]
-        driven, hum = self.made(lstsq(self.linear[skipped:][seen.known], left)[0])
+        driven, hum = self.made(np.asarray(lstsq(self.linear[skipped:][seen.known], left)[0], dtype=np.float64))
         last = len(seen.shaken)
         driven += sizes[1:last] @ answer(self.linear[:, : last - 1].T, self.block_s, *np.exp(x))
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
-        known, impulses = (float(np.exp(x[0])), float(np.exp(x[1])), float(sizes[0])), None
+        known, impulses = (*(float(v) for v in np.exp(x)), float(sizes[0])), None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
-        rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), torn_s)
+        last_s, longest_s = float(self.landing_s[-1]), float(np.max(self.landing_s - self.takeoff_s))
+        until_s = last_s if len(self.known) * self.block_s < last_s + longest_s else math.inf
+        rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), until_s, torn_s)
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
             plate = PushedPlate(self.push(acceleration, hum, impulses, known[2]), *rest)
-            acceleration = driven + plate.moved(*known).gained_mps() / self.block_s
+            acceleration = driven + plate.moved(*known).gained_mps / self.block_s
             before, impulses = impulses, plate.push.impacts_mps2
             # what the ball's weight lacks in the mean would lift the plate, and every flight with it
             if before is not None and abs(float(np.mean(impulses - before))) < AGREED_MPS2:

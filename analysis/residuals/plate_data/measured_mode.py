@@ -45,7 +45,11 @@ class MeasuredMode:
             own = of == i
             opened, landed = seen.opening_s[own], seen.landing_s[own]
             state[own] = np.hstack([motion.state(opened), motion.state(landed, landings=True)])
-        projection, seconds = ringing.of_motions(motions, observations.steps.recording), ringing.intervals.seconds
+        # after the last landing nothing shows whether the ball flew on
+        until_s = np.array([x.until_s for x in observations.pushed])[of_step := observations.steps.recording]
+        followed = ringing.span_s[:, 1] <= until_s[ringing.intervals.step]
+        projection = np.where(followed[:, None], ringing.of_motions(motions, of_step), 0.0)
+        seconds = np.where(followed, ringing.intervals.seconds, 0.0)
         turning = np.exp(1j * motions[0].turn.imag * np.stack([seen.opening_s, seen.landing_s], axis=1))
         errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.pushed]
         amplitudes = ringing.of_tones(projection, seconds)

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.special import spherical_jn
 
 from analysis.plate.fit_mask import FitIntervals, signed_frequencies, solved
 from analysis.plate.ringing.mode_motion import ModeMotion
@@ -90,6 +91,30 @@ class IntervalSums:
         return np.concatenate([sums, np.conj(sums[:, 1:])], axis=1), part
 
 
+def projected(motion: ModeMotion, span_s: Floats, omega_radps: Floats) -> Complexes:
+    """Integrals of a mode's acceleration times ``exp(-i omega t)`` over intervals (r, 2), (r, k).
+
+    In each block it is linear. A block that an interval begins or ends in may hold an impact, or a bounce that is too
+    short to be seen: there it goes on as in the interval's next block.
+    """
+    block_s, gained, rises = motion.push.block_s, motion.gained_mps, motion.rises_mps
+    place = np.clip(span_s / block_s, 0.0, len(gained))
+    begin, end = int(place.min()), min(int(place.max()) + 1, len(gained))
+    own, rise = gained[begin:end, None], rises[begin:end, None]
+    half, middle_s = 0.5 * omega_radps * block_s, (np.arange(begin, end)[:, None] + 0.5) * block_s
+    turning = np.exp(-1j * omega_radps * middle_s)
+    level, tilt = np.sinc(half / np.pi) * turning, -0.5j * spherical_jn(1, half) * turning
+    so_far = np.concatenate([0.0 * turning[:1], np.cumsum(own * level + rise * tilt, axis=0)])
+    start, stop = (place - begin).T
+    first, last = np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64)
+    out, whole = so_far[last] - so_far[first], last > first
+    for inside, edge, part, side in ((first, first - 1, first - start, -0.5), (last - 1, last, stop - last, 0.5)):
+        edge = np.clip(edge, 0, len(own) - 1)
+        at, farther = np.where(whole, inside, edge), np.where(whole, side * (1.0 + part), 0.0)
+        out += part[:, None] * (own[at] + farther[:, None] * rise[at]) * level[edge]
+    return np.asarray(out)
+
+
 @dataclass(frozen=True)
 class Ringing:
     """Projection of a plate mode on the fitted tones; a `model.integrator.problem.ToneProbe`."""
@@ -126,25 +151,11 @@ class Ringing:
         return np.take_along_axis(2.0 * found, self.place, 1)
 
     def of_motions(self, motions: Sequence[ModeMotion], recording: Integers) -> Complexes:
-        """Projection (r, 1 + k) of a mode's motion in each recording, of steps ``recording`` (m,).
-
-        Blocks are far shorter than a period of the tones: in each the acceleration is its mean.
-        """
-        gained = [x.gained_mps() for x in motions]
+        """Projection (r, 1 + k) of a mode's motion in each recording, of steps ``recording`` (m,)."""
         out = np.zeros((len(self.span_s), self.omega_radps.shape[1]), dtype=np.complex128)
         for i in np.flatnonzero(np.diff(self.first)):
-            rows, own = slice(self.first[i], self.first[i + 1]), gained[recording[i]]
-            block_s = motions[recording[i]].push.block_s
-            place = np.clip(self.span_s[rows] / block_s, 0.0, len(own))
-            begin, end = int(place.min()), int(np.ceil(place.max()))
-            middle_s = (np.arange(begin, end) + 0.5) * block_s
-            turning = np.exp(-1j * self.omega_radps[i] * middle_s[:, None])
-            blurred = np.sinc(self.omega_radps[i] * block_s / (2.0 * np.pi)) * turning
-            so_far = np.concatenate([0.0 * turning[:1], np.cumsum(own[begin:end, None] * blurred, axis=0)])
-            whole = np.minimum(place.astype(np.int64) - begin, len(so_far) - 2)
-            part = (place - begin - whole)[..., None]
-            at = so_far[whole] * (1.0 - part) + so_far[whole + 1] * part
-            out[rows] = at[:, 1] - at[:, 0]
+            rows = slice(self.first[i], self.first[i + 1])
+            out[rows] = projected(motions[recording[i]], self.span_s[rows], self.omega_radps[i])
         return out
 
     # -- plate data ---------------------------------------------------------------------------------

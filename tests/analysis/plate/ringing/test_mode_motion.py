@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.plate.ringing.ball_push import Push
+from analysis.plate.ringing.ball_push import Push, ball_push
 from analysis.plate.ringing.mode_motion import KICK_MPS, KICK_PART, ModeMotion, PushedPlate
+from analysis.residuals.plate_data.plate_mode import projected
 
 HZ, DAMPING, RATIO, BLOCK_S = 6.0, 0.05, 0.1, 1e-3
 IMPACT_S, IMPULSE_MPS = np.array([0.1234, 0.2005, 0.3141]), np.array([-0.3, -0.2, -0.25])
@@ -74,7 +75,7 @@ def test_at_a_landing_the_contact_of_its_block_has_only_begun() -> None:
 def test_what_the_speed_gains_in_blocks_leaves_out_the_jumps_of_impacts(motion: ModeMotion) -> None:
     """All gains and all jumps together are the change of the speed."""
     ends = motion.state(np.array([0.0, 0.4]))[:, 1]
-    assert np.sum(motion.gained_mps()) == pytest.approx(ends[1] - ends[0] - RATIO * np.sum(IMPULSE_MPS), rel=1e-9)
+    assert np.sum(motion.gained_mps) == pytest.approx(ends[1] - ends[0] - RATIO * np.sum(IMPULSE_MPS), rel=1e-9)
 
 
 def test_kicks_are_corrected_by_the_acceleration_between_impacts(motion: ModeMotion) -> None:
@@ -84,7 +85,7 @@ def test_kicks_are_corrected_by_the_acceleration_between_impacts(motion: ModeMot
     at_s = np.linspace(0.33, 0.39, 50)
     errors = [
         np.sqrt(np.mean((plate.moved(HZ, DAMPING, RATIO).state(at_s) - motion.state(at_s))[:, 1] ** 2))
-        for plate in (_pushed(wrong), _pushed(wrong, motion.gained_mps() / BLOCK_S + noise))
+        for plate in (_pushed(wrong), _pushed(wrong, motion.gained_mps / BLOCK_S + noise))
     ]
     assert errors[1] < errors[0] / 3.0
 
@@ -92,7 +93,7 @@ def test_kicks_are_corrected_by_the_acceleration_between_impacts(motion: ModeMot
 def test_kicks_are_unknown_where_flights_were_missed(motion: ModeMotion) -> None:
     """An impact of which nothing is known: the motion is found again from the acceleration after it."""
     missed = np.array([-0.3, 0.0, -0.25])
-    plate = replace(_pushed(missed, motion.gained_mps() / BLOCK_S), torn_s=(0.15,))
+    plate = replace(_pushed(missed, motion.gained_mps / BLOCK_S), torn_s=(0.15,))
     at_s = np.array([0.25, 0.35])
     np.testing.assert_allclose(plate.moved(HZ, DAMPING, RATIO).state(at_s), motion.state(at_s), atol=3e-4)
     assert np.abs(_pushed(missed).moved(HZ, DAMPING, RATIO).state(at_s) - motion.state(at_s)).max() > 5e-3
@@ -108,8 +109,27 @@ def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
     wrong = np.hypot(KICK_MPS, KICK_PART * impulse) * rng.standard_normal(len(impact_s))
     blind = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=bool), noise_mps2)
     true = replace(blind, push=replace(push, impulse_mps=impulse + wrong)).moved(HZ, DAMPING, RATIO)
-    answer = true.gained_mps() / BLOCK_S + noise_mps2 * rng.standard_normal(n)
+    answer = true.gained_mps / BLOCK_S + noise_mps2 * rng.standard_normal(n)
     seen = replace(blind, answer_mps2=answer, known=np.ones(n, dtype=bool))
     at_s = np.arange(2.0, 38.0, 0.0137)
     error = (seen.moved(HZ, DAMPING, RATIO).state(at_s) - true.state(at_s)) * [2.0 * np.pi * HZ, 1.0]
     assert np.std(error) == pytest.approx(seen.error_mps(HZ, DAMPING, RATIO), rel=0.15)
+
+
+def test_a_modes_part_of_a_tone_is_right_though_the_contacts_push_changes_within_blocks() -> None:
+    """Over contacts of one to four blocks, as in blocks a twentieth as long."""
+    w = 2.0 * np.pi * 25.0
+    takeoff_s = np.arange(0.05, 0.35, 0.04) + 0.0003
+    landing_s = takeoff_s + 0.0335
+    ends_s = BLOCK_S * np.floor(takeoff_s[1:] / BLOCK_S)
+    spans_s = np.array([(b - k * BLOCK_S, b) for b in ends_s for k in (1, 2, 4)])
+    found = []
+    for block_s in (BLOCK_S, BLOCK_S / 20.0):
+        edges_s = np.arange(0.0, 0.4 + 0.5 * block_s, block_s)
+        acceleration = np.diff(15.0 / w * np.sin(w * edges_s)) / block_s
+        push = ball_push(acceleration, block_s, takeoff_s, landing_s, 9.80665)
+        n = len(acceleration)
+        motion = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=np.bool_), 0.1).moved(2.0, DAMPING, 0.2)
+        parts = projected(motion, spans_s, np.array([0.0, w, 3.0 * w]))
+        found.append(parts / parts[:, :1])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-3)

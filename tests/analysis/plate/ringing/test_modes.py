@@ -62,7 +62,7 @@ def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path])
 
 @pytest.mark.parametrize("mains_v", [0.0, 0.005])
 def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_thousandth(tmp_path: Path, mains_v: float) -> None:
-    """Neither half a sample, nor the end of the recording, nor the first guess, nor hum on the cable is left in them."""
+    """Neither half a sample, nor the end of the recording, nor a first guess, nor hum on the cable is left in them."""
     restitution, ratio = 0.3, 0.25
     hidden = dict(_mode(5.0, 0.03, ratio)) | {"restitution.e0": restitution}
     gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.5, 2.6, 14), 4))
