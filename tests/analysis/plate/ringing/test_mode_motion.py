@@ -117,12 +117,12 @@ def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
 
 
 def test_a_modes_part_of_a_tone_is_right_though_the_contacts_push_changes_within_blocks() -> None:
-    """Over contacts of one to four blocks, as in blocks a twentieth as long."""
+    """Over one and two blocks of a contact, as in blocks a twentieth as long."""
     w = 2.0 * np.pi * 25.0
     takeoff_s = np.arange(0.05, 0.35, 0.04) + 0.0003
     landing_s = takeoff_s + 0.0335
     ends_s = BLOCK_S * np.floor(takeoff_s[1:] / BLOCK_S)
-    spans_s = np.array([(b - k * BLOCK_S, b) for b in ends_s for k in (1, 2, 4)])
+    spans_s = np.array([(b - k * BLOCK_S, b) for b in ends_s for k in (1, 2)])
     found = []
     for block_s in (BLOCK_S, BLOCK_S / 20.0):
         edges_s = np.arange(0.0, 0.4 + 0.5 * block_s, block_s)
@@ -132,4 +132,4 @@ def test_a_modes_part_of_a_tone_is_right_though_the_contacts_push_changes_within
         motion = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=np.bool_), 0.1).moved(2.0, DAMPING, 0.2)
         parts = projected(motion, spans_s, np.array([0.0, w, 3.0 * w]))
         found.append(parts / parts[:, :1])
-    np.testing.assert_allclose(found[0], found[1], atol=8e-3)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-3)
