@@ -29,6 +29,7 @@ from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Detection, Measured, PlateSteps, active
 
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
+UNBOUNDED = 1e6  # reading over the plate's motion from which on none of it is the plate's
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,9 @@ class ForwardModel:
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
         if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
             z = z - loaded[:, None] * self.loading.tones_mps2
-        plate = replace(ev.steps.plate, acceleration_mps2=z / self.reading(values))
+        reading = self.reading(values)
+        # where the plate stands still whatever is read (mains in the cable), a mode's part is not its motion either
+        plate = replace(ev.steps.plate, acceleration_mps2=np.where(np.abs(reading) < UNBOUNDED, z / reading, 0.0))
         if (swings := self.modulation_at(values)) is not None:
             plate = swings[0].modulated(plate, *swings[1:])
         return plate, self.per_step(values, "gap_m")[step], *self.late_s(values)

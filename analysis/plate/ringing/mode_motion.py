@@ -18,7 +18,7 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import Push
 from kernels.arrays import Bools, Complexes, Floats
 
-KICK_MPS, KICK_PART = 3e-4, 1e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
+KICK_MPS, KICK_PART = 2.5e-4, 1e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
 UNKNOWN_MPS = 1.0  # where it was not followed before, or flights were missed
 TORN_S = 0.5  # length of such a piece
 LEFT = 0.05  # of the mode's power, which may be noise: where impacts are masked it is another one

@@ -35,7 +35,7 @@ from model.integrator.problem import PlateSteps
 LEAST = 1e-6  # least driven part of a tone
 SMALL = 1e-3  # relative change for which a load's contribution is taken as linear
 # relative uncertainty of the contribution: the impact template absorbs a part; more of it where flights tell the motion
-INEXACT, INEXACT_AS_MEASURED = 0.03, 0.01
+INEXACT, INEXACT_AS_MEASURED = 0.03, 0.003
 
 
 def driven(z: Complexes, mode_amplitudes: Complexes) -> Complexes:
@@ -165,26 +165,27 @@ class Ringing:
         """Contribution of a prediction's mode to each datum and its standard deviation, (r,) each."""
         if not np.any(p.mode_amplitudes):
             return np.zeros(len(data)), np.zeros(len(data))
-        return self._added(data, plate, p.mode_amplitudes, p.projection, p.observed_s, inexact)
+        return self._added(data, plate, (p.mode_amplitudes, p.projection, p.observed_s), inexact)
 
     def _added(
         self,
         data: PlateData,
         plate: PlateSteps,
-        mode_amplitudes: Complexes,
-        projection: Complexes,
-        observed_s: Floats,
+        mode: tuple[Complexes, Complexes, Floats],
         inexact: float,
+        *,
+        interferes: bool = True,
     ) -> tuple[Floats, Floats]:
-        out = np.zeros(len(data))
+        """Contribution of a motion with its amplitudes in the plate's tones, projections and seconds followed."""
+        out, (mode_amplitudes, projection, observed_s) = np.zeros(len(data)), mode
         contact_side, rest_side = self._of_places(projection, observed_s)
         found, step = self._solved(contact_side + rest_side), data.step
         out += np.where(data.kind == OFFSET, found[step, 0].real, 0.0)
         k = np.argmin(np.abs(self.omega_radps[step] - data.omega_radps[:, None]), axis=1)
-        size = 2.0 * np.abs(found[step, k])
-        out += np.where(np.isin(data.kind, (SECOND, THIRD)), (size / data.scale) ** 2, 0.0)
-        out += np.where(data.kind == HUM, size**2, 0.0)
-        sigma = inexact * np.abs(out) * np.where(data.kind == OFFSET, 1.0, 2.0)
+        power, inexact_power = self._powers(2.0 * found[step, k], (step, k) if interferes else None, inexact)
+        powers = np.where(data.kind == HUM, 1.0, np.where(np.isin(data.kind, (SECOND, THIRD)), data.scale**-2.0, 0.0))
+        out += powers * power
+        sigma = np.where(data.kind == OFFSET, inexact * np.abs(out), powers * inexact_power)
         rows = np.flatnonzero((data.kind == GAIN) | (data.kind == PHASE))
         j = np.argmin(np.abs(plate.omega_radps[step[rows]] - data.omega_radps[rows, None]), axis=1)
         z = plate.acceleration_mps2[step[rows], j]
@@ -201,6 +202,16 @@ class Ringing:
         out[rows], sigma[rows] = self._in_windows(found, projection, observed_s, inexact)
         return out, sigma
 
+    def _powers(self, mode: Complexes, at: tuple[Integers, Integers] | None, inexact: float) -> tuple[Floats, Floats]:
+        """By how much the mode raises the power of tones ``at`` step and place, and the standard deviation, (r,) each.
+
+        It interferes with what else such a tone is made of: with what is left of the tone as fitted, without it.
+        """
+        seen = np.zeros(len(mode)) if at is None else np.column_stack([0.0 * self.seen_mps2[:, 0], self.seen_mps2])[at]
+        left = np.where(seen == 0.0, 0.0, seen - mode)
+        power = np.where(seen == 0.0, np.abs(mode) ** 2, np.abs(seen) ** 2 - np.abs(left) ** 2)
+        return power, 2.0 * inexact * np.abs(mode) * np.maximum(np.abs(left), np.abs(mode))
+
     # -- a plate that the ball loads --------------------------------------------------------------------------------
     def loading(self, data: PlateData, plate: PlateSteps, gravity_mps2: float) -> Loading:
         """Contribution of a plate that accelerates by ``c (a_p + g)`` more in flight, a_p being that of contact.
@@ -210,7 +221,7 @@ class Ringing:
         """
         projection, observed_s = SMALL * self._lifted(gravity_mps2), self.intervals.seconds
         tones = self.of_tones(projection, observed_s) * (plate.acceleration_mps2 != 0.0)
-        added, _ = self._added(data, plate, tones, projection, observed_s, INEXACT)
+        added, _ = self._added(data, plate, (tones, projection, observed_s), INEXACT, interferes=False)
         power = np.where(np.isin(data.kind, (SECOND, THIRD, HUM)), 2.0, 1.0)
         return Loading(tones / SMALL, np.where(data.kind == GATE, 0.0, added / SMALL**power), power)
 

@@ -122,7 +122,7 @@ def test_tones_are_taken_back_to_the_plates_own(fly_ramp: Callable[..., ForwardM
 
 
 def test_a_mains_line_that_a_cable_picked_up_is_no_motion(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Beside mains in the cable the plate has no line at 50 Hz nor at 150 Hz, and every other tone as it was shown."""
+    """With mains in the cable the plate has no line at 50 Hz nor at 150 Hz, and every other tone as it was shown."""
     model = fly_ramp({}, 0)
     steps = model.observations.steps
     omega, shown = steps.plate.omega_radps.copy(), steps.plate.acceleration_mps2.copy()
@@ -130,7 +130,7 @@ def test_a_mains_line_that_a_cable_picked_up_is_no_motion(fly_ramp: Callable[...
     heard = replace(steps, plate=replace(steps.plate, omega_radps=omega, acceleration_mps2=shown))
     model = ForwardModel(replace(model.observations, steps=heard), {})
     moved = model.inputs({("mains_pickup", "amplitude_mps2"): 0.5}).plate.acceleration_mps2
-    assert np.abs(moved[:, -2:]).max() < 1e-6
+    assert not moved[:, -2:].any()  # not even a part of a mode is taken from them
     assert np.array_equal(moved[:, :-2], shown[:, :-2])
 
 

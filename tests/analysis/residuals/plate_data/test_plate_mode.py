@@ -37,9 +37,13 @@ def waves(hz: Floats) -> Floats:
     return np.column_stack([np.ones(len(t)), pairs])
 
 
-def said_of(rows: list[tuple[int, float]], *, part: float = 1.0) -> Floats:
-    """What the mode is said to add to data of (kind, multiple of the forcing); ``part`` of it has been followed."""
-    x = np.real(FORCED * np.exp(2j * np.pi * FORCING_HZ * t)) + ring
+def said_of(rows: list[tuple[int, float]], *, part: float = 1.0, second: complex = 0.0) -> Floats:
+    """What the mode is said to add to data of (kind, multiple of the forcing); ``part`` of it has been followed.
+
+    The plate has a ``second`` harmonic besides.
+    """
+    turns = np.exp(2j * np.pi * FORCING_HZ * t)
+    x = np.real(FORCED * turns + second * turns**2) + ring
     z = fitted(waves(TONES_HZ)[keep], x[keep])
     seen = (z[1::2] + 1j * z[2::2])[None]
     in_windows = window if rows[0][0] == MODULATION else np.full(POINTS, -1)
@@ -70,6 +74,15 @@ def test_masked_tones_and_offset_hold_what_least_squares_puts_there() -> None:
     assert said == pytest.approx(wanted, rel=2e-3, abs=1e-7)
     everywhere = fitted(waves(TONES_HZ), ring)
     assert abs(everywhere[0] - z[0]) > 0.1 * abs(z[0])  # the mask matters
+
+
+def test_a_ring_interferes_with_a_harmonic_that_is_there() -> None:
+    """What the ring adds to the harmonic's power is what is measured less what the harmonic has without the ring."""
+    second = 0.5 * np.exp(2.5j)
+    z = fitted(waves(TONES_HZ)[keep], ring[keep])
+    wanted = (abs(second + complex(z[3], z[4])) ** 2 - abs(second) ** 2) / 16.0**2
+    assert wanted < 0.0
+    assert said_of([(SECOND, 2.0)], second=second) == pytest.approx([wanted], rel=5e-3)
 
 
 def test_windows_swell_by_what_rings_in_them() -> None:
