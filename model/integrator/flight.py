@@ -316,27 +316,45 @@ def segment(
     return GOES_ON, s0 + s, h, v, opened
 
 
+@inlined
+def _kept(t: float, s: float, h: float, ways: tuple[float, float], plate: Plate, law: Law) -> float:
+    """What a standstill leaves of a change of velocity: the ratio of the accelerations after and before it.
+
+    A ball that is a little faster stands a little later, and friction turns round then.
+    """
+    free = pull(t, s, h, plate.tones, plate.mode, law.p, law.forced)
+    before, after = (free - way * dry_friction(h, 0.0, way, law.p) for way in ways)
+    return float(after / before) if before != 0.0 else 0.0
+
+
 @compiled
-def flight(t0: float, v0: float, plate: Plate, law: Law, gap: float, longest_s: float) -> tuple[float, float, float]:
+def flight(
+    t0: float, v0: float, plate: Plate, law: Law, gap: float, longest_s: float
+) -> tuple[float, float, float, float]:
     """From leaving the plate at t0 with relative velocity v0 to the impact.
 
-    Returns (duration, impact speed, time from take-off to opening); duration -1 when it does not land within
-    ``longest_s``.
+    Returns (duration, impact speed, time from take-off to opening, height gained at the end by each m/s of ``v0``);
+    duration -1 when it does not land within ``longest_s``. The gain is exact but for what forces and friction that are
+    not constant make of it.
     """
-    s, h, v, opened, direction = 0.0, 0.0, v0, -1.0, 1.0
+    s, h, v, opened, direction, reach, kept = 0.0, 0.0, v0, -1.0, 1.0, 0.0, 1.0
     for _ in range(200):
+        begun = s
         ended, s, h, v, o = segment(t0 + s, s, (h, v), direction, plate, law, gap, longest_s)
+        reach += kept * (s - begun)
         if opened < 0.0:
             opened = o
         if ended == LANDS:
-            return s, -v, opened
+            return s, -v, opened, reach
         if ended == GOES_ON:
             break
         # in mid-air: the take-off threshold belongs to a ball at height 0
-        stay, direction = wait(t0 + s, max(h, 1e-12), s, 0.0, plate, law)
+        before, h_above = direction, max(h, 1e-12)
+        stay, direction = wait(t0 + s, h_above, s, 0.0, plate, law)
         if direction == 0.0:
             break
+        kept = 0.0 if stay > 0.0 else kept * _kept(t0 + s, s, h_above, (before, direction), plate, law)
         s += stay
         if h <= 0.0 and direction < 0.0:
-            return s, 0.0, opened
-    return -1.0, 0.0, opened
+            return s, 0.0, opened, reach
+    return -1.0, 0.0, opened, reach

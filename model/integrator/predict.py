@@ -63,8 +63,11 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
 
 
 @compiled
-def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction) -> int:
-    """Write the prediction of an event from the landing before; return the weak impacts passed."""
+def _predict(
+    event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction
+) -> tuple[int, float]:
+    """Write the prediction of an event from the landing before; return the weak impacts passed, and the first flight's
+    ``reach``."""
     # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
     own = Visibility(event.gap_m, shortest, seen.closure_s)
@@ -79,14 +82,15 @@ def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility,
         )
     out.takeoff_s, out.launch, out.landing_s, out.impact = found.takeoff, found.launch, land, hit
     out.opening_s, out.hidden, out.kind = found.opening, found.hidden, found.kind
-    return passed
+    return passed, found.reach
 
 
 @inlined
 def _measured(
-    event: Event, period: float, last: Chain, bare: Plate, law: Law, passed: int, out: Prediction
+    event: Event, period: float, last: Chain, bare: Plate, law: Law, predicted: tuple[int, float], out: Prediction
 ) -> tuple[float, float, float, float, float]:
     """Start, launch velocity and impact speed of a measured flight itself, and the mode's state at the start."""
+    passed, reach = predicted
     opening, landing, bounces, p = event.opening, event.landing, event.bounces, law.p
     pressed = (event.pressed_mps if event.linked else np.nan, event.pressed_at)  # else it has acted
     direct, start, lasts, v0, hit = event.relaunched and event.linked, last.t, -1.0, 0.0, 0.0
@@ -98,14 +102,15 @@ def _measured(
     else:  # the state after the landing before is that of a ball which leaves it
         q, qd = event.q, event.qd
     if not (event.relaunched and bounces):
-        lasts, hit, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0, landing + 0.1 * period - start)
+        lasts, hit, _, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0, landing + 0.1 * period - start)
     # a flight from rest that lands farther from the measured landing is another one
     if lasts < 0.0 or abs(start + lasts - landing) > 0.1 * period:
         if direct:
             start, q, qd = last.t, last.q, last.qd
         # the prediction is a flight whose landing is known: a start for the secant
         near = out.launch if passed == 0 and out.kind == 1.0 and out.takeoff_s == start else -1.0
-        v0, hit = launch_of(start, landing, (near, out.landing_s), with_state(bare, q, qd), law)
+        later = reach / out.impact if near >= 0.0 and out.impact > 0.0 else 0.0
+        v0, hit = launch_of(start, landing, (near, out.landing_s, later), with_state(bare, q, qd), law)
     return start, v0, hit, q, qd
 
 
@@ -175,18 +180,18 @@ def one_ahead(
         tones, length = plate_of(event, steps, lengths)
         bare = Plate(tones, Mode(0.0, 0.0, om, ze))
         law = Law(p, length, forced, rubbed, turning)
-        passed, chained = 0, last.chained + 1
+        passed, reach, chained = 0, 0.0, last.chained + 1
         if not event.linked:
             chained = 0
             last = begin_chain(event, steps.period[m], last, bare, p, kick)
         elif (event.wanted or bounces) and (last.known or not bounces):
-            passed = _predict(event, last, bare, law, seen, predicted)
+            passed, reach = _predict(event, last, bare, law, seen, predicted)
         if not (needed or (bounces and event.wanted)):
             if not measured:
                 after_q, after_qd = last.q, last.qd
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
-        start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, passed, predicted)
+        start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, (passed, reach), predicted)
         several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < PASSABLE_S
         hit = _impact(event, v0, hit, several, ratio != 0.0 and not measured, predicted)
         predicted.launch_mps, predicted.impact_mps = v0, hit

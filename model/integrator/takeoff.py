@@ -87,20 +87,20 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
             break
         qt, qdt = mode_under_ball(t, off - t, plate, law.p)
         flying = with_state(plate, qt, qdt)
-        lasts, v_hit, opened = flight(off, v0, flying, law, seen.gap_m, np.inf)
+        lasts, v_hit, opened, reach = flight(off, v0, flying, law, seen.gap_m, np.inf)
         if lasts < 0.0:
             break
         if lasts > seen.unseen_s and not (lasts < PASSABLE_S and off + lasts < after):
             opens = off + max(opened, 0.0)
             if hidden > 0:
                 opens = max(opens, t + seen.closure_s)
-            return Flight(off, v0, off + lasts, v_hit, opens, hidden, kind, qt, qdt)
+            return Flight(off, v0, off + lasts, v_hit, opens, hidden, kind, qt, qdt, reach)
         dwell = 0.0 if kind == 1 else off - t + dwell
         t = off + lasts
         q, qd = strike(flying.mode, lasts, v_hit, law.p)
         plate = with_state(plate, q, qd)
         impact = v_hit
-    return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.mode.q, plate.mode.qd)
+    return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.mode.q, plate.mode.qd, 0.0)
 
 
 @inlined
@@ -132,7 +132,7 @@ def weak_rebounds(
         if kind == 1:
             # a longer flight ends at an impact that was seen, or farther from the target than the nearest one
             farthest = max(near, target) + max(RESOLVED_S, abs(near - target))
-            lasts, v_next, _ = flight(off, v0, plate, law, 0.0, seen.unseen_s if marked else farthest - off)
+            lasts, v_next, _, _ = flight(off, v0, plate, law, 0.0, seen.unseen_s if marked else farthest - off)
             if lasts < 0.0 or (marked and lasts > seen.unseen_s):
                 break
             q, qd = strike(plate.mode, lasts, v_next, law.p)
@@ -151,13 +151,16 @@ def weak_rebounds(
 
 
 @inlined
-def launch_of(t0: float, t1: float, near: tuple[float, float], plate: Plate, law: Law) -> tuple[float, float]:
+def launch_of(
+    t0: float, t1: float, near: tuple[float, float, float], plate: Plate, law: Law
+) -> tuple[float, float]:
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
-    Secant on the landing time from the drag-free answer, or from a flight that is known: ``near`` is its launch
-    velocity (-1: none) and landing. The drag-free answer itself where no flight lands at all: without forces and
-    friction it is exact, and only flown, as a ball cannot leave downwards, nor pass through the plate. The last flight
-    is flown: what is interpolated makes derivatives noisy.
+    Newton's method on the landing time from the drag-free answer, or from a flight that is known: ``near`` is its
+    launch velocity (-1: none), its landing, and by how much later each m/s more lands. What two flights show of that
+    corrects the next ones. The drag-free answer itself where no flight lands at all: without forces and friction it is
+    exact, and only flown, as a ball cannot leave downwards, nor pass through the plate. The last flight is flown: what
+    is interpolated makes derivatives noisy.
     """
     g, (tones, mode) = gravity(law.p), plate
     x0, vp0, _ = tones_at(t0, tones)
@@ -168,24 +171,25 @@ def launch_of(t0: float, t1: float, near: tuple[float, float], plate: Plate, law
     # free flight from plate to plate: h = 0 at both ends gives the launch speed
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts
     hit = -(v0 - g * lasts - (vp1 - vp0) - (rv1 - rv0))
-    known = near[0] >= 0.0 and (law.forced or law.rubbed)
-    va, fa = near[0], near[1] - t1
-    # on a still plate a flight lasts 2 v / g: the first step is by that
-    vb, flown_hit = max(va - 0.5 * g * fa, 0.0) if known else max(v0, 0.0), hit
+    known = near[0] >= 0.0 and near[2] > 0.0 and (law.forced or law.rubbed)
+    va, fa, slope_a = near[0], near[1] - t1, near[2]
+    vb, flown_hit, part = max(va - fa / slope_a if known else v0, 0.0), hit, 1.0
     for _ in range(6 if known else 7):
-        s, flown_hit, _ = flight(t0, vb, plate, law, 0.0, np.inf)
+        s, flown_hit, _, reach = flight(t0, vb, plate, law, 0.0, np.inf)
         if s < 0.0:
             return max(v0, 0.0), max(hit, 0.0)
         fb = s - lasts
         if abs(fb) < LANDS_WITHIN_S:
             break
-        slope = (fb - fa) / (vb - va) if known and vb != va else 2.0 / g
-        if slope <= 0.0:
+        slope = reach / flown_hit
+        if known and vb != va:
+            part = 2.0 * (fb - fa) / (vb - va) / (slope_a + slope)
+        if not (slope > 0.0 and part > 0.0):
             break
-        on = max(vb - fb / slope, 0.0)
+        on = max(vb - fb / (part * slope), 0.0)
         if on == vb:
             break
-        va, fa, vb, known = vb, fb, on, True
+        va, fa, slope_a, vb, known = vb, fb, slope, on, True
     return vb, flown_hit
 
 
