@@ -323,7 +323,10 @@ def _kept(t: float, s: float, h: float, ways: tuple[float, float], plate: Plate,
     A ball that is a little faster stands a little later, and friction turns round then.
     """
     free = pull(t, s, h, plate.tones, plate.mode, law.p, law.forced)
-    before, after = (free - way * dry_friction(h, 0.0, way, law.p) for way in ways)
+    before, after = (
+        free - ways[0] * dry_friction(h, 0.0, ways[0], law.p),
+        free - ways[1] * dry_friction(h, 0.0, ways[1], law.p),
+    )
     return float(after / before) if before != 0.0 else 0.0
 
 

@@ -63,9 +63,7 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
 
 
 @compiled
-def _predict(
-    event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction
-) -> tuple[int, float]:
+def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction) -> tuple[int, float]:
     """Write the prediction of an event from the landing before; return the weak impacts passed, and the first flight's
     ``reach``."""
     # the measured flight was seen, so no flight as long as it is passed over

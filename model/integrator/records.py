@@ -101,8 +101,8 @@ class Start(NamedTuple):
 class Flight(NamedTuple):
     """One flight that the instrument sees; ``kind`` 1 thrown or bounced at once, 0 after rest, -1 none.
 
-    ``hidden`` counts the flights passed over before it; ``(q, qd)`` is the mode's state at take-off; ``reach`` is by how
-    much higher it would end with each m/s more at the start, see `model.integrator.flight.flight`.
+    ``hidden`` counts the flights passed over before it; ``(q, qd)`` is the mode's state at take-off; ``reach`` is by
+    how much higher it would end with each m/s more at the start, see `model.integrator.flight.flight`.
     """
 
     takeoff: float

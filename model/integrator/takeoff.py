@@ -25,6 +25,8 @@ MOST_BOUNCES = 400
 MOST_RESTITUTION = 0.999
 PASSABLE_S = 2e-3  # shorter flights may have escaped the contact circuit
 LANDS_WITHIN_S = 1e-9  # of a flight that is asked for
+MOST_LAUNCHES = 24  # flown for one
+SAME_LAUNCH_MPS = 1e-6  # closer launches of which one lands early and one late pass the plate above and below it
 RESOLVED_S = 8e-5  # impacts closer together are one to the contact circuit: which one it was is no free choice
 
 
@@ -151,16 +153,15 @@ def weak_rebounds(
 
 
 @inlined
-def launch_of(
-    t0: float, t1: float, near: tuple[float, float, float], plate: Plate, law: Law
-) -> tuple[float, float]:
+def launch_of(t0: float, t1: float, near: tuple[float, float, float], plate: Plate, law: Law) -> tuple[float, float]:
     """Launch velocity and impact speed of a flight seen to leave at t0 and land at t1 (a two-point problem).
 
     Newton's method on the landing time from the drag-free answer, or from a flight that is known: ``near`` is its
     launch velocity (-1: none), its landing, and by how much later each m/s more lands. What two flights show of that
     corrects the next ones. The drag-free answer itself where no flight lands at all: without forces and friction it is
     exact, and only flown, as a ball cannot leave downwards, nor pass through the plate. The last flight is flown: what
-    is interpolated makes derivatives noisy.
+    is interpolated makes derivatives noisy. Where no launch lands at t1, because the plate comes near in between, it is
+    the slowest that passes it.
     """
     g, (tones, mode) = gravity(law.p), plate
     x0, vp0, _ = tones_at(t0, tones)
@@ -174,23 +175,29 @@ def launch_of(
     known = near[0] >= 0.0 and near[2] > 0.0 and (law.forced or law.rubbed)
     va, fa, slope_a = near[0], near[1] - t1, near[2]
     vb, flown_hit, part = max(va - fa / slope_a if known else v0, 0.0), hit, 1.0
-    for _ in range(6 if known else 7):
+    early, late, late_hit = 0.0, np.inf, hit
+    for _ in range(MOST_LAUNCHES):
         s, flown_hit, _, reach = flight(t0, vb, plate, law, 0.0, np.inf)
         if s < 0.0:
             return max(v0, 0.0), max(hit, 0.0)
         fb = s - lasts
-        if abs(fb) < LANDS_WITHIN_S:
+        if abs(fb) < LANDS_WITHIN_S or (vb == 0.0 and fb > 0.0):
+            return vb, flown_hit
+        if fb < 0.0:
+            early = vb
+        else:
+            late, late_hit = vb, flown_hit
+        if late - early < SAME_LAUNCH_MPS:
             break
-        slope = reach / flown_hit
+        slope = reach / flown_hit if flown_hit > 0.0 else np.inf
         if known and vb != va:
             part = 2.0 * (fb - fa) / (vb - va) / (slope_a + slope)
-        if not (slope > 0.0 and part > 0.0):
-            break
-        on = max(vb - fb / (part * slope), 0.0)
-        if on == vb:
-            break
+        # what spans the jump of a graze says nothing of the slope
+        on = vb - fb / (slope * (part if 0.5 < part < 2.0 else 1.0))
+        if not early < on < late:
+            on = 0.5 * (early + late) if late < np.inf else vb - 0.5 * g * fb
         va, fa, slope_a, vb, known = vb, fb, slope, on, True
-    return vb, flown_hit
+    return (late, late_hit) if late < np.inf else (vb, flown_hit)
 
 
 @inlined
