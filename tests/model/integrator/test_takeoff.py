@@ -35,9 +35,9 @@ def _rig(effects):
 def test_a_ball_leaves_upwards_and_lands_when_it_was_seen_to(excess_mps2, launch_mps, seconds):
     """A flight as long as one from 0.3 m/s has that launch; one too short for any launch is that of a ball at rest."""
     plate, law = _rig({"local_gravity": {"excess_mps2": excess_mps2}})
-    lasts, hit_mps, _ = flight(START_S, launch_mps or 0.0, plate, law, 0.0, np.inf)
+    lasts, hit_mps, *_ = flight(START_S, launch_mps or 0.0, plate, law, 0.0, np.inf)
     assert seconds is None or seconds < lasts
-    found_mps, found_hit = launch_of(START_S, START_S + (seconds or lasts), (-1.0, 0.0), plate, law)
+    found_mps, found_hit = launch_of(START_S, START_S + (seconds or lasts), (-1.0, 0.0, 0.0), plate, law)
     assert found_mps == pytest.approx(launch_mps or 0.0, abs=WITHIN_MPS)
     assert found_hit == pytest.approx(hit_mps, abs=WITHIN_MPS)
 
@@ -46,13 +46,39 @@ def test_a_ball_leaves_upwards_and_lands_when_it_was_seen_to(excess_mps2, launch
 def test_a_launch_under_friction_and_drag_is_found_from_any_flight_nearby(near_mps):
     """From a flight that is known, or from the drag-free answer, launch and impact are those of the flight."""
     plate, law = _rig({"coulomb_friction": {"mu_up": 0.1, "mu_down": 0.1}, "viscous_damping": {"rate_per_s": 0.5}})
-    lasts, hit_mps, _ = flight(START_S, 0.3, plate, law, 0.0, np.inf)
-    near = (-1.0, 0.0)
+    lasts, hit_mps, *_ = flight(START_S, 0.3, plate, law, 0.0, np.inf)
+    near = (-1.0, 0.0, 0.0)
     if near_mps is not None:
-        near = near_mps, START_S + flight(START_S, near_mps, plate, law, 0.0, np.inf)[0]
+        near_lasts, near_hit, _, reach = flight(START_S, near_mps, plate, law, 0.0, np.inf)
+        near = near_mps, START_S + near_lasts, reach / near_hit
     found_mps, found_hit = launch_of(START_S, START_S + lasts, near, plate, law)
     assert found_mps == pytest.approx(0.3, abs=WITHIN_MPS)
     assert found_hit == pytest.approx(hit_mps, abs=WITHIN_MPS)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.1, 1.0])
+def test_the_reach_of_a_flight_tells_how_much_later_a_faster_one_lands(mu):
+    """Under dry friction the ball turns a little later, or is held in mid-air, and both count."""
+    plate, law = _rig({"coulomb_friction": {"mu_up": mu, "mu_down": mu}})
+    (before, *_), (_, hit_mps, _, reach), (after, *_) = (
+        flight(START_S, 0.3 + d, plate, law, 0.0, np.inf) for d in (-1e-5, 0.0, 1e-5)
+    )
+    assert reach / hit_mps == pytest.approx((after - before) / 2e-5, rel=1e-3)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.02])
+def test_where_no_launch_lands_in_time_the_slowest_that_passes_the_plate_is_found(mu):
+    """The plate comes near in mid-flight: slower balls land on it there, faster ones much later than asked for."""
+    plate, law = _rig({"coulomb_friction": {"mu_up": mu, "mu_down": mu}})
+    start_s, launches = 1.6 * PERIOD_S, np.linspace(0.2, 0.5, 101)
+    lasts = np.array([flight(start_s, v, plate, law, 0.0, np.inf)[0] for v in launches])
+    jump = int(np.argmax(np.diff(lasts)))
+    assert lasts[jump + 1] - lasts[jump] > 0.1 * PERIOD_S
+    wanted_s = 0.5 * (lasts[jump] + lasts[jump + 1])
+    found_mps, hit_mps = launch_of(start_s, start_s + wanted_s, (-1.0, 0.0, 0.0), plate, law)
+    assert launches[jump] < found_mps <= launches[jump + 1]
+    assert flight(start_s, found_mps, plate, law, 0.0, np.inf)[1] == hit_mps
+    assert flight(start_s, found_mps - 2e-6, plate, law, 0.0, np.inf)[0] < wanted_s
 
 
 def test_a_flight_is_flown_only_as_far_as_its_end_matters():
