@@ -16,7 +16,8 @@ LONGEST_PERIODS = 60.0
 MOST_SECANTS = 40
 GOES_ON, LANDS, STANDS = 0, 1, 2  # how a segment ends
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
-MOST_STEPS = 100  # of Newton's method: a grazing root is met by halves
+MOST_STEPS = 100  # of Halley's method: a grazing root is met by halves
+SMALL_STEP, SMALLEST_STEP = 1e-6, 1e-13  # of a step of the integration; of Halley's method the last, and near a graze
 Coefficients = tuple[float, float, float, float, float, float]
 State = tuple[float, float, float, float]
 
@@ -46,7 +47,7 @@ def hermite5(z: float, ends: StepEnds) -> tuple[float, float]:
 def crossing(level: float, lo: float, hi: float, ends: StepEnds) -> float:
     """Where in [lo, hi] the quintic crosses ``level``; its value minus level must differ in sign at the ends.
 
-    Newton's method from where the chord crosses it, by bisection wherever it would leave the bracket.
+    Halley's method from where the chord crosses it, by bisection wherever it would leave the bracket.
     """
     c0, c1, c2, c3, c4, c5 = _coefficients(ends)
     c0 -= level
@@ -72,20 +73,26 @@ def slowest(ends: StepEnds) -> float:
 
 @compiled
 def _root(polynomial: Coefficients, lo: float, hi: float, guess: float, positive: bool) -> float:
-    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Newton from a guess, or bisection."""
+    """The root of a quintic in [lo, hi], where it is ``positive`` at lo: Halley's method from a guess, or bisection."""
     c0, c1, c2, c3, c4, c5 = polynomial
     z = guess if lo < guess < hi else 0.5 * (lo + hi)
     for _ in range(MOST_STEPS):
         f = c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * c5))))
         slope = c1 + z * (2.0 * c2 + z * (3.0 * c3 + z * (4.0 * c4 + z * 5.0 * c5)))
+        half_bend = c2 + z * (3.0 * c3 + z * (6.0 * c4 + z * 10.0 * c5))
         if (f > 0.0) == positive:
             lo = z
         else:
             hi = z
-        on = z - f / slope if slope != 0.0 else lo
+        bent = f * half_bend
+        below = slope * slope - bent
+        on = z - f * slope / below if below != 0.0 else lo
+        length = SMALLEST_STEP
         if not lo < on < hi:
             on = 0.5 * (lo + hi)
-        if abs(on - z) < 1e-13:
+        elif abs(bent) < 0.1 * below:  # the error of a step is as the cube of its length
+            length = SMALL_STEP
+        if abs(on - z) < length:
             return on
         z = on
     return z
