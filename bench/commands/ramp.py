@@ -77,10 +77,10 @@ def command(
     with Onlookers(out.parent, page, watch=watch) as onlookers, onlookers.of_run(checked, text) as onlooker:
         summary = record(checked, text, backend, out, note=readable(note), extra=extra, quiet=json == "-" or watch,
                          paced=real_time or watched, onlooker=onlooker, hold=hold)  # fmt: skip
-    _report(summary, backend, out, json)
+    _report(summary, backend, out, json, None if checked.stake is None else profile)
 
 
-def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None) -> None:
+def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None, stake: str | None) -> None:
     """Write the summary of a run for a machine, or print it in a sentence; exit 1 where it is not complete."""
     about = {"recording": out if summary.n_samples else None, "backend": backend.name, "simulated": backend.simulated}
     if write_json(about | asdict(summary), json):
@@ -95,6 +95,6 @@ def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None) 
             if summary.let_go:
                 typer.echo(f"the ball was not held to the end: {summary.let_go}")
             if summary.steps_driven:
-                typer.echo(next_command(out))
+                typer.echo(next_command(out, stake))
     if summary.how != "complete":
         fail(f"{summary.how}: {summary.why}")

@@ -92,13 +92,12 @@ CYCLES = (
 """Below every table of predicted motions."""
 
 
-def next_command(recording: Path) -> str:
-    """The line after a command that made a recording: what to do with it."""
+def next_command(recording: Path, stake: str | Path | None = None) -> str:
+    """The line after a command that made a recording: what to do with it; ``stake`` is the profile of a staked run."""
     import shlex
 
-    return (
-        f"next: bench close-loop {shlex.quote(str(recording))}   (bench compare: step by step; bench report: one page)"
-    )
+    judge = "bench close-loop" if stake is None else f"bench stake {shlex.quote(str(stake))}"
+    return f"next: {judge} {shlex.quote(str(recording))}   (bench compare: step by step; bench report: one page)"
 
 
 def new_table(*headings: str, words: Collection[str] = (), title: str | None = None) -> Table:

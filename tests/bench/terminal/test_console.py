@@ -232,8 +232,9 @@ def test_help_by_its_short_name() -> None:
 
 
 def test_the_next_command_has_the_files_name_as_a_shell_takes_it() -> None:
-    """A name with a blank is quoted."""
+    """A name with a blank is quoted; of a staked run it is the command that holds it against its stake."""
     assert "bench close-loop 'my run.h5' " in next_command(Path("my run.h5"))
+    assert "bench stake 'my stake.toml' next.h5 " in next_command(Path("next.h5"), "my stake.toml")
 
 
 @pytest.mark.parametrize(("said", "threads"), [(None, "1"), ("2", "2")])
