@@ -253,8 +253,10 @@ def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedL
     """
     best = fitted.selection.best
     found, notes = None, loop.notes
-    # no term of the ball's motion changes take-offs alone
-    if loop.verdict == "unexplained" and not loop.remainder.only_takeoffs_fail(loop.limits):
+    left = loop.remainder
+    # no term of the ball's motion changes take-offs alone, nor the plate, nor single landings that are lost
+    noise = left.flights_pass(loop.limits) or left.only_takeoffs_fail(loop.limits)
+    if loop.verdict == "unexplained" and not noise:
         try:
             found = discover(fitted.model, best.fitter, best, loop.limits)
         except NotFiniteError as error:

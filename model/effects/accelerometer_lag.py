@@ -38,7 +38,13 @@ EFFECT = Effect(
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
         Parameter(
-            "impact_s", "s", -1e-4, 5e-3, 1e-5, calibration=1e-3, meaning="impact to its mark, where no edge tells it"
+            "impact_s",
+            "s",
+            -5e-3,
+            5e-3,
+            1e-5,
+            calibration=1e-3,
+            meaning="later an impact's mark than motion, where no edge tells it",
         ),
     ),
     variants=(("delay_s",), ("low_pass_s", "sharpness")),
@@ -49,8 +55,8 @@ EFFECT = Effect(
 
 
 def impact_delay_s(p: Mapping[str, float]) -> float:
-    """Delay of impacts that only the accelerometer shows."""
-    return p["impact_s"]
+    """Delay of impacts that only the accelerometer shows: that of slow motion, and what differs."""
+    return p["delay_s"] + p["low_pass_s"] + p["impact_s"]
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:

@@ -161,3 +161,23 @@ def test_impacts_heard_late_leave_the_residuals_they_would_have_in_time(fly_ramp
     np.testing.assert_allclose(found.opening_s, in_time.opening_s, atol=1e-9)
     assert model.is_idle(key)
     assert not late.is_idle(key)
+
+
+def test_a_late_accelerometer_shows_impacts_as_late_as_the_motion(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Where it alone shows landings, its lag moves take-offs from rest, and no landing against the plate."""
+    model, late_s = fly_ramp(FRICTION, 1), 2e-4
+    made, plate = model.observations, model.observations.steps.plate
+    heard = np.ones(len(made), dtype=bool)
+    left = made.measured.relaunched & np.append(False, heard[:-1])
+    shown = replace(
+        made.measured,
+        landing_s=made.measured.landing_s + late_s,
+        opening_s=made.measured.opening_s + late_s * left,
+    )
+    behind = plate.acceleration_mps2 * np.exp(-1j * plate.omega_radps * late_s)
+    steps = replace(made.steps, plate=replace(plate, acceleration_mps2=behind))
+    late = ForwardModel(replace(made, measured=shown, heard=heard, steps=steps), {})
+    in_time = model.residuals(FRICTION)
+    found = late.residuals({**FRICTION, ("accelerometer_lag", "delay_s"): late_s})
+    np.testing.assert_allclose(found.landing_s, in_time.landing_s, atol=1e-9)
+    np.testing.assert_allclose(found.opening_s, in_time.opening_s, atol=1e-9)
