@@ -136,9 +136,11 @@ class Fitter:
             else:
                 state.fill(bare, x, raw, (j,))
         damping = 1e-3
+        # what was identified hardly moves in its prior: its slopes, which cost most, stay those of the start
+        moving = [j for j, key in enumerate(free) if key not in self.identified]
         for i in range(12):
             if i > 0:
-                state.fill(bare, x, raw, range(len(free)))
+                state.fill(bare, x, raw, moving)
             normal, gradient = state.normal(bare, raw, x, state.mask)
             gained = 0.0
             for _ in range(6):

@@ -7,7 +7,7 @@ offset, modulation or mass loading follows from the normal equations over the un
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
 
@@ -91,28 +91,41 @@ class IntervalSums:
         return np.concatenate([sums, np.conj(sums[:, 1:])], axis=1), part
 
 
-def projected(motion: ModeMotion, span_s: Floats, omega_radps: Floats) -> Complexes:
-    """Integrals of a mode's acceleration times ``exp(-i omega t)`` over intervals (r, 2), (r, k).
+@dataclass(frozen=True)
+class BlockIntegrals:
+    """Integrals of an acceleration times ``exp(-i omega t)`` over intervals (r, 2), from its integrals over blocks.
 
     In each block it is linear. A block that an interval begins or ends in may hold an impact, or a bounce that is too
     short to be seen: there it goes on as in the interval's next block.
     """
-    block_s, gained, rises = motion.push.block_s, motion.gained_mps, motion.rises_mps
-    place = np.clip(span_s / block_s, 0.0, len(gained))
-    begin, end = int(place.min()), min(int(place.max()) + 1, len(gained))
-    own, rise = gained[begin:end, None], rises[begin:end, None]
-    half, middle_s = 0.5 * omega_radps * block_s, (np.arange(begin, end)[:, None] + 0.5) * block_s
-    turning = np.exp(-1j * omega_radps * middle_s)
-    level, tilt = np.sinc(half / np.pi) * turning, -0.5j * spherical_jn(1, half) * turning
-    so_far = np.concatenate([0.0 * turning[:1], np.cumsum(own * level + rise * tilt, axis=0)])
-    start, stop = (place - begin).T
-    first, last = np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64)
-    out, whole = so_far[last] - so_far[first], last > first
-    for inside, edge, part, side in ((first, first - 1, first - start, -0.5), (last - 1, last, stop - last, 0.5)):
-        edge = np.clip(edge, 0, len(own) - 1)
-        at, farther = np.where(whole, inside, edge), np.where(whole, side * (1.0 + part), 0.0)
-        out += part[:, None] * (own[at] + farther[:, None] * rise[at]) * level[edge]
-    return np.asarray(out)
+
+    begin: int  # the first block of all
+    place: Floats  # begin and end of each interval from there, in blocks, (2, r)
+    level: Complexes  # integral of the exponential over each block, over the block's length, (n, k)
+    tilt: Complexes  # of the exponential times the distance from the block's middle, (n, k)
+
+    @classmethod
+    def of(cls, span_s: Floats, block_s: float, omega_radps: Floats, n: int) -> Self:
+        """For intervals ``span_s`` (r, 2), tones (k,), and so many blocks in all."""
+        place = np.clip(span_s.T / block_s, 0.0, n)
+        begin, end = int(place.min()), min(int(place.max()) + 1, n)
+        middle_s, half = (np.arange(begin, end)[:, None] + 0.5) * block_s, 0.5 * omega_radps * block_s
+        turning = np.exp(-1j * omega_radps * middle_s)
+        return cls(begin, place - begin, np.sinc(half / np.pi) * turning, -0.5j * spherical_jn(1, half) * turning)
+
+    def of_motion(self, motion: ModeMotion) -> Complexes:
+        """Of a mode's acceleration, (r, k)."""
+        rows = slice(self.begin, self.begin + len(self.level))
+        own, rise = motion.gained_mps[rows, None], motion.rises_mps[rows, None]
+        so_far = np.concatenate([0.0 * self.level[:1], np.cumsum(own * self.level + rise * self.tilt, axis=0)])
+        start, stop = self.place
+        first, last = np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64)
+        out, whole = so_far[last] - so_far[first], last > first
+        for inside, edge, part, side in ((first, first - 1, first - start, -0.5), (last - 1, last, stop - last, 0.5)):
+            edge = np.clip(edge, 0, len(own) - 1)
+            at, farther = np.where(whole, inside, edge), np.where(whole, side * (1.0 + part), 0.0)
+            out += part[:, None] * (own[at] + farther[:, None] * rise[at]) * self.level[edge]
+        return np.asarray(out)
 
 
 @dataclass(frozen=True)
@@ -125,6 +138,7 @@ class Ringing:
     seen_mps2: Complexes  # the tones as fitted, (m, k); 0 where none was
     tones: Integers  # number of tones of the forcing, (m,)
     place: Integers  # index of the fitted tone that is each tone of the plate, (m, j)
+    integrals: dict[int, BlockIntegrals] = field(default_factory=dict, repr=False, compare=False)  # by step, as asked
 
     @classmethod
     def of(cls, measured: AmplitudeModulation, plate: PlateSteps) -> Self:
@@ -154,8 +168,11 @@ class Ringing:
         """Projection (r, 1 + k) of a mode's motion in each recording, of steps ``recording`` (m,)."""
         out = np.zeros((len(self.span_s), self.omega_radps.shape[1]), dtype=np.complex128)
         for i in np.flatnonzero(np.diff(self.first)):
-            rows = slice(self.first[i], self.first[i + 1])
-            out[rows] = projected(motions[recording[i]], self.span_s[rows], self.omega_radps[i])
+            rows, motion = slice(self.first[i], self.first[i + 1]), motions[recording[i]]
+            block_s, n = motion.push.block_s, len(motion.gained_mps)
+            if i not in self.integrals:
+                self.integrals[int(i)] = BlockIntegrals.of(self.span_s[rows], block_s, self.omega_radps[i], n)
+            out[rows] = self.integrals[int(i)].of_motion(motion)
         return out
 
     # -- plate data ---------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from analysis.plate.ringing.ball_push import Push, ball_push
 from analysis.plate.ringing.mode_motion import KICK_MPS, KICK_PART, ModeMotion, PushedPlate
-from analysis.residuals.plate_data.plate_mode import projected
+from analysis.residuals.plate_data.plate_mode import BlockIntegrals
 
 HZ, DAMPING, RATIO, BLOCK_S = 6.0, 0.05, 0.1, 1e-3
 IMPACT_S, IMPULSE_MPS = np.array([0.1234, 0.2005, 0.3141]), np.array([-0.3, -0.2, -0.25])
@@ -130,6 +130,6 @@ def test_a_modes_part_of_a_tone_is_right_though_the_contacts_push_changes_within
         push = ball_push(acceleration, block_s, takeoff_s, landing_s, 9.80665)
         n = len(acceleration)
         motion = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=np.bool_), 0.1).moved(2.0, DAMPING, 0.2)
-        parts = projected(motion, spans_s, np.array([0.0, w, 3.0 * w]))
+        parts = BlockIntegrals.of(spans_s, block_s, np.array([0.0, w, 3.0 * w]), n).of_motion(motion)
         found.append(parts / parts[:, :1])
     np.testing.assert_allclose(found[0], found[1], atol=1e-3)
