@@ -31,7 +31,10 @@ def njit(**options: Any) -> Callable[[Function], Any]:
 
     Returns the decorator, which gives a `Kernel`; with ``NUMBA_DISABLE_JIT`` set, the function as it is.
 
-    Options as of `numba.njit`; ``cache`` has no effect: it is always on.
+    Parameters
+    ----------
+    **options
+        As `numba.njit` takes them; ``cache`` has no effect: it is always on.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return lambda function: function
