@@ -29,9 +29,10 @@ class Push:
     """Push on the plate for a ball of unit mass, upwards."""
 
     contact_mps2: Floats  # of the ball that lies on it, mean in each block, (n,)
-    impact_s: Floats  # of the impacts, in order, (m,)
+    impact_s: Floats  # of the impacts as the accelerometer shows them, in order, (m,)
     impulse_mps: Floats  # of the same, (m,)
     block_s: float  # length of a block
+    late_s: float = 0.0  # by so much the accelerometer shows what happens too late
     rise_mps2: Floats | float = 0.0  # change of the contact's push over the length of each block, (n,)
     missed_mps: float = np.inf  # median speed by which flights from rest miss the plate; none where they are too few
 
@@ -59,33 +60,29 @@ def filled_after_impacts(acceleration_mps2: Floats, known: Bools) -> Floats:
 
 
 def ball_push(
-    acceleration_mps2: Floats,
-    block_s: float,
-    takeoff_s: Floats,
-    landing_s: Floats,
-    gravity_mps2: float,
-    mass_ratio: float = 0.0,
-) -> Push:
+    acceleration_mps2: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats, gravity_mps2: float,
+    mass_ratio: float = 0.0, late_s: float = 0.0,
+) -> Push:  # fmt: skip
     """What the ball does to the plate while it lies on it, and at each landing.
 
     Parameters
     ----------
-    acceleration_mps2
-        Of the plate, block means (n,).
-    block_s
-        Length of a block.
+    acceleration_mps2, block_s
+        Of the plate, means (n,) of blocks of that length.
     takeoff_s, landing_s
         Of the flights (m,), in order.
     gravity_mps2
         Of the place.
     mass_ratio
         Of the ball and what moves under it: with the ball on it the plate accelerates by so much less.
+    late_s
+        By so much the accelerometer is late, as far as that is known.
     """
     n, felt = len(acceleration_mps2), gravity_mps2 + acceleration_mps2
     edges_s = np.arange(n + 1) * block_s
-    rested = np.append(np.inf, takeoff_s[1:] - landing_s[:-1])
-    bounced = rested < SHORTEST_REST_S
+    bounced, landed_s = np.append(np.inf, takeoff_s[1:] - landing_s[:-1]) < SHORTEST_REST_S, landing_s
     takeoff_s = np.where(bounced, np.roll(landing_s, 1), takeoff_s)  # a contact stays closed for longer than it touches
+    takeoff_s, landing_s = takeoff_s + late_s, landing_s + late_s
     length_s = landing_s - takeoff_s
     flight = np.clip(np.searchsorted(takeoff_s, edges_s, side="right") - 1, 0, len(takeoff_s) - 1)
     until_s = np.clip(edges_s, takeoff_s[flight], landing_s[flight])
@@ -107,10 +104,10 @@ def ball_push(
             ball_mps = free_mps - friction * slowed_mps
             rate = air * np.sum(ball_mps, axis=0) / np.maximum(np.sum(np.abs(ball_mps), axis=0), LEAST_SPREAD_MPS)
             slowed, slowed_back, slowed_mps = _over_flights(rate, block_s, takeoff_s, landing_s, inside)
-            friction, late_s = _missed(back[long], slowed_back[long], (gained / length_s)[long])
-        begun, ended_s = once(takeoff_s + late_s), landing_s + late_s
-        gained = once(ended_s) - begun + friction * slowed
-        back = (twice(ended_s) - twice(takeoff_s + late_s)) / length_s - begun + friction * slowed_back
+            friction, later_s = _missed(back[long], slowed_back[long], (gained / length_s)[long])
+        late_s, begun_s, ended_s = late_s + later_s, takeoff_s + later_s, landing_s + later_s
+        gained = once(ended_s) - once(begun_s) + friction * slowed
+        back = (twice(ended_s) - twice(begun_s)) / length_s - once(begun_s) + friction * slowed_back
         missed_mps = float(np.median(np.abs(back[long])))
     start = np.where(bounced, back, 0.0)
     impulse = gained - start + np.append(start[1:], 0.0)
@@ -118,7 +115,7 @@ def ball_push(
     loaded = 1.0 + mass_ratio
     pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
     rise = -(1.0 - air) * once(edges_s[:-1] + 0.5 * block_s, 2) * block_s / loaded
-    return Push(pressed, landing_s, -impulse / loaded, block_s, rise, missed_mps)
+    return Push(pressed, landed_s + late_s, -impulse / loaded, block_s, late_s, rise, missed_mps)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

@@ -131,10 +131,11 @@ class ModeMotion:
         return out
 
     def state(self, time_s: Floats, *, landings: bool = False) -> Floats:
-        """Displacement and speed (m, 2) at times (m,), just after an impact at one of them.
+        """Displacement and speed (m, 2) at times of the flights (m,), just after an impact at one of them.
 
         At ``landings`` the contact that their blocks show a part of has only begun.
         """
+        time_s = time_s + self.push.late_s
         block_s, n = self.push.block_s, len(self.push.contact_mps2)
         block = np.clip(np.floor(time_s / block_s).astype(np.int64), 0, n - 1)
         since = self.turn * (time_s - block * block_s)

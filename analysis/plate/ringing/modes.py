@@ -172,15 +172,16 @@ class _Recorded:
         hum = np.s_[-2 * len(HUM_HZ) :]
         return self.linear @ sizes, self.linear[:, hum] @ sizes[hum]
 
-    def push(self, acceleration: Floats, hum: Floats, impulses: Floats | None, mass_ratio: float) -> Push:
+    def push(self, acceleration: Floats, hum: Floats, before: Push | None, mass_ratio: float) -> Push:
         """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it.
 
         Whether the mains' ``hum`` shakes the plate, or only the accelerometer's cable, flights from rest show.
         """
         # both ends fade: the plate is cut off there in full swing, as if it went somewhere
-        weight, impulses = np.hanning(len(acceleration)), np.zeros(1) if impulses is None else impulses
-        felt = acceleration - np.average(acceleration + mass_ratio * impulses, weights=weight)
-        rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio)
+        weight, late_s = np.hanning(len(acceleration)), 0.0 if before is None else before.late_s
+        gained = 0.0 if before is None else mass_ratio * before.impacts_mps2
+        felt = acceleration - np.average(acceleration + gained, weights=weight)
+        rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio, late_s)
         return min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
 
     def settled(self, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats]:
@@ -189,7 +190,7 @@ class _Recorded:
         Where impacts hide the acceleration, the ball feels what the model says. The plate goes nowhere, so what it
         gains by impacts, which the acceleration between them lacks, is its mean.
         """
-        known, ratio, impulses, fresh = self.known, 0.0, None, found is None
+        known, ratio, push, fresh = self.known, 0.0, None, found is None
         # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
         basis, upper = np.linalg.qr(self.linear[known])
 
@@ -199,7 +200,7 @@ class _Recorded:
         driven, hum = drive_part(self.acceleration)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, known)
         for rounds in range(ROUNDS):
-            push = self.push(acceleration, hum, impulses, ratio)
+            push = self.push(acceleration, hum, push, ratio)
             impulses = push.impacts_mps2
             shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, : self.forces].T])
             seen = _Regression.of(acceleration, basis, shaken, known, self.block_s, begun)
@@ -224,18 +225,18 @@ class _Recorded:
         last = len(seen.shaken)
         driven += sizes[1:last] @ answer(self.linear[:, : last - 1].T, self.block_s, *np.exp(x))
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
-        known, impulses = (*(float(v) for v in np.exp(x)), float(sizes[0])), None
+        known, before = (*(float(v) for v in np.exp(x)), float(sizes[0])), None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
         last_s, longest_s = float(self.landing_s[-1]), float(np.max(self.landing_s - self.takeoff_s))
         until_s = last_s if len(self.known) * self.block_s < last_s + longest_s else math.inf
         rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), until_s, torn_s)
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
-            plate = PushedPlate(self.push(acceleration, hum, impulses, known[2]), *rest)
+            plate = PushedPlate(self.push(acceleration, hum, before, known[2]), *rest)
             acceleration = driven + plate.moved(*known).gained_mps / self.block_s
-            before, impulses = impulses, plate.push.impacts_mps2
             # what the ball's weight lacks in the mean would lift the plate, and every flight with it
-            if before is not None and abs(float(np.mean(impulses - before))) < AGREED_MPS2:
+            if before and abs(float(np.mean(plate.push.impacts_mps2 - before.impacts_mps2))) < AGREED_MPS2:
                 break
+            before = plate.push
         return plate
 
 
