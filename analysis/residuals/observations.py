@@ -187,8 +187,10 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     # openings that do not repeat jitter as the circuit's closings do
     opening_s = scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s)
     sharp = flights.edges.opening.tau_s == 0.0
-    delays = offset and contact_delays(
-        measured, scored & ~measured.relaunched, opening_s, steps.plate, setup.g_mps2.value, offset, sharp
+    # where the plate rings a ball leaves by more than the tones
+    exact = offset if mode is None else None
+    delays = exact and contact_delays(
+        measured, scored & ~measured.relaunched, opening_s, steps.plate, setup.g_mps2.value, exact, sharp
     )
     measured = delays.taken_off(measured, heard) if delays else measured
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)

@@ -112,3 +112,18 @@ def test_no_zero_of_the_accelerometer_is_needed_over_a_plate_as_it_moved(
     seen, missed_s = bounced
     near = np.isfinite(seen.measured.gained_mps) & seen.scored & np.isfinite(missed_s)
     assert near.sum() > 5 and np.median(np.abs(missed_s[near])) < 50e-6
+
+
+def test_take_offs_from_a_plate_that_rings_are_not_taken_for_a_late_contact(tmp_path: Path) -> None:
+    """A friction and a light mode move take-offs as a contact that opens 55 us late would."""
+    hidden = {"table_resonance.hz": 6.6, "table_resonance.damping": 0.075, "table_resonance.ratio": 0.02}
+    hidden["coulomb_friction.mu"] = 0.05
+    gammas = np.random.default_rng(5).permutation(np.round(np.linspace(0.5, 2.6, 18), 4))
+    run = other_plant.Run(
+        hidden=hidden, seed=5, gammas=tuple(gammas.tolist()), closure_s=1e-4, instrument=Instrument(), bits=16
+    )
+    path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)
+    with open_recording(path) as recording:
+        seen = observed(recording, flights_of(recording))
+    assert seen.mode is not None
+    assert not any("circuit opens" in note for note in seen.notes)
