@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.events.sensor_offset import SensorOffset
+from analysis.linear_algebra import pinv
 from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Floats, Integers
 from model.integrator.problem import Measured, PlateSteps
@@ -109,7 +110,7 @@ def _common(
         left = late_s[usual] - delay
         scatter = max(mad_sigma(left), 1e-9)
         weight = 1.0 / np.maximum(1.0, np.abs(left) / (2.0 * scatter))
-        covariance = np.linalg.pinv((shapes * weight[:, None]).T @ shapes)
+        covariance = pinv((shapes * weight[:, None]).T @ shapes)
         change = covariance @ (shapes.T @ (weight * left))
         delay, pull = delay + float(change[0]), pull + float(change[1])
     return delay, float(np.sqrt(covariance[0, 0])) * scatter, scatter

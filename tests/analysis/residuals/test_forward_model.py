@@ -176,7 +176,7 @@ def test_a_late_accelerometer_shows_impacts_as_late_as_the_motion(fly_ramp: Call
     )
     behind = plate.acceleration_mps2 * np.exp(-1j * plate.omega_radps * late_s)
     steps = replace(made.steps, plate=replace(plate, acceleration_mps2=behind))
-    late = ForwardModel(replace(made, measured=shown, heard=heard, steps=steps), {})
+    late = ForwardModel(replace(made, measured=shown, circuit=replace(made.circuit, heard=heard), steps=steps), {})
     in_time = model.residuals(FRICTION)
     found = late.residuals({**FRICTION, ("accelerometer_lag", "delay_s"): late_s})
     np.testing.assert_allclose(found.landing_s, in_time.landing_s, atol=1e-9)
