@@ -18,9 +18,8 @@ from kernels.arrays import Bools, Floats, Integers
 
 SHORTEST_REST_S = 1.2e-3  # after a shorter contact the ball left as it landed
 LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction and an accelerometer that is late
-USUAL = np.array(
-    [1.0, 1e-4]
-)  # friction (m/s^2) and lateness (s): which of both it is, flights of one length leave open
+# friction (m/s^2) and lateness (s), where flights of one length leave open which of both it is
+USUAL = np.array([1.0, 1e-4])
 LEAST_SPREAD_MPS = 1e-6  # of flights without noise
 
 

@@ -60,13 +60,15 @@ def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path])
     assert mode.remainder_mps2 < 0.5 * mode.before_mps2
 
 
-@pytest.mark.parametrize("mains_v", [0.0, 0.005])
-def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_thousandth(tmp_path: Path, mains_v: float) -> None:
+@pytest.mark.parametrize(("mains_v", "low_pass_hz"), [(0.0, 0.0), (0.005, 0.0), (0.0, 5e3)])
+def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_thousandth(
+    tmp_path: Path, mains_v: float, low_pass_hz: float
+) -> None:
     """Neither half a sample, nor the end of the recording, nor a first guess, nor hum on the cable is left in them."""
     restitution, ratio = 0.3, 0.25
     hidden = dict(_mode(5.0, 0.03, ratio)) | {"restitution.e0": restitution}
     gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.5, 2.6, 14), 4))
-    instrument = Instrument(pulse=1.0, mains_v=mains_v, mains_odd=0.5)
+    instrument = Instrument(pulse=1.0, mains_v=mains_v, mains_odd=0.5, low_pass_hz=low_pass_hz)
     run = other_plant.Run(hidden=hidden, seed=3, gammas=tuple(gammas.tolist()), instrument=instrument, closure_s=5e-4)
     volts = other_plant.simulate(run)
     hit_s, speed_mps = volts["impacts"].T
@@ -76,6 +78,8 @@ def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_thousandth(tmp_pat
     k = np.argmin(np.abs(hit_s - push.impact_s[:, None]), axis=1)
     found = push.impulse_mps / (-(1.0 + restitution) / (1.0 + ratio) * speed_mps[k])
     assert float(np.median(np.abs(found[speed_mps[k] > 0.1] - 1.0))) < 1e-3
+    assert push.late_s == pytest.approx(2**0.5 / (2.0 * np.pi * low_pass_hz) if low_pass_hz else 0.0, abs=1.5e-5)
+    assert mode.pushed.until_s == push.impact_s[-1] - push.late_s  # the ball may have flown on to the end
 
 
 @pytest.mark.parametrize(("table_kg", "damping"), [(20.0, 0.7), (5.0, 0.1)])
