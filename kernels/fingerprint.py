@@ -1,7 +1,7 @@
 """The hash of a kernel: its bytecode, its constants and options, and those of every kernel it calls.
 
 numba compiles the values of global names into the machine code, so they belong to the hash as the bytecode does. Files
-and line numbers do not: a comment or a moved function changes nothing.
+and line numbers do not: a comment, a docstring or a moved function changes nothing.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
+import re
+from collections.abc import Iterable
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 from kernels.lanes import Intrinsic
 
 Parts = list[object]
+_TEXT = re.compile(r'^[ \t]*("""[\s\S]*?"""|#[^\n]*)?[ \t]*\n|[ \t]+#[^\n]*$', re.MULTILINE)
 
 
 @functools.cache
@@ -32,6 +35,17 @@ def fingerprint_of_closure(function: FunctionType) -> str:
     parts: Parts = []
     _function(function, parts, {})
     return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def fingerprint_of_sources(sources: Iterable[str]) -> str:
+    """The hash of modules by their code: docstrings, comments and blank lines do not count."""
+    # by a pattern: parsing this package takes longer than most kernels run, in each process
+    return hashlib.sha256("".join(map(without_text, sources)).encode()).hexdigest()
+
+
+def without_text(source: str) -> str:
+    """A module's source without docstrings, comments and blank lines."""
+    return _TEXT.sub("", source)
 
 
 def _kernel(dispatcher: Any, parts: Parts, seen: dict[int, int]) -> None:
@@ -51,15 +65,17 @@ def _function(function: FunctionType, parts: Parts, seen: dict[int, int]) -> Non
     _value(function.__defaults__, parts, seen)
     for cell in function.__closure__ or ():
         _value(cell.cell_contents, parts, seen)
-    _code(function.__code__, function.__globals__, parts, seen)
+    _code(function.__code__, function.__globals__, parts, seen, function.__doc__)
 
 
-def _code(code: CodeType, names: dict[str, Any], parts: Parts, seen: dict[int, int]) -> None:
-    """Add bytecode, its constants, and the values of the global names it reads."""
+def _code(code: CodeType, names: dict[str, Any], parts: Parts, seen: dict[int, int], text: str | None = None) -> None:
+    """Add bytecode, its constants but for the docstring ``text``, and the values of the global names it reads."""
     parts.append(("code", code.co_code, code.co_names, code.co_varnames, code.co_argcount))
-    for constant in code.co_consts:
+    for i, constant in enumerate(code.co_consts):
         if isinstance(constant, CodeType):
             _code(constant, names, parts, seen)
+        elif i == 0 and constant == text:  # the docstring comes first; without one its place holds None
+            continue
         else:
             _value(constant, parts, seen)
     for value in (names[name] for name in code.co_names if name in names):

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from kernels import folder
-from kernels.fingerprint import fingerprint
+from kernels.fingerprint import fingerprint, fingerprint_of_sources
 from kernels.kernel import Function, Kernel, Kind, text
 
 DIGEST_BYTES = 32
@@ -73,8 +73,7 @@ def _machine() -> tuple[str, ...]:
     """The processor, and the hash of the sources that compile."""
     from llvmlite import binding
 
-    own = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        own.update(path.read_bytes())
+    paths = sorted(Path(__file__).parent.rglob("*.py"))
+    own = fingerprint_of_sources(path.read_text(encoding="utf-8") for path in paths)
     features = binding.get_host_cpu_features().flatten()
-    return binding.get_process_triple(), binding.get_host_cpu_name(), features, own.hexdigest()
+    return binding.get_process_triple(), binding.get_host_cpu_name(), features, own

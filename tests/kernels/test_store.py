@@ -3,20 +3,24 @@ is no obstacle."""
 
 from __future__ import annotations
 
+import ast
+import io
 import os
 import pickle
 import subprocess
 import sys
 import time
+import tokenize
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
 
 from kernels import folder, machine_code, njit, store
-from kernels.fingerprint import fingerprint
+from kernels.fingerprint import fingerprint, fingerprint_of_sources, without_text
 
 ROOT = Path(__file__).resolve().parents[2]
 CALLER = """
@@ -230,6 +234,33 @@ def test_the_hash_holds_constants_and_options_of_what_is_called() -> None:
     assert fingerprint(compiled_with(2.0, {})) == one
     assert fingerprint(compiled_with(2.0, {"fastmath": True})) != one
     assert fingerprint(compiled_with(2.5, {})) != one
+
+
+def test_docstrings_and_comments_do_not_count() -> None:
+    """A kernel with another docstring, or none, keeps its machine code; so do sources with other comments."""
+    found = []
+    for text in ('"""One."""', '"""Another."""', "# none"):
+        names: dict[str, Any] = {}
+        exec(f"def kernel(x):\n    {text}\n    return 2.0 * x\n", names)
+        found.append(fingerprint(njit()(names["kernel"])))
+    assert len(set(found)) == 1
+    plain = "def f(x):\n    return x\n"
+    worded = '"""A module."""\n\n# why\ndef f(x):  # so\n    """A text\n    of two lines."""\n\n    return x\n'
+    assert fingerprint_of_sources([plain]) == fingerprint_of_sources([worded])
+    assert fingerprint_of_sources([plain]) != fingerprint_of_sources([plain.replace("return x", "return -x")])
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "kernels").rglob("*.py")), ids=lambda path: path.name)
+def test_no_word_of_the_code_is_taken_for_text(path: Path) -> None:
+    """What the hash leaves out of the sources that compile are docstrings and comments, and nothing else."""
+    source = path.read_text(encoding="utf-8")
+
+    def words(text: str) -> list[str]:
+        return [each.string for each in tokenize.generate_tokens(io.StringIO(text).readline) if each.string.strip()]
+
+    texts = {ast.get_source_segment(source, node) for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Expr)}
+    is_code = (each for each in words(source) if not each.startswith("#") and not (each in texts and each[:3] == '"""'))
+    assert words(without_text(source)) == list(is_code)
 
 
 @pytest.fixture
