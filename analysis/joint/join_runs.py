@@ -26,11 +26,12 @@ from analysis.attribution.candidates import (
 )
 from analysis.joint.alignment import Aligned, aligned
 from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses, loss_of
-from analysis.joint.outcome import outcome_of
+from analysis.joint.outcome import days_since_first, parameters_over_runs, systematics_of
 from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own, fit_population
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
 from analysis.loop.close_loop import fit_loop
+from analysis.loop.verdicts import Verdict
 from analysis.residuals.observations import Observations
 from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import FROZEN, LEADING_P, Thresholds
@@ -41,6 +42,7 @@ from daq.recording.notebook import state_of
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
+from kernels.arrays import Floats
 from model.effects.registry import registry
 
 Progress = Callable[[str, float], None]
@@ -151,6 +153,11 @@ class _State:
         """Named effects, each once."""
         return tuple(dict.fromkeys(n for names in self.named for n in names))
 
+    @property
+    def days(self) -> tuple[Floats, bool]:
+        """Days from the first run to each, (R,), and whether they are known."""
+        return days_since_first([s.outcome.started for s in self.summaries])
+
 
 @dataclass
 class _Search:
@@ -198,10 +205,15 @@ class _Search:
         tried = tuple(
             Candidate(t.option.names, t.gain, t.held_out.gain, t.held_out.error, t.p, t.refusal) for t in first
         )
-        return outcome_of(
-            state.summaries, state.model, state.found, self.limits, self.declared,
-            names=state.names, ties=ties, candidates=tried, rounds=tuple(self.rounds), passes=self.passes.done,
-            detection=Candidates(state.model, state.found, self.limits).detection_limits(),
+        days, dated = state.days
+        runs = tuple(dataclasses.replace(s.outcome, days=float(t)) for s, t in zip(state.summaries, days, strict=True))
+        verdict: Verdict = "explained" if state.names else "nothing_missing"
+        return JointVerdict(
+            "unexplained" if any(run.failed for run in runs) else verdict, state.names, ties,
+            parameters_over_runs(state.model, state.found, days, self.limits, self.declared),
+            systematics_of(state.model, state.found), runs,
+            Candidates(state.model, state.found, self.limits).detection_limits(), tried, tuple(self.rounds),
+            self.passes.done, dated,
         )  # fmt: skip
 
     def _at(self, point: Point, named: tuple[tuple[str, ...], ...]) -> _State:
@@ -261,7 +273,13 @@ class _Search:
         for _ in range(4):
             q, shared = len(state.point.own), sorted(state.point.shared)
             values = {k: value_at(k, float(state.found.x[q + i])) for i, k in enumerate(shared)}
-            population = _population(state)
+            population: dict[ParameterId, Prior] = {}  # means and spreads of bent calibrations, in their own units
+            for key in state.point.bent:
+                i = state.point.own.index(key)
+                least = LEAST_SPREAD * float(state.model.width[i])
+                spread = max(float(state.found.spread[i]), least) * scale_of(key)
+                mean = value_at(key, float(state.found.x[i]))
+                population[key] = Prior(mean, float(spread ** parameter_of(key).power))
             here = {**state.point.shared, **{k: p.mean for k, p in state.point.population.items()}}
             there = {**values, **{k: p.mean for k, p in population.items()}}
             places = {k: i for i, (k, _) in enumerate(state.model.columns[: state.model.named])}
@@ -296,8 +314,8 @@ class _Search:
 
     def _own_where_they_differ(self, state: _State) -> _State:
         """Shared parameters that differ between runs become the runs' own, about a mean."""
-        differing = outcome_of(state.summaries, state.model, state.found, self.limits, self.declared).differing
-        keys = {(x.effect, x.parameter): x for x in differing if (x.effect, x.parameter) in state.point.shared}
+        every = parameters_over_runs(state.model, state.found, state.days[0], self.limits, self.declared)
+        keys = [key for x in every if x.differs and (key := (x.effect, x.parameter)) in state.point.shared]
         if not keys:
             return state
         priors = dict(state.point.priors)
@@ -310,16 +328,6 @@ class _Search:
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
         shared = {k: v for k, v in state.point.shared.items() if k not in keys}
         return self._at(Point(priors, shared, state.point.population), state.named)
-
-
-def _population(state: _State) -> dict[ParameterId, Prior]:
-    """Means and spreads of bent calibrations, in their own units."""
-    out = {}
-    for key in state.point.bent:
-        i = state.point.own.index(key)
-        spread = max(float(state.found.spread[i]), LEAST_SPREAD * float(state.model.width[i])) * scale_of(key)
-        out[key] = Prior(value_at(key, float(state.found.x[i])), float(spread ** parameter_of(key).power))
-    return out
 
 
 def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 
@@ -13,48 +12,41 @@ from analysis.attribution.candidates import Prior, coordinate_of, null_value_of,
 from analysis.joint.alignment import Aligned, width_of
 from analysis.joint.constancy import OneRun, constancy, one_run_alone
 from analysis.joint.population import Population, each_on_its_own
-from analysis.joint.result import JointVerdict, OverRuns, Systematic
-from analysis.joint.summary import RunSummary
+from analysis.joint.result import OverRuns, Systematic
 from analysis.joint.systematics import NAMES, PLACES, UNIT_S
-from analysis.loop.verdicts import Verdict
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
 from kernels.arrays import Floats
 
 
-def outcome_of(
-    summaries: Sequence[RunSummary],
-    model: Aligned,
-    found: Population,
-    limits: Thresholds,
-    declared: Mapping[ParameterId, Prior],
-    *,
-    names: tuple[str, ...] = (),
-    ties: tuple[tuple[str, ...], ...] = (),
-    **course: Any,
-) -> JointVerdict:
-    """The joint verdict.
+def parameters_over_runs(
+    model: Aligned, found: Population, days: Floats, limits: Thresholds, declared: Mapping[ParameterId, Prior]
+) -> tuple[OverRuns, ...]:
+    """Every parameter over the runs, named effects first.
 
-    Summaries, model and fit are of the last pass; ``declared`` are priors of calibrations before any run; ``course``
-    has ``detection``, ``candidates``, ``rounds`` and ``passes`` of the result.
+    Parameters
+    ----------
+    model, found
+        Of the last pass.
+    days
+        When each run began, (R,), as `days_since_first` has it.
+    declared
+        Priors of calibrations before any run.
     """
-    days, dated = days_since_first([s.outcome.started for s in summaries])
     columns = model.columns[: model.named - len(PLACES)]
     # Bonferroni's share: so many parameters are tested for constancy
     level = limits.best_of_all_p / max(len(columns), 1)
-    parameters = tuple(
-        _over_runs(model, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)
-    )
-    runs = tuple(replace(s.outcome, days=float(t)) for s, t in zip(summaries, days, strict=True))
+    every = [_over_runs(model, found, i, key, days, level, declared.get(key)) for i, (key, _) in enumerate(columns)]
+    return tuple(sorted(every, key=lambda x: x.kind != "effect"))
+
+
+def systematics_of(model: Aligned, found: Population) -> tuple[Systematic, ...]:
+    """The errors of the contact's edges that all runs share."""
     us = 1e6 * UNIT_S
-    shared = tuple(
+    return tuple(
         Systematic(name, us * float(found.x[i]), us * found.sigma(i), us * float(model.prior.precision[i] ** -0.5))
-        for i, name in enumerate(NAMES, start=len(columns))
+        for i, name in enumerate(NAMES, start=model.named - len(PLACES))
     )
-    of_the_search = {"detection": {}, "candidates": (), "rounds": (), "passes": 1, "dated": dated, **course}
-    verdict: Verdict = "unexplained" if any(r.failed for r in runs) else "explained" if names else "nothing_missing"
-    first = tuple(sorted(parameters, key=lambda x: x.kind != "effect"))
-    return JointVerdict(verdict, names, ties, first, shared, runs, **of_the_search)
 
 
 def _over_runs(

@@ -10,19 +10,18 @@ import datetime
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.flights.table import FlightFlag, Flights
-from analysis.loop.result import ClosedLoop
+from analysis.flights.table import FlightFlag
 from analysis.loop.verdicts import short_verdict
 from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
-from analysis.report.figures.measured import Measured, measured
+from analysis.report.figures.measured import Measured
 from analysis.report.gamma import GammaScale, gamma_scale
 from analysis.report.interactive import flight_columns, inline_figure
 from analysis.report.narrative import headline
@@ -48,66 +47,48 @@ SYMBOLS = {"gamma": "Γ", "gamma_peak": "Γ peak"}
 
 
 @dataclass(frozen=True)
-class Run:
-    """A recording with all that its section shows."""
-
-    recording: Recording  # open
-    state: VerifyReport  # what `daq.recording.verify.verify` found.
-    flights: Flights  # as assembled from the recording
-    loop: ClosedLoop | None  # None where the loop was not closed
-    without_loop: str = ""  # why it was not, in words
-
-
-@dataclass(frozen=True)
 class Section:
     """A finished section: its HTML, its row of the comparison, and the sentence at its top."""
 
     name: str
-    simulated: bool
     html: Markup
     row: tuple[str, ...]
-    verdict: str | None
     sentence: str
 
 
-@dataclass(frozen=True)
-class Notebook:
-    """Tags, and what was noted before, during and after the run; ``problem``: why it cannot be read."""
-
-    tags: tuple[str, ...] = ()
-    entries: list[tuple[str, str, str]] = field(default_factory=list)
-    problem: str = ""
-
-
-def section_of(run: Run, number: int, progress: Progress | None = None) -> Section:
+def section_of(
+    shown: Measured, found: VerifyReport, number: int, without_loop: str = "", progress: Progress | None = None
+) -> Section:
     """The section of one recording.
 
     Parameters
     ----------
-    run
+    shown
         The recording and what was made of it.
+    found
+        Its state.
     number
         Of the section, from 1; part of every name in it.
+    without_loop
+        Why the loop was not closed, in words.
     progress
         Called with what is being done and the fraction done.
     """
-    recording, loop = run.recording, run.loop
-    verdict = None if loop is None else loop.verdict
-    shown = measured(recording, run.flights, loop=loop)
-    scale = gamma_scale(recording.setup.forcing, run.flights.plate.ratio)
+    recording, flights, loop = shown.recording, shown.flights, shown.loop
+    scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
     simulated = bool(recording.attrs.get("simulated"))
-    sentence = headline(loop) if loop is not None else f"The loop was not closed: {run.without_loop}."
+    sentence = headline(loop) if loop is not None else f"The loop was not closed: {without_loop}."
     first, *more = re.split(r"(?<=[^. ]\.) (?=[A-Z])", sentence, maxsplit=1)
     html = fill(
         "section.html", number=number, recording=recording, simulated=simulated, closed=loop, scale=scale,
-        verdict=verdict, first_sentence=first, more=" ".join(more),
+        first_sentence=first, more=" ".join(more),
         drawn=_drawn(shown, number, progress or (lambda what, part: None)),
         source=source_words(recording.path.name, simulated=simulated),
         steps=step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
-        notebook=_notebook(recording), file=file_rows(recording, run.state), term_effect=None, level=4,
-        pointed=_flights_behind(shown, number, scale), by_hand=in_words(run.flights.edges.by_hand),
+        notebook=_notebook(recording), file=file_rows(recording, found), term_effect=None, level=4,
+        pointed=_flights_behind(shown, number, scale), by_hand=in_words(flights.edges.by_hand),
     )  # fmt: skip
-    return Section(recording.path.name, simulated, html, _summary(run, shown, scale), verdict, sentence)
+    return Section(recording.path.name, html, _summary(shown, found, scale), sentence)
 
 
 def _drawn(shown: Measured, number: int, say: Progress) -> list[Drawn]:
@@ -129,17 +110,17 @@ def _drawn(shown: Measured, number: int, say: Progress) -> list[Drawn]:
     return out
 
 
-def _notebook(recording: Recording) -> Notebook:
-    """The notebook of a recording."""
+def _notebook(recording: Recording) -> dict[str, Any]:
+    """Tags, and what was noted before, during and after the run; or the problem: why it cannot be read."""
     try:
         later = read_remarks(side_file(recording.path))
     except InputError as error:
-        return Notebook(problem=str(error))
+        return {"tags": (), "entries": [], "problem": str(error)}
     entries = [
         (one.at[:16].replace("T", " "), "" if one.at_s is None else f"{one.at_s:.2f} s", one.text)
         for one in notebook(header_of(recording, all_bytes=True), later)
     ]
-    return Notebook(later.tags, entries)
+    return {"tags": later.tags, "entries": entries, "problem": ""}
 
 
 def _flights_behind(shown: Measured, number: int, scale: GammaScale) -> dict[str, dict[str, Any]]:
@@ -171,13 +152,13 @@ COMPARED = (
 )  # fmt: skip
 
 
-def _summary(run: Run, shown: Measured, scale: GammaScale) -> tuple[str, ...]:
+def _summary(shown: Measured, found: VerifyReport, scale: GammaScale) -> tuple[str, ...]:
     """The row of the comparison."""
-    recording, loop, compared = run.recording, run.loop, shown.compared
-    gammas = [scale.factor * p.gamma for p in run.flights.plate.steps if p is not None]
-    found = measured = model = "-"
+    recording, loop, compared = shown.recording, shown.loop, shown.compared
+    gammas = [scale.factor * p.gamma for p in shown.flights.plate.steps if p is not None]
+    verdict = measured = model = "-"
     if loop is not None:
-        found = short_verdict(loop.verdict) + (
+        verdict = short_verdict(loop.verdict) + (
             f": {', '.join(plain(n) for n in loop.selection.names)}" if loop.selection.names else ""
         )
     if compared is not None and compared.first.measured is not None:
@@ -196,10 +177,10 @@ def _summary(run: Run, shown: Measured, scale: GammaScale) -> tuple[str, ...]:
         ", ".join(str(c) for c in sorted(set(recording.steps["ratio"].tolist()))) or str(recording.setup.forcing.ratio),
         f"{scale.name} {min(gammas):.3f} .. {max(gammas):.3f}" if gammas else "-",
         str(len(recording.steps)),
-        str(int((~run.flights.has(FlightFlag.FALSE)).sum())),
-        str(run.state.lost_samples),
-        run.state.state,
-        found,
+        str(int((~shown.flights.has(FlightFlag.FALSE)).sum())),
+        str(found.lost_samples),
+        found.state,
+        verdict,
         *us,
         measured,
         model,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from analysis.report.figures.loop import by_step
 from analysis.report.figures.measured import Measured
@@ -18,17 +17,8 @@ HEADS = (
 ERRORS = ("landing error before (us)", "after (us)")
 
 
-@dataclass(frozen=True)
-class StepTable:
-    """Headings and rows of the table, as texts; held-out steps have a star where ``held_out`` is true."""
-
-    heads: list[str]
-    rows: list[list[str]]
-    held_out: bool
-
-
-def step_table(shown: Measured, scale: GammaScale) -> StepTable | None:
-    """The table; errors are robust. None where no flight was seen."""
+def step_table(shown: Measured, scale: GammaScale) -> tuple[list[str], list[list[str]]] | None:
+    """Headings and rows, held-out steps with a star; errors are robust. None where no flight was seen."""
     loop = shown.loop
     if shown.compared is None:
         return None
@@ -54,4 +44,4 @@ def step_table(shown: Measured, scale: GammaScale) -> StepTable | None:
         ]
         rows.append([*cells, *(fixed(of_side.get(own.step, math.nan), 1) for of_side in errors)])
     heads = [head.replace("gamma", scale.name) for head in HEADS] + (list(ERRORS) if loop is not None else [])
-    return StepTable(heads, rows, bool(held))
+    return heads, rows

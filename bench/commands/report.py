@@ -38,27 +38,14 @@ def command(
         refuse_without_printer()
     refuse_repeated(recordings)
     say = speaker(json == "-")
-    found = report(recordings, with_loop=not no_loop, say=say, quiet=json == "-")
-    write_page([one.section for one in found], out)
+    sections, answers = report(recordings, with_loop=not no_loop, say=say, quiet=json == "-")
+    write_page(sections, out)
     if pdf is not None:
         try:
             print_pdf(out, pdf)
         except InputError as error:  # the page is there: a browser failed, the call was right
             fail(str(error))
-    answers = [
-        {
-            "recording": one.path,
-            "simulated": one.section.simulated,
-            "state": one.state,
-            "lost_samples": one.lost_samples,
-            "flights": one.flights,
-            "loop": one.loop,
-            "verdict": one.section.verdict,
-            "sentence": one.section.sentence,
-        }
-        for one in found
-    ]
     write_json({"file": out, "pdf": pdf, "runs": answers}, json)
-    for one in found:
-        say(f"{one.path.name}: {one.section.sentence}")
+    for one in sections:
+        say(f"{one.name}: {one.sentence}")
     say(f"report: {out}" + (f" and {pdf}" if pdf is not None else ""))

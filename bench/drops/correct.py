@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from analysis.drop.corrections import Corrections
 from bench.jobs.drop_test import Request
@@ -14,7 +15,6 @@ from daq.setup.errors import InputError
 
 ENDING = ".drop.json"
 _SAME_S = 1e-7
-_PLAIN = {field.name for field in fields(Request)} - {"files", "corrections", "heights_m", "balls"}
 
 
 def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
@@ -54,22 +54,10 @@ def saved_request(target: Path, files: Sequence[Path]) -> Request | None:
     except OSError:
         return None
     try:
-        options: dict[str, Any] = json.loads(text)["options"]
-        names = [Path(name).name for name in options["files"]]
-        parts = [_part(one) for one in options["corrections"]]
-        own = {key: options[key] for key in _PLAIN} | {"heights_m": tuple(options["heights_m"])}
-        own["balls"] = Path(options["balls"]) if options.get("balls") is not None else None
+        saved = TypeAdapter(Request).validate_python(json.loads(text)["options"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{target}: wanted the result of a drop test as JSON; move it away or remove it") from error
-    if names != [file.name for file in files] or len(parts) != len(files):
+    names = [file.name for file in files]
+    if [file.name for file in saved.files] != names or len(saved.corrections) != len(names):
         return None
-    return Request(tuple(files), **own, corrections=tuple(parts))
-
-
-def _part(options: dict[str, Any]) -> Corrections:
-    lists = {key: tuple(float(t) for t in options[key]) for key in ("ignore_s", "add_s")}
-    region = options["region"]
-    return Corrections(
-        options["from_s"], options["until_s"], **lists, axis_deg=options["axis_deg"],
-        region=None if region is None else (int(region[0]), int(region[1]), int(region[2]), int(region[3])),
-    )  # fmt: skip
+    return replace(saved, files=tuple(files))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import hashlib
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.drop.corrections import NOTHING, Corrections
+from daq.files.json_values import json_object
 from daq.setup.errors import InputError
 from daq.setup.values import STANDARD_GRAVITY_MPS2
 
@@ -81,11 +81,7 @@ class Request:
 
     def as_json(self) -> dict[str, Any]:
         """All options, for the record."""
-        return dataclasses.asdict(self) | {
-            "files": list(map(str, self.files)),
-            "balls": None if self.balls is None else str(self.balls),
-            "corrections": [dataclasses.asdict(one) for one in self.corrected],
-        }
+        return json_object(vars(replace(self, corrections=self.corrected)))
 
 
 def check_request(request: Request) -> None:

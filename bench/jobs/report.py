@@ -10,10 +10,9 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,27 +32,20 @@ if TYPE_CHECKING:
     from analysis.report.run_page import Section
 
 
-@dataclass(frozen=True)
-class Reported:
-    """A section of the report, and where its closed loop comes from: ``saved``, ``computed`` or ``none``."""
+def report(
+    recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], None], quiet: bool
+) -> tuple[list[Section], list[dict[str, Any]]]:
+    """Sections of the recordings, in their order, and an answer for scripts of each; one is held at a time.
 
-    path: Path
-    section: Section
-    state: str
-    flights: int
-    lost_samples: int
-    loop: str
-
-
-def report(recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], None], quiet: bool) -> list[Reported]:
-    """Sections of the recordings, in their order; one recording is held at a time.
+    An answer's ``loop`` says where its closed loop comes from: ``saved``, ``computed`` or ``none``.
 
     Raises `InputError` when a recording cannot be read.
     """
     from analysis.flights.table import FlightFlag
-    from analysis.report.run_page import Run, section_of
+    from analysis.report.figures.measured import measured
+    from analysis.report.run_page import section_of
 
-    out = []
+    sections, answers = [], []
     for number, path in enumerate(recordings, 1):
         found = verify(path)
         with open_recording(path) as recording, progress_bar(quiet) as bar:
@@ -61,11 +53,20 @@ def report(recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], 
             loop, source, why = None, "none", "it was left out of this page"
             if with_loop:
                 loop, source, why = _loop(recording, flights, say=say, bar=bar)
-            run = Run(recording, found, flights, loop, why)
-            n = int((~flights.has(FlightFlag.FALSE)).sum())
-            section = section_of(run, number, lambda what, part: bar(what, 0.8 + 0.2 * part))
-            out.append(Reported(path, section, found.state, n, found.lost_samples, source))
-    return out
+            shown = measured(recording, flights, loop=loop)
+            section = section_of(shown, found, number, why, lambda what, part: bar(what, 0.8 + 0.2 * part))
+            sections.append(section)
+            answers.append({
+                "recording": path,
+                "simulated": bool(recording.attrs.get("simulated")),
+                "state": found.state,
+                "lost_samples": found.lost_samples,
+                "flights": int((~flights.has(FlightFlag.FALSE)).sum()),
+                "loop": source,
+                "verdict": None if loop is None else loop.verdict,
+                "sentence": section.sentence,
+            })  # fmt: skip
+    return sections, answers
 
 
 def _loop(

@@ -10,8 +10,9 @@ import pytest
 
 from analysis.flights.assemble import flights_of
 from analysis.report.figures import recording as table
+from analysis.report.figures.measured import measured
 from analysis.report.figures.style import Figure
-from analysis.report.run_page import Run, section_of
+from analysis.report.run_page import section_of
 from bench.jobs.report import draw
 from daq.recording import open_recording
 from daq.recording.verify import VerifyReport
@@ -31,7 +32,7 @@ def test_a_function_and_a_row_are_a_figure(
     monkeypatch.setattr(table, "FIGURES", (*others, added))
     with open_recording(make(np.array([0.8, 1.1]), settle=3, hold=6).path) as recording:
         flights = flights_of(recording)
-        section = section_of(Run(recording, VerifyReport("complete"), flights, None, "left out"), 1)
+        section = section_of(measured(recording, flights), VerifyReport("complete"), 1, "left out")
         draw(recording, flights, tmp_path)
     assert section.html.count("<svg") == 2 and added.caption in section.html
     made = {path.name for path in tmp_path.iterdir()}

@@ -27,10 +27,11 @@ from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
 from analysis.report.figures.flights import draw_bifurcations
 from analysis.report.figures.measured import Measured
+from analysis.report.figures.measured import measured as as_shown
 from analysis.report.figures.style import name_flights
 from analysis.report.interactive import MOST_HOVER_POINTS, inline_figure
 from analysis.report.narrative import headline
-from analysis.report.run_page import Run, section_of, write_page
+from analysis.report.run_page import section_of, write_page
 from bench.cli import app
 from bench.jobs.report import not_of
 from daq.recording import Recording, open_recording
@@ -59,7 +60,7 @@ def measured(path: Path) -> tuple[Recording, Flights]:
 def plain(measured: tuple[Recording, Flights], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the recording without a closed loop."""
     out = tmp_path_factory.mktemp("plain") / "r.html"
-    page_of(Run(measured[0], VerifyReport("complete"), measured[1], None, "left out"), out)
+    page_of(as_shown(*measured), VerifyReport("complete"), out)
     return out
 
 
@@ -83,16 +84,16 @@ class Page(HTMLParser):
         self.tags.append((tag, dict(attrs)))
 
 
-def page_of(run: Run, out: Path) -> str:
+def page_of(shown: Measured, state: VerifyReport, out: Path) -> str:
     """The text of a page with one section."""
-    write_page([section_of(run, 1)], out)
+    write_page([section_of(shown, state, 1, "left out")], out)
     return out.read_text(encoding="utf-8")
 
 
 def test_the_page_stands_alone(measured: tuple[Recording, Flights], closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Verdict first, every part below, figures as SVG with named points, and nothing loaded from elsewhere."""
     recording, flights = measured
-    text = page_of(Run(recording, VerifyReport("complete"), flights, closed_loop), tmp_path / "r.html")
+    text = page_of(as_shown(recording, flights, loop=closed_loop), VerifyReport("complete"), tmp_path / "r.html")
     heads = ("Measured and predicted", "Steps", "Why", "The rig", "Calibrations", "The data")
     places = [text.index(word) for word in ('class="verdict', *(f">{head}<" for head in heads))]
     assert places == sorted(places)
@@ -134,7 +135,7 @@ def test_texts_of_a_recording_are_texts(
         copy.setup = copy.setup.model_copy(update={"name": HOSTILE, "description": HOSTILE})
         source = Source(HOSTILE, HOSTILE, "", HOSTILE, True, HOSTILE, HOSTILE, HOSTILE)
         loop = changed(closed_loop, sources=(source,), notes=(HOSTILE,), rounds=(HOSTILE,))
-        text = page_of(Run(copy, VerifyReport("stopped", [HOSTILE]), flights, loop), tmp_path / "r.html")
+        text = page_of(as_shown(copy, flights, loop=loop), VerifyReport("stopped", [HOSTILE]), tmp_path / "r.html")
     tags = Page(text).tags
     assert [t for t, _ in tags].count("title") == 1 and not any(k.startswith("on") for _, a in tags for k in a)
     assert [a for t, a in tags if t == "script" and a.get("type") != "application/json"] == [{}]
