@@ -47,10 +47,7 @@ class StackedResiduals:
 
     def landings(self) -> StackedResiduals:
         """Only the landings: unlike openings they do not depend on the contact's gap, which a wrong model bends."""
-        rows = ~self.first
-        return StackedResiduals(
-            self.event[rows], self.first[rows], self.sigma_s[rows], self.period_s[rows], self.train[rows]
-        )
+        return StackedResiduals(**{name: values[~self.first] for name, values in vars(self).items()})
 
     def without(self, rows: Bools) -> StackedResiduals:
         """The same with a fit that may not look at ``rows`` (k,)."""

@@ -58,7 +58,6 @@ NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
 }
 ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # candidates of the smoothing parameter
 CURVE_FOLDS = 8  # of the cross-validation over steps
-REACH_SIGMAS = 6.0  # clip of standardised landings
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,8 @@ class TermSearch:
         rows = observations.scored & self.train[observations.measured.step]
         # no landing counts with less than 1 us of uncertainty
         z = (landing_s / np.hypot(uncertainty_at(augmented, values).landing_total_s, 1e-6))[rows]
-        scatter = float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=REACH_SIGMAS), -REACH_SIGMAS, REACH_SIGMAS) ** 2)))
+        # and none with more than 6 sigma
+        scatter = float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=6.0), -6.0, 6.0) ** 2)))
         return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:

@@ -1,9 +1,9 @@
 """Short formulas that a missing term may follow, and the search for one that does as well as a discovered curve.
 
 A formula is an expression of one quantity and one to three parameters, in Python, so that the formula that was fitted
-and the one in a kept effect's file are the same text. Each starts where it comes nearest to the curve, and is then
-fitted to the events themselves, by the likelihood that the curve was fitted by. It is judged, as the curve is, on steps
-that its fit did not see.
+and the one in the file of an effect that it becomes are the same text. Each starts where it comes nearest to the curve,
+and is then fitted to the events themselves, by the likelihood that the curve was fitted by. It is judged, as the curve
+is, on steps that its fit did not see.
 
 References
 ----------
@@ -15,7 +15,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -120,14 +120,10 @@ FORMS: tuple[Form, ...] = (
 
 def forms_for(term: Term, span: tuple[float, float]) -> tuple[Form, ...]:
     """Forms that mean something for a term whose quantity goes over ``span``."""
-    signed = span[0] < 0.0 < span[1]
+    signed, angle = span[0] < 0.0 < span[1], quantity_unit(term.of) == "rad"
     largest = f"{max(abs(x) for x in span):.1g}"
-    out = []
-    for form in FORMS:
-        if (form.signed and not signed) or (form.name == "sine" and quantity_unit(term.of) != "rad"):
-            continue
-        out.append(Form(form.name, form.expression.replace("{span}", largest), form.parameters, form.signed))
-    return tuple(out)
+    able = [form for form in FORMS if (signed or not form.signed) and (angle or form.name != "sine")]
+    return tuple(replace(form, expression=form.expression.replace("{span}", largest)) for form in able)
 
 
 NUDGE = 1e-3  # finite difference, of a parameter's unit
@@ -261,12 +257,9 @@ class _FormFits:
     # -- a form fitted to the events ---------------------------------------------------------------------------------
     def residuals(self, form: Form, values: Floats) -> Floats:
         """Stacked residuals with the form in place of the curve."""
-        return self.stack.residuals(self._with(form, values), self.values)
-
-    def _with(self, form: Form, values: Floats) -> AugmentedModel:
-        table = form.at(self.x, values)[:, None]
-        curve = Curve(self.curve.term, self.curve.knots, np.ones(1), table)
-        return AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
+        curve = Curve(self.curve.term, self.curve.knots, np.ones(1), form.at(self.x, values)[:, None])
+        model = AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
+        return self.stack.residuals(model, self.values)
 
     def _slopes(self, form: Form, values: Floats, r: Floats) -> Floats:
         """Derivatives of the residuals by the parameters in their units, (k, parameters)."""

@@ -55,16 +55,12 @@ def basis_of(x: Floats, knots: Floats) -> Floats:
     return out * np.isfinite(x)[:, None]
 
 
-def penalty_of(knots: Floats) -> Floats:
-    """Integral of the squared second derivative by the values at the knots, (k, k), mean spacing taken for one.
+@functools.lru_cache(maxsize=256)
+def penalty_of(places: tuple[float, ...]) -> Floats:
+    """Integral of the squared second derivative by the values at knots, (k, k), mean spacing taken for one.
 
     Green and Silverman, Nonparametric Regression and Generalized Linear Models (1994), equation 2.4: Q R^-1 Q^T.
     """
-    return _penalty(tuple(knots.tolist()))
-
-
-@functools.lru_cache(maxsize=256)
-def _penalty(places: tuple[float, ...]) -> Floats:
     k, knots = len(places), np.array(places)
     if k < 3:
         return np.zeros((k, k))
@@ -229,12 +225,11 @@ class Curve:
     @property
     def penalty(self) -> Floats:
         """Bending energy as a quadratic form of the values, (k, k)."""
-        return penalty_of(self.knots)
+        return penalty_of(tuple(self.knots.tolist()))
 
     @property
     def points(self) -> Floats:
         """Where the curve is reported: its knots where these are few, else evenly between the outer ones."""
-        # points at which a curve is reported
         return self.knots if len(self.knots) < 3 else np.linspace(self.knots[0], self.knots[-1], 45)
 
 

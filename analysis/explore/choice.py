@@ -29,7 +29,6 @@ from analysis.residuals.values import ParameterId
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
 
-CLIP_SIGMAS = 6.0  # of a whitened difference
 MOST_EXPLANATIONS = 10  # that a block is chosen to separate
 
 
@@ -108,7 +107,7 @@ def whitened_difference(whitener: Whitener, raw: Floats, other: Floats) -> Float
     A fit cannot follow a flight that becomes another one, and near an edge chance decides which it is.
     """
     change = whitener.white_all(raw + of_same_events(other - raw, whitener)) - whitener.white_all(raw)
-    return np.clip(change, -CLIP_SIGMAS, CLIP_SIGMAS)
+    return np.clip(change, -6.0, 6.0)  # sigmas
 
 
 def bistable(pools: Sequence[Pool], block: Block) -> tuple[float, ...]:

@@ -52,17 +52,9 @@ SAME_GAMMA = 0.02  # relative difference within which two gammas of one forcing 
 MEDIAN = math.pi / 2.0  # variance of a median over that of a mean, of normal errors
 
 
-@dataclass(frozen=True)
-class Staked:
-    """A block that was never driven, and what the named causes predict of it."""
-
-    block: Block
-    stake: Stake
-
-
 def staked(
     fitted: FittedLoop, options: Sequence[Option], steps: int, written: tuple[str, str], recordings: Sequence[Path]
-) -> Staked | None:
+) -> tuple[Block, Stake] | None:
     """The block by which the rivals of a named set would contradict it most for the rig's time, and the prediction.
 
     None where nothing is named, where a drift is (a later run does not share it), or no rival differs anywhere.
@@ -104,11 +96,11 @@ def staked(
         StakedParameter(effect=n, parameter=q, value=float(values[n, q]), cause=(n, q) in best.free)
         for n, q in known.keys
     )
-    return Staked(block, Stake(
+    return block, Stake(
         named=best.names, rival=rival.names, nats=nats, chance=MISSED_P,
         software=written[0], written=written[1], recordings=tuple(map(str, recordings)), parameters=parameters,
         covariance=tuple(tuple(map(float, row)) for row in covariance), steps=tuple(rows),
-    ))  # fmt: skip
+    )  # fmt: skip
 
 
 def _rivals(fitted: FittedLoop) -> Weighed:

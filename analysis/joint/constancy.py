@@ -1,4 +1,4 @@
-"""Constancy of a parameter over runs: chi-square of its values, its trend with the date, and whether one run alone
+"""Constancy of a parameter over runs: chi-square of its values, its trend with the date, and whether only one run
 shows it.
 
 References

@@ -96,11 +96,6 @@ class JointVerdict:
         """Named parameters that only one run shows, what the others say, and that run."""
         return tuple((x, x.one_run, self.runs[x.one_run.place]) for x in self.parameters if x.one_run is not None)
 
-    @property
-    def differing(self) -> tuple[OverRuns, ...]:
-        """Parameters that differ between runs."""
-        return tuple(x for x in self.parameters if x.differs)
-
 
 def joint_json(found: JointVerdict) -> dict[str, Any]:
     """Names, numbers and None for what does not exist."""

@@ -24,7 +24,6 @@ from daq.files.json_values import json_text
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 
-TICK_S = 0.05
 MOST_FILES = 24  # of one drop test
 MOST_MARKS = 2000  # corrections of a file: more is no correction by hand
 SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
@@ -73,7 +72,7 @@ class DropDesk:
         while True:
             self.hub.pass_time()
             self._look_at_worker()
-            await asyncio.sleep(TICK_S)
+            await asyncio.sleep(0.05)
 
     async def talk(self, browser: Browser) -> None:
         """Serve one browser until it is gone."""

@@ -18,8 +18,6 @@ from daq.setup.errors import InputError
 
 Message = dict[str, Any]
 
-_AROUND_S = 0.3  # shown before the first and after the last impact
-
 
 def result_of(done: DropTest) -> Message:
     """A drop test that was measured."""
@@ -55,7 +53,8 @@ def _marks(path: Path, part: Corrections, ends: Sequence[float] | None) -> Messa
         wav = open_wav(path) if is_wav(path) else None
     except InputError:  # damaged: there is no sound to show
         wav = None
-    span = [0.0, 1.0] if ends is None else [max(ends[0] - _AROUND_S, 0.0), ends[1] + _AROUND_S]
+    # 0.3 s are shown before the first and after the last impact
+    span = [0.0, 1.0] if ends is None else [max(ends[0] - 0.3, 0.0), ends[1] + 0.3]
     return {
         "name": path.name,
         "kind": "times" if wav is None else "sound",

@@ -31,7 +31,6 @@ from rig.profile import Profile, RampTable
 from rig.programme.ramp import peaks
 
 DRIVE_PEAKS = (0.2, 0.35, 0.5)  # of g: the block stays on, even if the drive is twice as strong as believed
-SETTLE_CYCLES, HOLD_CYCLES = 15, 60
 LEAST_PAIRS = 20  # of impacts and edges
 
 
@@ -130,7 +129,7 @@ def _run(profile: Profile, backend: Backend, peaks_g: tuple[float, ...]) -> tupl
     """Drive these peaks of the plate, open loop, and read the recording: fitted steps, and flights."""
     per_g = peaks(profile, 1.0).gamma_peak
     ramp = RampTable(
-        gamma=tuple(peak / per_g for peak in peaks_g), settle_cycles=SETTLE_CYCLES, hold_cycles=HOLD_CYCLES,
+        gamma=tuple(peak / per_g for peak in peaks_g), settle_cycles=15, hold_cycles=60,
         slew_per_cycle=profile.ramp.slew_per_cycle,
     )  # fmt: skip
     profile = profile.model_copy(update={"ramp": ramp, "control": None})

@@ -50,9 +50,10 @@ def staked_block(
     found = staked(fitted, options, aims.steps, written, recordings)
     if found is None:
         return None
-    forcing, stake = found.block.option.setup.forcing, found.stake
+    block, stake = found
+    forcing = block.option.setup.forcing
     own = with_values(text, {"stake": None}, "the profile")
-    own = block_text(own, aims, forcing.ratio, forcing.frequency_hz, found.block.gammas)
+    own = block_text(own, aims, forcing.ratio, forcing.frequency_hz, block.gammas)
     own = own.rstrip("\n") + "\n\n" + stake_toml(stake)
     profile = parse_profile(own, "the stake")
     named, rival = (" + ".join(names) or "the declared model" for names in (stake.named, stake.rival))

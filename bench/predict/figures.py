@@ -29,9 +29,7 @@ from model.surveys.diagram import Rows
 from model.surveys.ensemble import Job
 from model.tones import Forcing
 
-ZONE_GAMMAS = 400
 PERIODS = (1, 2, 3, 4, 6, 8, 12, 16, 32, 64)  # lower bounds of the colours
-CHAOTIC, AT_REST = -1, 0
 NAMES = {"restitution.e0": "restitution e", "coulomb_friction.mu": "friction μ"}
 STYLE: dict[Any, Any] = style.STYLE | {"xtick.top": True, "savefig.dpi": 200}
 
@@ -73,7 +71,7 @@ def draw_diagram(ax: Any, rows: Rows, forcing: Forcing, ratio: int, frequency_hz
     crowd = np.repeat((rows.kind == 2) | (rows.flights > 8), rows.tau.shape[1])
     low, high = float(rows.gamma[0]), float(rows.gamma[-1])
     if ideal:
-        zones = [z for z in zones_over(forcing, np.linspace(low, high, ZONE_GAMMAS)) if len(z) > 3]
+        zones = [z for z in zones_over(forcing, np.linspace(low, high, 400)) if len(z) > 3]
         draw_zones(ax, zones, scale, unit, "forbidden")
         if zones:
             ax.legend(loc="lower right", fontsize=9, facecolor="white", edgecolor="none", framealpha=0.9)
@@ -150,4 +148,4 @@ def _periods(file: h5py.File, start: int, stop: int, step: int) -> Integers:
     some = slice(start, stop, step)
     flights, kind = file["flights"][some], file["kind"][some]
     period = np.minimum(file["period"][some], PERIODS[-1])
-    return np.where(kind == 2, CHAOTIC, np.where(flights == 0, AT_REST, period))
+    return np.where(kind == 2, -1, np.where(flights == 0, 0, period))  # -1: chaotic, 0: at rest

@@ -15,7 +15,6 @@ from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.values import MeasuredValue
 from kernels.arrays import Floats
 
-_BELOW_CRISIS = (0.4, 0.6)  # drag coefficient of a sphere below it, smooth or rough
 _IN_WORDS = {
     "quadratic_drag": "quadratic drag of the ball",
     "linear_drag": "linear drag of the ball",
@@ -103,8 +102,8 @@ def _ball(judged: Judged, ball: str) -> dict[str, Any]:
         # beyond a Reynolds number of 2e5 a sphere's drag coefficient may fall to a fifth: none is known there
         if is_measured and entry["reynolds"] < 2e5:
             per = AIR_KG_PER_M3 / unit
-            middle, ends = sum(_BELOW_CRISIS) / 2.0, (max(low, 0.0) / _BELOW_CRISIS[1], high / _BELOW_CRISIS[0])
-            entry["air_kg_per_m3"] = interval(*(x * per for x in (k / middle, *ends)))
+            # below it the coefficient of a sphere is 0.4 to 0.6, smooth or rough
+            entry["air_kg_per_m3"] = interval(*(x * per for x in (k / 0.5, max(low, 0.0) / 0.6, high / 0.4)))
     return entry
 
 

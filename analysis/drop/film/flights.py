@@ -20,7 +20,6 @@ Indices = NDArray[np.intp]
 
 LEAST_SAMPLES = 6
 _LEAST_FLIGHT_FRAMES = 6.0
-_BENDS = (0.5, 2.0)  # of the usual acceleration: friction and a tilted picture stay inside
 _SAME_FRAMES = 2.0  # an impact left out by hand is the one within so many frames
 
 
@@ -71,7 +70,7 @@ def flights_of(clip: Clip, number: int = 0) -> list[Flight]:
         if len(frame) >= LEAST_SAMPLES:  # and it bends as free flight does; a ball at rest or in a hand does not
             s = frame - frame.mean()
             bend = -2.0 * float(np.polynomial.polynomial.polyfit(s, height, 2)[2])
-            if _BENDS[0] * clip.acceleration < bend < _BENDS[1] * clip.acceleration:
+            if 0.5 * clip.acceleration < bend < 2.0 * clip.acceleration:  # friction and a tilted picture stay inside
                 parts.append(Flight(number, k + 1, frame, height, lands))
     return parts
 

@@ -20,13 +20,11 @@ from kernels.arrays import Floats, Integers
 Grey = NDArray[np.float32]
 
 _COARSE = 4.0  # by which pictures are made smaller first: steps of many pixels
-_MARGIN = 4  # pixels
 _LINE = 64  # pixels that are looked up together
 _TUKEY = 4.7
 _LEAST_NOISE = 0.5  # levels
 _ALIKE = 10.0  # neighbouring pixels that err alike: compression, noise that is no pixel's own
 _STRIPS = 6
-_LONGEST_STEP_PX = 2.0
 
 
 def stabilised(film: Film, progress: Progress | None = None) -> Film:
@@ -83,7 +81,7 @@ def _edges(grey: Grey, cv2: Any) -> _Edges:
     """The pixels of the first frame that show a shift best, as many across as down."""
     down, across = np.gradient(grey)
     inside = np.zeros(grey.shape, dtype=bool)
-    inside[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = True
+    inside[4:-4, 4:-4] = True  # pixels of a margin
     chosen = np.zeros(grey.shape, dtype=bool)
     for slope in (np.abs(across), np.abs(down)):
         # the steepest 3 % of the pixels, across and down, show a motion best
@@ -129,7 +127,7 @@ class _Edges:
             prior = _ALIKE * size**2
             normal = weighted.T @ self.gradient + prior * np.eye(2)
             change = np.linalg.solve(normal, weighted.T @ off + prior * (shift - before))
-            shift = shift - np.clip(change, -_LONGEST_STEP_PX, _LONGEST_STEP_PX)
+            shift = shift - np.clip(change, -2.0, 2.0)  # px, of one step
             if float(np.abs(change).max()) < 5e-3:
                 break
         return shift

@@ -26,8 +26,6 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "friction+drag": ("g", "f", "k", "c", "d"),
 }
 _LIMITS = {"g": (1e-9, 1e9), "f": (-0.5, 0.9), "k": (0.0, np.inf), "c": (-np.inf, np.inf), "d": (-np.inf, np.inf)}
-_BEYOND = 1.5  # of the reach, where the distortion stays what it is: nothing was seen there
-_OTHER_G = 4.0  # times as large or small as from single arcs: a strong drag would make any gravity a straight line
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ def law_of(name: str, values: Floats) -> FlightLaw:
 def _seen_of(height: Floats, reach: float, values: Floats) -> tuple[Floats, Floats, Floats]:
     """Where points at ``height`` (n,) are seen, the slope of it by height, and (n, 2) by the distortion's values."""
     c, d = values[-2:]
-    near = np.clip(height, -_BEYOND * reach, _BEYOND * reach)
+    near = np.clip(height, -1.5 * reach, 1.5 * reach)  # beyond nothing was seen: the distortion stays what it is
     beyond = near**2 - reach**2
     bent = 1.0 + 2.0 * c * near + d * (beyond + 2.0 * near**2)
     return height + (c + d * near) * beyond, bent, np.column_stack([beyond, near * beyond])
@@ -122,7 +120,7 @@ def fit_shape(
     prior = np.array([unit / widths[key] ** 2 if key in widths else 0.0 for key in SHAPES[name]])
     start = {"g": acceleration, "f": 0.02, "k": 0.02 / span, "c": 0.0, "d": 0.0}
     low, high = _limits(name, reach)
-    low[0], high[0] = acceleration / _OTHER_G, acceleration * _OTHER_G
+    low[0], high[0] = acceleration / 4.0, acceleration * 4.0  # else a strong drag makes any gravity a straight line
     begin = np.array([start[key] for key in SHAPES[name]]) if near is None else near
     inside = np.where(np.isfinite(high) & np.isfinite(low), 1e-6 * (high - low), 0.0)
     begin = np.clip(begin, low + inside, high - inside)

@@ -14,10 +14,8 @@ from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Floats
 
 _LEAST_SCATTER = 0.01  # of the logarithm of a ratio
-_SOME = 3  # events outside the chain, and ratios in it, from which on chance may have made it
 _NEAR_S = 5.0
 _LEAST_OFF = 3e-3  # of the ratio: a ball is no better than that
-_LOUD_POWER = 1.3
 
 
 def why_no_drop(
@@ -71,7 +69,7 @@ def _uneven(ratio: Floats, near: int) -> str | None:
         spread = max(float(ratio.std(ddof=1)), _LEAST_SCATTER)
         if float(ratio.mean()) + 2.0 * spread / np.sqrt(len(ratio)) > 0.0:
             return "its intervals do not shrink beyond doubt"
-    if near >= _SOME and len(ratio) >= _SOME:
+    if near >= 3 and len(ratio) >= 3:  # else chance has made no such chain
         robust = mad_sigma(ratio - np.median(ratio))
         # a ball's log ratios scatter half as much: with other events near, more is chance
         if 0.5 * (robust + float(ratio.std())) > 0.04:
@@ -147,7 +145,8 @@ def ends_unlike_in_loudness(loudness: Floats, impacts_s: Floats, single: Bools) 
         Intervals that are one flight.
     """
     speed = np.where(single, np.log(np.diff(impacts_s)), np.nan)
-    after, before = loudness[:-1] - _LOUD_POWER * speed, loudness[1:] - _LOUD_POWER * speed
+    loud = 1.3 * speed  # the peak goes with a power of 1 to 1.6
+    after, before = loudness[:-1] - loud, loudness[1:] - loud
     return _far_above(-after[0], -after[1:]), _far_above(before[-1], before[:-1])
 
 

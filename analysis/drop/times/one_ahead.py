@@ -17,8 +17,7 @@ from analysis.drop.laws.bounce_law import BounceModel
 from analysis.drop.times.impact_chain import Bounces
 from kernels.arrays import Bools, Floats, Integers
 
-_PAD_S = 0.1  # a flight that was never made, in the rows that pad a drop
-_PAD_M = 0.1  # its height
+_PAD_M = 0.1  # height of a drop that pads
 _RELATIVE_STEP = 1e-4  # of a flight, for the slope of the next by it
 
 
@@ -68,7 +67,7 @@ def rows_of(drops: Sequence[Drop]) -> Rows:
     """Every prediction that can be made in ``drops``."""
     with_height = [drop.height_m is not None and drop.bounces.missed[0] == 0 for drop in drops]
     shape = (len(drops), max(len(d.bounces.usable) + own for d, own in zip(drops, with_height, strict=True)))
-    before, after = np.full(shape, _PAD_S), np.full(shape, _PAD_S)
+    before, after = np.full(shape, 0.1), np.full(shape, 0.1)  # s; rows that pad a drop are of flights never made
     edges = np.zeros((*shape, 3), dtype=np.int64)
     valid, from_height = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for d, drop in enumerate(drops):

@@ -28,7 +28,6 @@ LANDINGS = (
 )  # fmt: skip
 TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
 COLUMNS = 3  # of panels
-BINS, LEAST_IN_BIN = 12, 4  # of the medians, and flights in a bin
 PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
 
 
@@ -113,10 +112,10 @@ def _panel(ax: Any, x: Floats, residual_us: Floats, flights: Integers, colour: s
 
 
 def medians(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Medians of ``x`` and ``y`` in bins of about equal count, ordered; bins of one value are one point."""
-    cuts = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+    """Medians of ``x`` and ``y`` in 12 bins of about equal count, ordered; bins of one value are one point."""
+    cuts = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 13)))
     place = np.clip(np.searchsorted(cuts, x, side="right") - 1, 0, max(len(cuts) - 2, 0))
-    chosen = [place == k for k in range(max(len(cuts) - 1, 1)) if np.sum(place == k) >= LEAST_IN_BIN]
+    chosen = [place == k for k in range(max(len(cuts) - 1, 1)) if np.sum(place == k) >= 4]
     middle = np.array([np.median(x[c]) for c in chosen])
     return middle, np.array([np.median(y[c]) for c in chosen])
 

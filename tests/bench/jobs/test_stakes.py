@@ -155,19 +155,21 @@ def test_a_wrong_verdict_misses_its_stake(friction: Path) -> None:
     found, text = fitted.selection, with_values(load("simulated")[1], {}, "p")
     (wrong,) = runner_up(found)
     assert wrong.names != ("coulomb_friction",)
-    stake = staked(
+    chosen = staked(
         replace(fitted, selection=replace(found, best=wrong, ties=(wrong,))),
         offers(text, Aims(60.0)),
         4,
         ("x", "y"),
         (),
     )
-    assert stake is not None and stake.stake.named == wrong.names and stake.stake.rival == ("coulomb_friction",)
-    forcing, out = stake.block.option.setup.forcing, friction / "wrong.h5"
+    assert chosen is not None
+    block, stake = chosen
+    assert stake.named == wrong.names and stake.rival == ("coulomb_friction",)
+    forcing, out = block.option.setup.forcing, friction / "wrong.h5"
     ramp = {
-        "forcing.ratio": forcing.ratio, "ramp.gamma": list(stake.block.gammas), "ramp.hold_cycles": 14,
-        "ramp.order": "up" if stake.block.option.rising else "down",
+        "forcing.ratio": forcing.ratio, "ramp.gamma": list(block.gammas), "ramp.hold_cycles": 14,
+        "ramp.order": "up" if block.option.rising else "down",
     }  # fmt: skip
     sb.run(sb.load_profile("simulated").with_values(ramp), out, scenario="friction", seed=41)
-    outcome = held_against(stake.stake, observations_from([out]), steps_of(stake.stake, out))
+    outcome = held_against(stake, observations_from([out]), steps_of(stake, out))
     assert not outcome.met and "the verdict is withdrawn" in outcome.words
