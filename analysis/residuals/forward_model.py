@@ -29,6 +29,8 @@ from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Detection, Measured, PlateSteps, active
 
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
+FEWEST_OPENINGS = 40  # take-offs from rest that tell an opening from a closing
+DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
 UNBOUNDED = 1e6  # reading over the plate's motion from which on none of it is the plate's
 
 
@@ -234,16 +236,18 @@ class ForwardModel:
     def late_s(self, values: Values) -> tuple[Floats, Floats]:
         """By how much later than they happened openings and landings were seen, (n,) each."""
         seen, heard = self.observations.measured, self.observations.circuit.heard
-        edge, mark = (self.per_step(values, hook)[seen.step] for hook in ("contact_delay_s", "impact_delay_s"))
-        if heard is None:
-            return edge, edge
+        edge, later, mark = (self.per_step(values, hook)[seen.step] for hook in DELAYS)
+        closing = edge + later
+        left, heard = np.where(seen.relaunched, closing, edge), np.zeros(len(edge), dtype=bool) if heard is None else heard
         # a ball that leaves as it lands was seen when that landing was
         left_heard = seen.relaunched & np.append(False, heard[:-1])
-        return np.where(left_heard, mark, edge), np.where(heard, mark, edge)
+        return np.where(left_heard, mark, left), np.where(heard, mark, closing)
 
     def is_idle(self, key: ParameterId) -> bool:
         """Whether a parameter changes nothing that was observed."""
         heard = self.observations.circuit.heard
+        if key == ("contact_closure", "late_s"):  # where no opening tells the motion, a closing that is late is a lag
+            return int(self.from_rest.sum()) < FEWEST_OPENINGS
         return key == ("accelerometer_lag", "impact_s") and (heard is None or not heard.any())
 
     def predict(

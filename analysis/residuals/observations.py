@@ -22,7 +22,6 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
 from analysis.plate.ringing.modes import PlateMode, identified_mode
 from analysis.plate.ringing.true_to_drive import remarks
-from analysis.residuals.contact_delays import contact_delays
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.held import Launches
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
@@ -186,17 +185,9 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     )
     # openings that do not repeat jitter as the circuit's closings do
     opening_s = scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s)
-    sharp = flights.edges.opening.tau_s == 0.0
-    # where the plate rings a ball leaves by more than the tones
-    exact = offset if mode is None else None
-    delays = exact and contact_delays(
-        measured, scored & ~measured.relaunched, opening_s, steps.plate, setup.g_mps2.value, exact, sharp
-    )
-    measured = delays.taken_off(measured, heard) if delays else measured
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
-    notes = (*notes, delays.in_words()) if delays else notes
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,

@@ -56,7 +56,8 @@ def _only_in_plate_data(key: ParameterId) -> bool:
 @functools.cache
 def calibrating_effects() -> frozenset[str]:
     """Names of the effects that change the plate's motion or the circuit as measured."""
-    hooks = {"accelerometer_response", "flight_gain", "modulation", "gap_m", "contact_delay_s", "impact_delay_s"}
+    hooks = {"accelerometer_response", "flight_gain", "modulation", "gap_m"}
+    hooks |= {"contact_delay_s", "closing_delay_s", "impact_delay_s"}
     return frozenset(r.effect.name for r in registry() if r.hooks.keys() & hooks)
 
 

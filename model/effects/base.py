@@ -24,6 +24,7 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 ``accelerometer_response(p,              complex factor by which the accelerometer reads too much, and late, at
 omega_radps)``                         ``omega_radps`` (any shape)
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
+``closing_delay_s(p)``                 delay of its closings beyond that of its openings
 ``impact_delay_s(p)``                  delay of impacts in the accelerometer, where no edge shows the landing as well
 ``harmonics(p, multiple, others,       complex amplitudes added to multiples (k,) of the forcing, over its first tone
 shares, accel_g)``                     of ``accel_g`` (k,); the further tones are multiples ``others`` (k, t), and
@@ -65,6 +66,7 @@ PLAIN_HOOKS = (
     "transfer",
     "accelerometer_response",
     "contact_delay_s",
+    "closing_delay_s",
     "impact_delay_s",
     "harmonics",
     "hum_mps2",

@@ -1,6 +1,7 @@
-"""An impact closes the circuit for a moment even when the ball leaves at once.
+"""What an impact does to the circuit: it closes late, and for a moment even when the ball leaves at once.
 
-A nuisance of the instrument, not of the motion.
+A contact that chatters closes late, one behind a comparator with hysteresis opens late. A nuisance of the instrument,
+not of the motion.
 """
 
 from __future__ import annotations
@@ -11,8 +12,13 @@ from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="contact_closure",
-    summary="an impact closes the circuit for a moment even when the ball leaves at once",
-    parameters=(Parameter("closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, meaning="shortest closed time"),),
+    summary="an impact closes the circuit late, and for a moment even when the ball leaves at once",
+    parameters=(
+        Parameter(
+            "closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, plate_only=True, meaning="shortest closed time"
+        ),
+        Parameter("late_s", "s", -5e-4, 5e-4, 1e-5, calibration=5e-5, meaning="later a closing is seen than an opening"),
+    ),
     confused_with={"contact_latency": "landing times"},
     nuisance=True,
     reference="elastic contact, deformation of the wire",
@@ -22,3 +28,8 @@ EFFECT = Effect(
 def closure_s(p: Mapping[str, float]) -> float:
     """Shortest time for which an impact closes the circuit."""
     return p["closure_s"]
+
+
+def closing_delay_s(p: Mapping[str, float]) -> float:
+    """Delay of a closing, beyond that of an opening."""
+    return p["late_s"]
