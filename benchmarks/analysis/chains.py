@@ -22,6 +22,7 @@ from rig.sim.scenario import Scenario
 Values = dict[str, dict[str, float]]
 
 LAG, HIGH_PASS, PICKUP, OFFSET = "accelerometer_lag", "accelerometer_high_pass", "mains_pickup", "accelerometer_offset"
+LATENCY = "contact_latency"
 GAMMAS = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}
 STEPS, CYCLES = 22, 20
 HIDDEN: dict[str, Mapping[str, tuple[float, float]]] = {
@@ -106,7 +107,7 @@ CHAINS: dict[str, Chain] = {
     "film on the contact": Chain({"film_v": 0.6}),
     "film, 1/f noise in the contact": Chain({"film_v": 0.35, "contact_flicker_v": 0.025}),
     "slow edges": Chain({"rc_open_s": 2e-4, "rc_close_s": 5e-5}),
-    "hysteresis": Chain({"hysteresis_v": 2.0, **FAST_SLOPES}),
+    "hysteresis": Chain({"hysteresis_v": 2.0, **FAST_SLOPES}, causes=(LATENCY,)),
     "mains in the contact": Chain({"contact_mains_v": 0.15}),
     "mains in the drive": Chain({"drive_mains_v": 3e-3}),
     "ordinary USB card": Chain(USB_CARD, causes=(LAG, OFFSET, PICKUP)),

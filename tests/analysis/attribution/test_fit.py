@@ -40,6 +40,23 @@ def test_intervals_hold_the_truth_as_often_as_they_say(fly_ramp: Callable[..., F
     assert abs(np.mean(pulls)) < 3.5 / np.sqrt(len(pulls))
 
 
+@pytest.mark.parametrize("late_s", [1.2e-5, -8.4e-5])
+def test_closings_of_another_delay_than_openings_bend_neither_lag_nor_friction(
+    fly_ramp: Callable[..., ForwardModel], late_s: float
+) -> None:
+    """A contact that chatters closes late, one behind a comparator with hysteresis opens late: both are measured."""
+    lag, late = ("accelerometer_lag", "delay_s"), ("contact_closure", "late_s")
+    truth = {**TRUTH, lag: 1e-4, late: late_s}
+    made = fly_ramp({**TRUTH, lag: 1e-4}, 2).observations
+    landing_s, opening_s = made.measured.landing_s + late_s, made.measured.opening_s + late_s * made.measured.relaunched
+    model = ForwardModel(replace(made, measured=replace(made.measured, landing_s=landing_s, opening_s=opening_s)), {})
+    fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
+    fitted = fitter.fit(Whitener.of(model, truth), (lag, UP, DOWN), {**TRUTH, lag: 5e-5})
+    for key, value in truth.items():
+        assert fitted.values[key] == pytest.approx(value, abs=3.5 * fitted.sigma(key))
+    assert fitted.sigma(late) < 5e-6
+
+
 def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Gravity 3 % off where 0.1 % is claimed: it stays within bounds, and the loss says that something is wrong."""
     gravity = ("local_gravity", "excess_mps2")

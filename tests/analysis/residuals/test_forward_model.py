@@ -16,6 +16,7 @@ from analysis.residuals.values import TREND
 from analysis.thresholds import SHARED_S
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
+CLOSES_LATE = ("contact_closure", "late_s")
 SEEDS = range(4)
 
 
@@ -161,6 +162,33 @@ def test_impacts_heard_late_leave_the_residuals_they_would_have_in_time(fly_ramp
     np.testing.assert_allclose(found.opening_s, in_time.opening_s, atol=1e-9)
     assert model.is_idle(key)
     assert not late.is_idle(key)
+
+
+def test_closings_later_than_openings_leave_the_residuals_they_would_have_in_time(
+    fly_ramp: Callable[..., ForwardModel],
+) -> None:
+    """Landings, and the launches at them, seen late by a contact that chatters: a known delay takes it all back."""
+    model, late_s = fly_ramp(FRICTION, 1), 3e-5
+    made = model.observations
+    shown = replace(
+        made.measured,
+        landing_s=made.measured.landing_s + late_s,
+        opening_s=made.measured.opening_s + late_s * made.measured.relaunched,
+    )
+    late = ForwardModel(replace(made, measured=shown), {})
+    in_time, found = model.residuals(FRICTION), late.residuals({**FRICTION, CLOSES_LATE: late_s})
+    np.testing.assert_allclose(found.landing_s, in_time.landing_s, atol=1e-9)
+    np.testing.assert_allclose(found.opening_s, in_time.opening_s, atol=1e-9)
+
+
+def test_closings_tell_of_no_delay_of_their_own_where_no_ball_leaves_from_rest(
+    fly_ramp: Callable[..., ForwardModel],
+) -> None:
+    """Without openings a closing that is late is a late accelerometer."""
+    model = fly_ramp(FRICTION, 1)
+    never = replace(model.observations.measured, relaunched=np.ones(len(model.observations), dtype=bool))
+    assert not model.is_idle(CLOSES_LATE)
+    assert ForwardModel(replace(model.observations, measured=never), {}).is_idle(CLOSES_LATE)
 
 
 def test_a_late_accelerometer_shows_impacts_as_late_as_the_motion(fly_ramp: Callable[..., ForwardModel]) -> None:
