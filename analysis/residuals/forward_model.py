@@ -238,11 +238,10 @@ class ForwardModel:
         seen, heard = self.observations.measured, self.observations.circuit.heard
         edge, later, mark = (self.per_step(values, hook)[seen.step] for hook in DELAYS)
         closing = edge + later
-        left, heard = (
-            np.where(seen.relaunched, closing, edge),
-            np.zeros(len(edge), dtype=bool) if heard is None else heard,
-        )
         # a ball that leaves as it lands was seen when that landing was
+        left = np.where(seen.relaunched, closing, edge)
+        if heard is None:
+            return left, closing
         left_heard = seen.relaunched & np.append(False, heard[:-1])
         return np.where(left_heard, mark, left), np.where(heard, mark, closing)
 
