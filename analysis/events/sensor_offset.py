@@ -24,6 +24,7 @@ SHORTEST_S = 2e-3  # flight at whose end an impact is its own
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
+LEAST_LATE_S = 1e-5  # delay of closings from which openings may have another
 MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
 
 
@@ -40,6 +41,16 @@ class SensorOffset:
     jitter_s: float = 0.0  # the contact's part of it, beyond the uncertainty of its edges
     motion_s: float = 0.0  # the ball's own scatter from cycle to cycle, in which the sensors do not differ
     rounding_s: float = 0.0  # that of the impacts to samples, by which all may be early or late; 0 for none
+
+    def uneven_edges(self, sharp: bool) -> bool:
+        """Whether closings may be seen by another time late than openings; ``sharp``: edges that show no RC.
+
+        A contact that chatters closes at random; behind a comparator, which hides an RC, it closes after its impacts.
+        """
+        if not math.isfinite(self.uncertainty_s):
+            return sharp
+        late_s = 0.0 if self.rounding_s > 0.0 else -self.offset_s  # impacts that are rounded may all be early
+        return self.jitter_s > 0.0 or late_s > max(LEAST_LATE_S, CORE_SPREADS * self.uncertainty_s)
 
 
 def calibrate(

@@ -247,9 +247,9 @@ class ForwardModel:
 
     def is_idle(self, key: ParameterId) -> bool:
         """Whether a parameter changes nothing that was observed."""
-        heard = self.observations.circuit.heard
+        heard, uneven = self.observations.circuit.heard, self.observations.circuit.uneven
         if key == ("contact_closure", "late_s"):  # where no opening tells the motion, a closing that is late is a lag
-            return int(self.from_rest.sum()) < FEWEST_OPENINGS
+            return not uneven or int(self.from_rest.sum()) < FEWEST_OPENINGS
         return key == ("accelerometer_lag", "impact_s") and (heard is None or not heard.any())
 
     def predict(

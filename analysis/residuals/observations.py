@@ -74,6 +74,7 @@ class ContactCircuit:
     scatters: tuple[Scatter, Scatter] = (Scatter(), Scatter())
     # landings that only the accelerometer shows, (n,), by an unknown delay after the circuit would have; None for none
     heard: Bools | None = None
+    uneven: bool = False  # whether closings may be late by another time than openings
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     )
     # openings that do not repeat jitter as the circuit's closings do
     opening_s = scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s)
+    sharp = flights.edges.opening.tau_s == 0.0
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
@@ -204,7 +206,9 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         pushed=(mode.pushed,) if mode and mode.pushed else (),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
-        circuit=ContactCircuit(closure_s(measured, heard), scatters, heard),
+        circuit=ContactCircuit(
+            closure_s(measured, heard), scatters, heard, offset is not None and offset.uneven_edges(sharp)
+        ),
     )
 
 
@@ -342,5 +346,6 @@ def join(parts: Sequence[Observations]) -> Observations:
             float(np.median([x.closure_s for x in circuits])),
             (Scatter.together(openings), Scatter.together(landings)),
             np.concatenate(heard),
+            any(x.uneven for x in circuits),
         ),
     )

@@ -15,7 +15,7 @@ EFFECT = Effect(
     summary="an impact closes the circuit late, and for a moment even when the ball leaves at once",
     parameters=(
         Parameter("closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, plate_only=True, meaning="shortest closed time"),
-        Parameter("late_s", "s", -5e-4, 5e-4, 1e-5, calibration=5e-5, meaning="later a closing than an opening"),
+        Parameter("late_s", "s", -1.5e-4, 1.5e-4, 1e-5, calibration=5e-5, meaning="later a closing than an opening"),
     ),
     confused_with={"contact_latency": "landing times"},
     nuisance=True,

@@ -49,7 +49,8 @@ def test_closings_of_another_delay_than_openings_bend_neither_lag_nor_friction(
     truth = {**TRUTH, lag: 1e-4, late: late_s}
     made = fly_ramp({**TRUTH, lag: 1e-4}, 2).observations
     landing_s, opening_s = made.measured.landing_s + late_s, made.measured.opening_s + late_s * made.measured.relaunched
-    model = ForwardModel(replace(made, measured=replace(made.measured, landing_s=landing_s, opening_s=opening_s)), {})
+    measured = replace(made.measured, landing_s=landing_s, opening_s=opening_s)
+    model = ForwardModel(replace(made, measured=measured, circuit=replace(made.circuit, uneven=True)), {})
     fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
     fitted = fitter.fit(Whitener.of(model, truth), (lag, UP, DOWN), {**TRUTH, lag: 5e-5})
     for key, value in truth.items():

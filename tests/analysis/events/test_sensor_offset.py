@@ -136,3 +136,15 @@ def test_a_recording_whose_contact_never_closes_takes_the_offset_that_others_of_
     assert np.abs(moved.time_s - exact).max() < 1e-5
     assert 6e-6 < own.uncertainty_s < 1.2e-5
     assert np.all(moved.uncertainty_s > 6e-6)
+
+
+def test_edges_may_be_uneven_where_closings_jitter_or_come_late() -> None:
+    """Chatter, hysteresis, a comparator without impacts to compare: not an even circuit, nor a late accelerometer."""
+    even, late = SensorOffset(2e-6, 1e-6, 100), SensorOffset(5e-5, 1e-6, 100)
+    chatter, hysteresis = replace(late, jitter_s=8e-6), SensorOffset(-3.7e-5, 1e-6, 100)
+    assert not any(x.uneven_edges(sharp) for x in (even, late) for sharp in (False, True))
+    assert all(x.uneven_edges(sharp) for x in (chatter, hysteresis) for sharp in (False, True))
+    assert not replace(hysteresis, rounding_s=1.4e-5).uneven_edges(sharp=True)
+    unknown = SensorOffset(0.0, np.inf, 0)
+    assert unknown.uneven_edges(sharp=True)
+    assert not unknown.uneven_edges(sharp=False)
