@@ -130,25 +130,13 @@ FLIGHT_VALUES: dict[str, tuple[str, float, float]] = {  # words, bounds
     "friction": ("dry friction", 0.0, 20.0),
     "restitution": ("restitution", 0.0, 0.95),
 }
-NUDGES = {"g": 0.003, "m/s^2": 0.03, "1": 0.003}  # finite difference of a term within the flight, by its unit
-
-
-def carriers(name: str) -> tuple[ParameterId, ...]:
-    """Parameters that take the value of a term of one kind, another one in each flight."""
-    return tuple((r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.carries_term == name)
-
-
-def substituted(name: str) -> tuple[ParameterId, ...]:
-    """Parameters of the effects whose place a term of one kind takes."""
-    found = (r.effect for r in registry() if r.effect.substitutes_term == name)
-    return tuple((e.name, q.name) for e in found for q in e.parameters)
 
 
 def event_term(name: str, of: str) -> Term:
-    """A term with one value for each flight."""
-    if name in EVENT_VALUES:
-        return Term(name, of, *EVENT_VALUES[name], carriers(name))
-    raise ValueError(f"no term is called {name!r}; known are {', '.join(EVENT_GRIDS)}")
+    """A term with one value for each flight, and the parameters that take it."""
+    effects = [r.effect for r in registry()]
+    columns = tuple((e.name, q.name) for e in effects for q in e.parameters if q.carries_term == name)
+    return Term(name, of, *EVENT_VALUES[name], columns)
 
 
 def _within_flight() -> Iterator[Term]:
@@ -157,7 +145,8 @@ def _within_flight() -> Iterator[Term]:
         for curve in e.curves:
             words, low, high = FLIGHT_VALUES[curve.term]
             unit, fixed = e.parameter(FIRST_VALUE).unit, tuple(curve.fixed.items())
-            yield Term(curve.term, curve.of, unit, words, low, high, NUDGES[unit], (), e.name, fixed)
+            nudge = 0.03 if unit == "m/s^2" else 0.003  # finite difference
+            yield Term(curve.term, curve.of, unit, words, low, high, nudge, (), e.name, fixed)
 
 
 IN_FLIGHT: tuple[Term, ...] = tuple(_within_flight())
@@ -307,8 +296,9 @@ def _put(out: Floats, curve: Curve, dwell_s: Floats) -> None:
     """Set the parameters that carry a curve; a friction or restitution takes the place of a constant one."""
     term, place = curve.term, offsets()
     # with its constant left in, only the sum of both would be known
-    for key in substituted(term.name):
-        out[..., place[key]] = 0.0
+    for e in (r.effect for r in registry() if r.effect.substitutes_term == term.name):
+        for q in e.parameters:
+            out[..., place[e.name, q.name]] = 0.0
     if term.columns:
         for key in term.columns:
             out[:, place[key]] += curve.table

@@ -68,11 +68,6 @@ class Known:
         return found
 
 
-def load(path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING) -> Drop | Path2D:
-    """The drop in a file; the first where there are several. Raises what `load_all` raises."""
-    return load_all(path, progress, corrections)[0]
-
-
 def load_all(
     path: Path, progress: Progress | None = None, corrections: Corrections = NOTHING, known: Known | None = None
 ) -> list[Drop] | list[Path2D]:

@@ -34,7 +34,7 @@ from analysis.loop.close_loop import fit_loop
 from analysis.loop.verdicts import Verdict
 from analysis.residuals.observations import Observations
 from analysis.residuals.values import TREND, ParameterId
-from analysis.thresholds import FROZEN, LEADING_P, Thresholds
+from analysis.thresholds import FROZEN, LEADING_P
 from daq.files.whole_file import Journal
 from daq.recording import open_recording
 from daq.recording.header import refuse_repeated
@@ -54,7 +54,6 @@ def join_runs(
     recordings: Sequence[Path],
     *,
     setup: Setup | None = None,
-    limits: Thresholds = FROZEN,
     journal: Journal | None = None,
     progress: Progress | None = None,
 ) -> JointVerdict:
@@ -66,8 +65,6 @@ def join_runs(
         At least three; one is in memory at a time, and the flights of the first ones.
     setup
         Replaces the setups stored in the recordings.
-    limits
-        Thresholds of the verdict.
     journal
         Keeps every summary, so that a verdict that was interrupted goes on.
     progress
@@ -86,8 +83,7 @@ def join_runs(
             "name more, or judge them as one run"
         )
     refuse_repeated(recordings)
-    passes = _Passes(recordings, setup, limits, journal, progress or (lambda what, part: None))
-    return _Search(passes, limits).run()
+    return _Search(_Passes(recordings, setup, journal, progress or (lambda what, part: None))).run()
 
 
 @dataclass
@@ -96,7 +92,6 @@ class _Passes:
 
     recordings: Sequence[Path]
     setup: Setup | None
-    limits: Thresholds
     journal: Journal | None
     progress: Progress
     done: int = 0
@@ -120,14 +115,14 @@ class _Passes:
             self.progress(f"pass {self.done}: {path.name}", i / len(self.recordings))
             # what a summary depends on: file and events as they are now, point, setup, effects and software
             effects = [(r.effect.name, r.effect.parameters) for r in registry()]
-            made = [software_version(), software_commit(), effects, self.limits]
+            made = [software_version(), software_commit(), effects, FROZEN]
             here = [*(sorted(x.items()) for x in (point.priors, point.shared, point.population)), self.setup]
             key = hashlib.sha256(repr([state_of(path), here, made]).encode()).hexdigest()[:24]
             row = None if self.journal is None else self.journal.rows.get(key)
             if row is None:
                 # flights of the first recordings stay in memory, about 100 MB of them; the others are read in each pass
                 few = path in self.known or sum(map(len, self.known.values())) < 200_000
-                summary = summarise(path, point, self.limits, self.setup, self.known if few else None)
+                summary = summarise(path, point, FROZEN, self.setup, self.known if few else None)
                 if self.journal is not None:
                     self.journal.add(key, summary.as_row())
             else:
@@ -164,7 +159,6 @@ class _Search:
     """Forward selection with steps back, linearised anew after each change."""
 
     passes: _Passes
-    limits: Thresholds
     rounds: list[str] = field(default_factory=list)
     dropped: set[tuple[str, ...]] = field(default_factory=set)
 
@@ -178,8 +172,8 @@ class _Search:
         state = self._begun_alone(state)
         first: list[Tested] = []
         ties: tuple[tuple[str, ...], ...] = (state.names,) if state.named else ()
-        for depth in range(len(state.named), self.limits.most_effects):
-            candidates = Candidates(state.model, state.found, self.limits)
+        for depth in range(len(state.named), FROZEN.most_effects):
+            candidates = Candidates(state.model, state.found, FROZEN)
             tested = candidates.tested(depth)
             first = first or tested
             judged = self._judged_again(state, candidates, tested, depth)
@@ -210,9 +204,9 @@ class _Search:
         verdict: Verdict = "explained" if state.names else "nothing_missing"
         return JointVerdict(
             "unexplained" if any(run.failed for run in runs) else verdict, state.names, ties,
-            parameters_over_runs(state.model, state.found, days, self.limits, self.declared),
+            parameters_over_runs(state.model, state.found, days, FROZEN, self.declared),
             systematics_of(state.model, state.found), runs,
-            Candidates(state.model, state.found, self.limits).detection_limits(), tried, tuple(self.rounds),
+            Candidates(state.model, state.found, FROZEN).detection_limits(), tried, tuple(self.rounds),
             self.passes.done, dated,
         )  # fmt: skip
 
@@ -227,13 +221,13 @@ class _Search:
 
     def _begun_alone(self, state: _State) -> _State:
         """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
-        enough = 2 * self.limits.reserve_every  # steps, for a verdict on one run
+        enough = 2 * FROZEN.reserve_every  # steps, for a verdict on one run
         odd = [s for s in state.summaries if (s.outcome.failed or s.lost) and s.outcome.steps >= enough]
         if not odd:
             return state
         worst = max(odd, key=lambda s: (s.lost, s.outcome.ratio))
         path = next(p for p, s in zip(self.passes.recordings, state.summaries, strict=True) if s is worst)
-        loop, fitted = fit_loop([path], setup=self.passes.setup, limits=self.limits, anyway=True)
+        loop, fitted = fit_loop([path], setup=self.passes.setup, limits=FROZEN, anyway=True)
         best = fitted.selection.best
         free = {k: v for k, v in best.fitted.values.items() if k in best.free and not k[1].endswith(TREND)}
         if not free:
@@ -302,7 +296,7 @@ class _Search:
             if without is not None:
                 gains[names] = float((left_out_losses(state.model, without, without.free) - full).sum())
         least = min(gains, key=lambda n: gains[n], default=None)
-        if least is None or gains[least] > self.limits.first_effect_nats:
+        if least is None or gains[least] > FROZEN.first_effect_nats:
             return state
         self.rounds.append(
             f"{' + '.join(least)} gains no more than {gains[least]:.1f} nats next to the others: dropped"
@@ -314,7 +308,7 @@ class _Search:
 
     def _own_where_they_differ(self, state: _State) -> _State:
         """Shared parameters that differ between runs become the runs' own, about a mean."""
-        every = parameters_over_runs(state.model, state.found, state.days[0], self.limits, self.declared)
+        every = parameters_over_runs(state.model, state.found, state.days[0], FROZEN, self.declared)
         keys = [key for x in every if x.differs and (key := (x.effect, x.parameter)) in state.point.shared]
         if not keys:
             return state

@@ -147,7 +147,6 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.report.wording import term_effect_in_words
     from bench.jobs.loops.keep_term import keep_term
     from bench.jobs.loops.keep_verdict import conclude, drawn
-    from bench.jobs.stakes import write_stake
     from bench.profiles.improved import write_improved
     from bench.profiles.next_run import possible_runs, write_next
 
@@ -182,6 +181,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")
 
     def staking(path: Path) -> None:
+        from bench.jobs.stakes import write_stake  # with what a stake needs, where one is asked for
+
         for line in write_stake(loop, fitted, recordings, text, path):
             say(line)
 

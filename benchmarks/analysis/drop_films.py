@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.film.outcome import Units, of_camera
-from analysis.drop.load import Path2D, load
+from analysis.drop.load import Path2D, load_all
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats
 
@@ -235,7 +235,7 @@ def measure(scene: Scene, seed: int, k: int) -> dict[str, tuple[float, float, fl
         target = Path(folder) / ("drop.mp4" if scene.codec == "mp4v" else "drop.avi")
         scale, _ = film(target, scene, np.random.default_rng([seed, k, 1]))
         try:
-            found = load(target)
+            found = load_all(target)[0]
             if not isinstance(found, Path2D):
                 return "no film"
             fit = fit_camera([found.clip], np.random.default_rng(k))

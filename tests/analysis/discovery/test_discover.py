@@ -9,7 +9,6 @@ import pytest
 
 from analysis.discovery.discover import describe
 from analysis.discovery.terms import (
-    EVENT_GRIDS,
     IN_FLIGHT,
     Curve,
     basis_of,
@@ -66,12 +65,6 @@ def test_a_curve_is_kept_within_its_bounds() -> None:
         term = event_term(name, "gamma")
         curve = Curve(term, np.array([0.0, 1.0]), np.zeros(2), np.zeros((1, 2))).moved(np.array([-1.0, 9.0]))
         assert curve.values == pytest.approx([term.low, term.high])
-
-
-def test_an_unknown_term_is_refused_with_the_known_ones() -> None:
-    """The message lists what may be asked for."""
-    with pytest.raises(ValueError, match=", ".join(EVENT_GRIDS)):
-        event_term("glue", "gamma")
 
 
 def test_words_follow_the_curve() -> None:

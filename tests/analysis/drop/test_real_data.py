@@ -7,7 +7,7 @@ import pytest
 
 from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.laws.choice import Verdict
-from analysis.drop.load import Path2D, load
+from analysis.drop.load import Path2D, load_all
 from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.outcome import of_times
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.data
 
 
 def _judged(files: list[Path]) -> tuple[list[Drop], Verdict[Judged]]:
-    drops = [load(file) for file in files]
+    drops = [load_all(file)[0] for file in files]
     assert all(isinstance(drop, Drop) for drop in drops)
     return drops, judge(drops, G, np.random.default_rng(1))
 
@@ -59,7 +59,7 @@ def test_every_tracked_table_gives_a_restitution(data: Path) -> None:
     """All 94 tables, in every dialect: one acceleration per set-up, and a first restitution below 1."""
     accelerations: dict[str, list[float]] = {}
     for file in sorted((data / "tracked").rglob("*.csv")):
-        path = load(file)
+        path = load_all(file)[0]
         assert isinstance(path, Path2D), file
         accelerations.setdefault(file.parent.name, []).append(path.clip.acceleration)
     assert {name: len(found) for name, found in accelerations.items()} == {"A4": 68, "HT": 8, "vacuum": 18}
@@ -78,7 +78,7 @@ def test_every_tracked_table_gives_a_restitution(data: Path) -> None:
 )
 def test_restitution_of_the_first_bounce(data: Path, name: str, e: float) -> None:
     """The first bounce's restitution, from the speeds on both sides, is that of the square root of the heights."""
-    path = load(data / "tracked" / name)
+    path = load_all(data / "tracked" / name)[0]
     fit = fit_camera([path.clip], np.random.default_rng(1))
     seen = fit.impacts["parabola"]
     assert seen.speed_out[0] / seen.speed_in[0] == pytest.approx(e, abs=0.012)
@@ -86,7 +86,7 @@ def test_restitution_of_the_first_bounce(data: Path, name: str, e: float) -> Non
 
 def test_the_green_ball_is_followed(data: Path) -> None:
     """The film: one ball among hands, shadows and a person walking in; three bounces near restitution 0.7."""
-    path = load(data / "video" / "arza_bounceAmeen.avi")
+    path = load_all(data / "video" / "arza_bounceAmeen.avi")[0]
     assert 65 <= path.clip.frame[0] <= 70 and len(path.clip.frame) > 40
     fit = fit_camera([path.clip], np.random.default_rng(1))
     seen = fit.impacts["drag"]

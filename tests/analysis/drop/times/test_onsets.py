@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from analysis.drop.load import load
+from analysis.drop.load import load_all
 from analysis.drop.times.impact_chain import drops_of, unheard
 from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
@@ -94,7 +94,7 @@ CLOSINGS_S = 0.3 + np.concatenate(([0.0], np.cumsum(0.3 * 0.7 ** np.arange(8))))
 
 def test_a_contact_channel_with_the_plate_at_rest(tmp_path: Path) -> None:
     """Closings of the contact circuit in a recording are the impacts; chatter within a closing is not."""
-    drop = load(_contact_recording(tmp_path, CLOSINGS_S, 20000.0))
+    drop = load_all(_contact_recording(tmp_path, CLOSINGS_S, 20000.0))[0]
     assert isinstance(drop, Drop)
     assert drop.bounces.impacts_s == pytest.approx(CLOSINGS_S, abs=1.1 / 20000.0)
 
@@ -102,4 +102,4 @@ def test_a_contact_channel_with_the_plate_at_rest(tmp_path: Path) -> None:
 def test_a_shaken_plate_is_no_drop_test(tmp_path: Path) -> None:
     """The same closings on a plate that is shaken by 1 g are refused."""
     with pytest.raises(InputError, match="needs the plate at rest"):
-        load(_contact_recording(tmp_path, CLOSINGS_S, 20000.0, shaken_v=0.1))
+        load_all(_contact_recording(tmp_path, CLOSINGS_S, 20000.0, shaken_v=0.1))
