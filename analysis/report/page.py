@@ -55,11 +55,6 @@ class Drawn:
     points: Mapping[str, str] | None = None  # see `interactive.packed`; None in a figure that the pointer does not know
 
     @property
-    def place(self) -> str:
-        """Part of the page."""
-        return self.figure.place
-
-    @property
     def caption(self) -> str:
         """Caption and remark."""
         return f"{self.figure.caption} {self.remark}".rstrip()

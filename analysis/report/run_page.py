@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,11 +25,11 @@ from analysis.report.figures.measured import Measured
 from analysis.report.gamma import GammaScale, gamma_scale
 from analysis.report.interactive import flight_columns, inline_figure
 from analysis.report.narrative import headline
-from analysis.report.numbers import microseconds
+from analysis.report.numbers import fixed, microseconds
 from analysis.report.origin import calibration_rows, file_rows, rig_rows, software_words, source_words
-from analysis.report.page import Drawn, fill, whole_page
-from analysis.report.step_table import step_table
+from analysis.report.page import Drawn, Progress, fill, whole_page
 from analysis.report.wording import plain
+from analysis.statistics import mad_sigma
 from daq.files.whole_file import whole
 from daq.recording import Recording
 from daq.recording.event_changes import in_words
@@ -42,7 +42,6 @@ from daq.setup.provenance import software_commit, software_version
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Progress = Callable[[str, float], None]
 SYMBOLS = {"gamma": "Γ", "gamma_peak": "Γ peak"}
 
 
@@ -84,7 +83,7 @@ def section_of(
         first_sentence=first, more=" ".join(more),
         drawn=_drawn(shown, number, progress or (lambda what, part: None)),
         source=source_words(recording.path.name, simulated=simulated),
-        steps=step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
+        steps=_step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
         notebook=_notebook(recording), file=file_rows(recording, found), term_effect=None, level=4,
         pointed=_flights_behind(shown, number, scale), by_hand=in_words(flights.edges.by_hand),
     )  # fmt: skip
@@ -144,6 +143,46 @@ def _flights_behind(shown: Measured, number: int, scale: GammaScale) -> dict[str
         }  # fmt: skip
         out[f"loop-{number}"] = {"columns": flight_columns(columns), "gamma": symbol}
     return out
+
+
+HEADS = (
+    "step", "gamma set", "reached", "+-", "measured", "model", "flights", "mean flight time (ms)", "over model",
+    "rms to model (us)",
+)  # fmt: skip
+ERRORS = ("landing error before (us)", "after (us)")
+
+
+def _step_table(shown: Measured, scale: GammaScale) -> tuple[list[str], list[list[str]]] | None:
+    """Headings and a row for each step: set and reached, measured and predicted, error before and after (robust).
+
+    Held-out steps have a star. None where no flight was seen.
+    """
+    loop = shown.loop
+    if shown.compared is None:
+        return None
+    held = set(loop.held_out) if loop is not None else set()
+    errors = [] if loop is None else [
+        dict(zip(loop.steps.number.tolist(), of_loop.by_step(loop, side.landing_residual_s, mad_sigma), strict=True))
+        for side in (loop.flights.before, loop.flights.after)
+    ]  # fmt: skip
+    rows = []
+    for own in shown.compared.steps:
+        plate, stated = shown.flights.plate.steps[own.step], shown.recording.steps[own.step]
+        cells = [
+            f"{own.step}{'*' if own.step in held else ''}",
+            fixed(scale.factor * float(stated["gamma"]), 4),
+            fixed(scale.factor * own.gamma, 4),
+            fixed(scale.factor * plate.gamma_uncertainty if plate is not None else math.nan, 4),
+            own.measured.label,
+            own.predicted,
+            str(own.measured.flights),
+            fixed(1e3 * own.measured.mean_s, 3),
+            fixed(own.mean_ratio, 4),
+            fixed(1e6 * own.rms_s, 1) + (f" ({own.unfit_reason})" if own.unfit_reason else ""),
+        ]
+        rows.append([*cells, *(fixed(of_side.get(own.step, math.nan), 1) for of_side in errors)])
+    heads = [head.replace("gamma", scale.name) for head in HEADS] + (list(ERRORS) if loop is not None else [])
+    return heads, rows
 
 
 COMPARED = (
