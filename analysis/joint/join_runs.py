@@ -47,8 +47,6 @@ from model.effects.registry import registry
 
 Progress = Callable[[str, float], None]
 
-LEAST_RUNS = 3  # fewer tell nothing of how runs differ
-
 
 def join_runs(
     recordings: Sequence[Path],
@@ -77,9 +75,9 @@ def join_runs(
     ValueError
         For declared effects that do not exist or are out of bounds.
     """
-    if len(recordings) < LEAST_RUNS:
+    if len(recordings) < 3:  # fewer tell nothing of how runs differ
         raise InputError(
-            f"{', '.join(map(str, recordings))}: wanted at least {LEAST_RUNS} recordings, to see how runs differ; "
+            f"{', '.join(map(str, recordings))}: wanted at least 3 recordings, to see how runs differ; "
             "name more, or judge them as one run"
         )
     refuse_repeated(recordings)

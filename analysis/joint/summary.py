@@ -36,8 +36,6 @@ from model.effects.registry import resolve
 
 Row = dict[str, Any]
 
-LEAST_STEPS = 2  # of a run whose plate motion can be measured
-
 
 @dataclass(frozen=True)
 class Point:
@@ -132,9 +130,9 @@ def summarise(
     with open_recording(path) as opened:
         started = str(opened.attrs.get("started") or "")
     observations = observations_from([path], setup=setup, known=known)
-    if len(observations.steps) < LEAST_STEPS or not len(observations.plate):
+    if len(observations.steps) < 2 or not len(observations.plate):
         raise InputError(
-            f"{path}: wanted at least {LEAST_STEPS} steps whose plate motion can be measured, found "
+            f"{path}: wanted at least 2 steps whose plate motion can be measured, found "
             f"{len(observations.steps)}; leave this recording out"
         )
     effects: dict[str, dict[str, float]] = {}

@@ -28,8 +28,7 @@ from analysis.residuals.plate_data.plate_observables import KINDS
 from analysis.statistics import mad_sigma
 from model.effects.registry import effect
 
-LISTED = 3  # candidates and kinds of plate data named in a sentence
-RIVALS = 3  # sets of effects named as what else it could be
+LISTED = 3  # candidates, kinds of plate data and rival sets of effects named in a sentence
 
 
 def headline(loop: ClosedLoop) -> str:
@@ -112,8 +111,8 @@ def _rivals(loop: ClosedLoop) -> str:
     others = others_in_words(loop)
     if not others:
         return "No other named set of effects does as well."
-    more = f" or {len(others) - RIVALS} more" if len(others) > RIVALS else ""
-    return f"The data cannot tell it from {' or '.join(others[:RIVALS])}{more}."
+    more = f" or {len(others) - LISTED} more" if len(others) > LISTED else ""
+    return f"The data cannot tell it from {' or '.join(others[:LISTED])}{more}."
 
 
 def reasoning(loop: ClosedLoop) -> list[str]:

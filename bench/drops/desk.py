@@ -24,8 +24,6 @@ from daq.files.json_values import json_text
 from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 
-MOST_FILES = 24  # of one drop test
-MOST_MARKS = 2000  # corrections of a file: more is no correction by hand
 SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
 NUMBERS = ("fps", "scale_m", "ball_size_m", "mass_kg", "diameter_m", "gravity_mps2")
 Message = dict[str, Any]
@@ -144,8 +142,8 @@ class DropDesk:
 
     def _open(self, names: object) -> None:
         """Show files of the folder; a result next to the first comes back with its corrections."""
-        if not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
-            raise InputError(f"open 1 to {MOST_FILES} files at a time")
+        if not isinstance(names, list) or not 0 < len(names) <= 24:
+            raise InputError("open 1 to 24 files at a time")
         files = [file_inside(self._folder, str(name)) for name in names]
         request = saved_request(side_file(files[0]), files) or Request(tuple(files))
         check_request(request)
@@ -160,8 +158,8 @@ class DropDesk:
             raise InputError("wanted a file, and the time of an impact")
         parts = list(request.corrected)
         parts[number] = moved(parts[number], gone, new, min(max(same or 0.0, 1e-9), 1.0))
-        if len(parts[number].ignore_s) + len(parts[number].add_s) > MOST_MARKS:
-            raise InputError(f"more than {MOST_MARKS} corrections: choose another part of the file instead")
+        if len(parts[number].ignore_s) + len(parts[number].add_s) > 2000:
+            raise InputError("more than 2000 corrections: choose another part of the file instead")
         self._change(replace(request, corrections=tuple(parts)))
 
     def _change(self, request: Request) -> None:

@@ -16,7 +16,6 @@ from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
 
 HERE = Path(__file__).parent
-MOST_COLUMNS = 8192
 
 
 def section(place: Place) -> Section:
@@ -54,8 +53,8 @@ def _envelope(desk: DropDesk, request: Request) -> dict[str, list[float]]:
     files = desk.request.files if desk.request is not None else ()
     if not 0 <= number < len(files) or not is_wav(files[number]):
         raise HTTPException(404, "no such sound is open")
-    if not (0.0 <= start_s < stop_s < 1e9 and 0 < width <= MOST_COLUMNS):
-        raise HTTPException(422, f"wanted 0 <= start_s < stop_s, and at most {MOST_COLUMNS} columns")
+    if not (0.0 <= start_s < stop_s < 1e9 and 0 < width <= 8192):
+        raise HTTPException(422, "wanted 0 <= start_s < stop_s, and at most 8192 columns")
     try:
         at, low, high = open_wav(files[number]).envelope(start_s, stop_s, width)
     except (InputError, OSError) as error:

@@ -125,7 +125,6 @@ PLACES = (  # where the installers of macOS and Windows put one
     "C:/Program Files (x86)/Google/Chrome/Application/chrome.exe",
     "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
 )
-LONGEST_S = 180.0
 
 
 def browser() -> str | None:
@@ -168,13 +167,9 @@ def print_pdf(page: Path, pdf: Path) -> None:
             f"--print-to-pdf={made}", page.resolve().as_uri(),
         ]  # fmt: skip
         try:
-            done = subprocess.run(
-                call, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False
-            )
+            done = subprocess.run(call, capture_output=True, text=True, errors="replace", timeout=180.0, check=False)
         except subprocess.TimeoutExpired:
-            raise InputError(
-                f"{page}: {found} did not print it in {LONGEST_S:.0f} s; print it from a browser"
-            ) from None
+            raise InputError(f"{page}: {found} did not print it in 180 s; print it from a browser") from None
         if done.returncode != 0 or not made.is_file():
             last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
             raise InputError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 from collections.abc import Iterator, MutableMapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bench.jobs.blocks import Aims, Chosen, as_driven, block_text, forcing_in_words, offers, run_seconds
 from bench.jobs.loops.keep_verdict import verdict_file
 from bench.profiles.edit import with_values
+from bench.profiles.fields import toml_value
 from daq.files.whole_file import write_whole
 from daq.recording import open_recording
 from daq.setup.clock import now_utc
@@ -88,19 +88,10 @@ def stake_toml(stake: Stake) -> str:
     lines = ["[stake]  # predicted before the run; a changed number is another prediction"]
     for name, value in stake.model_dump(mode="json", exclude_none=True).items():
         if isinstance(value, list) and value and isinstance(value[0], dict | list):
-            lines += [f"{name} = [", *(f"  {_inline(row)}," for row in value), "]"]
+            lines += [f"{name} = [", *(f"  {toml_value(row)}," for row in value), "]"]
         else:
-            lines.append(f"{name} = {_inline(value)}")
+            lines.append(f"{name} = {toml_value(value)}")
     return "\n".join(lines) + "\n"
-
-
-def _inline(value: Any) -> str:
-    """A value in one line of TOML."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{k} = {_inline(x)}" for k, x in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
 def read_stake(path: Path) -> tuple[Stake, str]:

@@ -25,7 +25,6 @@ from model.surveys.diagram import KINDS, Rows, adaptive, empty_rows
 from model.surveys.diagram import diagram as rows_at
 from model.tones import Forcing
 
-MOST_ROWS_AS_JSON = 100_000
 MOST_GAMMAS = 1_000_000
 
 
@@ -126,8 +125,8 @@ class Progress:
 
 def _check_json(size: int, job: ensemble.Job) -> None:
     """Refuse more rows than a JSON is good for (raises `InputError`)."""
-    if size > MOST_ROWS_AS_JSON or job.axes:
-        raise InputError(f"as JSON at most {MOST_ROWS_AS_JSON} gammas and no --grid; give --out for HDF5")
+    if size > 100_000 or job.axes:
+        raise InputError("as JSON at most 100000 gammas and no --grid; give --out for HDF5")
 
 
 def _row_json(rows: Rows, i: int, job: ensemble.Job) -> dict[str, Any]:

@@ -17,8 +17,6 @@ from model.orbits.attractor import Attractor, Ball, attractor, sweep
 from model.orbits.make_ball import make_ball
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
-MOST_ADAPTIVE = 20_000  # gammas from which an adaptive diagram may begin
-
 
 @dataclass(frozen=True)
 class DiagramOptions:
@@ -111,8 +109,8 @@ def ball_for(request: Request) -> Ball:
 
 def check_adaptive(steps: int) -> None:
     """Refuse more gammas than an adaptive diagram, which is in memory, can be refined from."""
-    if steps > MOST_ADAPTIVE:
-        raise InputError(f"an adaptive diagram begins with at most {MOST_ADAPTIVE:,} --steps, not {steps:,}")
+    if steps > 20_000:
+        raise InputError(f"an adaptive diagram begins with at most 20,000 --steps, not {steps:,}")
 
 
 def seconds_of(tau: list[float], frequency_hz: float | None) -> list[float] | None:

@@ -76,7 +76,7 @@ def _walk(node: Mapping[str, Any], path: str, held: Any, kind: str) -> Iterator[
         limits = [f"{sign} {one[limit]:g}" for one in found for limit, sign in _LIMITS.items() if limit in one]
         yield {
             "key": key,
-            "text": "" if value is None else _written(value),
+            "text": "" if value is None else toml_value(value),
             "unit": UNITS.get(name) or UNITS.get(name.rpartition("_")[2], ""),
             "limit": ", ".join(dict.fromkeys(limits)),
             "choices": [json.dumps(choice) for one in found for choice in one.get("enum", ())],
@@ -107,11 +107,11 @@ def _table(node: Mapping[str, Any], kind: str | None) -> dict[str, Any] | None:
     return tables[0] if tables else None
 
 
-def _written(value: Any) -> str:
+def toml_value(value: Any) -> str:
     """A value as TOML writes it."""
     import tomlkit
 
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{name} = {_written(own)}" for name, own in value.items()) + " }"
+        return "{ " + ", ".join(f"{name} = {toml_value(own)}" for name, own in value.items()) + " }"
     text: str = tomlkit.item(value).as_string()
     return text

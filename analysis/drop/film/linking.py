@@ -17,7 +17,6 @@ from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
 
 _WINDOW = 7  # samples in which free flight is looked for
-_LONGEST_GAP = 8.0  # frames a track may be lost
 _LEAST_BALLISTIC = 6  # windows
 
 
@@ -172,8 +171,8 @@ def link(frames: Floats, x: Floats, y: Floats) -> list[list[int]]:
     starts = np.flatnonzero(np.diff(frames, prepend=-np.inf) > 1e-6)
     for start, stop in zip(starts, np.append(starts[1:], len(frames)), strict=True):
         now, points = float(frames[start]), range(int(start), int(stop))
-        done += [t.index for t in live if now - t.clock > _LONGEST_GAP]
-        live = [t for t in live if now - t.clock <= _LONGEST_GAP]
+        done += [t.index for t in live if now - t.clock > 8.0]  # a track may be lost for eight frames
+        live = [t for t in live if now - t.clock <= 8.0]
         free = set(points)
         for _, k, i in sorted(_candidates(live, points, places, now, spread)):
             if i in free and live[k].clock < now:  # neither has a better partner

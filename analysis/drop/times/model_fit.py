@@ -21,7 +21,6 @@ _SMALLEST = Widths(1e-7, 1e-6, 1e-7)
 _LARGEST = Widths(0.05, 0.5, 0.05)
 _START = Widths(2e-4, 0.01, 1e-4)
 _USUAL_WIDTHS = Widths(2e-4, 5e-3, 1e-4)  # of a phone or a camera, and of balls on floors
-_BOOTS = 200
 _NUDGE = 1e-5  # of a parameter, for derivatives
 
 
@@ -88,8 +87,8 @@ def fit(model: BounceModel, rows: Rows, g_mps2: float, rng: np.random.Generator)
     owner = np.nonzero(rows.valid)[0]
     groups = owner if len(np.unique(owner)) >= 6 else np.arange(len(white))
     names, group = np.unique(groups, return_inverse=True)
-    draws = np.empty((_BOOTS, len(theta)))
-    for b in range(_BOOTS):
+    draws = np.empty((200, len(theta)))
+    for b in range(len(draws)):
         weight = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[group]
         normal = (jacobian * weight[:, None]).T @ jacobian
         draws[b] = theta + _inverse(normal) @ (jacobian.T @ (weight * white))

@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from analysis.loop.result import ClosedLoop
 
 
-GAMMAS = 500  # points of the model's diagram
-CYCLES = 4.0  # of the forcing, in the trajectory
-
-
 def draw_bifurcations(shown: Measured, figure: Figure) -> None:
     """Draw measured flight times against gamma over the model's diagram, forbidden zones shaded."""
     recording, flights = shown.recording, shown.flights
@@ -95,7 +91,7 @@ def _draw_model(
     top = 0.0
     for effects, what, color in models:
         ball = ball_on(plate, setup, effects)[0]
-        rows = diagram(ball, np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else GAMMAS // 2))
+        rows = diagram(ball, np.linspace(low, high, 500 if isinstance(ball, IdealBall) else 250))  # others take longer
         y = rows.tau.ravel() * unit
         name = f"{what}: {', '.join(sorted(ball_effects(effects))) or 'ideal'}"
         x = np.repeat(rows.gamma, rows.tau.shape[1]) * scale
@@ -154,7 +150,7 @@ def draw_trajectory(shown: Measured, figure: Figure) -> None:
         return
     index = np.flatnonzero(good & (flights.step == plate.step))
     begin = flights.takeoff_s[index[0]] - 0.3 / plate.frequency_hz
-    end = begin + CYCLES / plate.frequency_hz
+    end = begin + 4.0 / plate.frequency_hz  # four cycles of the forcing
     figure.set_size_inches(8.0, 5.0)
     ax, low = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
     t = np.linspace(begin, end, 1200)
