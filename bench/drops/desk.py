@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from analysis.drop.film.video import FILMS
 from bench.drops.correct import moved, saved_request, side_file
 from bench.drops.worker import work
-from bench.jobs.drop_test import Request, check_request
+from bench.jobs.drop_test import POSITIVE, Request, check_request
 from bench.terminal.signals import spawned
 from bench.web.browsers import Browser, Hub
 from bench.web.folder import file_inside
@@ -25,7 +25,6 @@ from daq.files.whole_file import write_whole
 from daq.setup.errors import InputError
 
 SUFFIXES = {".wav", ".csv", ".tsv", ".txt", ".xls", ".xlsx", *FILMS}
-NUMBERS = ("fps", "scale_m", "ball_size_m", "mass_kg", "diameter_m", "gravity_mps2")
 Message = dict[str, Any]
 
 
@@ -100,7 +99,7 @@ class DropDesk:
             "files": [path.name for path in request.files],
             "heights_m": list(request.heights_m),
             "can_undo": bool(self._undo),
-            **{name: getattr(request, name) for name in NUMBERS},
+            **{name: getattr(request, name) for name in POSITIVE},
         }
 
     def _obey(self, browser: Browser, said: Message) -> None:
@@ -125,7 +124,7 @@ class DropDesk:
             self._correct(self.request, said)
         elif wanted == "options":
             # an empty field is the default
-            found: dict[str, Any] = {name: _number(said.get(name)) for name in NUMBERS}
+            found: dict[str, Any] = {name: _number(said.get(name)) for name in POSITIVE}
             if found["gravity_mps2"] is None:
                 found["gravity_mps2"] = Request.gravity_mps2
             given = said.get("heights_m")

@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from analysis.drop.outcome import Outcome
     from analysis.drop.times.one_ahead import Drop
 
-# what `bench drop` calls each number of a request, and each of its corrections
-NUMBERS = {
+# what `bench drop` calls each number of a request, the positive ones first, and each of its corrections
+POSITIVE = {
     "fps": "fps", "scale_m": "scale", "ball_size_m": "ball-size", "gravity_mps2": "gravity", "mass_kg": "mass",
-    "diameter_m": "diameter", "heights_m": "drop-height", "height_uncertainty_m": "height-uncertainty",
+    "diameter_m": "diameter",
+}  # fmt: skip
+NUMBERS = POSITIVE | {
+    "heights_m": "drop-height", "height_uncertainty_m": "height-uncertainty",
     "scale_uncertainty": "scale-uncertainty", "fps_uncertainty": "fps-uncertainty", "seed": "seed",
 }  # fmt: skip
 MARKS = {"from_s": "from", "until_s": "until", "ignore_s": "ignore", "add_s": "add", "axis_deg": "axis"}
@@ -93,7 +96,7 @@ def check_request(request: Request) -> None:
         raise InputError(f"--use-height {request.use_height}: expected check or data")
     if request.use_height == "data" and not request.heights_m:
         raise InputError("--use-height data: there is no height to use; say it with --drop-height")
-    for name, option in list(NUMBERS.items())[:6]:
+    for name, option in POSITIVE.items():
         value = getattr(request, name)
         if value is not None and not 0.0 < value < float("inf"):
             raise InputError(f"--{option} {value}: expected a positive number")
