@@ -52,7 +52,7 @@ def command(
     checked, text = _simulated(profile)
     hidden = _sealed(seed, checked) if scenario is None else load_scenario(find_scenario(scenario))
     _claim(folder)
-    sealed, kept = folder / "sealed.toml", f"what was made is in {folder}; the same call starts anew there"
+    sealed, left = folder / "sealed.toml", f"what was made is in {folder}; the same call starts anew there"
     try:
         sealed.write_text(hidden.to_toml(), encoding="utf-8")
         if scenario is None:
@@ -60,9 +60,9 @@ def command(
         recording = _drive(checked, text, folder, sealed, seed)
         loop, complete = _close(recording, _reprocess(recording, folder), folder)
     except (OSError, InputError) as error:
-        fail(f"{error}\n{kept}")
+        fail(f"{error}\n{left}")
     except DEFECTS as error:
-        error.add_note(kept)
+        error.add_note(left)
         raise
     effects = load_scenario(sealed).effects
     found = ", ".join(f.name for f in loop.selection.effects) or "no effect added"

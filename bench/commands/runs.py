@@ -52,7 +52,7 @@ def command(
     check_outputs(File("--json", json, JSON), inputs=[folder], overwrite=overwrite)
     query = Query(
         profile=profile_name, c=c, gamma=gamma, tags=tuple(tag), verdict=verdict, ended=ended, since=since,
-        until=until, text=text, lost=lost, sort=sort.removeprefix("-"), backwards=sort.startswith("-"), limit=limit,
+        until=until, text=text, lost=lost, sort=sort, limit=limit,
     )  # fmt: skip
     with Catalogue(folder, anew=rescan) as catalogue:
         if catalogue.said:

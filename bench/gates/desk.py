@@ -33,8 +33,6 @@ from daq.setup.errors import InputError
 from daq.setup.strict_toml import read_toml_text
 from rig.profile import Profile, parse_profile
 
-TICK_S = 0.1
-
 
 class Gates:
     """The six gates of one rig.
@@ -88,7 +86,7 @@ class Gates:
                 if self.fault != str(error):
                     self.fault = str(error)
                     self.tell()
-            await asyncio.sleep(TICK_S)
+            await asyncio.sleep(0.1)
 
     async def talk(self, browser: Browser) -> None:
         """Serve one browser until it is gone."""

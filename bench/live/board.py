@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import secrets
 from collections.abc import Mapping
-from multiprocessing.shared_memory import SharedMemory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import crc32
-from daq.recorder.shared_ring import NAME, clear_left_behind
+from daq.recorder.shared_ring import shared_memory
 
 EVENT_SLOTS, EVENT_BYTES = 512, 8192
 COMMAND_SLOTS, COMMAND_BYTES = 64, 8192
@@ -101,12 +98,7 @@ class Board:
     def __init__(self, name: str | None = None) -> None:
         self._owner = name is None
         events = Lane.size(EVENT_SLOTS, EVENT_BYTES)
-        if name is None:
-            clear_left_behind()
-            size = events + Lane.size(COMMAND_SLOTS, COMMAND_BYTES)
-            self._memory = SharedMemory(f"{NAME}-{os.getpid()}-{secrets.token_hex(3)}", create=True, size=size)
-        else:
-            self._memory = SharedMemory(name)
+        self._memory = shared_memory(name, events + Lane.size(COMMAND_SLOTS, COMMAND_BYTES))
         buffer: Any = self._memory.buf
         self.events = Lane(buffer, EVENT_SLOTS, EVENT_BYTES)
         self.commands = Lane(buffer[events:], COMMAND_SLOTS, COMMAND_BYTES)

@@ -24,9 +24,6 @@ from model.orbits.make_ball import make_ball
 from model.surveys.diagram import diagram
 from model.tones import Forcing
 
-GAMMAS, SLOW_GAMMAS = 480, 160  # points of the diagram, exact and integrated
-ZONE_GAMMAS = 120
-
 
 def nominal_forcing(setup: Setup) -> Forcing:
     """The forcing as the profile asks for it, its first tone at phase zero."""
@@ -42,8 +39,8 @@ def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any
     forcing, declared = nominal_forcing(setup), setup.declared_values()
     own = ball_effects(declared)
     ball = make_ball(forcing, own, frequency_hz=setup.forcing.frequency_hz, g_mps2=setup.g_mps2.value)
-    grid = np.linspace(low, high, GAMMAS if isinstance(ball, IdealBall) else SLOW_GAMMAS)
-    zone_grid = np.linspace(low, high, ZONE_GAMMAS)
+    grid = np.linspace(low, high, 480 if isinstance(ball, IdealBall) else 160)
+    zone_grid = np.linspace(low, high, 120)
     # a little wider than the grid, so that neighbouring bars of a zone overlap
     half = 0.52 * (zone_grid[1] - zone_grid[0]) * shown
     # twenty gammas at a time: between two portions the caller looks at the run

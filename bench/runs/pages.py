@@ -289,7 +289,6 @@ def _remark(answer: Any) -> Change:
 def _query(request: Request) -> Query:
     """The query in an address."""
     given = request.query_params
-    sort = given.get("sort", "-date")
     try:
         low, high = given.get("gamma_low", ""), given.get("gamma_high", "")
         gamma = (float(low or 0), float(high or "inf")) if low or high else None
@@ -300,7 +299,7 @@ def _query(request: Request) -> Query:
         profile=given.get("profile", ""), c=c, gamma=gamma, tags=tuple(given.get("tags", "").split()),
         verdict=given.get("verdict", ""), ended=given.get("ended", ""), since=given.get("since", ""),
         until=given.get("until", ""), text=given.get("text", ""), lost=given.get("lost") == "1",
-        sort=sort.removeprefix("-"), backwards=sort.startswith("-"), limit=limit,
+        sort=given.get("sort", "-date"), limit=limit,
     )  # fmt: skip
 
 

@@ -38,14 +38,13 @@ class Query:
     # verdict
     text: str = ""
     lost: bool = False  # only runs that lost samples
-    sort: str = "date"  # one of `SORTS`
-    backwards: bool = False
+    sort: str = "date"  # one of `SORTS`; after a minus: backwards
     limit: int = -1  # how many rows at most; -1: all
 
     def __post_init__(self) -> None:
         """Refuse words that are none of those known."""
         for option, value, known in (
-            ("sort", self.sort, tuple(SORTS)), ("verdict", self.verdict, ("", *WITH_NONE)),
+            ("sort", self.sort.removeprefix("-"), tuple(SORTS)), ("verdict", self.verdict, ("", *WITH_NONE)),
             ("ended", self.ended, ("", *ENDS)),
         ):  # fmt: skip
             if value not in known:
@@ -59,11 +58,13 @@ class Query:
     def of(self, rows: Iterable[Row]) -> list[Row]:
         """The rows that meet the conditions, in the order asked for; what is not known comes last either way."""
 
-        def key(row: Row) -> Any:
-            return _summary(row) or None if self.sort == "verdict" else row[SORTS[self.sort]]
+        column, backwards = SORTS[self.sort.removeprefix("-")], self.sort.startswith("-")
 
-        found = sorted((row for row in rows if self._meets(row)), key=lambda row: row["path"], reverse=self.backwards)
-        known = sorted((row for row in found if key(row) is not None), key=key, reverse=self.backwards)
+        def key(row: Row) -> Any:
+            return row[column] if column else _summary(row) or None
+
+        found = sorted((row for row in rows if self._meets(row)), key=lambda row: row["path"], reverse=backwards)
+        known = sorted((row for row in found if key(row) is not None), key=key, reverse=backwards)
         ordered = known + [row for row in found if key(row) is None]
         return ordered if self.limit < 0 else ordered[: self.limit]
 

@@ -1,17 +1,16 @@
 """The display during a ramp: three lines on standard error, drawn a few times a second.
 
 A narrow terminal has one line a figure. The screen is fed once a block and only draws; nothing waits for it, and no
-stop goes through it. A terminal that is gone (closed, or a dropped connection) costs the run nothing.
+stop goes through it. A terminal that is gone (closed, or a dropped connection) costs the run nothing, as standard error
+is a stream that may go away (`bench.terminal.streams.SafeStream`).
 """
 
 from __future__ import annotations
 
-import io
 import math
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, TextIO, cast
+from typing import TYPE_CHECKING
 
 from rig.programme.sequencer import State
 
@@ -21,45 +20,6 @@ if TYPE_CHECKING:
 LIMITS = {
     "drive_v": "drive", "plate_mps2": "acceleration", "velocity_mps": "velocity", "displacement_m": "displacement",
 }  # fmt: skip
-
-
-class Screen(io.TextIOBase):
-    """A stream to draw on that may go away: what cannot be written any more is left out."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream: TextIO | None = stream
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]  # an attribute of every real stream
-        """The stream's."""
-        return self._stream.encoding if self._stream is not None else "utf-8"
-
-    def isatty(self) -> bool:
-        """True for a terminal."""
-        return self._stream is not None and self._stream.isatty()
-
-    def fileno(self) -> int:
-        """The stream's, for its width."""
-        if self._stream is None:
-            raise OSError("the terminal is gone")
-        return self._stream.fileno()
-
-    def write(self, text: str) -> int:
-        """Write what can be written."""
-        self._try(lambda stream: stream.write(text))
-        return len(text)
-
-    def flush(self) -> None:
-        """Write what waits."""
-        self._try(lambda stream: stream.flush())
-
-    def _try(self, step: Callable[[TextIO], object]) -> None:
-        """Do it, unless the terminal is gone."""
-        if self._stream is not None:
-            try:
-                step(self._stream)
-            except OSError:
-                self._stream = None
 
 
 @contextmanager
@@ -76,7 +36,7 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
     bar = Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     task = bar.add_task("", total=None)
     lines = Text(overflow="fold")
-    screen = Console(file=cast("IO[str]", Screen(sys.stderr)))
+    screen = Console(stderr=True)
     narrow = screen.width < 80
     with Live(lines if narrow else Group(bar, lines), console=screen, refresh_per_second=4) as live:
 

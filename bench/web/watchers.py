@@ -20,7 +20,6 @@ from bench.web.browsers import Browser, Hub, socket_route
 from bench.web.serve import Server, bind
 from daq.setup.clock import SYSTEM, Clock
 
-MOST = 40  # watchers at a time
 MOST_PER_S = 30  # requests of one address: a page needs a dozen
 Greet = Callable[[Browser], Awaitable[None]]
 
@@ -75,7 +74,7 @@ class Watchers:
     async def _talk(self, browser: Browser) -> None:
         """Serve one watcher until it is gone, or turn it away where there are too many."""
         browser.reads_only = True
-        if sum(one.reads_only for one in self._hub.browsers) >= MOST:
+        if sum(one.reads_only for one in self._hub.browsers) >= 40:
             await browser.socket.close(4429, "too many watchers")
             return
         await self._hub.serve(browser, self._greet, lambda browser, said: None)  # what a watcher says does not count

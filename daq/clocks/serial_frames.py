@@ -66,8 +66,23 @@ def encode_frame(frame: SerialFrame) -> bytes:
         )
     head = HEADER.pack(VERSION, channels, rows, frame.sequence, frame.first_sample, frame.overruns)
     packet = head + np.ascontiguousarray(frame.codes, "<i2").tobytes()
+    return packed(packet)
+
+
+def packed(packet: bytes) -> bytes:
+    """A packet on the wire: with its CRC-32, zeros stuffed (COBS), a zero at its end."""
     stuffed: bytes = cobs.encode(packet + zlib.crc32(packet).to_bytes(CRC_BYTES, "little"))
     return stuffed + b"\0"
+
+
+def unpacked(wire: bytes) -> bytes | None:
+    """The packet that `packed` gave, from the bytes before the zero; None where it is not as it was sent."""
+    try:
+        whole = cobs.decode(wire)
+    except cobs.DecodeError:
+        return None
+    packet: bytes = whole[:-CRC_BYTES]
+    return packet if zlib.crc32(packet) == int.from_bytes(whole[-CRC_BYTES:], "little") else None
 
 
 class FrameDecoder:
@@ -133,18 +148,13 @@ def parse_packet(wire: bytes, channels: int) -> SerialFrame | None:
     """The frame in one packet without its delimiter; None where it is not whole or not of this format."""
     if not HEADER.size < len(wire) <= MAX_WIRE_BYTES:
         return None
-    try:
-        packet = cobs.decode(wire)
-    except cobs.DecodeError:
-        return None
-    if len(packet) <= HEADER.size + CRC_BYTES:
+    packet = unpacked(wire)
+    if packet is None or len(packet) <= HEADER.size:
         return None
     version, columns, rows, sequence, first_sample, overruns = HEADER.unpack_from(packet)
     values = rows * columns
-    size = HEADER.size + 2 * values + CRC_BYTES
+    size = HEADER.size + 2 * values
     if version != VERSION or columns != channels or not 1 <= values <= MAX_SAMPLES or len(packet) != size:
-        return None
-    if zlib.crc32(packet[:-CRC_BYTES]) != int.from_bytes(packet[-CRC_BYTES:], "little"):
         return None
     codes = np.frombuffer(packet, "<i2", values, HEADER.size).astype(np.int16).reshape(rows, columns)
     return SerialFrame(sequence, first_sample, overruns, codes)

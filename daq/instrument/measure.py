@@ -19,8 +19,6 @@ from kernels.arrays import Bools, Floats, Integers
 
 STEPS, SAMPLES = 24, 1 << 16  # steps that are looked at, spread over the recording, and samples of each
 PADDING = 8  # of the spectrum in which they are
-TONE_BELOW, TONE_ABOVE = 0.03, 0.1  # part of the strongest tone from which one below or above it is a tone of the drive
-FELT_BELOW, FELT_ABOVE = 0.08, 0.3  # the same in the accelerometer, where impacts and a bent table make lines as well
 BETWEEN = (0.3, 0.7)  # part of the way from one level to the other in which a contact is only while it changes
 DELAYS_S = np.linspace(-7.5e-4, 7.5e-4, 7)  # after an edge, at which the plate is looked at: either may be late
 RESTS = 0.9  # peak below which it certainly rests
@@ -157,7 +155,9 @@ def _hold(
 ) -> tuple[Hold, Floats]:
     """One hold, and the accelerometer's volts less the motion."""
     driven = "drive" in volts and float(np.ptp(volts["drive"])) > 0.0
-    n, limits = len(volts["accelerometer"]), (TONE_BELOW, TONE_ABOVE) if driven else (FELT_BELOW, FELT_ABOVE)
+    # parts of the strongest tone from which one below or above it is a tone: in the accelerometer impacts and
+    # a bent table make lines as well
+    n, limits = len(volts["accelerometer"]), (0.03, 0.1) if driven else (0.08, 0.3)
     found = _tones_hz(volts["drive" if driven else "accelerometer"], rate_hz, hz, limits)
     own = [m * hz for m, _ in setup.forcing.displacement_tones()]
     nearest = [own[int(np.argmin(np.abs(np.array(own) - f)))] for f in found]
@@ -177,7 +177,7 @@ def _hold(
         hz, tuple(found), plate, fit_tones(volts["drive"], first, rate_hz, own + others) if driven else None,
         float(np.abs(acceleration).max()), {role: _between(x) for role, x in volts.items()},
         np.nan if high is None else float(high.mean()), rises, falls,
-        # the middles of the two halves are half a hold apart
+        # the middles of the two halves are half a hold from each other
         growth=float(4.0 * (end - begin) / max(begin + end, 1e-300)),
     )  # fmt: skip
     return hold, volts["accelerometer"] - plate.offset - motion

@@ -18,7 +18,6 @@ from kernels.arrays import Bools, Floats
 FRAME = 128  # samples of a periodogram
 FEWEST_FRAMES = 8  # periodograms from which a spectrum is measured
 QUIET_SHARE = 0.25  # quantile of the periodograms that the first estimate takes: most may hold an impact
-SLOW_HZ = 500.0  # below, a recording holds the plate's motion as well
 PLATEAU_HZ = (150.0, 600.0)  # where the density at low frequencies is taken
 OCTAVE = 1.1  # ratio of the ends of the band over which a spectrum is smoothed where its bandwidth is sought
 PREDICTED_FROM = 16  # samples from which the next one is predicted
@@ -45,9 +44,10 @@ class NoiseSpectrum:
 
     @property
     def rms_v(self) -> float:
-        """Standard deviation over all frequencies from `SLOW_HZ` on, the density at `SLOW_HZ` taken below."""
+        """Standard deviation over all frequencies from 500 Hz on, the density there taken below."""
         density, step_hz = self.density_v2phz, float(self.frequencies_hz[1])
-        first = min(int(np.ceil(SLOW_HZ / step_hz)), density.size - 2)
+        # below, a recording holds the motion of the plate as well
+        first = min(int(np.ceil(500.0 / step_hz)), density.size - 2)
         level = np.where(np.arange(density.size) < first, density[first], density)
         return float(np.sqrt((level.sum() - 0.5 * (level[0] + level[-1])) * step_hz))
 

@@ -19,7 +19,6 @@ from kernels.arrays import Bools, Floats
 STANDS = 0.02  # share of the samples at an end from which it saturates: a sine cut off there has lost 0.2 % of its peak
 STANDS_S = 1e-3  # time at an end from which it is the motion that stands there: a table's ringing turns sooner
 CROWDED = 3.0  # times as many in the outermost band as in the next one; where a sine turns there are 2.4 times as many
-STAYS_S, LEAST_STAY = 1e-4, 2.0  # mean stay at an end, and in samples, beyond which it is one
 
 Ends = tuple[float, float]
 NO_ENDS: Ends = (-math.inf, math.inf)
@@ -69,7 +68,7 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
         held = [
             end for end, top, x in zip(found, tops, stretches, strict=True)
             # a reading far beyond, in another stretch, shows that this was a turning point of the motion, no end
-            if max(tops) <= top + 0.5 * (top - end) and _stay(sign * x >= end) > max(STAYS_S * rate_hz, LEAST_STAY)
+            if max(tops) <= top + 0.5 * (top - end) and _stay(sign * x >= end) > max(1e-4 * rate_hz, 2.0)
         ]  # fmt: skip
         ends.append(sign * min(held, default=math.inf))
     return ends[0], ends[1]

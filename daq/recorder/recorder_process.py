@@ -152,10 +152,6 @@ class RecorderProcess(ClosedRun):
         names = step.dtype.names if isinstance(step, np.void) else tuple(step)
         self._pipe.send(("mark_step", {name: step[name] for name in names or ()}))
 
-    def mark_drive(self, changes: NDArray[np.void]) -> None:
-        """As `RecordingWriter.mark_drive`."""
-        self.mark_rows("drive_changes", changes)
-
     def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
         """As `RecordingWriter.mark_rows`."""
         self._pipe.send((table, rows))
@@ -224,7 +220,7 @@ def _start_conditions() -> Iterator[None]:
 def _record(
     pipe: Connection, shape: tuple[int, int, int, str], path: str, setup_json: str, options: dict[str, Any]
 ) -> None:
-    """The recorder's process: it leaves the operator's signals alone, does not collect garbage, and records."""
+    """The recorder's process: it ignores the operator's signals, does not collect garbage, and records."""
     for number in _not_for_us():
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):

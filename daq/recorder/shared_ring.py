@@ -24,6 +24,14 @@ FOLDER = Path("/dev/shm")  # of named segments, where the system shows them (Lin
 _COUNTERS = ("put", "taken", "safe_samples", "dropped_blocks", "worst_backlog")
 
 
+def shared_memory(name: str | None, size: int) -> SharedMemory:
+    """The segment ``name``, or for None a new one of ``size`` bytes, whose name says whose it is; raises `OSError`."""
+    if name is not None:
+        return SharedMemory(name)
+    clear_left_behind()
+    return SharedMemory(f"{NAME}-{os.getpid()}-{secrets.token_hex(3)}", create=True, size=size)
+
+
 class Ring:
     """Slots for blocks of up to ``block_samples`` frames.
 
@@ -44,12 +52,9 @@ class Ring:
         size = head + rows + slots * block_samples * channels * 2
         self._owner = name is None
         self._is_named = True
-        if name is None:
-            clear_left_behind()
-            self._memory = SharedMemory(f"{NAME}-{os.getpid()}-{secrets.token_hex(3)}", create=True, size=size)
+        self._memory = shared_memory(name, size)
+        if self._owner:
             self._reserve(size)
-        else:
-            self._memory = SharedMemory(name)
         buffer = self._memory.buf
         self._counters = np.ndarray(len(_COUNTERS), np.int64, buffer)
         self._rows = np.ndarray(slots, BLOCK_DTYPE, buffer, head)

@@ -24,7 +24,6 @@ from daq.setup.errors import InputError
 
 ENDING = ".remarks.json"
 FORMAT, VERSION = "shakerbench remarks", 2
-STALE_S = 5.0  # longest time to change a side file
 LONGEST_TAG, LONGEST_NOTE = 64, 10_000
 
 
@@ -156,8 +155,9 @@ def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], R
 
 @contextmanager
 def _held(lock: Path, path: Path) -> Iterator[None]:
-    """A file that only one process can make; one left behind by a process that died counts for `STALE_S`."""
-    ends = time.monotonic() + STALE_S
+    """A file that only one process can make; one left behind by a process that died counts for five seconds."""
+    # longest time to change a side file
+    ends = time.monotonic() + 5.0
     while True:
         try:
             os.close(os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY))

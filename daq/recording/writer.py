@@ -186,12 +186,8 @@ class RecordingWriter(ClosedRun):
         """
         self._frames.mark_step(step)
 
-    def mark_drive(self, changes: NDArray[np.void]) -> None:
-        """Add `DRIVE_DTYPE` rows: changes of the drive's amplitudes that were played."""
-        self.mark_rows("drive_changes", changes)
-
     def mark_rows(self, table: str, rows: NDArray[np.void]) -> None:
-        """Add rows to one of `daq.files.tables.SIDE_TABLES`."""
+        """Add rows to one of `daq.files.tables.SIDE_TABLES`, as the changes of the drive that were played."""
         self._frames.mark_rows(table, rows)
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
@@ -229,7 +225,7 @@ class RecordingWriter(ClosedRun):
             self._live.drop()
             if not where.exists():
                 raise OSError(
-                    f"{where}: was removed while it was being written, and no copy of it could be kept ({error})"
+                    f"{where}: was removed while it was being written, and no copy of it could be made ({error})"
                 ) from error
             raise OSError(
                 f"{where}: the recorded frames are safe in this file, but the run could not be finished as columns "

@@ -29,7 +29,6 @@ MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
 BOUNCING = 1e-3  # default with restitution: most gammas are chaotic there, and a search down to 1e-6 takes minutes
 NARROWEST = 1e-6  # default width in gamma of the narrowest window looked for
 SAME = 1e-9  # two edges nearer than this are one event
-BEYOND = 8  # doubles past an edge at which the other side is looked at
 
 
 def bifurcations(ball: ExactBall, low: float, high: float, *, narrowest: float = NARROWEST) -> list[Bifurcation]:
@@ -144,7 +143,8 @@ def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | N
         return Bifurcation(gamma, "lock", before, after)
     if known in ("fold", "grazing"):
         return Bifurcation(gamma, known, before, after)
-    room = BEYOND * np.spacing(max(gamma, 1.0))
+    # doubles past an edge at which the other side is looked at
+    room = 8 * np.spacing(max(gamma, 1.0))
     low = left.high if left is not None and not left.locked else gamma - room
     high = right.low if right is not None and not right.locked else max(gamma, low) + room
     kind = change(ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights))

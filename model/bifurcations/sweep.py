@@ -21,7 +21,6 @@ from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
 LONGEST = 32  # flights of the longest cycle looked for
-SHARP = 1e-12  # gamma
 TYPES = frozenset(("take-off", "rest", "period doubling", "lock", "stick lost", "stick gained")) | frozenset(
     ("flight lost", "flight gained", "jump")
 )
@@ -99,7 +98,7 @@ def observed_bifurcations(
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
     # coarser for a ball whose integration has a tolerance
-    walk = _Sweep(ball, sweep is not None, max(sharp, SHARP if exact else 1e-9))
+    walk = _Sweep(ball, sweep is not None, max(sharp, 1e-12 if exact else 1e-9))
     # each orbit of such a ball costs an integration: a quarter of the steps
     grid = np.linspace(*ends, (steps if exact else steps // 4) + 1)
     here = walk.look(float(grid[0]), AT_REST)

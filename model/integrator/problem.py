@@ -101,7 +101,7 @@ class ToneProbe(Protocol):
 
 @dataclass(frozen=True)
 class ContinuousProbe:
-    """Tones measured all the time, far apart from one another."""
+    """Tones measured all the time, far from one another."""
 
     omega_radps: Floats
 

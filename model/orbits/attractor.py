@@ -24,7 +24,6 @@ FEW_FLIGHTS = 256  # tried first: most orbits have arrived by then
 LONGEST_LOCKED = 64  # flights of the longest cycle without a reset that is looked for
 NEAR = 0.2  # how closely the tail of an orbit repeats before Newton is tried, in phase
 ARRIVED = 1e-6  # distance from a locked cycle at which an orbit has reached it
-HALVINGS = 24  # of the distance to that cycle, at which the double is looked for
 SLOW = 0.97  # a multiplier beyond which an orbit may still be on its way after `MAX_FLIGHTS`
 CHAOS_SHOWN = 64  # flights shown of an orbit that never closes
 
@@ -240,7 +239,7 @@ def _just_doubled(ball: Ball, gamma: float, last: State, n: int) -> LockedCycle 
     phase, speed = float(half.phase[nearest]), float(half.start[nearest])
     off = math.remainder(last.phase - phase, TWO_PI), last.speed - speed
     most = NEAR / max(abs(off[0]) + abs(off[1]), 1e-9)
-    for part in most * 0.5 ** np.arange(HALVINGS):
+    for part in most * 0.5 ** np.arange(24):
         cycle = ball.close(gamma, State(phase + part * off[0], max(speed + part * off[1], 0.0)), n)
         if cycle is not None and abs(cycle.multiplier) < 1.0:
             return cycle

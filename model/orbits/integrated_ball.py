@@ -25,7 +25,6 @@ from model.orbits.exact_ball import resting
 from model.tones import Forcing, Plate
 
 REPEATS = 1e-6  # phase
-MOST_FLIGHTS = 300  # flown, whatever is asked for: each costs an integration
 TANGENT = 1e-5  # shift of phase and speed by which the Jacobian is measured
 
 
@@ -89,7 +88,8 @@ class IntegratedBall:
     def fly(self, gamma: float, start: State, max_flights: int) -> Path:
         """See `model.orbits.attractor.Ball.fly`."""
         w, speed_unit = self.omega_radps, self.g_mps2 / self.omega_radps
-        found = self._simulate(gamma, start.phase, start.speed, min(max_flights, MOST_FLIGHTS))
+        # each flight costs an integration
+        found = self._simulate(gamma, start.phase, start.speed, min(max_flights, 300))
         count = found.takeoff_s.size
         if count == 0:
             return resting(start)

@@ -10,13 +10,11 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cobs import cobs
-
+from daq.clocks.serial_frames import packed, unpacked
 from daq.files.tables import Block
 from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
@@ -34,7 +32,6 @@ FIRST_S = 2.0  # until the gate's first message
 SILENCE_S = 0.5  # without a message from the gate
 LONGEST_BLOCK = 2.0 / 3.0  # of a cycle: between two heartbeats
 _STATUS = struct.Struct("<BBIBB")
-_CRC_BYTES = 4
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class GateStatus:
 def gated(backend: Backend, profile: Profile, table: CardOptions) -> Backend:
     """``backend`` behind the gate of a profile; the back end itself where the profile has none.
 
-    Raises `InputError` when blocks are so long that two heartbeats would be too far apart.
+    Raises `InputError` when blocks are so long that two heartbeats would come too late.
     """
     if not table.gate_port:
         return backend
@@ -93,8 +90,7 @@ def message(kind: int, seen: int, limits: GateLimits | None = None) -> bytes:
     packet = struct.pack("<BBI", VERSION, kind, seen % 2**32)
     if limits is not None:
         packet += struct.pack("<HHH", limits.cycle, limits.limit, limits.slew)
-    stuffed: bytes = cobs.encode(packet + zlib.crc32(packet).to_bytes(_CRC_BYTES, "little"))
-    return stuffed + b"\0"
+    return packed(packet)
 
 
 class StatusReader:
@@ -108,12 +104,8 @@ class StatusReader:
         *ended, self._held = (self._held + data).split(b"\0")
         self._held = self._held[-64:]
         for wire in reversed(ended):
-            try:
-                packet = cobs.decode(wire)
-            except cobs.DecodeError:
-                continue
-            body, crc = packet[:-_CRC_BYTES], packet[-_CRC_BYTES:]
-            if len(body) != _STATUS.size or zlib.crc32(body) != int.from_bytes(crc, "little"):
+            body = unpacked(wire)
+            if body is None or len(body) != _STATUS.size:
                 continue
             version, kind, now, state, cause = _STATUS.unpack(body)
             if (version, kind) == (VERSION, STATUS) and state <= LATCHED and cause < len(CAUSES):

@@ -30,8 +30,6 @@ from rig.profile import Profile
 Codes = NDArray[np.int16]
 
 HELD_S = 60.0  # of frames that are not taken, before the reader gives up
-QUIET_S = 0.1  # of silence before the marker, and at least after it
-FADE_S = 0.2
 
 
 class SerialReader:
@@ -252,7 +250,7 @@ class SoundcardSerialBackend:
         tracker = self._tracker
         if tracker is None:
             raise BackendError("not started")
-        self._tail = np.concatenate([self._tail, drive])[-round(FADE_S * self.rate_hz) :]
+        self._tail = np.concatenate([self._tail, drive])[-round(0.2 * self.rate_hz) :]
         tracker.played(drive)
         heard = self._card.exchange(drive)
         self._played += len(drive)
@@ -285,7 +283,8 @@ class SoundcardSerialBackend:
     def _join_clocks(self) -> None:
         """Play the marker until it is recorded whole; from then on both clocks are counted from here."""
         block = max(16, round(0.01 * self.rate_hz))
-        quiet = np.zeros(round(QUIET_S * self.rate_hz))
+        # silence before the marker, and at least after it
+        quiet = np.zeros(round(0.1 * self.rate_hz))
         marker = start_marker(self.rate_hz)
         playing = np.concatenate([quiet, self._marker_v * marker, np.zeros(round(4.0 * self.rate_hz))])
         scale, _ = self.scales["drive"]

@@ -25,9 +25,7 @@ from rig.backends.kinds.soundcard import card_options
 from rig.backends.portaudio import CardStream, open_stream
 from rig.profile import Profile
 
-FIRST_S = 5.0  # until the first callback
 SILENCE_S = 0.5  # without a callback: the card is stuck, or gone
-QUIET_S = 0.05  # before the marker
 FADE_S = 0.1
 
 
@@ -95,7 +93,7 @@ class SoundcardBackend:
             self._table.device, self.rate_hz, self._table.output, self._ring.n_inputs, self._ring.exchange, self._woke
         )
         try:
-            self._await(1, FIRST_S)
+            self._await(1, 5.0)
             if self.channels:
                 self.lag_samples = self._listen()
         except BackendError:
@@ -189,7 +187,7 @@ class SoundcardBackend:
     def _listen(self) -> float:
         """Play the marker and find it in the looped-back drive: samples from handing over to recording."""
         marker = start_marker(self.rate_hz)
-        piece = round(QUIET_S * self.rate_hz)
+        piece = round(0.05 * self.rate_hz)
         quiet = np.zeros(piece)
         column, scale = self.channels.index("drive"), self.scales["drive"][0]
         block = self.exchange(np.concatenate([quiet, self._table.marker_v * marker, quiet]))

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 from kernels.arrays import Floats
 
 LOWEST_HZ, HIGHEST_HZ = 0.7, 200.0
-AFTER_S, LISTENED_S = 0.02, 4.0  # the hammer itself is over; what is fitted
 
 
 def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | None:
@@ -26,8 +25,8 @@ def mode_of_tap(acceleration: Floats, rate_hz: float) -> tuple[float, float] | N
     # a tap stands out of the noise by twenty times; of an input that stands still nothing does
     if not np.max(away) > 20.0 * 1.4826 * np.median(away):
         return None
-    first = int(np.argmax(away)) // width + round(AFTER_S / block_s)
-    x = x[first : first + round(LISTENED_S / block_s)]
+    first = int(np.argmax(away)) // width + round(0.02 / block_s)  # the hammer itself is over
+    x = x[first : first + round(4.0 / block_s)]
     if len(x) < round(2.0 / LOWEST_HZ / block_s):
         return None
     time_s = np.arange(len(x)) * block_s

@@ -81,9 +81,7 @@ class Point:
 TURN = 2.0 * math.pi
 REACH = 1.0 / 12.0  # of a cycle, to both sides of where a landing is expected: there it is looked for
 FADE = 1.0 / 32.0  # of a cycle, in which a correction is made; it ends at the launch: the flight before hardly feels it
-LOST = 2  # landings in a row that are missing, or that no correction brings back, before it lets go
 FIRST = 0.3  # standard uncertainty of phase and offset before the first landing, radians
-SURE = 3.0  # standard uncertainties of a predicted landing that must be within the authority
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,7 @@ class BranchHold:
         """Refuse a device whose delay (samples, from the landing's frame to the drive) the branch does not allow.
 
         A landing known to ``timing_s`` is predicted through ``n`` launches with ``|mu|^(n - 1) sqrt(mu^2 - 1)`` times
-        that uncertainty, and `SURE` of them must lie within the authority.
+        that uncertainty, and three of them must lie within the authority.
 
         Raises `daq.setup.errors.InputError` with the delay and the greatest one.
         """
@@ -150,7 +148,8 @@ class BranchHold:
             return
         size, most = abs(point.multiplier), float(np.linalg.norm(point.response(self._weight))) * self._table.authority
         # an error of the last known landing grows by |mu| in each launch that it is predicted through
-        spread = SURE * (size - abs(point.pole)) * math.sqrt(size**2 - 1.0) * self._timing
+        # three standard uncertainties of a predicted landing must lie within the authority
+        spread = 3.0 * (size - abs(point.pole)) * math.sqrt(size**2 - 1.0) * self._timing
         launches = 1 + math.floor(math.log(most / spread) / math.log(size)) if most > spread else 0
         own = self._timer.tail + (REACH + FADE) * self._cycle
         ms = 1e3 / self._rate_hz
@@ -227,10 +226,11 @@ class BranchHold:
         self._judge(f"a landing {away:+.3f} rad off, of which {most:.3f} can be brought back" * (abs(away) > most))
 
     def _judge(self, fault: str) -> None:
-        """Count faults in a row; let go at `LOST` of them."""
+        """Count faults in a row; let go at two of them."""
         self._missed = self._missed + 1 if fault else 0
         self._foreseen = 0 if fault else self._foreseen
-        if self.holding and self._missed >= LOST:
+        # landings in a row that are missing, or that no correction brings back
+        if self.holding and self._missed >= 2:
             self._let_go(f"{fault}, at gamma {self._launches[self._timed].gamma:.4g}")
 
     def _let_go(self, why: str) -> None:

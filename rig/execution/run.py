@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Literal, TypeAlias
 
@@ -29,7 +29,7 @@ from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.plate_monitor import Motion, MotionWatch
 from rig.execution.tone_meter import MeterBlock, ToneMeter
 from rig.profile import Profile
-from rig.programme.ramp import Programme, Step, plan
+from rig.programme.ramp import Step, plan
 from rig.programme.sequencer import LONGEST_PAUSE_S, MOVING, STILL, Sequencer, State, Stop, change_rows, largest_block
 
 INTEGRATED = ("velocity_mps", "displacement_m")  # limits whose use is integrated from the accelerometer
@@ -71,9 +71,7 @@ def run_ramp(
     clock
         The machine's, or that of a simulation.
     """
-    instruments = replace(_Instruments.of(profile, backend, plan(profile)), hold=hold)
-    watcher = Watcher(progress or (lambda status: None), stop_request or StopRequest(), clock)
-    run = _Run(profile, backend, writer, instruments, watcher)
+    run = _Run(profile, backend, writer, progress or (lambda status: None), stop_request or StopRequest(), hold, clock)
     began = clock.monotonic_s()
     with writer:
         try:
@@ -85,69 +83,40 @@ def run_ramp(
     return run.summary(clock.monotonic_s() - began)
 
 
-@dataclass(frozen=True)
-class Watcher:
-    """The operator's side of a run: what is called after each block, where a stop is asked for, and the time."""
+class _Run:
+    """The loop of `run_ramp`, what it is made of (programme, drive, measurement, safety), and its state.
 
-    progress: Callable[[Status], None]
-    stop_request: StopRequest
-    clock: Clock
-
-
-@dataclass(frozen=True)
-class _Instruments:
-    """What a run is made of: programme, drive, measurement and safety of one profile on one back end.
-
-    ``mps2_per_code`` is the scale of the accelerometer's column; ``loop`` and ``clocks`` are None where the profile has
-    no closed loop, and where one clock plays and records.
+    Parameters are those of `run_ramp`.
     """
 
-    programme: Programme
-    sequencer: Sequencer
-    loop: AmplitudeLoop | None
-    meter: ToneMeter
-    interlock: Interlock
-    watch: MotionWatch
-    clocks: ClockLog | None
-    accelerometer: int
-    mps2_per_code: float
-    hold: BranchHold | None = None
-
-    @classmethod
-    def of(cls, profile: Profile, backend: Backend, programme: Programme) -> _Instruments:
-        """The instruments for ``profile`` on ``backend``."""
-        loop = AmplitudeLoop(profile, profile.control) if profile.control else None
-        scale = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
-        amplitudes = loop.amplitudes if loop else None
-        # short windows in a hold: their scatter is in the uncertainty
-        return cls(
-            programme=programme,
-            sequencer=Sequencer(programme, profile, amplitudes=amplitudes, controlled=loop is not None),
-            loop=loop,
-            meter=ToneMeter(profile, min(4, profile.ramp.hold_cycles)),
-            interlock=Interlock(profile, backend.channels, backend.scales),
-            watch=MotionWatch(profile, scale),
-            clocks=ClockLog(backend) if isinstance(backend, TwoClocked) else None,
-            accelerometer=backend.channels.index("accelerometer"),
-            mps2_per_code=scale,
-        )
-
-
-class _Run:
-    """The loop of `run_ramp` and its state."""
-
     def __init__(
-        self, profile: Profile, backend: Backend, writer: Recorder, instruments: _Instruments, watcher: Watcher
+        self,
+        profile: Profile,
+        backend: Backend,
+        writer: Recorder,
+        progress: Callable[[Status], None],
+        stop_request: StopRequest,
+        hold: BranchHold | None,
+        clock: Clock,
     ) -> None:
         self.how: Literal["complete", "stopped", "failed"] = "complete"
         self.why = ""
         self._asked = False
         self._profile, self._backend, self._writer = profile, backend, writer
-        self._instruments, self._watcher = instruments, watcher
-        self._sequencer, self._meter, self._interlock = instruments.sequencer, instruments.meter, instruments.interlock
-        drive = backend.channels.index("drive")
-        searcher = None if backend.simulated else InThread(watcher.clock)
-        self.account = LossAccount(profile, drive, backend.scales["drive"], searcher)
+        self._progress, self._request, self._hold, self._clock = progress, stop_request, hold, clock
+        self._programme = programme = plan(profile)
+        self._loop = loop = AmplitudeLoop(profile, profile.control) if profile.control else None
+        amplitudes = loop.amplitudes if loop else None
+        self._sequencer = Sequencer(programme, profile, amplitudes=amplitudes, controlled=loop is not None)
+        # short windows in a hold: their scatter is in the uncertainty
+        self._meter = ToneMeter(profile, min(4, profile.ramp.hold_cycles))
+        self._interlock = Interlock(profile, backend.channels, backend.scales)
+        self._accelerometer = backend.channels.index("accelerometer")
+        self._mps2_per_code = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
+        self._watch = MotionWatch(profile, self._mps2_per_code)
+        self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None  # else one clock
+        searcher = None if backend.simulated else InThread(clock)
+        self.account = LossAccount(profile, backend.channels.index("drive"), backend.scales["drive"], searcher)
         self._metered = -1
         self._last_achieved = math.nan, math.nan
         self._touching: Bools | None = None
@@ -159,7 +128,7 @@ class _Run:
         self._device_lost = False
         self._marks: list[tuple[int, Step, tuple[float, float]]] = []
         self._steps = 0
-        self._block = largest_block(instruments.programme.clock, profile.backend.block_samples)
+        self._block = largest_block(programme.clock, profile.backend.block_samples)
 
     def end(self, how: Literal["stopped", "failed"], why: str, *, asked: bool = False) -> None:
         """Keep the first reason for which the run is not complete; a failure outranks a stop, a trip is added to it."""
@@ -172,15 +141,15 @@ class _Run:
         """Exchange blocks until the drive rests at zero."""
         if isinstance(self._backend, Lagging):
             self.account.lags(round(self._backend.lag_samples))
-        if self._instruments.hold is not None:
-            highest = max(step.gamma for step in self._instruments.programme.steps)
-            self._instruments.hold.check_delay(self.account.lag_samples + 2 * self._block, highest)
+        if self._hold is not None:
+            highest = max(step.gamma for step in self._programme.steps)
+            self._hold.check_delay(self.account.lag_samples + 2 * self._block, highest)
         block: Callable[[], object] = self._exchange
         try:
             while not self._sequencer.done:
                 self._apply_requests()
                 block()
-                self._watcher.progress(self._status())
+                self._progress(self._status())
             if self._sequencer.given_up:
                 self.end("stopped", f"held for {LONGEST_PAUSE_S:g} s, without being resumed")
         except Exception:
@@ -193,16 +162,9 @@ class _Run:
     def summary(self, wall_s: float) -> RunSummary:
         """Outcome of the run."""
         return RunSummary(
-            self.how,
-            self.why,
-            self._asked,
-            self._writer.n_samples,
-            self._steps,
-            len(self._instruments.programme.steps),
-            self.account.lost_samples,
-            wall_s,
-            self._instruments.hold.unheld if self._instruments.hold else "",
-        )
+            self.how, self.why, self._asked, self._writer.n_samples, self._steps, len(self._programme.steps),
+            self.account.lost_samples, wall_s, self._hold.unheld if self._hold else "",
+        )  # fmt: skip
 
     def _ramp_down(self, block: Callable[[], object]) -> None:
         """Ramp the drive to zero while the device answers; where it was lost, note where the step ended."""
@@ -220,7 +182,7 @@ class _Run:
 
     def _apply_requests(self) -> None:
         """Pass a new request on to the sequencer, and notes to the recording."""
-        request = self._watcher.stop_request
+        request = self._request
         if request.pause != self._applied_pause:
             self._applied_pause = request.pause
             self._sequencer.pause(request.pause)
@@ -237,7 +199,7 @@ class _Run:
     def _note(self, texts: list[str]) -> None:
         """Write the operator's words, or the holder's, into the recording."""
         self.flush()
-        rows = note_rows(self._writer.n_samples, texts, self._watcher.clock.unix_ns())
+        rows = note_rows(self._writer.n_samples, texts, self._clock.unix_ns())
         self._write(lambda: self._writer.mark_rows("notes", rows))
 
     def _play(self) -> tuple[Floats, Block, float]:
@@ -245,9 +207,9 @@ class _Run:
         drive = self._interlock.clamp(self._sequencer.take(self._block))
         self.account.played(drive)
         self._device_lost = True  # until it has answered
-        asked = self._watcher.clock.monotonic_s()
+        asked = self._clock.monotonic_s()
         block = self._backend.exchange(drive)
-        waited_s = self._watcher.clock.monotonic_s() - asked
+        waited_s = self._clock.monotonic_s() - asked
         self._device_lost = False
         self._record(self.account.heard(block, len(drive)))
         return drive, block, waited_s
@@ -256,9 +218,7 @@ class _Run:
         """One block, watched."""
         drive, block, waited_s = self._play()
         self._touching, landed = self._interlock.circuit(block.codes) or (None, None)
-        self._motion = self._instruments.watch.update(
-            block.codes[:, self._instruments.accelerometer], landed, self.account.lost_before
-        )
+        self._motion = self._watch.update(block.codes[:, self._accelerometer], landed, self.account.lost_before)
         self._measure(block)
         marks, self._sequencer.marks = self._sequencer.marks, []
         for step in marks:
@@ -283,14 +243,13 @@ class _Run:
             self._metered = step.index
             self._meter.begin(step.first_sample + step.settle_samples, step.end_sample)
         first = self.account.next_sample - len(block.codes)
-        acceleration = np.asarray(block.codes[:, self._instruments.accelerometer], np.float64)
-        measured = MeterBlock(first, acceleration * self._instruments.mps2_per_code, self._motion.quiet, self._touching)
+        acceleration = np.asarray(block.codes[:, self._accelerometer], np.float64)
+        measured = MeterBlock(first, acceleration * self._mps2_per_code, self._motion.quiet, self._touching)
         self._meter.add(measured)
-        loop, hold = self._instruments.loop, self._instruments.hold
-        if loop is not None and (fault := loop.observe(measured, sequencer)) is not None:
+        if self._loop is not None and (fault := self._loop.observe(measured, sequencer)) is not None:
             self.end("stopped", f"closed loop: {fault}")
             sequencer.stop(Stop.RAMP_DOWN)
-        if hold is not None and (noted := hold.observe(measured, sequencer, self._block)):
+        if self._hold is not None and (noted := self._hold.observe(measured, sequencer, self._block)):
             self._note(noted)
 
     def _achieved(self, step: Step) -> tuple[float, float]:
@@ -319,7 +278,7 @@ class _Run:
         if ready or fades or everything:
             self.flush()
         if fades:
-            self._write(lambda: self._writer.mark_drive(change_rows(self._profile, fades)))
+            self._write(lambda: self._writer.mark_rows("drive_changes", change_rows(self._profile, fades)))
         for _, step, achieved in ready:
             self._write(partial(self._mark, step, achieved))
 
@@ -345,7 +304,7 @@ class _Run:
             return
         self._steps = step.index + 1
         rate = 0.0
-        if (clocks := self._instruments.clocks) is not None:
+        if (clocks := self._clocks) is not None:
             for table, rows in clocks.rows(self.account.counted(first + (settle + n) // 2)):
                 self._writer.mark_rows(table, rows)
             rate = clocks.rate
@@ -367,7 +326,7 @@ class _Run:
         )
 
     def _status(self) -> Status:
-        programme, step, position = self._instruments.programme, self._sequencer.step, self._sequencer.position
+        programme, step, position = self._programme, self._sequencer.step, self._sequencer.position
         after = programme.n_samples - programme.steps[step.index].end_sample  # as planned, however late it is by now
         moves = self._sequencer.state in MOVING or self._sequencer.state is State.PAUSED
         limits = self._interlock.limits_in_use

@@ -91,16 +91,12 @@ class PlantClient:
         skipped = 0 if self._frame is None else (now - self._frame) % 2**32
         if 0 < skipped < 2**31:
             self.skipped_frames += skipped
-            self._skip(np.zeros(skipped))
+            self._move(np.zeros(skipped), None)
         self._frame = (now + frames) % 2**32
-        self._play(now, np.asarray(self._amplifier.get_array(), np.float64) * self._card.output_range_v)
+        self._move(np.asarray(self._amplifier.get_array(), np.float64) * self._card.output_range_v, now)
 
-    def _skip(self, drive_v: Floats) -> None:
-        """Move the plant through frames that the server skipped."""
-        raise NotImplementedError
-
-    def _play(self, frame: int, drive_v: Floats) -> None:
-        """Move the plant through one period, which began at the server's ``frame``."""
+    def _move(self, drive_v: Floats, frame: int | None) -> None:
+        """Move the plant through a period that began at the server's ``frame``; None: through frames it skipped."""
         raise NotImplementedError
 
 
@@ -135,7 +131,6 @@ class JackPlant(PlantClient):
         self._outs = [self._client.outports.register(name or f"unused_{k}") for k, name in enumerate(self._names)]
         self._output = HighPass(profile.drive.highpass_hz, self._plant.rate_hz)
         self._inputs = {name: self._input(name) for name in self._plant.channels}
-        self._heard: dict[str, Floats] = {}
 
     def _input(self, name: str) -> tuple[HighPass, float]:
         """What the card's input does to a channel: its high-pass, and volts to full scale."""
@@ -146,23 +141,16 @@ class JackPlant(PlantClient):
         corner_hz = 5.0 if channel.coupling == "ac" else None
         return HighPass(corner_hz, self._plant.rate_hz), self._plant.channel_scales[name] / channel.range_v
 
-    def _skip(self, drive_v: Floats) -> None:
-        self._exchange(drive_v)
-
-    def _play(self, frame: int, drive_v: Floats) -> None:
-        codes = self._exchange(drive_v)
-        for port, name in zip(self._outs, self._names, strict=True):
-            port.get_array()[:] = self._heard.get(name, 0.0)
-        self._log.keep(frame, codes)
-
-    def _exchange(self, drive_v: Floats) -> NDArray[np.int16]:
-        """The plant's answer, and what the card's inputs make of it."""
+    def _move(self, drive_v: Floats, frame: int | None) -> None:
         codes = self._plant.exchange(self._output(drive_v))
-        self._heard = {}
+        heard = {}
         for k, name in enumerate(self._plant.channels):
             high_pass, scale = self._inputs[name]
-            self._heard[name] = high_pass(np.asarray(codes[:, k] * scale, np.float64))
-        return codes
+            heard[name] = high_pass(np.asarray(codes[:, k] * scale, np.float64))
+        if frame is not None:
+            for port, name in zip(self._outs, self._names, strict=True):
+                port.get_array()[:] = heard.get(name, 0.0)
+            self._log.keep(frame, codes)
 
     def __enter__(self) -> Self:
         gc.collect()

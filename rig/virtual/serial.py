@@ -69,10 +69,7 @@ class JackSerialPlant(PlantClient):
         self._periods: queue.SimpleQueue[Floats | None] = queue.SimpleQueue()
         self._sender = threading.Thread(target=self._send, name="virtual serial", daemon=True)
 
-    def _skip(self, drive_v: Floats) -> None:
-        self._periods.put(drive_v)
-
-    def _play(self, frame: int, drive_v: Floats) -> None:
+    def _move(self, drive_v: Floats, frame: int | None) -> None:
         self._periods.put(drive_v)  # the device runs in a thread of its own
 
     def _send(self) -> None:

@@ -27,14 +27,13 @@ _ROW = struct.Struct("<BI")  # table (its place in `TABLES`, from 1; 0 ends the 
 TABLES = {"blocks": BLOCK_DTYPE, "steps": STEP_DTYPE, **SIDE_TABLES}
 _PLACE = {name: i for i, name in enumerate(TABLES, start=1)}
 PAGE_BYTES = 4096
-PIECE_BYTES = 256  # of frames, between two checksums
 MOST_PIECES = 256  # of one block
 KNOWN_CHUNKS = 16  # whose places a mark holds
 
 
 def piece_rows(n_samples: int, n_channels: int) -> int:
     """Samples in a piece of a block of ``n_samples``: 256 bytes, more in a block that has more than 256 of them."""
-    return max(PIECE_BYTES // (2 * n_channels), -(-n_samples // MOST_PIECES), 1)
+    return max(256 // (2 * n_channels), -(-n_samples // MOST_PIECES), 1)
 
 
 def running_crcs(codes: NDArray[np.int16]) -> list[int]:

@@ -82,8 +82,8 @@ def test_a_rescan_shows_the_old_state_until_it_is_done(folder: Path) -> None:
         ({"text": "%"}, ["c.h5"]), ({"text": "_"}, []), ({"text": "c.h5 paper"}, []), ({"ended": "damaged"}, []),
         ({"verdict": "none"}, ["a.h5", "b.h5", "c.h5"]), ({"since": "2099"}, []),
         ({"until": "2099-01"}, ["a.h5", "b.h5", "c.h5"]),
-        ({"sort": "gamma", "backwards": True}, ["c.h5", "b.h5", "a.h5"]),
-        ({"sort": "lost", "backwards": True, "limit": 1}, ["b.h5"]),
+        ({"sort": "-gamma"}, ["c.h5", "b.h5", "a.h5"]),
+        ({"sort": "-lost", "limit": 1}, ["b.h5"]),
         ({"text": "'; DROP TABLE runs; --"}, []),
     ],
 )  # fmt: skip

@@ -28,7 +28,7 @@ class Tape:
     def mark_step(self, step) -> None:
         self.steps[step["first_sample"]] = step
 
-    def mark_drive(self, changes) -> None:
+    def mark_rows(self, table, rows) -> None:
         pass
 
     def close(self, how="complete", why="", expected_samples=None) -> None:
