@@ -55,6 +55,7 @@ from kernels.arrays import Floats
 
 LEAST_HZ, MOST_HZ = 0.01, 1e8  # range of sample rates: times are stored in nanoseconds, in 64 bits
 RANGE_OF_UNIT = {"g": 1e3, "m/s^2": 1e4, "m/s2": 1e4, "mps2": 1e4}  # range of an acceleration already in its unit
+SHORTEST_PLATE_STEP_CYCLES = 6.0  # shortest step found in the accelerometer; shorter, it may be the middle of a fade
 
 
 @dataclass(frozen=True)
@@ -232,8 +233,7 @@ def _find(
     found = _found(volts["accelerometer"], base, intake, progress)
     if intake.set_values:
         return found, "accelerometer"
-    # a shorter step found in the accelerometer may be the middle of a fade
-    shortest, rate_hz = 6.0 * base.rate_hz, base.rate_hz
+    shortest, rate_hz = SHORTEST_PLATE_STEP_CYCLES * base.rate_hz, base.rate_hz
     found = [s for s in found if (s.stop - s.hold) * s.frequency_hz >= shortest]
     # the last cycles go to the next step's fade, whose slow beginning drowns in the noise
     cut = [replace(s, stop=max(s.stop - round(2.0 * rate_hz / s.frequency_hz), s.hold)) for s in found]

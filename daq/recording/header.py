@@ -80,6 +80,10 @@ def refuse_repeated(paths: Sequence[Path]) -> None:
         seen.append((path, own, known))
 
 
+SMALL_BYTES = 32 << 20
+"""Size up to which every byte is compared with the seal, because opening the file takes as long."""
+
+
 @dataclass(frozen=True)
 class Header:
     """One recording in plain values, as JSON knows them."""
@@ -144,8 +148,7 @@ def _sealed(path: Path, later: dict[str, list[str]], *, all_bytes: bool) -> Head
             return Unread("cannot be read as HDF5 (it does not begin as one)", damaged=True)
         later[str(path)] = []
         return None
-    # to this size opening the file takes as long as comparing every byte
-    every = all_bytes or size <= 32 << 20
+    every = all_bytes or size <= SMALL_BYTES
     found = check(path) if every else check_tables(path)
     if found is None or found.seal_differs:
         later[str(path)] = list(found.where) if found else []
