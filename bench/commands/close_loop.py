@@ -150,8 +150,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from bench.profiles.improved import write_improved
     from bench.profiles.next_run import possible_runs, write_next
 
-    quiet = wanted.json == "-"
-    say = speaker(quiet)
+    say = speaker(quiet := wanted.json == "-")
     ranked: list[Ranked] = []
     term_effect: TermEffect | None = None
 
