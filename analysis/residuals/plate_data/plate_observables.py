@@ -26,6 +26,10 @@ from model.tones import STANDARD_GRAVITY_MPS2
 GAIN, PHASE, SECOND, THIRD, HUM, MODULATION, GATE, OFFSET, CLOCK = range(9)
 KINDS = ("gain", "phase", "second harmonic", "third harmonic", "hum", "modulation", "flight/contact", "offset", "clock")
 SQUARED = (SECOND, THIRD, HUM)  # stored as unbiased squares: an amplitude without its sign
+WANDERS = {
+    OFFSET: "the accelerometer's zero wanders by {:.2g} m/s^2 from step to step; no flight depends on it",
+    CLOCK: "the forcing's frequency, which scatters by {:.2g} of itself from step to step, tells little of the clock",
+}
 REVERSED = 0.8 * np.pi  # phase beyond which leads are reversed
 SYSTEMATIC = 2e-5  # relative error of the estimator itself
 LEAST_WINDOWS = 4  # windows of a step that shows a modulation
@@ -138,17 +142,18 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
 
 
 def with_wander(data: PlateData, since: Integers) -> tuple[PlateData, tuple[str, ...]]:
-    """The same with the wandering of the sensor's zero in its uncertainty, and a note where it wanders.
+    """The same with the wandering of the sensor's zero and of the clock in its uncertainty, and a note on each.
 
     ``since`` (m,) is the first sample of each step, or its place among the steps of several recordings.
     """
-    zeros = data.kind == OFFSET
-    wander = _wander(since[data.step[zeros]], data.value[zeros], data.sigma[zeros])
-    if not wander:
-        return data, ()
-    sigma = np.where(zeros, np.hypot(data.sigma, wander * np.sqrt(np.sum(zeros))), data.sigma)
-    note = f"the accelerometer's zero wanders by {wander:.2g} m/s^2 from step to step; no flight depends on it"
-    return replace(data, sigma=sigma), (note,)
+    notes: tuple[str, ...] = ()
+    for kind, note in WANDERS.items():
+        rows = data.kind == kind
+        wander = _wander(since[data.step[rows]], data.value[rows], data.sigma[rows])
+        if wander:
+            wider = np.where(rows, np.hypot(data.sigma, wander * np.sqrt(np.sum(rows))), data.sigma)
+            data, notes = replace(data, sigma=wider), (*notes, note.format(wander))
+    return data, notes
 
 
 def _share_of(s: StepPlate, multiple: int, power: int) -> complex:

@@ -11,7 +11,7 @@ import pytest
 from analysis.events.edge_jitter import Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import ContactCircuit, join
-from analysis.residuals.plate_data.plate_observables import OFFSET
+from analysis.residuals.plate_data.plate_observables import CLOCK, OFFSET
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.1, ("coulomb_friction", "mu_down"): 0.1}
 QUIET = (0.22, 0.23, 0.24, 0.25)
@@ -42,19 +42,20 @@ def test_a_short_recording_has_the_jitter_of_all(fly_ramp: Callable[..., Forward
     assert [len(x.excess_s2) for x in both.circuit.scatters] == [4, 4]
 
 
-def test_a_zero_that_wanders_from_file_to_file_is_as_uncertain_as_it_wanders(
-    fly_ramp: Callable[..., ForwardModel],
+@pytest.mark.parametrize(("kind", "note"), [(OFFSET, "zero wanders"), (CLOCK, "tells little of the clock")])
+def test_a_zero_or_clock_that_wanders_from_file_to_file_is_as_uncertain_as_it_wanders(
+    fly_ramp: Callable[..., ForwardModel], kind: int, note: str
 ) -> None:
-    """Recordings whose zeros differ by more than each one's own uncertainty: a note, and the offsets are wider."""
+    """Recordings that differ by more than each one's own uncertainty: a note, and wider data."""
     one = fly_ramp({}, 1, gammas=QUIET).observations
     few = one.plate.among(np.arange(4))
     zeros_mps2 = 0.05 * np.random.default_rng(2).standard_normal(6)
     parts = [
         replace(
-            one, plate=replace(few, kind=np.full(4, OFFSET), value=np.full(4, zero), sigma=np.full(4, 1e-3))
+            one, plate=replace(few, kind=np.full(4, kind), value=np.full(4, zero), sigma=np.full(4, 1e-3))
         )
         for zero in zeros_mps2
     ]  # fmt: skip
     both = join(parts)
-    assert both.plate.sigma.min() > 0.03 and any("zero wanders" in note for note in both.notes)
+    assert both.plate.sigma.min() > 0.03 and any(note in x for x in both.notes)
     assert join(parts[:1] * 6).plate.sigma.max() < 2e-3
