@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ParamSpec, TypeVar
@@ -28,6 +29,7 @@ from model.effects.registry import effect
 
 P = ParamSpec("P")
 T = TypeVar("T")
+MOST_TURNS, SETTLED = 4, 0.2  # fits until free values move by less, in standard deviations
 
 
 def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
@@ -163,6 +165,20 @@ class Refits:
         Where a calibration and an effect are correlated, a fit from afar stops short with too small an error.
         """
         return self.converged(x.candidates, x.whitener, x.free, x.fitted.values)
+
+    def settled(self, x: Hypothesis) -> Hypothesis:
+        """The hypothesis fitted again until no free value moves by more than a part of its standard deviation."""
+        for _ in range(MOST_TURNS):
+            if not x.free:
+                break
+            y = self.attempted(x.candidates, self.again, x)
+            if y is None:
+                break
+            moved = max(abs(y.fitted.values[k] - x.fitted.values[k]) / (y.fitted.sigma(k) or math.inf) for k in x.free)
+            x = y
+            if moved < SETTLED:
+                break
+        return x
 
 
 def with_hidden_free(x: Hypothesis) -> Hypothesis:

@@ -188,7 +188,7 @@ def _loop_of(
     fitter = Fitter(model, priors_of(observations.setup), train)
     stepwise = StepwiseSelection(model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
     selection = withdraw_unconfirmed(model, stepwise.run(), train, limits)
-    best, ties = with_hidden_free(selection.best), selection.ties
+    best, ties = with_hidden_free(stepwise.refits.settled(selection.best)), selection.ties
     selection = dataclasses.replace(selection, best=best, ties=(best, *ties[1:]) if ties else ())
     say("what remains", 0.87)
     judged = _judge(model, fitter, selection, limits)

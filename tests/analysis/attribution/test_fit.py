@@ -148,3 +148,23 @@ def test_a_point_without_a_number_has_no_slope(
     monkeypatch.setattr(model, "residuals", broken)
     fitted = Fitter(model, {}, np.ones(3, dtype=bool)).fit(whitener, (RATE,), {RATE: 0.3})
     assert fitted.values[RATE] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_flight_that_leaps_does_not_hold_a_parameter(
+    fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One landing leaps by .3 ms with any damping above that of the start: the fit leaves it as if it did not."""
+    model = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
+    exact, whitener = model.residuals, Whitener.of(model, {RATE: 0.5})
+    row = int(np.flatnonzero(model.observations.scored)[5])
+    fitter = Fitter(model, {}, np.ones(3, dtype=bool))
+    smooth = fitter.fit(whitener, (RATE,), {RATE: 0.3})
+
+    def leaping(values: Mapping[ParameterId, float]) -> Residuals:
+        found = exact(values)
+        beyond = (values[RATE] > 0.3) & (np.arange(len(found.landing_s)) == row)
+        return replace(found, landing_s=found.landing_s + 3e-4 * beyond)
+
+    monkeypatch.setattr(model, "residuals", leaping)
+    fitted = fitter.fit(whitener, (RATE,), {RATE: 0.3})
+    assert fitted.values[RATE] == pytest.approx(smooth.values[RATE], abs=3 * smooth.sigma(RATE))
