@@ -165,8 +165,9 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     fitted = [s for s in flights.plate.steps if s is not None and s.usable]
     true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     mode = identified_mode(recording, true.takeoff_s, true.landing_s, mask_s) if with_mode else None
-    if motion := mode and mode.motion():
-        fitted = [without_ringing(s, motion, recording.rate_hz, flights.plate.noise_mps2) for s in fitted]
+    pushed = mode and mode.pushed
+    if pushed:
+        fitted = [without_ringing(s, pushed.noise_mps2) for s in fitted]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
     steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)
@@ -181,7 +182,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
         Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(
-            offset.motion_s if offset and motion else 0.0
+            offset.motion_s if offset and pushed else 0.0
         ),
     )
     # openings that do not repeat jitter as the circuit's closings do
@@ -203,7 +204,7 @@ def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) 
         setup,
         notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
         mode=mode,
-        pushed=(mode.pushed,) if mode and mode.pushed else (),
+        pushed=(pushed,) if pushed else (),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
         circuit=ContactCircuit(

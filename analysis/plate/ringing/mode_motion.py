@@ -13,15 +13,15 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import lfilter
 
-from analysis.linear_algebra import lstsq, solveh_banded
+from analysis.linear_algebra import solveh_banded
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import Push
+from analysis.plate.tone_noise import widened
 from kernels.arrays import Bools, Complexes, Floats
 
 KICK_MPS, KICK_PART = 2.5e-4, 1e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
 UNKNOWN_MPS = 1.0  # where it was not followed before, or flights were missed
 TORN_S = 0.5  # length of such a piece
-LEFT = 0.05  # of the mode's power, which may be noise: where impacts are masked it is another one
 
 
 def turn_of(frequency_hz: float, damping: float) -> complex:
@@ -170,26 +170,22 @@ class ModeMotion:
         return np.gradient(self.gained_mps - pressed) + self.push.block_s * self.mass_ratio * self.push.rise_mps2
 
 
-def without_ringing(step: StepPlate, motion: ModeMotion, rate_hz: float, noise_mps2: float) -> StepPlate:
-    """The step with a mode's power, which is no noise, taken out of the residual of its fitted tones.
+def without_ringing(step: StepPlate, noise_mps2: float) -> StepPlate:
+    """The step with the uncertainty of its tones as large as the noise without the mode makes it.
+
+    The mode's own motion is no noise: it swells the residual of the fitted tones and scatters their phases. What it
+    adds to the tones is taken from them with an uncertainty of its own.
 
     Parameters
     ----------
     step
-        Of a recording with ``rate_hz``.
-    motion
-        Of the mode.
     noise_mps2
-        White noise of the accelerometer.
+        Scatter of the acceleration about tones and mode, in blocks like those of the tones' fit.
     """
-    fit, block_s = step.acceleration, motion.push.block_s
-    first, last = (int(x / rate_hz / block_s) for x in (step.first_sample, step.last_sample))
-    mode = motion.gained_mps[first:last] / block_s
-    if not len(mode) or fit.rms == 0.0:
+    if step.noise_factors:
+        step = widened(step, [1.0 / factor for factor in step.noise_factors])
+    fit = step.acceleration
+    if fit.rms <= noise_mps2:
         return step
-    turns = 2.0 * np.pi * fit.frequencies_hz * (np.arange(len(mode))[:, None] * block_s)
-    known = np.column_stack([np.ones(len(mode)), np.cos(turns), np.sin(turns)])
-    power = float(np.mean((mode - known @ lstsq(known, mode)[0]) ** 2))
-    white = min(noise_mps2, fit.rms) ** 2
-    rms = math.sqrt(white + max(fit.rms**2 - white - power, min(LEFT * power, fit.rms**2 - white)))
-    return replace(step, acceleration=replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2))
+    covariance = fit.covariance * (noise_mps2 / fit.rms) ** 2
+    return replace(step, acceleration=replace(fit, rms=noise_mps2, covariance=covariance))
