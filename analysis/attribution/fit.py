@@ -257,10 +257,14 @@ class _State:
         moved[j] += h
         return of_same_events(self.raw(moved) - raw, self.whitener) / h
 
+    def whitened(self, slopes: Floats, raw: Floats) -> tuple[Floats, Floats]:
+        """Residuals and their slopes, whitened."""
+        flat = np.where(self.leaping[:, None], 0.0, slopes)
+        return self.whitener.white_all(raw), self.whitener.white_slopes(flat, raw)
+
     def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
-        z = self.whitener.white_all(raw)
-        jacobian = self.whitener.white_slopes(np.where(self.leaping[:, None], 0.0, slopes), raw)
+        z, jacobian = self.whitened(slopes, raw)
         # iteratively reweighted least squares: with these weights the step lowers the robust loss
         weight = np.where(mask, robust_weight(z, self.whitener.odds), 0.0)
         weighted = jacobian * weight[:, None]
@@ -345,11 +349,28 @@ class Fitted:
         normal, _ = self._normal(self.state.mask)
         return np.asarray(pinv(normal, rcond=1e-14))
 
+    @functools.cached_property
+    def _variances(self) -> Floats:
+        """Of all coordinates: from the noise as stated, or from how much steps differ where that is more, (k,).
+
+        Errors that the events of a step share and that are not stated make every step pull a value its own way. The sum
+        of these pulls' squares is the variance of the score whatever the noise is (the sandwich of White, Econometrica
+        48, 817 (1980), by steps).
+        """
+        covariance, state = self.covariance(), self.state
+        z, jacobian = state.whitened(self.bare, self.raw)
+        score = (np.where(state.mask, z * robust_weight(z, state.whitener.odds), 0.0))[:, None] * jacobian
+        steps = np.unique(state.step[state.mask])
+        pulls = np.array([score[state.step == s].sum(axis=0) for s in steps])
+        pulls = (pulls - pulls.mean(axis=0)) @ covariance
+        between = np.sum(pulls**2, axis=0) * len(steps) / max(len(steps) - 1, 1)
+        return np.asarray(np.maximum(np.diag(covariance), between))
+
     def sigma(self, key: ParameterId) -> float:
         """Standard deviation of a fitted value, in its own unit."""
         j = self.keys.index(key)
         q, scale = parameter_of(key), self.fitter.scale(key)
-        spread = math.sqrt(max(self.covariance()[j, j], 0.0)) * scale
+        spread = math.sqrt(max(self._variances[j], 0.0)) * scale
         if key in self.fitter.identified:
             return max(spread, self.fitter.identified[key].sigma)
         if q.power == 1.0:
