@@ -131,7 +131,6 @@ class StepPlate:
     windows: Windows
     slow: SlowMotion
     intervals: FitIntervals  # unmasked times of the hold
-    noise_factors: tuple[float, ...] = ()  # by which coloured noise has widened the uncertainty of the forcing's tones
 
     @cached_property
     def flight_log_gain(self) -> tuple[float, float] | None:

@@ -39,7 +39,7 @@ def with_coloured_noise(steps: Sequence[StepPlate | None]) -> tuple[StepPlate | 
     factors = [_factor(square, freedom) for square, freedom in squares]
     if max(factors) == 1.0:
         return tuple(steps)
-    return tuple(None if s is None else widened(s, factors[: len(s.forcing_multiples)]) for s in steps)
+    return tuple(None if s is None else _widened(s, factors[: len(s.forcing_multiples)]) for s in steps)
 
 
 def _factor(square: float, freedom: float) -> float:
@@ -70,7 +70,7 @@ def _phase_scatter(s: StepPlate, t: int) -> tuple[float, int]:
     return float(weight @ left**2), len(left) - 2
 
 
-def widened(s: StepPlate, factors: Sequence[float]) -> StepPlate:
+def _widened(s: StepPlate, factors: Sequence[float]) -> StepPlate:
     """The step with each forcing tone's uncertainties multiplied by its factor."""
     every = np.ones(2 * len(s.acceleration.amplitudes))
     for multiple, factor in zip(s.forcing_multiples, factors, strict=True):
@@ -82,7 +82,6 @@ def widened(s: StepPlate, factors: Sequence[float]) -> StepPlate:
         contact_flight=replace(s.contact_flight, rms_v=s.contact_flight.rms_v * factors[0]),
         gamma_uncertainty=s.gamma_uncertainty * factors[0],
         windows=replace(s.windows, uncertainty_mps2=s.windows.uncertainty_mps2 * factors),
-        noise_factors=tuple(factors),
     )
 
 

@@ -16,12 +16,12 @@ from scipy.signal import lfilter
 from analysis.linear_algebra import solveh_banded
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import Push
-from analysis.plate.tone_noise import widened
 from kernels.arrays import Bools, Complexes, Floats
 
 KICK_MPS, KICK_PART = 2.5e-4, 1e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
 UNKNOWN_MPS = 1.0  # where it was not followed before, or flights were missed
 TORN_S = 0.5  # length of such a piece
+LEFT = 0.005  # of the mode's power, which may be noise: where impacts are masked it is another one
 
 
 def turn_of(frequency_hz: float, damping: float) -> complex:
@@ -171,10 +171,9 @@ class ModeMotion:
 
 
 def without_ringing(step: StepPlate, noise_mps2: float) -> StepPlate:
-    """The step with the uncertainty of its tones as large as the noise without the mode makes it.
+    """The step with a mode's power, which is no noise, taken out of the residual of its fitted tones.
 
-    The mode's own motion is no noise: it swells the residual of the fitted tones and scatters their phases. What it
-    adds to the tones is taken from them with an uncertainty of its own.
+    What the mode adds to the tones is taken from them with an uncertainty of its own.
 
     Parameters
     ----------
@@ -182,10 +181,8 @@ def without_ringing(step: StepPlate, noise_mps2: float) -> StepPlate:
     noise_mps2
         Scatter of the acceleration about tones and mode, in blocks like those of the tones' fit.
     """
-    if step.noise_factors:
-        step = widened(step, [1.0 / factor for factor in step.noise_factors])
     fit = step.acceleration
     if fit.rms <= noise_mps2:
         return step
-    covariance = fit.covariance * (noise_mps2 / fit.rms) ** 2
-    return replace(step, acceleration=replace(fit, rms=noise_mps2, covariance=covariance))
+    rms = math.sqrt(noise_mps2**2 + LEFT * (fit.rms**2 - noise_mps2**2))
+    return replace(step, acceleration=replace(fit, rms=rms, covariance=fit.covariance * (rms / fit.rms) ** 2))

@@ -35,7 +35,7 @@ from model.integrator.problem import PlateSteps
 LEAST = 1e-6  # least driven part of a tone
 SMALL = 1e-3  # relative change for which a load's contribution is taken as linear
 # relative uncertainty of the contribution: the impact template absorbs a part; more of it where flights tell the motion
-INEXACT, INEXACT_AS_MEASURED = 0.03, 0.02
+INEXACT, INEXACT_AS_MEASURED = 0.03, 0.01
 
 
 def driven(z: Complexes, mode_amplitudes: Complexes) -> Complexes:

@@ -168,3 +168,25 @@ def test_a_flight_that_leaps_does_not_hold_a_parameter(
     monkeypatch.setattr(model, "residuals", leaping)
     fitted = fitter.fit(whitener, (RATE,), {RATE: 0.3})
     assert fitted.values[RATE] == pytest.approx(smooth.values[RATE], abs=3 * smooth.sigma(RATE))
+
+
+def test_an_interval_is_as_wide_as_steps_differ(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A friction that scatters by .001 from step to step, twelve runs: the sum of squared pulls is a chi square's."""
+    gammas, friction, pulls = (0.5, 0.9, 0.7, 1.2, 0.6, 1.0, 0.8, 1.1), {UP: 0.15, DOWN: 0.15}, []
+    model = fly_ramp(friction, 3, gammas=gammas)
+    whitener = Whitener.of(model, friction)
+    row, calm = model.observations.measured.step, model.residuals(friction).landing_s
+    slope = 100.0 * (model.residuals({UP: 0.16, DOWN: 0.15}).landing_s - calm)
+    slope = np.where(np.abs(slope) < 0.05, slope, 0.0)
+    for seed in range(12):
+        off = 0.001 * np.random.default_rng(seed).standard_normal(len(gammas))
+        measured = model.observations.measured
+        moved = replace(measured, landing_s=measured.landing_s + np.nan_to_num(slope) * off[row])
+        other = ForwardModel(replace(model.observations, measured=moved), {})
+        fitter = Fitter(other, {DOWN: Prior(0.15, 1e-6)}, np.ones(len(gammas), dtype=bool))
+        fitted = fitter.fit(whitener, (UP,), friction)
+        pulls.append((fitted.values[UP] - 0.15) / fitted.sigma(UP))
+        stated = np.sqrt(np.diag(fitted.covariance())[0]) * fitter.scale(UP)
+        assert fitted.sigma(UP) > 1.8 * stated
+    low, high = stats.chi2.ppf((0.002, 0.998), len(pulls))
+    assert low < np.sum(np.square(pulls)) < high

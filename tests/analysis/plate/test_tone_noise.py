@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analysis.flights.scan import plate_of
+from analysis.plate.ringing.mode_motion import without_ringing
 from analysis.plate.tone_noise import converter_step, rounding_sigma
 from daq.files.tables import Block
 from daq.recording import Recording, open_recording
@@ -70,6 +72,19 @@ def test_white_noise_and_an_amplitude_modulation_change_nothing(make) -> None:
                 assert step is not None
                 expected = step.acceleration.rms * np.sqrt(2.0 / step.acceleration.n)
                 assert step.acceleration.amplitude_sigma()[0] == pytest.approx(expected, rel=0.1)
+
+
+def test_a_known_mode_is_no_noise_in_a_tone(make) -> None:
+    """A residual swollen tenfold by a mode: what stays is the noise without it, and a two-hundredth of its power."""
+    with open_recording(make(GAMMAS, hold=20).path) as recording:
+        step = plate_of(recording).steps[0]
+    assert step is not None
+    fit = step.acceleration
+    ringing = replace(step, acceleration=replace(fit, rms=10.0 * fit.rms, covariance=100.0 * fit.covariance))
+    known = without_ringing(ringing, fit.rms).acceleration
+    assert known.rms == pytest.approx(np.sqrt(1.0 + 99.0 / 200.0) * fit.rms)
+    assert known.amplitude_sigma() == pytest.approx(known.rms / fit.rms * fit.amplitude_sigma())
+    assert without_ringing(step, 2.0 * fit.rms) is step
 
 
 STEP = 0.05
