@@ -115,7 +115,7 @@ class Judge:
         if self._left.was_removed:
             rescued = sorted(self._disk.folder.glob("run.rescued-*"))
             path = rescued[0] if rescued else path
-            if "full" in self._kinds and "no copy of it could be kept" in str(self._left.raised):
+            if "full" in self._kinds and "no copy of it could be made" in str(self._left.raised):
                 acknowledged = 0
             if not path.exists():
                 self._require(acknowledged == 0 or self._left.was_killed, "a removed file was not rescued")
