@@ -97,13 +97,13 @@ class _Passes:
 
     def priors(self) -> dict[ParameterId, Prior]:
         """Priors of calibrations that cover what every run states."""
-        if self.setup is not None:
-            return priors_of(self.setup)
-        each = []
-        for path in self.recordings:
+        each = [priors_of(self.setup)] if self.setup is not None else []
+        for path in self.recordings if self.setup is None else ():
             with open_recording(path) as opened:
                 each.append(priors_of(opened.setup))
-        return common_priors(each)
+        found = common_priors(each)
+        found.pop(("contact_closure", "late_s"), None)  # all runs share it: the first of `systematics.NAMES`
+        return found
 
     def at(self, point: Point) -> list[RunSummary]:
         """Summaries at a point, one recording read at a time."""
