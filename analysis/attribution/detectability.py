@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from analysis.attribution.candidates import null_value_of, parameter_of
+from analysis.attribution.candidates import null_value_of, parameter_of, scale_of
 from analysis.attribution.choice import LogScoreDifference
 from analysis.attribution.fit import Fitted, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
@@ -71,7 +71,7 @@ class Detectability:
             if abs(multiple - 1.0) < SETTLED or (size == most and multiple > 1.0):
                 break
             size = min(size * min(multiple, FARTHEST), most)
-        return float((found * fitter.scale(key)) ** q.power) if found <= most else math.inf
+        return float((found * scale_of(key)) ** q.power) if found <= most else math.inf
 
     def _change(self, key: ParameterId, x: float, others: Bools) -> Floats:
         """Change of the whitened residuals when a parameter goes to the coordinate ``x``, (r,).

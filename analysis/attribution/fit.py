@@ -56,10 +56,6 @@ class Fitter:
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]
 
     # -- coordinates: the scale of a parameter is one unit -------------------------------------------------------------
-    def scale(self, key: ParameterId) -> float:
-        """Size of a parameter that is one unit of its coordinate."""
-        return scale_of(key)
-
     def bounds(self, key: ParameterId, *, released: bool) -> tuple[float, float]:
         """Bounds of a coordinate: what is physically possible, and for a calibration what its uncertainty allows.
 
@@ -94,7 +90,7 @@ class Fitter:
             if prior is not None:
                 mean[i] = self.to_x(key, prior.mean)
                 sigma = prior.sigma * (HELD if key in self.identified else 1.0)
-                inverse[i] = self.scale(key) / sigma ** (1.0 / parameter_of(key).power)
+                inverse[i] = scale_of(key) / sigma ** (1.0 / parameter_of(key).power)
         return mean, inverse
 
     # -- the fit ----------------------------------------------------------------------------------------------
@@ -353,23 +349,21 @@ class Fitted:
     def _variances(self) -> Floats:
         """Of all coordinates: from the noise as stated, or from how much steps differ where that is more, (k,).
 
-        Errors that the events of a step share and that are not stated make every step pull a value its own way. The sum
-        of these pulls' squares is the variance of the score whatever the noise is (the sandwich of White, Econometrica
-        48, 817 (1980), by steps).
+        Errors that events of a step share and nothing states make each step pull a value its own way (the sandwich of
+        White, Econometrica 48, 817 (1980), by steps).
         """
         covariance, state = self.covariance(), self.state
         z, jacobian = state.whitened(self.bare, self.raw)
-        score = (np.where(state.mask, z * robust_weight(z, state.whitener.odds), 0.0))[:, None] * jacobian
+        score = (z * robust_weight(z, state.whitener.odds))[:, None] * jacobian
         steps = np.unique(state.step[state.mask])
-        pulls = np.array([score[state.step == s].sum(axis=0) for s in steps])
-        pulls = (pulls - pulls.mean(axis=0)) @ covariance
-        between = np.sum(pulls**2, axis=0) * len(steps) / max(len(steps) - 1, 1)
+        pulls = np.array([score[state.step == s].sum(axis=0) for s in steps]) @ covariance
+        between = len(steps) * np.var(pulls, axis=0, ddof=min(1, len(steps) - 1))
         return np.asarray(np.maximum(np.diag(covariance), between))
 
     def sigma(self, key: ParameterId) -> float:
         """Standard deviation of a fitted value, in its own unit."""
         j = self.keys.index(key)
-        q, scale = parameter_of(key), self.fitter.scale(key)
+        q, scale = parameter_of(key), scale_of(key)
         spread = math.sqrt(max(self._variances[j], 0.0)) * scale
         if key in self.fitter.identified:
             return max(spread, self.fitter.identified[key].sigma)

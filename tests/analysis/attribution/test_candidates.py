@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.attribution.candidates import candidates_of, distinct_starts, trends_of
+from analysis.attribution.candidates import candidates_of, distinct_starts, scale_of, trends_of
 from analysis.attribution.choice import contained_in
 from analysis.attribution.coarse_search import axes_of
 from analysis.attribution.fit import HELD, Fitter
@@ -77,7 +77,7 @@ def test_an_identified_mode_is_where_a_resonance_begins_and_a_datum_of_its_fit(
     resonance = next(c for c in candidates_of(unsure) if c.names == ("table_resonance",))
     assert {3.0, 6.66} < {start[HZ] for start in resonance.starts}
     mean, inverse = fitter_of(seen).prior_rows([HZ], frozenset({HZ}))
-    scale = fitter_of(seen).scale(HZ)
+    scale = scale_of(HZ)
     assert (mean[0] * scale, scale / inverse[0]) == pytest.approx((6.66, HELD * 0.05))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution.candidates import Prior, priors_of
+from analysis.attribution.candidates import Prior, priors_of, scale_of
 from analysis.attribution.fit import Fitter, _solve
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise.whitening import Whitener
@@ -186,7 +186,7 @@ def test_an_interval_is_as_wide_as_steps_differ(fly_ramp: Callable[..., ForwardM
         fitter = Fitter(other, {DOWN: Prior(0.15, 1e-6)}, np.ones(len(gammas), dtype=bool))
         fitted = fitter.fit(whitener, (UP,), friction)
         pulls.append((fitted.values[UP] - 0.15) / fitted.sigma(UP))
-        stated = np.sqrt(np.diag(fitted.covariance())[0]) * fitter.scale(UP)
+        stated = np.sqrt(np.diag(fitted.covariance())[0]) * scale_of(UP)
         assert fitted.sigma(UP) > 1.8 * stated
     low, high = stats.chi2.ppf((0.002, 0.998), len(pulls))
     assert low < np.sum(np.square(pulls)) < high
