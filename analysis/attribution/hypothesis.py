@@ -29,7 +29,8 @@ from model.effects.registry import effect
 
 P = ParamSpec("P")
 T = TypeVar("T")
-MOST_TURNS, SETTLED = 4, 0.2  # fits until free values move by less, in standard deviations
+MOST_TURNS = 4  # of fits, until free values stand still
+SETTLED = 0.2  # move of a free value in one more fit that still counts as none, in standard deviations
 
 
 def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, over_noise, unmasked, volts_in_blocks
-from analysis.plate.ringing.mode_motion import TORN_S, ModeMotion, PushedPlate, answer, turn_of
+from analysis.plate.ringing.mode_motion import TORN_S, PushedPlate, answer, turn_of
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
 
@@ -74,10 +74,6 @@ class PlateMode:
     def sure(self) -> bool:
         """Whether no other minimum comes near, so that its values may be taken for measured."""
         return self.gain_nats > SURE_NATS
-
-    def motion(self) -> ModeMotion | None:
-        """How it moved; None where it is not sure."""
-        return None if self.pushed is None else self.pushed.moved(self.frequency_hz, self.damping, self.mass_ratio)
 
     def measured(self) -> dict[tuple[str, str], tuple[float, float]]:
         """Values and standard deviations, by effect and parameter."""

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from analysis.attribution.candidates import Candidate
+import numpy as np
+
+from analysis.attribution.candidates import Candidate, priors_of
 from analysis.attribution.choice import contained_in
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis, Refits, with_hidden_free
+from analysis.attribution.hypothesis import SETTLED, Hypothesis, Refits, with_hidden_free
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
 
 CORNER, LAG = ("accelerometer_high_pass", "corner_hz"), ("accelerometer_lag", "delay_s")
+UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
 DRAG = ("quadratic_drag", "k_per_m")
 
 
@@ -39,6 +42,25 @@ def test_what_hides_nothing_stays_as_it_is(
     fitter = fitter_of(fly_ramp({}, 6))
     for found in (_fitted(fitter, DRAG), _fitted(fitter, CORNER, LAG)):
         assert with_hidden_free(found) is found
+
+
+def test_a_settled_fit_stays_where_it_is_when_it_is_repeated(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Frictions and the accelerometer's scale trade places: a fit from afar moves when repeated, a settled one not."""
+    scale = ("accelerometer_gain", "relative")
+    model = fly_ramp({UP: 0.12, DOWN: 0.18, scale: 0.008}, 3, gammas=(0.5, 0.9, 0.7, 1.2))
+    refits = Refits(Fitter(model, priors_of(model.observations.setup), np.ones(4, dtype=bool)))
+    candidate = Candidate(("coulomb_friction",), (UP, DOWN))
+    whitener = Whitener.of(model, {})
+    far = refits.scored((candidate,), refits.fitter.fit(whitener, (UP, DOWN), {UP: 0.3, DOWN: 0.02}))
+    settled = refits.settled(far)
+
+    def moved(x: Hypothesis) -> float:
+        again = refits.again(x).fitted
+        return max(abs(again.values[k] - x.fitted.values[k]) / again.sigma(k) for k in (UP, DOWN))
+
+    assert moved(far) > SETTLED > moved(settled)
+    declared = refits.converged((), Whitener.of(model, {}), (), {})
+    assert refits.settled(declared) is declared
 
 
 def test_a_constant_pull_is_a_gravity() -> None:
