@@ -197,7 +197,7 @@ class _State:
         self.mean, self.inverse = mean, inverse
         self.step = np.concatenate([whitener.step, fitter.model.observations.plate.step])
         self.mask = fitter.train[self.step]
-        self.leaping = np.zeros(len(self.step), dtype=bool)  # flights whose slopes are none
+        self.leaping = np.zeros(len(self.step), dtype=bool)  # flights whose slopes are none, by any parameter
         bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
         self.low, self.high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
 
@@ -232,6 +232,7 @@ class _State:
                 bare[:, j] = model.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
             else:
                 bare[:, j] = self._difference(x, raw, j, h)
+        bare[self.leaping] = 0.0
 
     def _difference(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
         """Slopes of the bare residuals by one coordinate, from a finite difference.
@@ -246,6 +247,7 @@ class _State:
             other = -h if self.low[j] <= x[j] - h <= self.high[j] else h / 8
             ratio = self._one_sided(x, raw, j, other)[heavy] / slopes[heavy]
             self.leaping[heavy[(ratio < 0.5) | (ratio > 2.0)]] = True
+        slopes[self.leaping] = 0.0
         return slopes
 
     def _one_sided(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
@@ -253,14 +255,9 @@ class _State:
         moved[j] += h
         return of_same_events(self.raw(moved) - raw, self.whitener) / h
 
-    def whitened(self, slopes: Floats, raw: Floats) -> tuple[Floats, Floats]:
-        """Residuals and their slopes, whitened."""
-        flat = np.where(self.leaping[:, None], 0.0, slopes)
-        return self.whitener.white_all(raw), self.whitener.white_slopes(flat, raw)
-
     def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
-        z, jacobian = self.whitened(slopes, raw)
+        z, jacobian = self.whitener.white_all(raw), self.whitener.white_slopes(slopes, raw)
         # iteratively reweighted least squares: with these weights the step lowers the robust loss
         weight = np.where(mask, robust_weight(z, self.whitener.odds), 0.0)
         weighted = jacobian * weight[:, None]
@@ -353,8 +350,9 @@ class Fitted:
         White, Econometrica 48, 817 (1980), by steps).
         """
         covariance, state = self.covariance(), self.state
-        z, jacobian = state.whitened(self.bare, self.raw)
-        score = (z * robust_weight(z, state.whitener.odds))[:, None] * jacobian
+        whitener = state.whitener
+        z, jacobian = whitener.white_all(self.raw), whitener.white_slopes(self.bare, self.raw)
+        score = (z * robust_weight(z, whitener.odds))[:, None] * jacobian
         steps = np.unique(state.step[state.mask])
         pulls = np.array([score[state.step == s].sum(axis=0) for s in steps]) @ covariance
         between = len(steps) * np.var(pulls, axis=0, ddof=min(1, len(steps) - 1))

@@ -168,6 +168,10 @@ def test_a_flight_that_leaps_does_not_hold_a_parameter(
     monkeypatch.setattr(model, "residuals", leaping)
     fitted = fitter.fit(whitener, (RATE,), {RATE: 0.3})
     assert fitted.values[RATE] == pytest.approx(smooth.values[RATE], abs=3 * smooth.sigma(RATE))
+    x = np.array([fitter.to_x(RATE, 0.3)])
+    at_start = replace(fitted, x=x, raw=fitted.state.raw(x))
+    made, recalled = (fitter.slope(at_start, RATE) for _ in range(2))
+    assert made[row] == recalled[row] == 0.0 and np.count_nonzero(made) > 50
 
 
 def test_an_interval_is_as_wide_as_steps_differ(fly_ramp: Callable[..., ForwardModel]) -> None:
