@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.chance import ChanceGains
@@ -219,3 +220,12 @@ def test_what_hits_a_bound_stays_there_and_the_rest_follows() -> None:
     normal, gradient = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([3.0, 3.0])
     assert bounded_step(normal, gradient, np.full(2, -9.0), np.full(2, 9.0)) == pytest.approx([1.0, 1.0])
     assert bounded_step(normal, gradient, np.full(2, -9.0), np.array([0.5, 9.0])) == pytest.approx([0.5, 1.25])
+
+
+def test_what_meets_its_bound_with_another_leaves_it_again() -> None:
+    """Two that trade places leave their bounds together by the free minimum, yet only one of them belongs there."""
+    slopes = np.array([[1.7, -1.3, 0.3], [-0.3, 0.0, 1.3], [0.6, -0.7, 0.1], [0.7, -0.5, -0.6]])
+    rest, below, above = np.array([0.0, 2.0, 0.2, -0.6]), np.array([0.0, -0.5, -9.0]), np.array([9.0, 0.5, 9.0])
+    step = bounded_step(slopes.T @ slopes, slopes.T @ rest, below, above)
+    best = lsq_linear(slopes, rest, (below, above), method="bvls").x
+    assert step == pytest.approx(best, abs=1e-6) and step[0] == 0.0 and abs(step[1]) < 0.5
