@@ -2,6 +2,10 @@
 
 LAPACK prints its own words on the terminal, and some routines return what is not finite where others raise.
 Decision 280.
+
+References
+----------
+P. B. Stark, R. L. Parker, Comput. Stat. 10, 129 (1995): least squares within bounds.
 """
 
 from __future__ import annotations
@@ -12,6 +16,11 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 import scipy.linalg
+
+from kernels.arrays import Floats
+
+MOST_TURNS = 4  # for each coordinate, in which a step looks for the bounds that hold it
+LEAST_RELEASED = 1e-9  # nats that a coordinate gains where it leaves its bound
 
 Routine = TypeVar("Routine", bound=Callable[..., Any])
 
@@ -44,3 +53,33 @@ slogdet = _checked(np.linalg.slogdet)
 solve = _checked(np.linalg.solve)
 solveh_banded = _checked(scipy.linalg.solveh_banded)
 svd = _checked(np.linalg.svd)
+
+
+def bounded_step(normal: Floats, gradient: Floats, below: Floats, above: Floats, rcond: float | None = None) -> Floats:
+    """Minimum of the quadratic model within ``below <= step <= above``, which hold 0, (p,), by an active set.
+
+    A coordinate stays on its bound only while the rest pulls it there: two that trade places may meet theirs together
+    though one of them would leave it again. ``rcond`` is that of `scipy.linalg.lstsq`. `scipy.optimize.lsq_linear`
+    wants a Jacobian, which is not there.
+    """
+    step, loose, size = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool), np.diag(normal)
+    for _ in range(MOST_TURNS * len(gradient)):
+        goal = step.copy()
+        push = gradient[loose] - normal[np.ix_(loose, ~loose)] @ step[~loose]
+        goal[loose] = lstsq(normal[np.ix_(loose, loose)], push, rcond=rcond)[0]
+        beyond = np.flatnonzero((goal < below) | (goal > above))
+        if len(beyond):  # as far as the first bound
+            bound = np.where(goal > above, above, below)[beyond]
+            share = (bound - step[beyond]) / (goal - step)[beyond]
+            first = share <= share.min()
+            step += share.min() * (goal - step)
+            step[beyond[first]] = bound[first]
+            loose[beyond[first]] = False
+            continue
+        step, pull = goal, gradient - normal @ goal
+        inwards = np.where(step > below, np.maximum(-pull, 0.0), np.maximum(pull, 0.0))
+        gain = np.where(loose | (below == above), 0.0, 0.5 * inwards**2 / np.maximum(size, 1e-300))
+        if gain.max(initial=0.0) < LEAST_RELEASED:
+            break
+        loose[np.argmax(gain)] = True
+    return step

@@ -6,7 +6,6 @@ is scored only on steps that it did not see.
 References
 ----------
 K. Levenberg, Q. Appl. Math. 2, 164 (1944); D. Marquardt, J. SIAM 11, 431 (1963): damped least squares.
-P. B. Stark, R. L. Parker, Comput. Stat. 10, 129 (1995): least squares within bounds.
 P. J. Green, J. R. Stat. Soc. B 46, 149 (1984): iteratively reweighted least squares for robust likelihoods.
 """
 
@@ -21,7 +20,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from analysis.attribution.candidates import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
-from analysis.linear_algebra import NotFiniteError, lstsq, pinv
+from analysis.linear_algebra import NotFiniteError, bounded_step, pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import robust_loss, robust_weight
 from analysis.residuals.noise.whitening import Whitener, step_losses
@@ -30,12 +29,11 @@ from analysis.thresholds import ANOTHER_EVENT_S, CALIBRATION_SIGMAS, NULL_P
 from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
+LEAST_GAIN = 0.1  # of a step in nats, below which a fit ends: hypotheses are compared in whole ones
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
 HELD = 0.33  # of its standard deviation, that of what was identified without a flight
 HEAVY_SHARE = 0.2  # of what all flights say of a parameter, in one of them: its slope is looked at again
 FOLDS = 3  # of the cross-validation
-MOST_TURNS = 4  # for each coordinate, in which a step looks for the bounds that hold it
-LEAST_RELEASED = 1e-9  # nats that a coordinate gains where it leaves its bound
 
 
 class Fitter:
@@ -144,7 +142,7 @@ class Fitter:
             normal, gradient = state.normal(bare, raw, x, state.mask)
             gained = 0.0
             for _ in range(6):
-                trial = x + _solve(normal, gradient, damping, state.low - x, state.high - x)
+                trial = x + damped_step(normal, gradient, damping, state.low - x, state.high - x)
                 raw_trial = state.raw(trial)
                 loss_trial = state.loss(raw_trial, trial)
                 if loss_trial < loss:
@@ -152,8 +150,7 @@ class Fitter:
                     x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
-            # hypotheses are compared in whole nats: a step that gains less than a tenth of one ends the fit
-            if gained < 0.1:
+            if gained < LEAST_GAIN:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
@@ -174,9 +171,9 @@ class Fitter:
         state.fill(bare, x, best.raw, sizes, kept=True)
         normal, gradient = state.normal(bare, best.raw, x, state.mask)
         low, high, rest = state.low - x, state.high - x, slice(len(free), None)
-        step = _solve(normal, gradient, 1e-6, low, high)
-        without = _solve(normal[rest, rest], gradient[rest], 1e-6, low[rest], high[rest])
-        gain = _linear_gain(normal, gradient, step) - _linear_gain(normal[rest, rest], gradient[rest], without)
+        step = damped_step(normal, gradient, 1e-6, low, high)
+        without = damped_step(normal[rest, rest], gradient[rest], 1e-6, low[rest], high[rest])
+        gain = linear_gain(normal, gradient, step) - linear_gain(normal[rest, rest], gradient[rest], without)
         return gain, self.values(keys, x + step)
 
     def slope(self, best: Fitted, key: ParameterId, shapes: Mapping[ParameterId, float] | None = None) -> Floats:
@@ -274,45 +271,15 @@ def of_same_events(change: Floats, whitener: Whitener) -> Floats:
     return np.where((events & (np.abs(change) > ANOTHER_EVENT_S)) | ~np.isfinite(change), 0.0, change)
 
 
-def _solve(normal: Floats, gradient: Floats, damping: float, below: Floats, above: Floats) -> Floats:
-    """Step that lowers the quadratic model within ``below <= step <= above``: what hits a bound stays on it."""
+def damped_step(normal: Floats, gradient: Floats, damping: float, below: Floats, above: Floats) -> Floats:
+    """Minimum of the damped quadratic model within ``below <= step <= above``."""
     diagonal = np.diag(normal).copy()
     # Marquardt scales the damping by the diagonal: what nothing shows has none, and must not move for it
     diagonal[diagonal <= 0] = 1e-12
     return bounded_step(normal + np.diag(damping * diagonal + 1e-12), gradient, below, above)
 
 
-def bounded_step(normal: Floats, gradient: Floats, below: Floats, above: Floats, rcond: float | None = None) -> Floats:
-    """Minimum of the quadratic model within ``below <= step <= above``, which hold 0, (p,), by an active set.
-
-    A coordinate stays on its bound only while the rest pulls it there: two that trade places may meet theirs together
-    though one of them would leave it again. ``rcond`` is that of `scipy.linalg.lstsq`. `scipy.optimize.lsq_linear`
-    wants a Jacobian, which is not there.
-    """
-    step, loose, size = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool), np.diag(normal)
-    for _ in range(MOST_TURNS * len(gradient)):
-        goal = step.copy()
-        push = gradient[loose] - normal[np.ix_(loose, ~loose)] @ step[~loose]
-        goal[loose] = lstsq(normal[np.ix_(loose, loose)], push, rcond=rcond)[0]
-        beyond = np.flatnonzero((goal < below) | (goal > above))
-        if len(beyond):  # as far as the first bound
-            bound = np.where(goal > above, above, below)[beyond]
-            share = (bound - step[beyond]) / (goal - step)[beyond]
-            first = share <= share.min()
-            step += share.min() * (goal - step)
-            step[beyond[first]] = bound[first]
-            loose[beyond[first]] = False
-            continue
-        step, pull = goal, gradient - normal @ goal
-        inwards = np.where(step > below, np.maximum(-pull, 0.0), np.maximum(pull, 0.0))
-        gain = np.where(loose | (below == above), 0.0, 0.5 * inwards**2 / np.maximum(size, 1e-300))
-        if gain.max(initial=0.0) < LEAST_RELEASED:
-            break
-        loose[np.argmax(gain)] = True
-    return step
-
-
-def _linear_gain(normal: Floats, gradient: Floats, step: Floats) -> float:
+def linear_gain(normal: Floats, gradient: Floats, step: Floats) -> float:
     """Gain of a step in the quadratic model, nats."""
     return float(step @ gradient - 0.5 * step @ normal @ step)
 
@@ -335,7 +302,8 @@ class Fitted:
         """Derivatives of the bare residuals, by parameter."""
         return {k: self.bare[:, j] for j, k in enumerate(self.keys)}
 
-    def _normal(self, mask: Bools) -> tuple[Floats, Floats]:
+    def normal(self, mask: Bools) -> tuple[Floats, Floats]:
+        """Normal equations and their right side, of the rows in ``mask``."""
         return self.state.normal(self.bare, self.raw, self.x, mask)
 
     @property
@@ -355,7 +323,7 @@ class Fitted:
 
     def covariance(self) -> Floats:
         """Of all coordinates."""
-        normal, _ = self._normal(self.state.mask)
+        normal, _ = self.normal(self.state.mask)
         return np.asarray(pinv(normal, rcond=1e-14))
 
     @functools.cached_property
@@ -404,8 +372,8 @@ class Fitted:
         out: dict[str, Floats] = {}
         for fold in self.fitter.folds:
             mask = self.state.mask & ~fold[self.state.step]
-            normal, gradient = self._normal(mask)
-            x = self.x + _solve(normal, gradient, 1e-6, self.state.low - self.x, self.state.high - self.x)
+            normal, gradient = self.normal(mask)
+            x = self.x + damped_step(normal, gradient, 1e-6, self.state.low - self.x, self.state.high - self.x)
             losses = step_losses(model, whitener, model.residuals(self.state.point(x)))
             for channel, values in losses.items():
                 out[channel] = out.get(channel, np.zeros_like(values)) + np.where(fold, values, 0.0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.attribution.candidates import Candidate, Prior
 from analysis.attribution.fit import Fitted, Fitter
+from analysis.attribution.valley import to_the_bottom
 from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import (
@@ -167,12 +168,17 @@ class Refits:
         """
         return self.converged(x.candidates, x.whitener, x.free, x.fitted.values)
 
+    def _at_the_bottom(self, x: Hypothesis) -> Hypothesis:
+        """The hypothesis fitted once more, led on where it would end above the bottom of a valley."""
+        fitted = to_the_bottom(self.fitter.fit(x.whitener, x.free, x.fitted.values))
+        return self.scored(x.candidates, self.reweighted(fitted))
+
     def settled(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted again until no free value moves by more than a part of its standard deviation."""
         for _ in range(MOST_TURNS):
             if not x.free:
                 break
-            y = self.attempted(x.candidates, self.again, x)
+            y = self.attempted(x.candidates, self._at_the_bottom, x)
             if y is None:
                 break
             moved = max(abs(y.fitted.values[k] - x.fitted.values[k]) / (y.fitted.sigma(k) or math.inf) for k in x.free)

@@ -23,10 +23,10 @@ from analysis.attribution.choice import (
     required_gain,
     tied,
 )
-from analysis.attribution.fit import bounded_step
 from analysis.joint.alignment import Aligned
 from analysis.joint.population import Population, Quadratic, normal_equations
 from analysis.joint.summary import Option
+from analysis.linear_algebra import bounded_step
 from analysis.thresholds import Thresholds
 from kernels.arrays import Floats, Integers
 

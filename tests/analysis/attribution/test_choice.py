@@ -13,8 +13,9 @@ from scipy.optimize import lsq_linear
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.chance import ChanceGains
 from analysis.attribution.choice import Judge, LogScoreDifference, chance_refusal, gain_refusal, required_gain, tied
-from analysis.attribution.fit import Fitted, Fitter, bounded_step
+from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.linear_algebra import bounded_step
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from analysis.attribution.candidates import Prior, priors_of, scale_of
-from analysis.attribution.fit import Fitter, _solve
+from analysis.attribution.fit import Fitter, damped_step
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
@@ -128,9 +128,11 @@ def test_a_search_survives_a_singular_matrix(fly_ramp: Callable[..., ForwardMode
     fitted = fitter.fit(Whitener.of(model, {RATE: 0.5}), keys, {})
     assert np.isfinite(fitted.x).all() and np.isfinite(fitted.loss)
     assert fitted.values[RATE] == pytest.approx(0.5, abs=0.2)
-    step = _solve(np.ones((3, 3)), np.ones(3), 0.0, np.full(3, -5.0), np.full(3, 5.0))
+    step = damped_step(np.ones((3, 3)), np.ones(3), 0.0, np.full(3, -5.0), np.full(3, 5.0))
     assert np.sum(step) == pytest.approx(1.0)
-    assert _solve(np.zeros((2, 2)), np.zeros(2), 0.0, np.full(2, -5.0), np.full(2, 5.0)) == pytest.approx([0.0, 0.0])
+    assert damped_step(np.zeros((2, 2)), np.zeros(2), 0.0, np.full(2, -5.0), np.full(2, 5.0)) == pytest.approx(
+        [0.0, 0.0]
+    )
 
 
 def test_a_point_without_a_number_has_no_slope(
