@@ -7,7 +7,7 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: run test test-changed test-slow test-lowest lint docs clean
+.PHONY: run test test-changed test-slow test-lowest lowest-tests lowest-demo lint types docs clean
 
 # uv installs in a tenth of pip's time; where it cannot be had, pip does the same
 define install
@@ -52,17 +52,20 @@ $(LOWEST)/.installed: pyproject.toml
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
 	  --only-binary :all: --no-binary shakerbench --editable '.[test]'
 	touch $@
-test-lowest: $(LOWEST)/.installed
-	$(LOWEST)/bin/python -m pytest -m 'not slow' -k 'not memory' -W ignore::DeprecationWarning tests/kernels/test_compiler.py \
-	  tests/daq/export tests/rig/test_profile.py tests/bench/terminal/test_console.py tests/bench/drops/test_desk.py
+test-lowest: lowest-demo lowest-tests
+lowest-demo: $(LOWEST)/.installed
 	rm -rf $(LOWEST)/demo
 	NUMBA_CACHE_DIR=.test-cache $(LOWEST)/bin/bench demo --out $(LOWEST)/demo
+lowest-tests: $(LOWEST)/.installed
+	$(LOWEST)/bin/python -m pytest -m 'not slow' -k 'not memory' -W ignore::DeprecationWarning tests/kernels/test_compiler.py \
+	  tests/daq/export tests/rig/test_profile.py tests/bench/terminal/test_console.py tests/bench/drops/test_desk.py
 
-lint: $(VENV)/.installed-test
+lint: types $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+types: $(VENV)/.installed-test
+	$(BIN)/mypy
 
 # the documentation as a site in site/; a broken link fails
 docs: $(VENV)/.installed-docs
