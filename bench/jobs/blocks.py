@@ -17,10 +17,9 @@ from bench.profiles.edit import with_values
 from bench.profiles.plan import planned, refuse_forbidden
 from daq.recording import open_recording
 from daq.setup.errors import InputError
-from rig.execution.operator import NextSteps
 from rig.profile import Profile, parse_profile
-from rig.programme.ramp import plan
-from rig.programme.sequencer import stop_fade_samples
+from rig.programme.forcing import stop_fade_samples
+from rig.programme.ramp import NextSteps, plan
 
 if TYPE_CHECKING:
     from analysis.explore.choice import Option

@@ -21,8 +21,9 @@ from bench.terminal.orders import free_keys
 from bench.terminal.signals import leave_keys_to_the_parent, spawned
 from bench.web.packages import require_packages
 from daq.setup.errors import InputError
-from rig.execution.operator import NextSteps, StopRequest
+from rig.execution.operator import StopRequest
 from rig.profile import Profile, parse_profile
+from rig.programme.ramp import NextSteps
 
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section", "bench.agent.section")
 GATES = "bench.gates.section"  # where runs are started from the page

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from daq.setup.errors import InputError
-from rig.execution.operator import NextSteps, StopRequest
+from rig.execution.operator import StopRequest
+from rig.programme.ramp import NextSteps
 from rig.programme.sequencer import Stop
 
 if TYPE_CHECKING:

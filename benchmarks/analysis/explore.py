@@ -38,8 +38,8 @@ from benchmarks.scoring.version import code_version
 from daq.files.whole_file import Journal
 from daq.setup.stake import stake_in
 from model.surveys.workers import outcomes
-from rig.execution.operator import NextSteps
 from rig.profile import parse_profile
+from rig.programme.ramp import NextSteps
 
 STRATEGIES = ("chosen", "random", "ramp")
 DRIVING = ("bench/jobs", "rig/programme", "rig/execution")  # of the code, what decides beside the analysis

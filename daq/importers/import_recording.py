@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.registry import KINDS
-from daq.files.column_file import ColumnWriter
+from daq.files.column_writer import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
 from daq.importers.achieved import achieved_gamma
 from daq.importers.formats.columns import (

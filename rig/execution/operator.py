@@ -7,17 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from daq.setup.errors import InputError
-from rig.programme.ramp import Step
+from rig.programme.ramp import NextSteps, Step
 from rig.programme.sequencer import State, Stop
-
-
-@dataclass(frozen=True)
-class NextSteps:
-    """What a person wants driven next, in place of the steps that are left."""
-
-    gammas: tuple[float, ...] = ()  # empty where whoever chose the steps so far is to choose again
-    ratio: int | None = None  # c; None keeps it
-    why: str = ""  # the person's reason
 
 
 class StopRequest:

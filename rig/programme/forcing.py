@@ -18,6 +18,9 @@ from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Floats
 
+# a stop is seen within a quarter of a cycle (`rig.programme.sequencer.largest_block`): the fade ends within two
+STOP_FADE_CYCLES = Fraction(3, 2)
+
 
 @dataclass(frozen=True)
 class PhaseClock:
@@ -46,6 +49,11 @@ class PhaseClock:
     def cycle_after(self, sample: int) -> int:
         """The first cycle whose first sample is ``sample`` or later."""
         return (sample - 1) * self.num // self.den + 1
+
+
+def stop_fade_samples(clock: PhaseClock) -> int:
+    """Samples of the fade to zero."""
+    return int(STOP_FADE_CYCLES * clock.den / clock.num)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,15 @@ class Step:
 
 
 @dataclass(frozen=True)
+class NextSteps:
+    """What a person wants driven next, in place of the steps that are left."""
+
+    gammas: tuple[float, ...] = ()  # empty where whoever chose the steps so far is to choose again
+    ratio: int | None = None  # c; None keeps it
+    why: str = ""  # the person's reason
+
+
+@dataclass(frozen=True)
 class Peaks:
     """What a step asks of drive and plate, as peaks from rest."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from functools import partial
 
 import numpy as np
@@ -18,11 +17,9 @@ from numpy.typing import NDArray
 from daq.files.tables import DRIVE_DTYPE
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
-from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, synthesise
+from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, stop_fade_samples, synthesise
 from rig.programme.ramp import Programme, Step
 
-# A stop is seen within a quarter of a cycle (see `largest_block`), so a fade of a cycle and a half ends within two.
-STOP_FADE_CYCLES = Fraction(3, 2)
 BLOCKS_PER_CYCLE = 4
 LONGEST_PAUSE_S = 600.0  # an unattended plate must not shake for ever
 
@@ -298,11 +295,6 @@ class Sequencer:
             if event is Event.CUT:
                 self._set_fade(Fade(self.position, 0, self._zero, self._zero))
             self._until = self.position + clock.cycle_start(1)
-
-
-def stop_fade_samples(clock: PhaseClock) -> int:
-    """Samples of the fade to zero."""
-    return int(STOP_FADE_CYCLES * clock.den / clock.num)
 
 
 def largest_block(clock: PhaseClock, wanted: int) -> int:

@@ -25,9 +25,10 @@ from bench.terminal.orders import obey
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
-from rig.execution.operator import NextSteps, StopRequest
+from rig.execution.operator import StopRequest
 from rig.execution.run import run_ramp
 from rig.profile import parse_profile
+from rig.programme.ramp import NextSteps
 from rig.programme.sequencer import State, Stop
 
 TEXT = load("simulated")[1]

@@ -22,8 +22,8 @@ from bench.profiles.edit import with_values
 from bench.profiles.find import load
 from daq.setup.errors import InputError
 from daq.setup.stake import Stake, stake_in
-from rig.execution.operator import NextSteps
 from rig.profile import parse_profile
+from rig.programme.ramp import NextSteps
 
 BRIEF = {"ramp.gamma": [0.6, 0.8], "ramp.settle_cycles": 2, "ramp.hold_cycles": 8}
 TEXT = with_values(load("simulated")[1], BRIEF, "p")

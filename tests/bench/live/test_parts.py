@@ -33,8 +33,9 @@ from bench.web.browsers import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
 from daq.recorder.shared_ring import Ring, RingReader
 from daq.recording import open_recording
-from rig.execution.operator import NextSteps, StopRequest
+from rig.execution.operator import StopRequest
 from rig.profile import parse_profile
+from rig.programme.ramp import NextSteps
 from rig.programme.sequencer import Stop
 
 

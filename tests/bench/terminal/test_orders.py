@@ -8,7 +8,8 @@ import pytest
 
 from bench.terminal.orders import TypedLines, obey, steps_from
 from daq.setup.errors import InputError
-from rig.execution.operator import NextSteps, StopRequest
+from rig.execution.operator import StopRequest
+from rig.programme.ramp import NextSteps
 from rig.programme.sequencer import Stop
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from daq.files.tables import STEP_DTYPE
 from rig.profile import Profile
+from rig.programme.forcing import stop_fade_samples
 from rig.programme.ramp import plan
 from rig.programme.sequencer import (
     BLOCKS_PER_CYCLE,
@@ -21,7 +22,6 @@ from rig.programme.sequencer import (
     Stop,
     change_rows,
     largest_block,
-    stop_fade_samples,
 )
 from tests.fakes.commanded_drive import commanded, fades_of_changes, fades_of_steps
 
