@@ -38,11 +38,11 @@ test: $(VENV)/.installed-test
 test-changed: $(VENV)/.installed-test
 	$(BIN)/python -m tests.changed
 
-# those that run in real time come last, alone on the machine
+# those that run in real time and mostly wait come last, with nothing that computes next to them
 REAL_TIME := tests/bench/live tests/rig/virtual
 test-slow: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --durations=25 $(addprefix --ignore=,$(REAL_TIME))
-	$(BIN)/python -m pytest -m slow --durations=10 $(REAL_TIME)
+	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --durations=10 $(REAL_TIME)
 
 # a demo and the tests that meet every dependency, with the oldest versions that pyproject.toml allows
 LOWEST := .venv-lowest

@@ -1,7 +1,7 @@
 """Joint verdict: pass after pass over the recordings, one at a time, until nothing more gains and nothing moves.
 
-Each pass linearises every run at the effects named so far. An effect is named when runs that its fit did not see gain,
-and chance does not let the best of all candidates gain as much.
+Each pass linearises every run at the effects named so far; while these move, candidates are left out. An effect is
+named when runs that its fit did not see gain, and chance does not let the best of all candidates gain as much.
 """
 
 from __future__ import annotations
@@ -105,22 +105,23 @@ class _Passes:
         found.pop(("contact_closure", "late_s"), None)  # all runs share it: the first of `systematics.NAMES`
         return found
 
-    def at(self, point: Point) -> list[RunSummary]:
-        """Summaries at a point, one recording read at a time."""
+    def at(self, point: Point, candidates: bool) -> list[RunSummary]:
+        """Summaries at a point, with ``candidates`` or without, one recording read at a time."""
         self.done += 1
         out = []
         for i, path in enumerate(self.recordings):
             self.progress(f"pass {self.done}: {path.name}", i / len(self.recordings))
             # what a summary depends on: file and events as they are now, point, setup, effects and software
             effects = [(r.effect.name, r.effect.parameters) for r in registry()]
-            made = [software_version(), software_commit(), effects, FROZEN]
+            made = [software_version(), software_commit(), effects, FROZEN, candidates]
             here = [*(sorted(x.items()) for x in (point.priors, point.shared, point.population)), self.setup]
             key = hashlib.sha256(repr([state_of(path), here, made]).encode()).hexdigest()[:24]
             row = None if self.journal is None else self.journal.rows.get(key)
             if row is None:
                 # flights of the first recordings stay in memory, about 100 MB of them; the others are read in each pass
                 few = path in self.known or sum(map(len, self.known.values())) < 200_000
-                summary = summarise(path, point, FROZEN, self.setup, self.known if few else None)
+                known = self.known if few else None
+                summary = summarise(path, point, FROZEN, self.setup, known, candidates=candidates)
                 if self.journal is not None:
                     self.journal.add(key, summary.as_row())
             else:
@@ -166,11 +167,11 @@ class _Search:
         return self.passes.priors()
 
     def run(self) -> JointVerdict:
-        state = self._at(Point(self.declared), ())
-        state = self._begun_alone(state)
+        state = self._begun_alone(self._at(Point(self.declared), (), candidates=True))
         first: list[Tested] = []
         ties: tuple[tuple[str, ...], ...] = (state.names,) if state.named else ()
         for depth in range(len(state.named), FROZEN.most_effects):
+            state = self._with_candidates(state)
             candidates = Candidates(state.model, state.found, FROZEN)
             tested = candidates.tested(depth)
             first = first or tested
@@ -191,7 +192,7 @@ class _Search:
             others = (t.option.names for t in tied if t is not chosen)
             ties = tuple(dict.fromkeys((*state.names, *n) for n in (chosen.option.names, *others)))
             state = self._without_idle(self._converged(self._with(state, chosen)))
-        state = self._own_where_they_differ(state)
+        state = self._with_candidates(self._own_where_they_differ(state))
         if not state.named:
             ties = ()
         tried = tuple(
@@ -208,14 +209,18 @@ class _Search:
             self.passes.done, dated,
         )  # fmt: skip
 
-    def _at(self, point: Point, named: tuple[tuple[str, ...], ...]) -> _State:
+    def _at(self, point: Point, named: tuple[tuple[str, ...], ...], *, candidates: bool = False) -> _State:
         """All runs linearised at a point, and their fit."""
-        summaries = self.passes.at(point)
+        summaries = self.passes.at(point, candidates)
         model = aligned(summaries, point, frozenset(n for names in named for n in names))
         start = model.runs[0].origin.copy()
         found = fit_population(model.runs, start, model.width, model.prior, np.arange(model.named, dtype=np.int64))
         found = dataclasses.replace(found, x=bounded_fit(found.runs, found.x, model, found.free))
         return _State(point, named, summaries, model, found)
+
+    def _with_candidates(self, state: _State) -> _State:
+        """The state with all candidates, where they were left out while its point moved."""
+        return state if state.model.options else self._at(state.point, state.named, candidates=True)
 
     def _begun_alone(self, state: _State) -> _State:
         """Where a run by itself is not explained, what its own closed loop names is where the search begins."""
@@ -319,7 +324,7 @@ class _Search:
             priors[key] = Prior(state.point.shared[key], float(width ** parameter_of(key).power))
             self.rounds.append(f"{key[0]}.{key[1]} differs between runs: each has its own value")
         shared = {k: v for k, v in state.point.shared.items() if k not in keys}
-        return self._at(Point(priors, shared, state.point.population), state.named)
+        return self._at(Point(priors, shared, state.point.population), state.named, candidates=True)
 
 
 def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:

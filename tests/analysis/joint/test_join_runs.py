@@ -53,9 +53,9 @@ def test_six_runs_name_what_one_cannot_show(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_twenty_clean_runs_miss_nothing(tmp_path: Path) -> None:
+def test_twelve_clean_runs_miss_nothing(tmp_path: Path) -> None:
     """Neither calibrations that differ between runs nor an error of the edges that all share is an effect."""
-    found = join_runs(short_runs(tmp_path, 20, 502, {}))
+    found = join_runs(short_runs(tmp_path, 12, 502, {}))
     assert (found.verdict, found.names, found.odd) == ("nothing_missing", (), ())
     brief = found.systematics[1]  # a comparator read once a sample dates brief contacts half a sample too early
     assert brief.value_us + 4.0 * brief.sigma_us < 0.0

@@ -33,9 +33,11 @@ def test_a_recording_that_is_there_is_used(tmp_path: Path) -> None:
 def test_the_page_holds_every_figure_with_its_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each figure has a picture and a table; the numbers are the ideal ball's without, and the paper's with effects."""
     short = {name: (c, gammas, min(hold, 15)) for name, (c, gammas, hold) in paper.RUNS.items()}
-    fewer = {"full": (1, (0.5, 4.0, 15), 15), "humps": (1, (1.68, 1.72, 17), 15)}
-    fewer |= {"c2": (2, (0.16, 1.28, 8), 15), "c3": (3, (0.08, 0.64, 8), 15)}
+    fewer = {"full": (1, (0.5, 4.0, 15), 15), "humps": (1, (1.68, 1.72, 8), 15)}
+    fewer |= {"c2": (2, (0.16, 1.28, 5), 15), "c3": (3, (0.08, 0.64, 5), 15)}
     monkeypatch.setattr(paper, "RUNS", short | fewer)
+    narrow = {name: (c, low, 0.5 * high, effects) for name, (c, low, high, effects) in paper.DIAGRAMS.items()}
+    monkeypatch.setattr(paper, "DIAGRAMS", narrow)
     found = paper.paper(load("paper")[1], tmp_path, 1, lambda *_: None)
     page = (tmp_path / "paper.md").read_text(encoding="utf-8")
     for name in ("figure_1", *paper.DIAGRAMS, *(row[0] for row in paper.FIGURES), "humps"):
