@@ -27,7 +27,7 @@ from analysis.discovery.terms import AugmentedModel, Curve, Term
 from analysis.linear_algebra import lstsq, pinv
 from analysis.thresholds import ANOTHER_EVENT_S, Thresholds
 from kernels.arrays import Floats
-from model.effects.smooth_force import KNOTS
+from model.effects.curves import KNOTS
 
 Kind = Literal["value", "slope", "curvature", "width", "place", "power"]
 

@@ -20,8 +20,8 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values
 from daq.setup.values import STANDARD_GRAVITY_MPS2
 from kernels.arrays import Bools, Floats
+from model.effects.curves import KNOTS
 from model.effects.registry import offsets, registry
-from model.effects.smooth_force import KNOTS
 
 ENDS = (0.01, 0.99)  # quantiles at which a covariate's first and last knot lie
 

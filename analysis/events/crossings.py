@@ -13,7 +13,7 @@ from kernels import njit
 from kernels.arrays import Integers
 
 LEAD, EARLIER, AFTER = 4, 8, 8  # samples stored around a crossing, see `Window`
-CLOSED, OPENING, OPEN, DIPPING = 0, 1, 2, 3  # states of the scan
+CLOSED, OPENING, OPEN, DIPPING = range(4)  # states of the scan
 CLOSES, OPENS, DIP = -1, 1, 0  # kinds of crossing
 
 

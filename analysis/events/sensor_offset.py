@@ -25,7 +25,6 @@ SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
 LEAST_LATE_S = 1e-5  # delay of closings from which openings may have another
-MATCH_SIGMAS = 4.0  # distance in standard deviations within which an edge and an impact are the same landing
 
 
 @dataclass(frozen=True)
@@ -233,7 +232,7 @@ def combine_with_impacts(edges: Edges, impacts: Impacts, offset: SensorOffset) -
     difference = impacts.time_s[partner] - time_s[closing]
     # a contact that jitters by more than its edges' uncertainties is no reason to believe it where it errs most
     scatter = np.maximum(np.hypot(own, sigma[closing]), offset.spread_s)
-    same = np.abs(difference) < MATCH_SIGMAS * scatter
+    same = np.abs(difference) < 4.0 * scatter
     chosen, own = closing[same], own[same]
     share = sigma[chosen] ** 2 / (sigma[chosen] ** 2 + own**2)
     time_s[chosen] += share * difference[same]

@@ -21,7 +21,6 @@ from daq.recording.event_changes import EventChange
 from kernels.arrays import Bools, Floats
 
 NEAR_S = 1e-3  # an event that another version of the search finds, or finds with another corner, lies within this
-SAME_S = 1e-6  # of a time that a person gave
 
 
 def changed_edges(edges: Edges, changes: Sequence[EventChange], *, starts_open: bool, rate_hz: float) -> Edges:
@@ -65,7 +64,7 @@ def _changed(time_s: Floats, changes: Sequence[EventChange]) -> tuple[Bools, Flo
     stay, given_s = np.ones(time_s.size, dtype=np.bool_), list[float]()
     for one in changes:
         if one.was_s is not None:
-            again = next((t for t in given_s if abs(t - one.was_s) < SAME_S), None)
+            again = next((t for t in given_s if abs(t - one.was_s) < 1e-6), None)
             left = np.flatnonzero(stay)
             if again is not None:
                 given_s.remove(again)

@@ -21,7 +21,6 @@ from kernels.arrays import Complexes, Floats, Integers
 
 WINDOW_CYCLES = 2.0  # length of a window
 RIDGE = 1e-9  # added to the windows' normal matrices, for tones that hardly differ within a window
-MIN_WINDOWS = 4  # windows needed to measure a frequency
 MIN_DRIFT_RAD = 1e-4  # smallest phase error over the step that is corrected
 
 
@@ -186,7 +185,8 @@ def refined_hz(state: StepState, chunk: ChunkFit, has_drive: bool) -> tuple[floa
     The phase of the strongest forcing tone is followed from window to window: in the drive where it was recorded (it
     carries neither impacts nor the ball), else in the accelerometer. None where there are too few windows.
     """
-    if chunk.time_s.size < MIN_WINDOWS:
+    # fewer windows measure no frequency
+    if chunk.time_s.size < 4:
         return None
     channel = 1 if has_drive else 0
     multiples = np.array([state.multiples[r] for r in state.rows])

@@ -31,7 +31,6 @@ from model.integrator.problem import Detection, Measured, PlateSteps, active
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 FEWEST_OPENINGS = 40  # take-offs from rest that tell an opening from a closing
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
-UNBOUNDED = 1e6  # reading over the plate's motion from which on none of it is the plate's
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,8 @@ class ForwardModel:
             z = z - loaded[:, None] * self.loading.tones_mps2
         reading = self.reading(values)
         # where the plate stands still whatever is read (mains in the cable), a mode's part is not its motion either
-        plate = replace(ev.steps.plate, acceleration_mps2=np.where(np.abs(reading) < UNBOUNDED, z / reading, 0.0))
+        # of a reading a million times the plate's motion none is the plate's
+        plate = replace(ev.steps.plate, acceleration_mps2=np.where(np.abs(reading) < 1e6, z / reading, 0.0))
         if (swings := self.modulation_at(values)) is not None:
             plate = swings[0].modulated(plate, *swings[1:])
         return plate, self.per_step(values, "gap_m")[step], *self.late_s(values)

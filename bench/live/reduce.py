@@ -22,7 +22,7 @@ from daq.setup.setup import Setup
 from kernels.arrays import Floats
 from model.effects.registry import resolve
 
-PLAIN, DOUBTFUL, POOR = 0, 1, 2  # marks of a flight
+PLAIN, DOUBTFUL, POOR = range(3)  # marks of a flight
 _POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
 
 

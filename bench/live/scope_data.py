@@ -92,7 +92,7 @@ def _integrate(codes: Codes, constants: Floats, state: Floats, out: Codes) -> No
     state[3] = slow
 
 
-SCOPE, FLIGHTS, SPECTRUM = 1, 2, 3
+SCOPE, FLIGHTS, SPECTRUM = range(1, 4)  # kinds of message
 
 
 def scope_piece(first_s: float, bin_s: float, extremes: NDArray[np.int16]) -> bytes:

@@ -214,6 +214,7 @@ def _properties(recording: Recording, name: str) -> dict[str, Any]:
 
 
 LINE = 80
+TIME_RESPONSE, DOUBLE, TIME, GENERAL = 1, 4, 17, 1  # codes of the format
 
 
 def export_uff58(recording: Recording, part: Path) -> None:
@@ -248,15 +249,14 @@ def _write_set(
         f"lost_before={lost}",
     )
     begin, step = (stamps[0] * 1e-9, 1.0 / recording.rate_hz) if even else (0.0, 0.0)
-    # codes of the format: 58 a function, 1 a time response, 4 real doubles, 17 time, 1 general
     lines = [
         f"{-1:6d}",
         f"{58:6d}b{1:6d}{2:6d}{11:12d}{8 * len(values):12d}{0:6d}{0:6d}{0:12d}{0:12d}",
         *("".join(c if " " <= c <= "~" else "?" for c in text)[:LINE].ljust(LINE) for text in texts),
-        f"{1:5d}{0:10d}{0:5d}{0:10d} {'NONE':<10}{number:10d}{0:4d} {'NONE':<10}{0:10d}{0:4d}",
-        f"{4:10d}{n:10d}{int(even):10d}{begin:13.5e}{step:13.5e}{0.0:13.5e}",
-        _axis(17, "Time", "s"),
-        _axis(1, "Voltage", "V"),
+        f"{TIME_RESPONSE:5d}{0:10d}{0:5d}{0:10d} {'NONE':<10}{number:10d}{0:4d} {'NONE':<10}{0:10d}{0:4d}",
+        f"{DOUBLE:10d}{n:10d}{int(even):10d}{begin:13.5e}{step:13.5e}{0.0:13.5e}",
+        _axis(TIME, "Time", "s"),
+        _axis(GENERAL, "Voltage", "V"),
         _axis(0, "NONE", "NONE"),
         _axis(0, "NONE", "NONE"),
     ]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from kernels import njit
 from kernels.arrays import Floats
+from model.effects.base import Parameter, Row
+
+KNOTS = 45  # of a curve among an effect's parameters
 
 
 @njit(error_model="numpy")
@@ -21,3 +24,21 @@ def straight_between(x: float, knots: Floats, values: Floats) -> float:
         else:
             j = middle
     return float(values[i] + (values[j] - values[i]) * (x - knots[i]) / (knots[j] - knots[i]))
+
+
+def curve_parameters(x_unit: str, unit: str, low: float, high: float, scale: float, meaning: str) -> list[Parameter]:
+    """First knot, spacing and values of a curve over ``x_unit``; the rest is of its values, as `Parameter` takes it."""
+    return [
+        Parameter("start", x_unit, -1e3, 1e3, 1.0, is_shape=True, meaning="first knot"),
+        Parameter("spacing", x_unit, 1e-9, 1e3, 1.0, null_value=1.0, is_shape=True, meaning="between knots"),
+        *(Parameter(f"c{i}", unit, low, high, scale, meaning=f"{meaning} at the knot") for i in range(KNOTS)),
+    ]
+
+
+@njit(error_model="numpy")
+def on_curve(x: float, p: Row, start: int) -> float:
+    """Value at ``x`` of the curve whose `curve_parameters` stand in ``p`` from ``start`` on."""
+    place = min(max((x - p[start]) / p[start + 1], 0.0), KNOTS - 1.0)
+    i = min(int(place), KNOTS - 2)
+    part = place - i
+    return float(p[start + 2 + i] * (1.0 - part) + p[start + 3 + i] * part)

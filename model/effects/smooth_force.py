@@ -9,8 +9,7 @@ import math
 
 from kernels import njit
 from model.effects.base import CurveOf, Effect, Parameter, Row
-
-KNOTS = 45
+from model.effects.curves import curve_parameters, on_curve
 
 EFFECT = Effect(
     name="smooth_force",
@@ -27,9 +26,7 @@ EFFECT = Effect(
         ),
         Parameter("against", "1", 0.0, 1.0, 1.0, is_shape=True, meaning="1: against the motion, as friction is"),
         Parameter("lag_s", "s", 0.0, 1e3, 1e-2, is_shape=True, meaning="from impact to take-off"),
-        Parameter("start", "1", -1e3, 1e3, 1.0, is_shape=True, meaning="first knot"),
-        Parameter("spacing", "1", 1e-9, 1e3, 1.0, null_value=1.0, is_shape=True, meaning="between knots"),
-        *(Parameter(f"c{i}", "m/s^2", -1e3, 1e3, 0.1, meaning="force at the knot") for i in range(KNOTS)),
+        *curve_parameters("1", "m/s^2", -1e3, 1e3, 0.1, "force"),
     ),
     reference="penalised regression spline",
     curves=(
@@ -50,14 +47,10 @@ def force(s: float, h: float, v: float, u: float, p: Row, k: int) -> float:
     if of == 0.0:
         return 0.0
     x = h if of == 1.0 else v if of == 2.0 else u if of == 3.0 else s if of == 4.0 else s + p[k + 2]
-    # constant beyond the outer knots
-    place = min(max((x - p[k + 3]) / p[k + 4], 0.0), KNOTS - 1.0)
-    i = min(int(place), KNOTS - 2)
-    part = place - i
-    size = p[k + 5 + i] * (1.0 - part) + p[k + 6 + i] * part
+    size = on_curve(x, p, k + 3)
     if p[k + 1] == 0.0:
-        return float(size)
+        return size
     if h <= 0.0 and v == 0.0:  # at rest on the plate it holds the ball down
-        return float(-size)
+        return -size
     # the sign changes over 0.01 m/s, not at once: the integrator could not follow a jump
     return float(-size * v / math.hypot(v, 0.01))

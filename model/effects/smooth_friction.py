@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from kernels import njit
 from model.effects.base import CurveOf, Effect, Parameter, Row
-
-KNOTS = 45
+from model.effects.curves import curve_parameters, on_curve
 
 EFFECT = Effect(
     name="smooth_friction",
     summary="dry friction as a smooth function of height or speed",
     parameters=(
         Parameter("of", "1", 0.0, 2.0, 1.0, is_shape=True, meaning="0 none, 1 height, 2 speed relative to the plate"),
-        Parameter("start", "1", -1e3, 1e3, 1.0, is_shape=True, meaning="first knot"),
-        Parameter("spacing", "1", 1e-9, 1e3, 1.0, null_value=1.0, is_shape=True, meaning="between knots"),
-        *(Parameter(f"c{i}", "g", 0.0, 3.0, 0.02, meaning="friction over weight at the knot") for i in range(KNOTS)),
+        *curve_parameters("1", "g", 0.0, 3.0, 0.02, "friction over weight"),
     ),
     reference="penalised regression spline",
     curves=(CurveOf("friction", "height_m", {"of": 1.0}), CurveOf("friction", "speed_mps", {"of": 2.0})),
@@ -31,7 +28,4 @@ def dry_friction(h: float, speed: float, direction: float, p: Row, k: int) -> fl
     if p[k] == 0.0:
         return 0.0
     x = h if p[k] == 1.0 else speed
-    place = min(max((x - p[k + 1]) / p[k + 2], 0.0), KNOTS - 1.0)
-    i = min(int(place), KNOTS - 2)
-    part = place - i
-    return float(p[-1] * max(p[k + 3 + i] * (1.0 - part) + p[k + 4 + i] * part, 0.0))
+    return float(p[-1] * max(on_curve(x, p, k + 1), 0.0))

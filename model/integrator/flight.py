@@ -14,7 +14,7 @@ from model.integrator.records import Law, Mode, Plate, Start, StepEnds, compiled
 WAIT_PARTS = 3  # parts of a step at which a ball at rest is looked at: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0
 MOST_SECANTS = 40
-GOES_ON, LANDS, STANDS = 0, 1, 2  # how a segment ends
+GOES_ON, LANDS, STANDS = range(3)  # how a segment ends
 NO_PULL_MPS2 = 1e-9  # a threshold met so closely is met: within a picosecond of the slowest forcing
 MOST_STEPS = 100  # of Halley's method: a grazing root is met by halves
 SMALL_STEP, SMALLEST_STEP = 1e-6, 1e-13  # of a step of the integration; of Halley's method the last, and near a graze

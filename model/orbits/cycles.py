@@ -24,13 +24,11 @@ from model.flight.numerics import EdgeTables, FrictionRestitution, compiled
 CHATTERS = 1  # bit of a mark: the landing ends in a completed chatter
 SMALL = 2  # bit of a mark: a bounce that lands in the branch in which it began
 
-# columns of an itinerary's code
-FLIGHTS = 0  # flights of the cycle; 0 at rest, -1 when no threshold repeated
-RESETS = 1  # flights of the cycle that start at a threshold; without a cycle: resets in all flights flown
-PERIOD = 2  # forcing periods of the cycle
-CODE = 3  # hash of the cycle's symbols, from its lowest threshold on
-ENTRY = 4  # hash of the way into the cycle; 0 when it begins at once
+# columns of an itinerary's code: flights of the cycle (0 at rest, -1 when no threshold repeated), those of them that
+# start at a threshold (without a cycle: resets in all flights flown), its forcing periods, hashes of its symbols from
+# its lowest threshold on and of the way into it (0 when it begins at once)
 CODE_SIZE = 5
+FLIGHTS, RESETS, PERIOD, CODE, ENTRY = range(CODE_SIZE)
 
 
 class Flown(NamedTuple):

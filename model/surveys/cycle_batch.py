@@ -26,10 +26,8 @@ from model.orbits.attractor import ARRIVED, CHAOS_SHOWN, FEW_FLIGHTS, LONGEST_LO
 from model.orbits.cycles import CHATTERS, FLIGHTS, FRICTION, IDEAL, PERIOD, RESETS, Cycles, nearest_turn, repeating
 from model.orbits.lane_state import Lanes, keep_branches, law_of_lane, room_for_lanes, tables_of_lane
 
-CHATTERING = 3  # column of the outcome: the cycle holds a completed chatter
-LOCKED = 4  # it never sticks
-CHAOTIC = 5
 OUTCOME_SIZE = 6
+CHATTERING, LOCKED, CHAOTIC = range(3, OUTCOME_SIZE)  # columns of the outcome: a completed chatter; never sticks
 OPEN = -1  # FLIGHTS of an orbit that is left to `model.orbits.attractor`
 BLOCK = 512  # rows whose tables are made at once
 FIRST_LOOK = 64  # flights after which a locked cycle is looked for first: many orbits have arrived by then

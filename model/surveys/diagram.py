@@ -23,7 +23,6 @@ from model.tones import Forcing
 
 KEEP = 64  # flight times stored of a row
 KINDS = ("periodic", "chattering", "chaotic")  # the codes 0, 1, 2
-HALVINGS = 12  # of a step of the grid, at most, where the attractor changes in it
 
 
 @dataclass(frozen=True)
@@ -140,13 +139,11 @@ def swept(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
     return rows
 
 
-def adaptive(
-    rows_at: Callable[[Floats], Rows], low: float, high: float, steps: int, *, halvings: int = HALVINGS
-) -> Rows:
+def adaptive(rows_at: Callable[[Floats], Rows], low: float, high: float, steps: int, *, halvings: int = 12) -> Rows:
     """A diagram with more gammas where something happens.
 
-    Every step of an even grid at whose ends the attractor differs (in kind, period, flights or resets) is halved, again
-    and again; chaos next to chaos is left as it is.
+    Every step of an even grid at whose ends the attractor differs (in kind, period, flights or resets) is halved, at
+    most ``halvings`` times; chaos next to chaos is left as it is.
 
     ``rows_at`` maps gammas to their rows (`diagram` of a ball).
     """

@@ -21,11 +21,10 @@ from typing import Any, NamedTuple
 from kernels.arrays import Floats
 from kernels.lanes import WIDTH, floor, load, root, select, spread
 from model.flight.branches import TWO_PI
-from model.flight.lanes.plate_lanes import root_in_branch, start_of_root
+from model.flight.lanes.plate_lanes import PLAIN_GRAZE, root_in_branch, start_of_root
 from model.flight.numerics import Number, Segment, inlined
 from model.flight.segment import SHORT, height
 
-PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `fall`
 PLAIN_TIME = 0.01  # segments shorter than this are left to the series of `model.flight.segment`
 TURN = 1.0 / TWO_PI
 BRANCH_ROWS = 7

@@ -14,11 +14,9 @@ from kernels.arrays import Floats
 from kernels.lanes import any_of, floor, gather_rows, select, size, spread
 from model.flight.branches import TWO_PI
 from model.flight.lanes.edge_table import TABLE
-from model.flight.lanes.plate_lanes import plate, root_in_branch, start_of_root
+from model.flight.lanes.plate_lanes import PLAIN_GRAZE, plate, root_in_branch, start_of_root
 from model.flight.numerics import Number, inlined
 from model.flight.segment import SHORT, clear_times
-
-PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to `land`
 
 
 @inlined

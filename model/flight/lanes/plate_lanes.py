@@ -13,6 +13,7 @@ from kernels.arrays import Floats
 from kernels.lanes import any_of, select, size
 from model.flight.numerics import C4, C6, C8, S3, S5, S7, Number, inlined, sincos
 
+PLAIN_GRAZE = 1e-9  # heights nearer to the plate than this are left to the kernels of one flight
 NEAR = 0.05  # radians over which `turned` is exact to rounding
 CONVERGED = 1e-5  # a last step smaller than this leaves an error of its fourth power
 
