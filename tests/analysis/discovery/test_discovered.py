@@ -19,7 +19,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, scored_rows
 from analysis.residuals.values import ParameterId
-from model.effects.smooth_force import KNOTS
+from model.effects.curves import KNOTS
 
 DEEPEST_M = 8e-3
 HEIGHTS = np.linspace(0.0, DEEPEST_M, KNOTS)
