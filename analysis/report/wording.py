@@ -91,7 +91,11 @@ def what_is_left(loop: ClosedLoop) -> str:
     left = loop.remainder
     if left.p_lack_of_fit >= loop.limits.lack_p:
         return f"what is left looks like noise ({probability(left.p_lack_of_fit)})"
-    return f"what is left is {left.ratio:.2f} times the noise, no more than is let pass ({loop.limits.lack_ratio:g})"
+    passed = f"times the noise, no more than is let pass ({loop.limits.lack_ratio:g})"
+    if left.ratio > loop.limits.lack_ratio:
+        like_noise = f"take-offs look like noise ({probability(left.p_takeoffs)})"
+        return f"what is left of landings is {left.landing_ratio:.2f} {passed}, {like_noise}"
+    return f"what is left is {left.ratio:.2f} {passed}"
 
 
 def parameters_of(form: FittedForm) -> list[str]:

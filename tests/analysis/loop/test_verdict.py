@@ -76,6 +76,14 @@ def test_structure_beyond_the_floor_is_unexplained_with_or_without_a_name() -> N
     assert verdict_of(True, replace(NOISE, plate_rms_z=2.0), HIT, FLOORS, FROZEN) == "unexplained"
 
 
+def test_a_pattern_in_landings_that_pass_says_nothing_against_take_offs_like_noise() -> None:
+    """Take-offs that scatter by 1.3 of what is stated count by what is improbable in them, not in landings."""
+    loud = replace(NOISE, p_lack_of_fit=1e-9, ratio=1.3, landing_ratio=0.97, p_takeoffs=0.02)
+    assert verdict_of(True, loud, HIT, FLOORS, FROZEN) == "explained"
+    for change in ({"p_takeoffs": 1e-9}, {"landing_ratio": 1.3}):
+        assert verdict_of(True, replace(loud, **change), HIT, FLOORS, FROZEN) == "unexplained"
+
+
 def test_a_run_without_rests_is_judged_by_its_landings() -> None:
     """No take-off was seen: there is neither an error nor a floor of them, and that is no reason to refuse."""
     after = replace(HIT, takeoff_nmad_us=math.nan, takeoff_rms_us=math.nan)

@@ -13,9 +13,9 @@ from analysis.thresholds import FROZEN
 from tests.loops import changed
 
 
-def left(p, ratio):
+def left(p, ratio, **more):
     """A closed loop of which only the remainder is known."""
-    return SimpleNamespace(remainder=SimpleNamespace(p_lack_of_fit=p, ratio=ratio), limits=FROZEN)
+    return SimpleNamespace(remainder=SimpleNamespace(p_lack_of_fit=p, ratio=ratio, **more), limits=FROZEN)
 
 
 def test_a_certain_remainder_is_not_called_noise():
@@ -23,6 +23,8 @@ def test_a_certain_remainder_is_not_called_noise():
     assert what_is_left(left(0.3, 1.0)) == "what is left looks like noise (p = 0.3)"
     certain = what_is_left(left(1e-12, 1.1))
     assert "noise (p" not in certain and "1.10 times the noise" in certain
+    each = what_is_left(left(1e-12, 1.3, landing_ratio=0.97, p_takeoffs=0.02))
+    assert "landings is 0.97 times the noise" in each and "take-offs look like noise (p = 0.02)" in each
 
 
 @pytest.mark.parametrize("verdict", ["explained", "unexplained", "nothing_missing"])

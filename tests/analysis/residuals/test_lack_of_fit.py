@@ -59,7 +59,7 @@ def test_innovations_are_independent_and_of_unit_size(fly_ramp: Callable[..., Fo
 
 
 def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Landings late in proportion to the time in the run, half an uncertainty at its ends: so much is seen."""
+    """Landings late in proportion to the time in the run, half an uncertainty at its ends: seen, and in no take-off."""
     model = fly_ramp(MU, 3)
     ev, total = model.observations, uncertainty_at(model, MU).landing_total_s
     time = model.covariates(MU)["time_in_run_s"]
@@ -69,6 +69,7 @@ def test_a_planted_slope_is_found_and_named(fly_ramp: Callable[..., ForwardModel
     left = goodness_of_fit(slanted, MU)
     assert left.p_lack_of_fit < 1e-6
     assert left.covariate in ("time_in_run_s", "step_number")
+    assert left.p_takeoffs > 1e-3
 
 
 def test_a_missing_cause_is_far_from_noise(fly_ramp: Callable[..., ForwardModel]) -> None:
