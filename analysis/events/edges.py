@@ -4,7 +4,8 @@ Where the samples show the circuit's RC charging, its time constant is estimated
 fitted through its samples. Where nothing shows between two samples, the time is the middle of the interval, with a
 uniform distribution over it. The same holds for a comparator that is read once a sample and low-passed afterwards: its
 edges look like an RC's, but all alike. An RC's own edges fall anywhere between two samples. Decision 297. So it does
-for a comparator whose output runs from level to level in a straight line.
+for a comparator whose output runs from level to level in a straight line, and for lines that somebody drew between
+the samples of a lower rate: their middle is that of the interval (decision 595).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy.typing as npt
 
 from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings, Window
 from analysis.events.levels import Levels
+from analysis.statistics import mad_sigma
 from kernels.arrays import Floats, Integers
 
 VISIBLE_SIGMAS = 5.0  # standard deviations of noise from which a sample counts as moved
@@ -41,6 +43,7 @@ class EdgeShape:
     clock_s: float = 0.0
     # where it is clocked, from the RC's first rise to the middle of the interval in which the comparator changed
     lag_s: float = 0.0
+    straight_s: float = 0.0  # duration of edges that are straight lines over more than one sample; 0 for others
 
     def circuit(self, rise_s: Floats, sigma_s: Floats) -> tuple[Floats, Floats]:
         """Times and uncertainties of the contact itself from those at which the RC begins to rise."""
@@ -106,18 +109,35 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
 
 def _half_way(crossings: Crossings, noise: float, rate_hz: float) -> Edges:
     """Edges behind a linear-phase filter: it delays all frequencies alike, so an edge is where half of the swing is."""
-    before = crossings.around.before
-    rows = np.arange(crossings.sample.size)
-    rising = np.where((crossings.kind == CLOSES)[:, None], 1.0 - crossings.window, crossings.window)[:, : before + 1]
-    below = before - np.argmax(rising[:, ::-1] < 0.5, axis=1)  # the last sample on the side that is left
-    after = np.minimum(below + 1, before)
-    slope = np.maximum(rising[rows, after] - rising[rows, below], 1e-3)
-    place = below - before + np.clip((0.5 - rising[rows, below]) / slope, 0.0, 1.0)
+    falling = np.where((crossings.kind == CLOSES)[:, None], crossings.window, 1.0 - crossings.window)
+    place, slope = _at_half(falling, crossings.around.before)
     times = np.where(crossings.kind == DIP, crossings.sample - 0.5, crossings.sample + place) / rate_hz
     # a straight line between two samples errs by a tenth of a sample at half of the swing
     sigma = np.hypot(noise / slope, 0.1) / rate_hz
     sigma[crossings.kind == DIP] = 1.0 / (rate_hz * np.sqrt(12.0))
     return Edges(np.maximum.accumulate(times), sigma, crossings.kind)
+
+
+def _at_half(y: Floats, before: int) -> tuple[Floats, Floats]:
+    """Where edges are at half of the swing, in samples from the crossing, and their slope there, a sample, (n,)."""
+    rows = np.arange(y.shape[0])
+    above = before - np.argmax(y[:, before::-1] > 0.5, axis=1)  # the last sample on the side that is left
+    after = np.minimum(above + 1, before)
+    slope = np.maximum(y[rows, above] - y[rows, after], 1e-3)
+    return above - before + np.clip((y[rows, above] - 0.5) / slope, 0.0, 1.0), slope
+
+
+def _straight_samples(y: Floats, noise: float) -> float:
+    """Length of edges that are straight lines over more than one sample; 0 where they are none."""
+    between = (y > VISIBLE_SIGMAS * noise) & (y < 1.0 - VISIBLE_SIGMAS * noise)
+    both = between[:, :-1] & between[:, 1:]
+    fall, height = (y[:, :-1] - y[:, 1:])[both], 0.5 * (y[:, :-1] + y[:, 1:])[both]
+    if fall.size < MIN_EDGES:
+        return 0.0
+    usual = float(np.median(fall))
+    # an RC's edge falls by as much as it still has to go: its falls go with the height
+    scatter, as_rc = mad_sigma(fall - usual), mad_sigma(fall / height - np.median(fall / height)) * np.median(height)
+    return 1.0 / usual if usual > 0.0 and scatter < min(3.0 * noise + 0.01 * usual, 0.5 * as_rc) else 0.0
 
 
 def _isolated(index: Integers, room: Integers, gap: Integers, around: Window) -> Integers:
@@ -154,6 +174,8 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
     n, stretch_hz = y.shape[0], rate_hz / around.stretch
     if n < MIN_EDGES:
         return SHARP
+    if line := _straight_samples(y, noise):
+        return EdgeShape(0.0, 0.0, 1.0, n, straight_s=line / rate_hz)
     whole = _from_first(y, _first_moved(y, noise, around.before), around)
     samples = whole[:, :: around.stretch]
     # only from a first sample of 40 sigma, and of 5 % of the swing, does the next one show the decay
@@ -244,6 +266,9 @@ def fit_edges(
         Of the columns of ``y``.
     """
     dt, before, stretch = 1.0 / rate_hz, around.before, around.stretch
+    if shape.straight_s > 0.0:
+        place, slope = _at_half(y, before)
+        return place * dt, np.hypot(noise / slope * dt, shape.straight_s / np.sqrt(12.0))
     first = _first_moved(y, noise, before, gap)
     columns = np.arange(y.shape[1])
     middle = np.asarray((first - 0.5 - before) * dt, dtype=np.float64)

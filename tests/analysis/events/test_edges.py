@@ -88,6 +88,23 @@ def test_edges_in_a_straight_line_are_not_taken_for_an_rc(ramp_s: float) -> None
     assert np.std(error) < 1.1 * sigma
 
 
+@pytest.mark.parametrize("from_hz", [8000.0, 9070.0])
+def test_lines_that_somebody_drew_between_samples_are_dated_as_the_samples_were(from_hz: float) -> None:
+    """A sharp circuit brought to 20 kHz by linear interpolation: no bias, and the uncertainty of the lower rate."""
+    rng = np.random.default_rng(6)
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 1000))
+    own = np.arange(int((true[-1] + 0.01) * from_hz)) / from_hz
+    seen = 5.0 * (np.searchsorted(true, own) % 2) + 0.003 * rng.standard_normal(own.size)
+    volts = np.interp(np.arange(int(own[-1] * RATE)) / RATE, own, seen)
+    edges, opening, closing = timed(volts, measure_levels(volts, 0.0, 5.0))
+    assert opening.tau_s == closing.tau_s == 0.0
+    assert opening.straight_s == pytest.approx(1.0 / from_hz, rel=0.01)
+    error, sigma = edges.time_s - true, 1.0 / from_hz / np.sqrt(12.0)
+    assert abs(error.mean()) < 4.0 * sigma / np.sqrt(true.size)
+    assert np.std(error) == pytest.approx(sigma, rel=0.06)
+    np.testing.assert_allclose(edges.uncertainty_s, sigma, rtol=0.02)
+
+
 def test_a_brief_contact_between_edges_does_not_spoil_its_neighbours() -> None:
     """A contact of three samples is still found at both ends, though the voltage never settles."""
     rng = np.random.default_rng(5)
