@@ -11,8 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from analysis.loop.result import ClosedLoop
-from analysis.loop.verdict import Failed
-from analysis.report.numbers import microseconds, probability
+from analysis.report.numbers import microseconds
 from analysis.report.wording import (
     capital,
     coverage_in_words,
@@ -22,8 +21,8 @@ from analysis.report.wording import (
     rejected_in_words,
     size_of,
     what_is_left,
+    why_this_verdict,
 )
-from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_data.plate_observables import KINDS
 from analysis.statistics import mad_sigma
 from model.effects.registry import effect
@@ -187,32 +186,6 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
         if behind:
             out.append(f"effects that are easily taken for {name} gain less: {', '.join(behind)}.")
     return out
-
-
-def why_this_verdict(loop: ClosedLoop) -> list[str]:
-    """The tests that the verdict rests on."""
-    floor, lost = loop.errors.landing_floor_us, [f"{words}." for words in (lost_in_words(loop),) if words]
-    if loop.failed:
-        return [f"called unexplained because {'; '.join(_failure(loop, f) for f in loop.failed)}.", *lost]
-    held = f"on held-out steps landings are missed by {microseconds(loop.errors.after.landing_rms_us)} us rms, noise "
-    return [f"{held}{microseconds(floor)} us; {what_is_left(loop)}.", *lost]
-
-
-def _failure(loop: ClosedLoop, failed: Failed) -> str:
-    """A failed test in words."""
-    left = loop.remainder
-    if failed.test == "flights":
-        with_what = f", and goes with {COVARIATES[left.covariate].words}" if left.covariate else ""
-        if left.only_takeoffs_fail(loop.limits):
-            with_what = " in take-offs only, landings are as predicted: look for a contact that opens late now and then"
-        return f"what is left is {failed.found:.2f} times the noise ({probability(left.p_lack_of_fit)}){with_what}"
-    if failed.test == "plate":
-        return f"the plate is off by {failed.found:.2f} standard deviations rms ({failed.allowed:g} allowed)"
-    if failed.test == "stake":
-        return "a later run does not meet the prediction that was staked on it"
-    event = "landings" if failed.test == "landings" else "take-offs"
-    size, most = microseconds(failed.found), microseconds(failed.allowed)
-    return f"on held-out steps {event} are missed by {size} us, where noise allows {most} us"
 
 
 def what_would_separate(loop: ClosedLoop) -> list[tuple[str, str, str]]:

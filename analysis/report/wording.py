@@ -6,8 +6,10 @@ from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.term_effect import TermEffect
+from analysis.loop.verdict import Failed
 from analysis.loop.verdicts import VERDICTS
 from analysis.report.numbers import interval, microseconds, plus_minus, probability
+from analysis.residuals.covariates import COVARIATES
 from model.effects.registry import unit_of
 
 # 95 % intervals that held the truth, of how many, on recordings of another plant; of all others together 208 of 226:
@@ -127,3 +129,29 @@ def term_effect_in_words(term_effect: TermEffect) -> list[str]:
     if not term_effect.found_again:
         out.append(f"  {plain(term_effect.name)} was not named: look at the file before you use it")
     return out
+
+
+def why_this_verdict(loop: ClosedLoop) -> list[str]:
+    """The tests that the verdict rests on."""
+    floor, lost = loop.errors.landing_floor_us, [f"{words}." for words in (lost_in_words(loop),) if words]
+    if loop.failed:
+        return [f"called unexplained because {'; '.join(_failure(loop, f) for f in loop.failed)}.", *lost]
+    held = f"on held-out steps landings are missed by {microseconds(loop.errors.after.landing_rms_us)} us rms, noise "
+    return [f"{held}{microseconds(floor)} us; {what_is_left(loop)}.", *lost]
+
+
+def _failure(loop: ClosedLoop, failed: Failed) -> str:
+    """A failed test in words."""
+    left = loop.remainder
+    if failed.test == "flights":
+        with_what = f", and goes with {COVARIATES[left.covariate].words}" if left.covariate else ""
+        if left.only_takeoffs_fail(loop.limits):
+            with_what = " in take-offs only, landings are as predicted: look for a contact that opens late now and then"
+        return f"what is left is {failed.found:.2f} times the noise ({probability(left.p_lack_of_fit)}){with_what}"
+    if failed.test == "plate":
+        return f"the plate is off by {failed.found:.2f} standard deviations rms ({failed.allowed:g} allowed)"
+    if failed.test == "stake":
+        return "a later run does not meet the prediction that was staked on it"
+    event = "landings" if failed.test == "landings" else "take-offs"
+    size, most = microseconds(failed.found), microseconds(failed.allowed)
+    return f"on held-out steps {event} are missed by {size} us, where noise allows {most} us"

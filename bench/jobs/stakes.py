@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.jobs.blocks import Aims, Chosen, as_driven, block_text, forcing_in_words, offers, run_seconds
 from bench.jobs.loops.keep_verdict import verdict_file
-from bench.profiles.edit import with_values
-from bench.profiles.fields import toml_value
+from bench.profiles.edit import toml_value, with_values
 from daq.files.whole_file import write_whole
 from daq.recording import open_recording
 from daq.setup.clock import now_utc

@@ -106,3 +106,11 @@ def _quantity(one: MeasuredValue, on: datetime.date) -> dict[str, Any]:
         places = 1 - math.floor(math.log10(uncertainty))
         value, uncertainty = round(value, places + 1), round(uncertainty, places)
     return {"value": value, "uncertainty": uncertainty, "date": on, "source": " ".join(one.source.split())}
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{name} = {toml_value(own)}" for name, own in value.items()) + " }"
+    text: str = tomlkit.item(value).as_string()
+    return text

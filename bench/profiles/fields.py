@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
+from bench.profiles.edit import toml_value
 from daq.setup.errors import InputError
 from rig.profile import json_schema
 
@@ -105,13 +106,3 @@ def _table(node: Mapping[str, Any], kind: str | None) -> dict[str, Any] | None:
     if kind is not None:
         tables = [one for one in tables if one["properties"].get("kind", {}).get("const") == kind]
     return tables[0] if tables else None
-
-
-def toml_value(value: Any) -> str:
-    """A value as TOML writes it."""
-    import tomlkit
-
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{name} = {toml_value(own)}" for name, own in value.items()) + " }"
-    text: str = tomlkit.item(value).as_string()
-    return text

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdicts import short_verdict
-from analysis.report.narrative import why_this_verdict
 from analysis.report.numbers import microseconds, plus_minus
 from analysis.report.wording import (
     form_in_words,
@@ -17,6 +16,7 @@ from analysis.report.wording import (
     others_in_words,
     rejected_in_words,
     verdict_line,
+    why_this_verdict,
 )
 from daq.setup.errors import InputError
 from model.effects.registry import unit_of

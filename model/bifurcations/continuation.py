@@ -8,7 +8,7 @@ ways through every change of stability, to where it meets the edge of a take-off
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,10 +18,7 @@ from scipy.optimize import brentq
 from kernels.arrays import Floats
 from model.flight.branches import TWO_PI
 from model.flight.numerics import FrictionRestitution
-from model.orbits.attractor import Ball, LockedCycle, State
-
-Close = Callable[[float, State, int], LockedCycle | None]
-"""Maps (parameter, a state near, flights) to the locked cycle there."""
+from model.orbits.attractor import Ball, Close, LockedCycle, State, doubling_near, state_of
 
 End = Literal["period doubling", "merged", "fold", "grazing", "limit"]
 
@@ -35,11 +32,6 @@ class Branch:
     ends: tuple[End, End]
     flights: int
     periods: int
-
-
-def state_of(cycle: LockedCycle) -> State:
-    """A state on the cycle, just after an impact."""
-    return State(float(cycle.phase[0]), float(cycle.start[0]))
 
 
 def follow_both_ways(close: Close, at: float, cycle: LockedCycle, low: float, high: float) -> Branch:
@@ -111,27 +103,6 @@ def _lost(close: Close, trail: Sequence[tuple[float, LockedCycle]]) -> tuple[flo
     before, old = trail[-2]
     a, b = (1.0 - old.multiplier) ** 2, (1.0 - cycle.multiplier) ** 2
     return (here if a == b else here + b * (here - before) / (a - b)), "fold"
-
-
-def doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) -> tuple[float, LockedCycle] | None:
-    """Secant for ``multiplier = -1`` from ``gamma``, each cycle found from the one before."""
-    n = cycle.tau.size
-    here, old, last = gamma, gamma - 1e-6, None
-    first = close(old, state_of(cycle), n)
-    if first is None:
-        return None
-    miss_old = first.multiplier + 1.0
-    for _ in range(60):
-        new = close(here, state_of(last or first), n)
-        if new is None or abs(here - gamma) > reach:
-            return None
-        last, miss = new, new.multiplier + 1.0
-        if abs(miss) < 1e-12 or abs(here - old) < 1e-14:
-            return here, new
-        if miss == miss_old:  # the multiplier does not depend on gamma here: no doubling to be located
-            return None
-        old, miss_old, here = here, miss, here - miss * (here - old) / (miss - miss_old)
-    return None
 
 
 SEEDS = 24  # phases from which Newton begins, at one gamma

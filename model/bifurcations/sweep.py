@@ -15,8 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from kernels.errors import InputError
-from model.bifurcations.continuation import doubling_near
-from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor
+from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor, doubling_near
 from model.orbits.integrated_ball import IntegratedBall
 
 STEPS = 600  # of a sweep

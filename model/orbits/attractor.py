@@ -8,7 +8,7 @@ its exponent is measured.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -152,6 +152,10 @@ class Ball(Protocol):
         ...
 
 
+Close = Callable[[float, State, int], LockedCycle | None]
+"""Maps (parameter, a state near, flights) to the locked cycle there."""
+
+
 AT_REST = State()
 
 
@@ -243,6 +247,32 @@ def _just_doubled(ball: Ball, gamma: float, last: State, n: int) -> LockedCycle 
         cycle = ball.close(gamma, State(phase + part * off[0], max(speed + part * off[1], 0.0)), n)
         if cycle is not None and abs(cycle.multiplier) < 1.0:
             return cycle
+    return None
+
+
+def state_of(cycle: LockedCycle) -> State:
+    """A state on the cycle, just after an impact."""
+    return State(float(cycle.phase[0]), float(cycle.start[0]))
+
+
+def doubling_near(close: Close, gamma: float, cycle: LockedCycle, reach: float) -> tuple[float, LockedCycle] | None:
+    """Secant for ``multiplier = -1`` from ``gamma``, each cycle found from the one before."""
+    n = cycle.tau.size
+    here, old, last = gamma, gamma - 1e-6, None
+    first = close(old, state_of(cycle), n)
+    if first is None:
+        return None
+    miss_old = first.multiplier + 1.0
+    for _ in range(60):
+        new = close(here, state_of(last or first), n)
+        if new is None or abs(here - gamma) > reach:
+            return None
+        last, miss = new, new.multiplier + 1.0
+        if abs(miss) < 1e-12 or abs(here - old) < 1e-14:
+            return here, new
+        if miss == miss_old:  # the multiplier does not depend on gamma here: no doubling to be located
+            return None
+        old, miss_old, here = here, miss, here - miss * (here - old) / (miss - miss_old)
     return None
 
 

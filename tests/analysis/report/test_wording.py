@@ -7,8 +7,8 @@ import pytest
 
 from analysis.loop.result import AddedEffect
 from analysis.loop.verdict import Failed
-from analysis.report.narrative import headline, reasoning, why_this_verdict
-from analysis.report.wording import coverage_in_words, lost_in_words, what_is_left
+from analysis.report.narrative import headline, reasoning
+from analysis.report.wording import coverage_in_words, lost_in_words, what_is_left, why_this_verdict
 from analysis.thresholds import FROZEN
 from tests.loops import changed
 

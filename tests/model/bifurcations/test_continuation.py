@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from model.bifurcations.continuation import doubling_near, follow_both_ways
-from model.orbits.attractor import LockedCycle, State
+from model.bifurcations.continuation import follow_both_ways
+from model.orbits.attractor import LockedCycle, State, doubling_near
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
 
