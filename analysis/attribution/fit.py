@@ -245,8 +245,8 @@ class _State:
         heavy = np.flatnonzero(information > HEAVY_SHARE * information.sum())
         if len(heavy):
             other = -h if self.low[j] <= x[j] - h <= self.high[j] else h / 8
-            ratio = self._one_sided(x, raw, j, other)[heavy] / slopes[heavy]
-            self.leaping[heavy[(ratio < 0.5) | (ratio > 2.0)]] = True
+            product, square = self._one_sided(x, raw, j, other)[heavy] * slopes[heavy], slopes[heavy] ** 2
+            self.leaping[heavy[(product < 0.5 * square) | (product > 2.0 * square)]] = True
         slopes[self.leaping] = 0.0
         return slopes
 

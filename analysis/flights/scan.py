@@ -93,10 +93,15 @@ def _channels(recording: Recording) -> tuple[str, ...]:
     return tuple(name for name in ("continuity", "accelerometer", "drive") if name in recording.channels)
 
 
+def corner_of(recording: Recording, corner_hz: float | None) -> float:
+    """Corner of the accelerometer's high-pass in Hz, where one is known, or declared; 0 for none."""
+    declared = recording.setup.declared_values().get("accelerometer_high_pass", {})
+    return declared.get("corner_hz", 0.0) if corner_hz is None else corner_hz
+
+
 def high_pass_of(recording: Recording, corner_hz: float | None) -> HighPass | None:
-    """The accelerometer's high-pass, where one is known, or declared, whose tails of impacts matter."""
-    if corner_hz is None:
-        corner_hz = recording.setup.declared_values().get("accelerometer_high_pass", {}).get("corner_hz", 0.0)
+    """The accelerometer's high-pass, where its tails of impacts matter."""
+    corner_hz = corner_of(recording, corner_hz)
     return HighPass(corner_hz, recording.rate_hz) if corner_hz > LEAST_HZ else None
 
 

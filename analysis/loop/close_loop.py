@@ -165,10 +165,12 @@ def judge_loop(
     try:
         found = _loop_of(observations, recordings, limits, say, anyway=anyway)
         corner_hz = high_pass_hz(found[0])
-        if corner_hz > LEAST_HZ:
-            # what an impact leaves behind such a high-pass bends the tones that were taken: read once more, knowing it
+        if corner_hz > 0.0:
+            # what an impact leaves behind such a high-pass bends the tones that were taken, and hides how the plate
+            # rings: read once more, knowing it
             observations = observations_from(recordings, setup=setup, high_pass_hz=corner_hz)
-            found = _loop_of(observations, recordings, limits, say, anyway=anyway)
+            if corner_hz > LEAST_HZ or observations.mode is not None:
+                found = _loop_of(observations, recordings, limits, say, anyway=anyway)
         return found
     except NotFiniteError as error:
         raise InputError(

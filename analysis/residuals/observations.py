@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.sensor_offset import SensorOffset, common_offset
 from analysis.flights.assemble import FlightFlag, Flights, flights_of
+from analysis.flights.scan import corner_of
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
 from analysis.plate.ringing.modes import PlateMode, identified_mode
@@ -145,7 +146,7 @@ def observations_from(
             flights = flights_of(recording, progress=say, high_pass_hz=high_pass_hz, elsewhere=elsewhere)
             if on_flights is not None:
                 on_flights(recording, flights)
-            parts[path] = observed(recording, flights)
+            parts[path] = observed(recording, flights, high_pass_hz=high_pass_hz)
             if flights.edges.sensor_offset is not None:
                 offsets[path] = flights.edges.sensor_offset
 
@@ -159,12 +160,18 @@ def observations_from(
     return parts[paths[0]] if len(paths) == 1 else join([parts[path] for path in paths])
 
 
-def observed(recording: Recording, flights: Flights, *, with_mode: bool = True) -> Observations:
-    """Observations of one recording; ``with_mode`` a ringing mode is identified, in about a second."""
+def observed(
+    recording: Recording, flights: Flights, *, with_mode: bool = True, high_pass_hz: float | None = None
+) -> Observations:
+    """Observations of one recording; ``with_mode`` a ringing mode is identified, in about a second.
+
+    ``high_pass_hz`` as in `analysis.flights.scan.scan`.
+    """
     setup = recording.setup
     fitted = [s for s in flights.plate.steps if s is not None and s.usable]
     true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
-    mode = identified_mode(recording, true.takeoff_s, true.landing_s, mask_s) if with_mode else None
+    events = true.takeoff_s, true.landing_s, mask_s, corner_of(recording, high_pass_hz)
+    mode = identified_mode(recording, *events) if with_mode else None
     pushed = mode and mode.pushed
     if pushed:
         fitted = [without_ringing(s, pushed.noise_mps2) for s in fitted]

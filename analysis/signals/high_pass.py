@@ -8,12 +8,18 @@ whole impact, and the high-pass that is put back makes no tail of it. Tones and 
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import bilinear, lfilter
+from scipy.signal import bilinear, detrend, lfilter
 
 from analysis.signals.stream import Piece, Volts
 from kernels.arrays import Floats
 
 LEAST_HZ = 1.0  # corner from which tails of impacts matter
+
+
+def restored(acceleration: Floats, corner_hz: float, rate_hz: float) -> Floats:
+    """Acceleration (n,) of a plate that goes nowhere, before a high-pass of first order, less a line."""
+    own = acceleration - acceleration.mean()
+    return np.asarray(detrend(own + 2.0 * np.pi * corner_hz / rate_hz * (np.cumsum(own) - 0.5 * own)))
 
 
 class HighPass:

@@ -24,6 +24,7 @@ from analysis.linear_algebra import NotFiniteError, lstsq, pinv, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, over_noise, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import TORN_S, PushedPlate, answer, turn_of
+from analysis.signals.high_pass import restored
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
 
@@ -81,7 +82,9 @@ class PlateMode:
         return {(EFFECT, name): (getattr(self, name), sigma) for name, sigma in zip(names, self.sigmas(), strict=True)}
 
 
-def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, mask_s: float) -> PlateMode | None:
+def identified_mode(
+    recording: Recording, takeoff_s: Floats, landing_s: Floats, mask_s: float, high_pass_hz: float = 0.0
+) -> PlateMode | None:
     """The mode that the ball's push shakes; None where none is identified, without a drive, or with too few impacts.
 
     Parameters
@@ -92,6 +95,8 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
         Of the true flights (n,), in order, on the recording's axis.
     mask_s
         How long the accelerometer shows more than the plate's motion after an impact.
+    high_pass_hz
+        Corner of the accelerometer's high-pass; 0 for none.
     """
     # without its drive the plate's own motion is not known, and over a gap the mode's state is lost
     if "drive" not in recording.channels or len(recording.gaps):
@@ -99,6 +104,8 @@ def identified_mode(recording: Recording, takeoff_s: Floats, landing_s: Floats, 
     width = max(round(recording.rate_hz / RATE_HZ), 1)
     block_s = width / recording.rate_hz
     acceleration, drive = volts_in_blocks(recording, width)
+    if high_pass_hz > 0.0:
+        acceleration = restored(acceleration, high_pass_hz, 1.0 / block_s)
     landed = landing_s < (len(acceleration) - 1) * block_s
     known = unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
     if not landed.all():  # the impulse at the end of the flight before needs this flight
