@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.loop.close_loop import close_loop
+from analysis.loop.close_loop import close_loop, judge_loop
 from analysis.loop.verdict_json import loop_json
 from benchmarks.analysis.shaker_parts import recorded
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
+from benchmarks.plants.instrument import Instrument
 from benchmarks.plants.shaker import BALL_KG, Shaker
 
 BENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
@@ -110,3 +111,15 @@ def test_a_light_table_and_a_late_accelerometer_are_found_together(tmp_path: Pat
     found = {(p.effect, p.parameter): p for p in loop.selection.parameters}
     for name, true in {"mass_ratio": BALL_KG / 20.0, "frequency_hz": 8.0, "damping": 0.7}.items():
         assert found["table_resonance", name].value == pytest.approx(true, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_friction_that_grows_is_named_with_its_drift(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """By 5 % a second over a short run: cause and drift are named, and linear algebra prints nothing."""
+    gammas = np.random.default_rng(8).permutation(np.round(np.linspace(0.7, 1.5, 9), 4))
+    hidden = {"coulomb_friction.mu": 0.1, "friction_drift.per_s": 0.05}
+    run = other_plant.Run(gammas=tuple(gammas.tolist()), seed=8, jitter_s=5e-6, hidden=hidden, instrument=Instrument())
+    loop, _ = judge_loop([imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)])
+    assert loop.verdict == "explained"
+    assert [e.name for e in loop.selection.effects] == ["coulomb_friction", "parameter_drift"]
+    assert capfd.readouterr() == ("", "")
