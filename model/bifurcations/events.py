@@ -22,7 +22,7 @@ from model.bifurcations.locked_windows import locked_from, locked_within
 from model.bifurcations.sweep import LONGEST, Bifurcation, Side, check_range, observed_bifurcations
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import Ball, State
-from model.orbits.cycles import FLIGHTS, PERIOD
+from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.exact_ball import ExactBall, FrictionBall, IdealBall, Itinerary
 
 MOST_GAMMAS = 20_000_000  # looked at in one search: some minutes
@@ -202,7 +202,7 @@ def _side_at(ball: ExactBall, gamma: float, direction: int, windows: list[Window
     row = ball.itinerary_codes(np.array([near]), ball.most_flights)[0]
     if row[FLIGHTS] == 0:
         return Side(1, 0, 0)
-    return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[1])) if row[FLIGHTS] > 0 else Side()
+    return Side(int(row[PERIOD]), int(row[FLIGHTS]), int(row[RESETS])) if row[FLIGHTS] > 0 else Side()
 
 
 def _accumulations(ball: ExactBall, windows: list[Window], cuts: list[float]) -> list[Bifurcation]:
