@@ -126,6 +126,8 @@ def candidates_of(model: ForwardModel) -> list[Candidate]:
         e = entry.effect
         if e.nuisance or not e.library or not entry.hooks or e.name in declared:
             continue
+        if model.observations.quiet and any(q.hint == "slow_line_hz" for q in e.parameters):
+            continue
         for variant in e.variants or (tuple(q.name for q in e.parameters if not q.covariate),):
             keys = tuple((e.name, q) for q in variant)
             out.append(Candidate((e.name,), keys, tuple(_starts(model.observations, e, variant))))

@@ -355,13 +355,16 @@ class Fitted:
         return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
 
     def differs(self, keys: Sequence[ParameterId]) -> bool:
-        """Whether sizes among ``keys`` together differ from their null values by 95 % (Wald's test)."""
-        sizes = [k for k in keys if not parameter_of(k).is_shape]
-        rows = [self.keys.index(k) for k in sizes]
-        away = self.x[rows] - np.array([self.fitter.to_x(k, null_value_of(k)) for k in sizes])
-        covariance = self.covariance()[np.ix_(rows, rows)]
-        distance = float(away @ pinv(covariance, rcond=1e-14, hermitian=True) @ away)
-        return distance > float(chdtri(len(sizes), NULL_P))
+        """Whether sizes among ``keys`` together differ from their null values by 95 % (Wald's test).
+
+        What else is fitted follows to its bounds only: a height at zero cannot sink to make up for a lag.
+        """
+        rows = np.isin(np.arange(len(self.keys)), [self.keys.index(k) for k in keys if not parameter_of(k).is_shape])
+        to_null = np.array([self.fitter.to_x(k, null_value_of(k)) for k in self.keys]) - self.x
+        step, (normal, _) = np.where(rows, to_null, 0.0), self.normal(self.state.mask)
+        low, high = (bound[~rows] - self.x[~rows] for bound in (self.state.low, self.state.high))
+        step[~rows] = damped_step(normal[np.ix_(~rows, ~rows)], -(normal @ step)[~rows], 1e-9, low, high)
+        return float(step @ normal @ step) > float(chdtri(np.count_nonzero(rows), NULL_P))
 
     def held_out(self, whitener: Whitener) -> dict[str, Floats]:
         """Loss of each training step in each channel when the fit did not see it, shape (m,); 0 on other steps.

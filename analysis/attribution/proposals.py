@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
+import numpy as np
+
 from analysis.attribution.candidates import Candidate, Point, distinct_starts, null_value_of, parameter_of, trends_of
 from analysis.attribution.coarse_search import CoarseSearch, axes_of, coarse_grids, subsample
 from analysis.attribution.fit import Fitted
@@ -35,6 +37,23 @@ MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and fr
 def has_shape(free: Sequence[ParameterId]) -> bool:
     """Whether one of the parameters only shapes an effect."""
     return any(parameter_of(k).is_shape for k in free)
+
+
+def _names_in(case: Candidate, fuller: Candidate) -> dict[ParameterId, ParameterId]:
+    """What the parameters of a special case are called in the fuller form; empty where it is no special case of it."""
+    (name, *more), (own, *others) = case.names, fuller.names
+    if more or others or case.free == fuller.free:
+        return {}
+    table = effect(own).effect.special_cases.get(name, {}) if name != own else {q: q for _, q in case.free}
+    found = {(name, q): (own, table[q]) for _, q in case.free if q in table}
+    return found if len(found) == len(case.free) and set(found.values()) < set(fuller.free) else {}
+
+
+def _beyond(case: Candidate, fuller: Candidate) -> tuple[ParameterId, ...]:
+    """What a fuller form frees beyond a special case; nothing where it is none, or where that has no size."""
+    names = _names_in(case, fuller)
+    extra = tuple(k for k in fuller.free if k not in names.values()) if names else ()
+    return extra if any(not parameter_of(k).is_shape for k in extra) else ()
 
 
 class Proposals:
@@ -86,8 +105,17 @@ class Proposals:
             chosen, fit = self._chosen(best, candidate), self._iterated if gained >= enough else self._as_begun
             return attempted(chosen, fit, best, chosen, fitted)
 
+        def fuller(candidate: Candidate) -> Hypothesis | None:
+            cases = [x for x in found if x.whitener is not best.whitener and _beyond(x.candidates[-1], candidate)]
+            if not cases:
+                fitted = one(candidate)
+                return None if fitted is None else followed((candidate, fitted, self._gained(best, fitted)), enough)
+            tried(candidate)
+            return attempted((*best.candidates, candidate), self._extended, min(cases, key=self._loss), candidate)
+
+        plain = [c for c in options if not any(_beyond(case, c) for case in options)]
         with ThreadPoolExecutor(THREADS) as pool:
-            soft = [(c, x) for c, x in zip(options, pool.map(one, options), strict=True) if x is not None]
+            soft = [(c, x) for c, x in zip(plain, pool.map(one, plain), strict=True) if x is not None]
             begun = sorted(((c, x, self._gained(best, x)) for c, x in soft), key=lambda x: -x[2])
             found = [x for x in map(followed, begun[:1]) if x is not None]
             if far and not self._settled(found):
@@ -95,7 +123,27 @@ class Proposals:
             most = max((self._gained(best, x.fitted) for x in found), default=0.0)
             enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
             found += [x for x in pool.map(lambda x: followed(x, enough), begun[1:]) if x is not None]
+            rest = [c for c in options if c not in plain]
+            found += [x for x in list(pool.map(fuller, rest)) if x is not None]
             return found + self._drifting(best, found, pool)
+
+    def _extended(self, case: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+        """A fuller form, fitted from where its special case stands; None where what it has beyond promises nothing."""
+        special = case.candidates[-1]
+        own = {k: v for k, v in _names_in(special, candidate).items() if k in case.free}
+        extra = _beyond(special, candidate)
+        promised, led = self._linear_gain(case, candidate, extra)
+        if promised < self.limits.negligible_nats:
+            return None
+        chosen = (*case.candidates[:-1], candidate)
+        free = tuple(k for c in chosen for k in c.free)
+        begun = min(led, key=lambda pair: pair[0])[1] if led else case.fitted.values
+        start = {k: v for k, v in begun.items() if k not in own}
+        for target in dict.fromkeys(own.values()):
+            start[target] = float(np.mean([begun[k] for k, v in own.items() if v == target]))
+        known = {k: x for k, x in case.fitted.slopes.items() if k in self.fitter.priors and k not in free}
+        fitted = self.fitter.fit(case.whitener, free, start, known)
+        return self.refits.scored(chosen, self.refits.reweighted(fitted))
 
     def _drifting(self, best: Hypothesis, found: Sequence[Hypothesis], pool: ThreadPoolExecutor) -> list[Hypothesis]:
         """The strongest candidates, each with the drift that promises most, where the best one leaves more than noise.

@@ -95,6 +95,7 @@ class Observations:
     notes: tuple[str, ...] = field(default=())
     # of the plate that the ball strikes, from recorded volts; None where none is identified
     mode: PlateMode | None = None
+    quiet: bool = False  # whether volts leave room for no mode that a ball could show
     # what the ball did to the plate, of each recording; empty where a mode is not sure in all of them
     pushed: tuple[PushedPlate, ...] = ()
     # change of the forcing's amplitude within steps and from step to step
@@ -171,7 +172,7 @@ def observed(
     fitted = [s for s in flights.plate.steps if s is not None and s.usable]
     true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     events = true.takeoff_s, true.landing_s, mask_s, corner_of(recording, high_pass_hz)
-    mode = identified_mode(recording, *events) if with_mode else None
+    mode, quiet = identified_mode(recording, *events) if with_mode else (None, False)
     pushed = mode and mode.pushed
     if pushed:
         fitted = [without_ringing(s, pushed.noise_mps2) for s in fitted]
@@ -211,6 +212,7 @@ def observed(
         setup,
         notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
         mode=mode,
+        quiet=quiet,
         pushed=(pushed,) if pushed else (),
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
@@ -345,6 +347,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         setup=parts[0].setup,
         notes=tuple(dict.fromkeys([*(n for p in parts for n in p.notes), *wanders])),
         mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
+        quiet=all(p.quiet for p in parts),
         pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),
         modulation=AmplitudeModulation.join(swings) if swings else None,
         run_part=np.concatenate(

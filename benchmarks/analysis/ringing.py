@@ -62,7 +62,7 @@ def found_in(path: Path) -> tuple[PlateMode | None, float]:
     with open_recording(path) as recording:
         flights = flights_of(recording)
         true, start = flights.select(~flights.has(FlightFlag.FALSE)), time.process_time()
-        mode = identified_mode(recording, true.takeoff_s, true.landing_s, flights.edges.ringing_s)
+        mode, _ = identified_mode(recording, true.takeoff_s, true.landing_s, flights.edges.ringing_s)
         return mode, time.process_time() - start
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -48,6 +49,8 @@ LAGS = 2  # pieces whose scores are correlated
 FEWEST_IMPACTS = 20
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
+# of the best mode of the first look; of what is left, over noise: below both a search would find none that is sure
+QUIET_NATS, QUIET_OVER_NOISE = 0.5 * GAIN_NATS, 1.03
 LEFT_BY_TWO = 0.9  # of what one mode leaves of the acceleration, where a second one is said to be missing
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
@@ -84,8 +87,10 @@ class PlateMode:
 
 def identified_mode(
     recording: Recording, takeoff_s: Floats, landing_s: Floats, mask_s: float, high_pass_hz: float = 0.0
-) -> PlateMode | None:
-    """The mode that the ball's push shakes; None where none is identified, without a drive, or with too few impacts.
+) -> tuple[PlateMode | None, bool]:
+    """The mode that the ball's push shakes, and whether the plate is quiet: whether volts leave room for none.
+
+    The mode is None where none is identified, without a drive, or with too few impacts.
 
     Parameters
     ----------
@@ -100,7 +105,7 @@ def identified_mode(
     """
     # without its drive the plate's own motion is not known, and over a gap the mode's state is lost
     if "drive" not in recording.channels or len(recording.gaps):
-        return None
+        return None, False
     width = max(round(recording.rate_hz / RATE_HZ), 1)
     block_s = width / recording.rate_hz
     acceleration, drive = volts_in_blocks(recording, width)
@@ -119,17 +124,19 @@ def identified_mode(
     record, begun, found = replace(whole.last(skipped), forces=0), [0], None
     for _ in range(MOST_RESTARTS + 1):
         if len(record.landing_s) < FEWEST_IMPACTS or np.count_nonzero(record.known) < FEWEST_BLOCKS:
-            return None
+            return None, False
         try:
             seen, found = record.settled(begun, found)
+            if found is None:
+                return None, True
             # a plate that goes as it is asked feels no force of the drive: none is looked for where noise is left
             if len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
                 driven = replace(record, forces=whole.forces)
                 other, x = driven.settled(begun, None)
-                if other.forced(x):
+                if x is not None and other.forced(x):
                     record, seen, found = driven, other, x
         except NotFiniteError:  # a drive that stands still explains no acceleration
-            return None
+            return None, False
         worst = seen.worst_cluster(found)
         if worst is None:
             break
@@ -140,8 +147,8 @@ def identified_mode(
     forcing_hz = recording.setup.forcing.frequency_hz
     mode = None if found is None else seen.judged(found, forcing_hz)
     if mode is None or found is None or not mode.sure:
-        return mode
-    return replace(mode, pushed=whole.pushed(seen, found), second=seen.without(found).second(forcing_hz))
+        return mode, False
+    return replace(mode, pushed=whole.pushed(seen, found), second=seen.without(found).second(forcing_hz)), False
 
 
 @dataclass(frozen=True)
@@ -187,11 +194,11 @@ class _Recorded:
         rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio, late_s)
         return min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
 
-    def settled(self, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats]:
+    def settled(self, begun: Sequence[int], found: Floats | None) -> tuple[_Regression, Floats | None]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.
 
         Where impacts hide the acceleration, the ball feels what the model says. The plate goes nowhere, so what it
-        gains by impacts, which the acceleration between them lacks, is its mean.
+        gains by impacts, which the acceleration between them lacks, is its mean. On a quiet plate no mode is searched.
         """
         known, ratio, push, fresh = self.known, 0.0, None, found is None
         # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
@@ -207,6 +214,8 @@ class _Recorded:
             impulses = push.impacts_mps2
             shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, : self.forces].T])
             seen = _Regression.of(acceleration, basis, shaken, known, self.block_s, begun)
+            if fresh and rounds == 0 and seen.quiet:
+                return seen, None
             again = fresh and rounds == 1  # the first search did not know what is hidden
             x = seen.searched() if found is None or again else seen.followed([found])
             sizes = seen.sizes(seen.columns(*np.exp(x)))
@@ -324,7 +333,7 @@ class _Regression:
 
     def second(self, forcing_hz: float) -> PlateMode | None:
         """The mode that answers what a first one leaves; None where it explains little of that."""
-        gain, start = self.looked()[0]
+        gain, start = self.looked[0]
         if gain < 0.5 * (1.0 - LEFT_BY_TWO**2) * float(self.left @ self.left):
             return None
         mode = self.judged(self.followed([start]), forcing_hz)
@@ -332,8 +341,16 @@ class _Regression:
 
     def searched(self) -> Floats:
         """Logarithms of frequency and damping of the best mode of all."""
-        return self.followed([x for _, x in self.looked()[:STARTS]])
+        return self.followed([x for _, x in self.looked[:STARTS]])
 
+    @property
+    def quiet(self) -> bool:
+        """Whether the ball's push explains nothing, and no more than noise is left."""
+        power, gain = float(self.left @ self.left), self.looked[0][0]
+        nats = 0.5 * (power / (power - gain) - 1.0) * len(self.left)
+        return nats < QUIET_NATS and over_noise(self.left, self.known) < QUIET_OVER_NOISE
+
+    @cached_property
     def looked(self) -> list[tuple[float, Floats]]:
         """By how much modes of a grid lower the sum of squares, and their logarithms, the best of each rise first."""
         count = int(math.log(HIGHEST_HZ / LOWEST_HZ) / math.log(GRID))
@@ -356,7 +373,7 @@ class _Regression:
         """The best minimum from some starts."""
         low, high = np.log([[0.5 * LOWEST_HZ, LEAST_DAMPING], [2.0 * HIGHEST_HZ, MOST_DAMPING]])
         fits = [
-            least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, max_nfev=MOST_STEPS)
+            least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS)
             for x in starts
         ]
         # none at a bound where there is another: with the mode out of range free states explain much, but no impact

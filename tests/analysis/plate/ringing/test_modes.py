@@ -47,7 +47,7 @@ def _found(path: Path, missed: Sequence[int] = (), high_pass_hz: float = 0.0) ->
         flights = flights_of(recording)
         true = ~flights.has(FlightFlag.FALSE)
         true[list(missed)] = False
-        return identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], 1e-3, high_pass_hz)
+        return identified_mode(recording, flights.takeoff_s[true], flights.landing_s[true], 1e-3, high_pass_hz)[0]
 
 
 def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path]) -> None:
