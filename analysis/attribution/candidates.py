@@ -126,7 +126,7 @@ def candidates_of(model: ForwardModel) -> list[Candidate]:
         e = entry.effect
         if e.nuisance or not e.library or not entry.hooks or e.name in declared:
             continue
-        if model.observations.quiet and any(q.hint == "slow_line_hz" for q in e.parameters):
+        if model.observations.ringing.quiet and any(q.hint == "slow_line_hz" for q in e.parameters):
             continue
         for variant in e.variants or (tuple(q.name for q in e.parameters if not q.covariate),):
             keys = tuple((e.name, q) for q in variant)
@@ -149,7 +149,7 @@ def _starts(observations: Observations, e: Effect, variant: Sequence[str]) -> li
     grids = [q.start_grid or (q.null_value,) for q in parameters]
     if set(variant) in map(set, e.tied.values()):
         return [dict.fromkeys(keys, v) for v in (parameters[0].null_value, *grids[0])]
-    mode = observations.mode
+    mode = observations.ringing.mode
     known = {} if mode is None else mode.measured()
     seen = [(known[k][0],) if k in known else g for k, g in zip(keys, grids, strict=True)]
     points = [*itertools.product(*seen)]

@@ -51,7 +51,7 @@ class Fitter:
     def __init__(self, model: ForwardModel, priors: Mapping[ParameterId, Prior], train: Bools) -> None:
         self.model, self.train = model, train
         self.priors = {k: prior for k, prior in priors.items() if not model.is_idle(k)}
-        mode = model.observations.mode
+        mode = model.observations.ringing.mode
         self.identified = {k: Prior(*v) for k, v in mode.measured().items()} if mode and mode.sure else {}
         spread = np.flatnonzero(train)
         self.folds = [np.isin(np.arange(len(train)), spread[i::FOLDS]) for i in range(FOLDS)]

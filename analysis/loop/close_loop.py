@@ -169,7 +169,7 @@ def judge_loop(
             # what an impact leaves behind such a high-pass bends the tones that were taken, and hides how the plate
             # rings: read once more, knowing it
             observations = observations_from(recordings, setup=setup, high_pass_hz=corner_hz)
-            if corner_hz > LEAST_HZ or observations.mode is not None:
+            if corner_hz > LEAST_HZ or observations.ringing.mode is not None:
                 found = _loop_of(observations, recordings, limits, say, anyway=anyway)
         return found
     except NotFiniteError as error:

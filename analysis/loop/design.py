@@ -15,6 +15,7 @@ import numpy as np
 from analysis.attribution.candidates import Prior, null_value_of, priors_of
 from analysis.attribution.fit import Fitter
 from analysis.loop.close_loop import FittedLoop
+from analysis.plate.ringing.modes import Identified
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import Observations, Steps
@@ -183,7 +184,7 @@ def simulate_steps(
         plate=data,
         setup=setup,
         modulation=None,
-        pushed=(),
+        ringing=Identified(),
         circuit=replace(observations.circuit, heard=None),
         run_part=part[measured.step],
     )

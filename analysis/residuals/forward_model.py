@@ -285,7 +285,7 @@ class ForwardModel:
     def measured_mode(self, rows: Floats) -> MeasuredMode | None:
         """How a plate mode of the parameters (P + 1,) moved under what the ball did; None where that is not known."""
         ringing = self.ringing
-        if rows.ndim > 1 or ringing is None or not self.observations.pushed or not active(rows, "plate_mode"):
+        if rows.ndim > 1 or ringing is None or not self.observations.ringing.pushed or not active(rows, "plate_mode"):
             return None
         mode = plate_mode(rows)
         return self._plate_memory.recall(

@@ -20,8 +20,8 @@ from analysis.events.sensor_offset import SensorOffset, common_offset
 from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from analysis.flights.scan import corner_of
 from analysis.plate.motion import StepPlate
-from analysis.plate.ringing.mode_motion import PushedPlate, without_ringing
-from analysis.plate.ringing.modes import PlateMode, identified_mode
+from analysis.plate.ringing.mode_motion import without_ringing
+from analysis.plate.ringing.modes import Identified, identified_mode
 from analysis.plate.ringing.true_to_drive import remarks
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.held import Launches
@@ -93,11 +93,7 @@ class Observations:
     plate: PlateData
     setup: Setup  # of the first recording; the others must agree in what scales a measurement
     notes: tuple[str, ...] = field(default=())
-    # of the plate that the ball strikes, from recorded volts; None where none is identified
-    mode: PlateMode | None = None
-    quiet: bool = False  # whether volts leave room for no mode that a ball could show
-    # what the ball did to the plate, of each recording; empty where a mode is not sure in all of them
-    pushed: tuple[PushedPlate, ...] = ()
+    ringing: Identified = field(default_factory=Identified)  # of the plate that the ball strikes
     # change of the forcing's amplitude within steps and from step to step
     modulation: AmplitudeModulation | None = None
     run_part: Floats | None = None  # landing within its recording, from -0.5 to 0.5, (n,); None: as the step
@@ -172,9 +168,8 @@ def observed(
     fitted = [s for s in flights.plate.steps if s is not None and s.usable]
     true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     events = true.takeoff_s, true.landing_s, mask_s, corner_of(recording, high_pass_hz)
-    mode, quiet = identified_mode(recording, *events) if with_mode else (None, False)
-    pushed = mode and mode.pushed
-    if pushed:
+    plate = identified_mode(recording, *events) if with_mode else Identified()
+    for pushed in plate.pushed:
         fitted = [without_ringing(s, pushed.noise_mps2) for s in fitted]
     rows = np.full(max(len(flights.plate.steps), 1), -1, dtype=np.int64)
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
@@ -190,7 +185,7 @@ def observed(
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
         Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(
-            offset.motion_s if offset and pushed else 0.0
+            offset.motion_s if offset and plate.pushed else 0.0
         ),
     )
     # openings that do not repeat jitter as the circuit's closings do
@@ -210,10 +205,8 @@ def observed(
         steps,
         data,
         setup,
-        notes=(*notes, *remarks(mode, fitted, recording.rate_hz)),
-        mode=mode,
-        quiet=quiet,
-        pushed=(pushed,) if pushed else (),
+        notes=(*notes, *remarks(plate.mode, fitted, recording.rate_hz)),
+        ringing=plate,
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
         circuit=ContactCircuit(
@@ -346,9 +339,7 @@ def join(parts: Sequence[Observations]) -> Observations:
         plate=plate,
         setup=parts[0].setup,
         notes=tuple(dict.fromkeys([*(n for p in parts for n in p.notes), *wanders])),
-        mode=max((p.mode for p in parts if p.mode), key=lambda m: m.gain_nats, default=None),
-        quiet=all(p.quiet for p in parts),
-        pushed=tuple(x for p in parts for x in p.pushed) if all(p.pushed for p in parts) else (),
+        ringing=Identified.together([p.ringing for p in parts]),
         modulation=AmplitudeModulation.join(swings) if swings else None,
         run_part=np.concatenate(
             [p.steps.run_part[p.measured.step] if p.run_part is None else p.run_part for p in parts]

@@ -21,7 +21,8 @@ import numpy as np
 
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.loop.close_loop import judge_loop
-from analysis.plate.ringing.modes import PlateMode, identified_mode
+from analysis.plate.ringing.modes import identified_mode
+from analysis.plate.ringing.regression import PlateMode
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from benchmarks.plants.instrument import Instrument
@@ -62,7 +63,7 @@ def found_in(path: Path) -> tuple[PlateMode | None, float]:
     with open_recording(path) as recording:
         flights = flights_of(recording)
         true, start = flights.select(~flights.has(FlightFlag.FALSE)), time.process_time()
-        mode, _ = identified_mode(recording, true.takeoff_s, true.landing_s, flights.edges.ringing_s)
+        mode = identified_mode(recording, true.takeoff_s, true.landing_s, flights.edges.ringing_s).mode
         return mode, time.process_time() - start
 
 

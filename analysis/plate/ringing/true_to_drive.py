@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.plate.motion import StepPlate
-from analysis.plate.ringing.modes import PlateMode
+from analysis.plate.ringing.regression import PlateMode
 from kernels.arrays import Floats
 
 UNTRUE = 0.05  # part of the drive's speed that the mode's may have

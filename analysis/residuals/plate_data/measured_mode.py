@@ -38,7 +38,7 @@ class MeasuredMode:
     def of(cls, observations: Observations, ringing: Ringing, mode: tuple[float, float, float]) -> Self:
         """Of a ``mode`` of angular frequency, damping and mass ratio, in recordings that show what the ball did."""
         omega_radps, damping, mass_ratio = mode
-        motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.pushed]
+        motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         of, seen = observations.steps.recording[observations.measured.step], observations.measured
         state = np.empty((len(observations), 4))
         for i, motion in enumerate(motions):
@@ -46,11 +46,11 @@ class MeasuredMode:
             opened, landed = seen.opening_s[own], seen.landing_s[own]
             state[own] = np.hstack([motion.state(opened), motion.state(landed, landings=True)])
         # after the last landing nothing shows whether the ball flew on
-        until_s = np.array([x.until_s for x in observations.pushed])[of_step := observations.steps.recording]
+        until_s = np.array([x.until_s for x in observations.ringing.pushed])[of_step := observations.steps.recording]
         followed = ringing.span_s[:, 1] <= until_s[ringing.intervals.step]
         projection = np.where(followed[:, None], ringing.of_motions(motions, of_step), 0.0)
         seconds = np.where(followed, ringing.intervals.seconds, 0.0)
         turning = np.exp(1j * motions[0].turn.imag * np.stack([seen.opening_s, seen.landing_s], axis=1))
-        errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.pushed]
+        errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         amplitudes = ringing.of_tones(projection, seconds)
         return cls(state, amplitudes, projection, seconds, turning, omega_radps, max(errors))

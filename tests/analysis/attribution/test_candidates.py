@@ -12,7 +12,8 @@ from analysis.attribution.candidates import candidates_of, distinct_starts, scal
 from analysis.attribution.choice import contained_in
 from analysis.attribution.coarse_search import axes_of
 from analysis.attribution.fit import HELD, Fitter
-from analysis.plate.ringing.modes import PlateMode
+from analysis.plate.ringing.modes import Identified
+from analysis.plate.ringing.regression import PlateMode
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND, ParameterId
 
@@ -70,15 +71,23 @@ def test_an_identified_mode_is_where_a_resonance_begins_and_a_datum_of_its_fit(
     """
     model = fly_ramp({}, 0, gammas=(0.4, 0.8))
     mode = PlateMode(6.66, 0.04, 0.03, np.diag(np.square([0.05, 0.004, 0.001])), 0.1, 0.3, 1e4)
-    seen = ForwardModel(replace(model.observations, mode=mode), {})
+    seen = ForwardModel(replace(model.observations, ringing=Identified(mode)), {})
     resonance = next(c for c in candidates_of(seen) if c.names == ("table_resonance",))
     assert [start[HZ] for start in resonance.starts] == [6.66]
-    unsure = ForwardModel(replace(model.observations, mode=replace(mode, gain_nats=20.0)), {})
+    unsure = ForwardModel(replace(model.observations, ringing=Identified(replace(mode, gain_nats=20.0))), {})
     resonance = next(c for c in candidates_of(unsure) if c.names == ("table_resonance",))
     assert {3.0, 6.66} < {start[HZ] for start in resonance.starts}
     mean, inverse = fitter_of(seen).prior_rows([HZ], frozenset({HZ}))
     scale = scale_of(HZ)
     assert (mean[0] * scale, scale / inverse[0]) == pytest.approx((6.66, HELD * 0.05))
+
+
+def test_a_plate_that_is_quiet_offers_no_resonance(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Where volts leave room for no mode, none is flown; all other candidates stay."""
+    observations = fly_ramp({}, 0, gammas=(0.4, 0.8)).observations
+    quiet = ForwardModel(replace(observations, ringing=Identified(quiet=True)), {})
+    offered, left = ({c.names for c in candidates_of(m)} for m in (ForwardModel(observations, {}), quiet))
+    assert offered - left == {("table_resonance",)}
 
 
 def test_trends_of_calibrations_are_candidates_from_the_first_round(fly_ramp: Callable[..., ForwardModel]) -> None:

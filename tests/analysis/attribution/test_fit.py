@@ -120,6 +120,23 @@ def test_a_size_differs_from_nothing_only_beyond_its_interval(fly_ramp: Callable
     assert not fitted.differs((RATE,))
 
 
+def test_what_a_calibration_could_make_up_for_beyond_its_bound_differs_from_nothing(
+    fly_ramp: Callable[..., ForwardModel],
+) -> None:
+    """A lag of 5 us is 1.6 standard deviations, as a height of the circuit below zero would hide it; there is none.
+
+    Without the lag the loss is higher by more than half of 3.84, the 95 % of a chi-square.
+    """
+    lag = ("accelerometer_lag", "delay_s")
+    made = fly_ramp({lag: 5e-6}, 2).observations
+    model = ForwardModel(replace(made, circuit=replace(made.circuit, uneven=True)), {})
+    fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
+    fitted = fitter.fit(Whitener.of(model, {lag: 5e-6}), (lag,), {lag: 5e-6})
+    assert fitted.values[lag] < 1.96 * fitted.sigma(lag)
+    assert fitter.fit(fitted.state.whitener, (), {}).loss - fitted.loss > 0.5 * 3.84
+    assert fitted.differs((lag,))
+
+
 def test_a_search_survives_a_singular_matrix(fly_ramp: Callable[..., ForwardModel]) -> None:
     """Gravity, drive and accelerometer wrong by one factor are one: the fit of all three ends, with finite values."""
     model = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))

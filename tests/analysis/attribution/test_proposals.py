@@ -48,3 +48,21 @@ def test_weights_are_iterated_for_what_comes_near_the_best(
     found = {x.names: x for x in selection.proposals.round(nothing, options, lambda *_: None)}
     assert found["coulomb_friction",].whitener is not nothing.whitener
     assert (found["viscous_damping",].whitener is nothing.whitener) == (part > 0.0)
+
+
+@pytest.mark.parametrize("extra", [0.0, 0.2])
+def test_a_fuller_form_is_fitted_from_its_special_case_where_it_promises_more(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], extra: float
+) -> None:
+    """Friction that weakens with speed is no rival of a constant one that leaves nothing; it wins where hidden."""
+    sizes = {"mu_kinetic": 0.15, "mu_extra": extra, "v_s_mps": 0.1, "exponent": 2.0}
+    model = fly_ramp({("stribeck_friction", k): v for k, v in sizes.items()}, 1, gammas=GAMMAS)
+    selection = StepwiseSelection(model, fitter_of(model))
+    names = {"coulomb_friction", "stribeck_friction"}
+    options = [c for c in candidates_of(model) if set(c.names) <= names]
+    tried = list[str]()
+    found = selection.proposals.round(selection.declared(), options, lambda name, _: tried.append(name))
+    best = min(found, key=lambda x: float(x.per_step.sum()))
+    assert sorted(set(tried)) == sorted(names)
+    assert (best.names == ("stribeck_friction",)) == (extra > 0.0)
+    assert extra == 0.0 or best.fitted.values["stribeck_friction", "mu_extra"] == pytest.approx(extra, rel=0.2)

@@ -10,6 +10,7 @@ import pytest
 
 import shakerbench as sb
 from analysis.flights.assemble import flights_of
+from analysis.plate.ringing.modes import Identified
 from analysis.residuals.fades import Fades, pushes
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observations_from
@@ -53,7 +54,7 @@ def test_a_mode_rings_on_from_flights_in_the_fade(tmp_path: Path) -> None:
     path = tmp_path / "ringing.h5"
     sb.run(sb.load_profile("simulated").with_values(values), path, scenario="resonance", seed=5)
     recorded = observations_from([path])
-    observations = replace(recorded, pushed=())  # the mode is followed from flight to flight
+    observations = replace(recorded, ringing=Identified())  # the mode is flown, not read
     unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
     abrupt = replace(observations, measured=replace(unread, other_step=None, share=None))
     assert scatter_us(replace(observations, measured=unread)) < 8.0
@@ -74,7 +75,9 @@ def test_a_fade_found_too_long_does_not_matter(tmp_path: Path, monkeypatch: pyte
         return replace(exact(recording), length_s=twice_s, earlier_s=twice_s)
 
     monkeypatch.setattr(Fades, "of", found)
-    observations = replace(observations_from([path]), pushed=())  # the mode is followed from flight to flight
+    observations = replace(
+        observations_from([path]), ringing=Identified()
+    )  # the mode is followed from flight to flight
     unread = replace(observations.measured, gained_mps=None, pressed_mps=None, pressed_at=None)
     assert scatter_us(observations) < 6.0
     assert scatter_us(replace(observations, measured=unread)) > 2.0 * scatter_us(observations)

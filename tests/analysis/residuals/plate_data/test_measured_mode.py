@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import flights_of
+from analysis.plate.ringing.modes import Identified
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.observations import Observations, observed
@@ -46,7 +47,7 @@ def _missed_us(seen: Observations) -> float:
 def test_landings_over_a_plate_as_it_moved_are_missed_by_less(both: tuple[Observations, Observations]) -> None:
     """A long-lived mode that is followed from flight to flight carries the errors of all impacts with it."""
     seen, _ = both
-    assert _missed_us(seen) < 0.5 * _missed_us(replace(seen, pushed=()))
+    assert _missed_us(seen) < 0.5 * _missed_us(replace(seen, ringing=Identified()))
 
 
 def test_a_light_slow_mode_makes_landings_less_sure(tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -125,5 +126,5 @@ def test_take_offs_from_a_plate_that_rings_are_not_taken_for_a_late_contact(tmp_
     path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)
     with open_recording(path) as recording:
         seen = observed(recording, flights_of(recording))
-    assert seen.mode is not None
+    assert seen.ringing.mode is not None
     assert not any("circuit opens" in note for note in seen.notes)
