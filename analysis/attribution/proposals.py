@@ -129,13 +129,14 @@ class Proposals:
 
     def _extended(self, case: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """A fuller form, fitted from where its special case stands; None where what it has beyond promises nothing."""
-        special = case.candidates[-1]
-        own = {k: v for k, v in _names_in(special, candidate).items() if k in case.free}
-        extra = _beyond(special, candidate)
+        *others, special = case.candidates
+        taken = {k for c in others for k in c.free}
+        own = _names_in(special, candidate)
+        extra = tuple(k for k in candidate.free if k not in taken and k not in own.values())
         promised, led = self._linear_gain(case, candidate, extra)
         if promised < self.limits.negligible_nats:
             return None
-        chosen = (*case.candidates[:-1], candidate)
+        chosen = (*others, Candidate(candidate.names, tuple(k for k in candidate.free if k not in taken)))
         free = tuple(k for c in chosen for k in c.free)
         begun = min(led, key=lambda pair: pair[0])[1] if led else case.fitted.values
         start = {k: v for k, v in begun.items() if k not in own}
