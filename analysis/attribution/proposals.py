@@ -299,6 +299,8 @@ class Proposals:
         """The most promising options where landings are lost, each from its minimum on a subsample."""
         values, train = best.fitted.values, self.refits.train
         search = CoarseSearch(subsample(self.refits.model, train), values, train)
+        # what was identified without a flight stays where it is: each move of a mode is a motion of the plate anew
+        unknown = [k for k in best.free if k not in self.fitter.identified]
 
         def on_grid(candidate: Candidate) -> tuple[float, Point, Candidate]:
             free = tuple(k for k in candidate.free if k not in best.free)
@@ -308,7 +310,7 @@ class Proposals:
             return loss, {**{k: values[k] for k in best.free}, **point}, Candidate(candidate.names, free)
 
         def minimised(seen: tuple[float, Point, Candidate]) -> tuple[float, Point, Candidate]:
-            loss, point = search.minimise(seen[1], (*seen[2].free, *best.free))
+            loss, point = search.minimise(seen[1], (*seen[2].free, *unknown))
             tried(seen[2])
             return loss, point, seen[2]
 
