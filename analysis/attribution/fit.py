@@ -355,7 +355,7 @@ class Fitted:
         return float(q.power * max(y, spread) ** (q.power - 1.0) * spread)  # at zero, as far as one sigma leads
 
     def differs(self, keys: Sequence[ParameterId]) -> bool:
-        """Whether sizes among ``keys`` together differ from their null values by 95 % (Wald's test).
+        """Whether sizes among ``keys`` together differ from their null values by 95 %, by the quadratic model.
 
         What else is fitted follows to its bounds only: a height at zero cannot sink to make up for a lag.
         """

@@ -64,6 +64,7 @@ def _changed(time_s: Floats, changes: Sequence[EventChange]) -> tuple[Bools, Flo
     stay, given_s = np.ones(time_s.size, dtype=np.bool_), list[float]()
     for one in changes:
         if one.was_s is not None:
+            # to a microsecond: it may be a time that a person gave
             again = next((t for t in given_s if abs(t - one.was_s) < 1e-6), None)
             left = np.flatnonzero(stay)
             if again is not None:

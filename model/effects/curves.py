@@ -37,7 +37,7 @@ def curve_parameters(x_unit: str, unit: str, low: float, high: float, scale: flo
 
 @njit(error_model="numpy")
 def on_curve(x: float, p: Row, start: int) -> float:
-    """Value at ``x`` of the curve whose `curve_parameters` stand in ``p`` from ``start`` on."""
+    """Value at ``x`` of the curve whose `curve_parameters` stand in ``p`` from ``start`` on; constant beyond."""
     place = min(max((x - p[start]) / p[start + 1], 0.0), KNOTS - 1.0)
     i = min(int(place), KNOTS - 2)
     part = place - i
