@@ -127,7 +127,7 @@ class LoopResult:
         """Write the page with its pictures into ``folder``; returns the page's path."""
         from analysis.report.page import write_report
 
-        return write_report(self.loop, Path(folder))
+        return write_report(self.loop, Path(folder), recording=self.recordings[0])
 
     def write_improved(self, path: str | Path) -> list[str]:
         """Write the recording's profile with the found effects declared, in SI units; returns what was written."""

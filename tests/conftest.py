@@ -196,11 +196,9 @@ def closed_loop() -> ClosedLoop:
     from analysis.attribution.hypothesis import ChanceTest
     from analysis.loop.result import (
         AddedEffect,
-        Bifurcation,
         Calibration,
         ClosedLoop,
         DetectionLimits,
-        FirstBifurcations,
         FittedParameter,
         FlightTable,
         HeldOutErrors,
@@ -273,11 +271,6 @@ def closed_loop() -> ClosedLoop:
         remainder=GoodnessOfFit(0.4, 1.02, 1.01, None, dict.fromkeys(COVARIATES, 0.5), 0.3, 0.5, 0.6),
         detection=DetectionLimits(
             {"viscous_damping.rate_per_s": 0.02, "restitution.e0": math.inf}, ("table_resonance",)
-        ),
-        first_bifurcations=FirstBifurcations(
-            Bifurcation("period doubling", 1.1, 1.2),
-            Bifurcation("lock", math.nan, math.nan),
-            Bifurcation("period doubling", 1.15, 1.15, 1.15),
         ),
         steps=StepTable(
             np.zeros(m, np.int64),

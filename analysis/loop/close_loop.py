@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from analysis.linear_algebra import NotFiniteError
 from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, Selection, TestedCandidate
 from analysis.loop.tables import (
     added_effects,
-    first_bifurcations,
     fitted_calibrations,
     fitted_parameters,
     flight_table,
@@ -53,11 +52,6 @@ from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Bools
 from model.effects.registry import effect, resolve
-
-if TYPE_CHECKING:
-    from analysis.flights.table import Flights
-    from daq.recording import Recording
-
 
 Progress = Callable[[str, float], None]
 
@@ -113,18 +107,8 @@ def fit_loop(
     anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop]:
     """`close_loop`, with the fitted model behind its result: next runs are ranked by it."""
-    say = progress or (lambda what, part: None)
-    scans: list[Flights] = []
-
-    def keep_first(_: Recording, flights: Flights) -> None:
-        if not scans:
-            scans.append(flights)
-
-    loop, fitted = judge_loop(
-        recordings, setup=setup, limits=limits, progress=progress, on_flights=keep_first, anyway=anyway
-    )
-    say("first bifurcations", 0.98)
-    return completed(loop, fitted, scans[0]), fitted
+    loop, fitted = judge_loop(recordings, setup=setup, limits=limits, progress=progress, anyway=anyway)
+    return completed(loop, fitted), fitted
 
 
 def judge_loop(
@@ -133,13 +117,12 @@ def judge_loop(
     setup: Setup | None = None,
     limits: Thresholds = FROZEN,
     progress: Progress | None = None,
-    on_flights: Callable[[Recording, Flights], None] | None = None,
     known: MutableMapping[Path, Observations] | None = None,
     anyway: bool = False,
 ) -> tuple[ClosedLoop, FittedLoop]:
-    """`fit_loop` without what no verdict depends on, the discovered term and the bifurcations: see `completed`.
+    """`fit_loop` without the discovered term, on which no verdict depends: see `completed`.
 
-    ``on_flights`` and ``known`` are those of `analysis.residuals.observations.observations_from`.
+    ``known`` is that of `analysis.residuals.observations.observations_from`.
     """
     say = progress or (lambda what, part: None)
     if not anyway:
@@ -148,7 +131,6 @@ def judge_loop(
         recordings,
         setup=setup,
         progress=lambda name, part: say(f"reading {name}", 0.15 * part),
-        on_flights=on_flights,
         known=known,
     )
     names = ", ".join(p.name for p in recordings)
@@ -204,7 +186,6 @@ def _loop_of(
         flights=flight_table(model, *points),
         plate=plate_table(model, *points),
         discovered=None,
-        first_bifurcations=None,
         steps=step_table(model, train),
         setup=observations.setup,
         limits=limits,
@@ -243,28 +224,16 @@ def refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:
         )
 
 
-def completed(loop: ClosedLoop, fitted: FittedLoop, flights: Flights) -> ClosedLoop:
-    """The loop with a term discovered where it is unexplained, and the first bifurcations of its first recording.
-
-    Parameters
-    ----------
-    loop, fitted
-        Of `judge_loop`.
-    flights
-        Of the first recording.
-    """
-    best = fitted.selection.best
-    found, notes = None, loop.notes
-    left = loop.remainder
+def completed(loop: ClosedLoop, fitted: FittedLoop) -> ClosedLoop:
+    """The loop with a term discovered where it is unexplained; ``loop`` and ``fitted`` are of `judge_loop`."""
+    best, left = fitted.selection.best, loop.remainder
     # no term of the ball's motion changes take-offs alone, nor the plate, nor single landings that are lost
-    noise = left.flights_pass(loop.limits) or left.only_takeoffs_fail(loop.limits)
-    if loop.verdict == "unexplained" and not noise:
-        try:
-            found = discover(fitted.model, best.fitter, best, loop.limits)
-        except NotFiniteError as error:
-            notes = (*notes, f"the search for a smooth term ended early: {error}")
-    first = first_bifurcations(flights, loop.setup, loop.improved_effects())
-    return dataclasses.replace(loop, discovered=found, first_bifurcations=first, notes=notes)
+    if loop.verdict != "unexplained" or left.flights_pass(loop.limits) or left.only_takeoffs_fail(loop.limits):
+        return loop
+    try:
+        return dataclasses.replace(loop, discovered=discover(fitted.model, best.fitter, best, loop.limits))
+    except NotFiniteError as error:
+        return dataclasses.replace(loop, notes=(*loop.notes, f"the search for a smooth term ended early: {error}"))
 
 
 def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:

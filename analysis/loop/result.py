@@ -1,7 +1,7 @@
 """Result of a closed loop: numbers, arrays and names, with no fit and no model behind them.
 
-The report, its figures, the sentences, the JSON and the improved profile are functions of this value only.
-Decision 123.
+The report, its figures, the sentences, the JSON and the improved profile are functions of this value only, but for the
+first bifurcations in a report. Decision 123.
 """
 
 from __future__ import annotations
@@ -151,29 +151,6 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Bifurcation:
-    """First change of the motion after take-off: its type, and ``gamma`` between ``gamma_low`` and ``gamma_high``.
-
-    For a predicted one both bounds are the predicted value. ``same_type_gamma`` is where the model predicts the
-    measured type; NaN where it predicts none.
-    """
-
-    type: str
-    gamma_low: float
-    gamma_high: float
-    same_type_gamma: float = float("nan")
-
-
-@dataclass(frozen=True)
-class FirstBifurcations:
-    """First bifurcation in the first recording, and as predicted by the declared and by the improved model."""
-
-    measured: Bifurcation | None
-    before: Bifurcation
-    after: Bifurcation
-
-
-@dataclass(frozen=True)
 class Selection:
     """Outcome of the selection among sets of effects."""
 
@@ -231,8 +208,6 @@ class ClosedLoop:
         Goodness of fit of the best hypothesis on all steps.
     detection
         The size below which the run could not have shown an effect.
-    first_bifurcations
-        None where the recording has too few flights.
     steps, flights, plate
         Measurement, prediction and residual, step by step, flight by flight and datum by datum.
     setup, limits
@@ -250,7 +225,6 @@ class ClosedLoop:
     errors: HeldOutErrors
     remainder: GoodnessOfFit
     detection: DetectionLimits
-    first_bifurcations: FirstBifurcations | None
     steps: StepTable
     flights: FlightTable
     plate: PlateTable

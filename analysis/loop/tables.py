@@ -6,17 +6,13 @@ Calibrations are free in every fit, within their stated uncertainty, so that no 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.flights.first_bifurcation import FirstBifurcation, first_bifurcation
-from analysis.flights.table import Flights
 from analysis.loop.result import (
     AddedEffect,
-    Bifurcation,
     Calibration,
-    FirstBifurcations,
     FittedParameter,
     FlightTable,
     PlateTable,
@@ -30,11 +26,8 @@ from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.statistics import Z95
 from daq.recording import open_recording
 from daq.recording.header import stored_id
-from daq.setup.setup import Setup
 from kernels.arrays import Bools
-from model.effects.registry import effect, resolve
-
-Effects = Mapping[str, Mapping[str, float]]
+from model.effects.registry import effect
 
 
 def step_table(model: ForwardModel, train: Bools) -> StepTable:
@@ -87,38 +80,6 @@ def source_of(path: Path) -> Source:
         started, backend = str(attrs.get("started", "")), str(attrs.get("backend", ""))
         simulated = bool(attrs.get("simulated", False))
         return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened), str(path))
-
-
-def first_bifurcations(flights: Flights, setup: Setup, improved: Effects) -> FirstBifurcations | None:
-    """First bifurcation in the data, by the declared model and by the improved one.
-
-    None where the model refuses the measured plate, or a value that was fitted: no verdict fails for it.
-
-    Parameters
-    ----------
-    flights
-        Of the first recording.
-    setup
-        Its measuring setup, with the declared effects.
-    improved
-        Effects of the improved model.
-    """
-    declared = resolve(setup.declared_values())
-    try:
-        before = first_bifurcation(flights, setup, declared)
-        after = before if improved == declared else first_bifurcation(flights, setup, improved)
-    except ValueError:
-        return None
-    change, measured = before.measured, None
-    if change is not None:
-        low, high = sorted((float(change.gamma_before), float(change.gamma_after)))
-        measured = Bifurcation(change.type, low, high)
-    return FirstBifurcations(measured, _predicted(before), _predicted(after))
-
-
-def _predicted(first: FirstBifurcation) -> Bifurcation:
-    at = float(first.predicted_gamma)
-    return Bifurcation(first.predicted_type, at, at, float(first.same_type_gamma))
 
 
 def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:

@@ -15,7 +15,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.loop.result import Bifurcation, ClosedLoop, FirstBifurcations
+from analysis.flights.assemble import flights_of
+from analysis.flights.first_bifurcation import FirstBifurcation, first_bifurcation
+from analysis.flights.table import Flights
+from analysis.loop.result import ClosedLoop
 from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdict_json import loop_json
 from analysis.report import narrative, numbers, wording
@@ -25,9 +28,10 @@ from analysis.report.gamma import gamma_scale
 from analysis.report.origin import software_words, source_words
 from analysis.residuals.covariates import COVARIATES
 from daq.files.json_values import json_text
+from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
-from model.effects.registry import effect
+from model.effects.registry import effect, resolve
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -108,11 +112,12 @@ def whole_page(template: str, **values: Any) -> str:
 
 
 def write_report(
-    loop: ClosedLoop, folder: Path, *, progress: Progress | None = None, term_effect: TermEffect | None = None
-) -> Path:
+    loop: ClosedLoop, folder: Path, *, recording: Path | None = None, progress: Progress | None = None,
+    term_effect: TermEffect | None = None,
+) -> Path:  # fmt: skip
     """Write ``report.html``, ``report.json`` and the figures into ``folder``; returns the page's path.
 
-    Raises `InputError` when the folder cannot be written.
+    Raises `InputError` when the folder cannot be written, or the recording cannot be read.
 
     Parameters
     ----------
@@ -120,6 +125,8 @@ def write_report(
         The closed loop, as computed or as loaded from a file.
     folder
         Made where it does not exist.
+    recording
+        The first one: its first bifurcation, measured and predicted, is reported where it is given.
     progress
         Called with what is being done and the fraction done.
     term_effect
@@ -131,11 +138,17 @@ def write_report(
         "software_version": software_version(),
         "software_commit": software_commit(),
     }
+    first: Mapping[str, FirstBifurcation] = {}
+    if recording is not None:
+        say("report: first bifurcations", 0.0)
+        with open_recording(recording) as opened:
+            opened.measure_with(loop.setup)
+            first = first_bifurcations(loop, flights_of(opened))
     badge = badge_text(loop.sources[0].file, simulated=loop.sources[0].simulated)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         payload = loop_json(loop, term_effect=term_effect) | {
-            "first_bifurcation": _bifurcations_json(loop.first_bifurcations),
+            "first_bifurcation": _bifurcations_json(first),
             "recordings": [asdict(source) for source in loop.sources],
             "report": software,
         }
@@ -144,30 +157,42 @@ def write_report(
             say(f"report: figure of {figure.name}", i / len(FIGURES))
             save_picture(folder, figure.name, badge, functools.partial(figure.draw, loop))
         page = folder / "report.html"
-        page.write_text(_loop_page(loop, software, folder, term_effect), encoding="utf-8")
+        page.write_text(_loop_page(loop, first, software, folder, term_effect), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot write the report ({error}); name a folder you can write to") from error
     return page
 
 
-def _bifurcations_json(first: FirstBifurcations | None) -> dict[str, object] | None:
-    """First bifurcation in the data, by the declared model and by the improved one."""
-    if first is None:
+def first_bifurcations(loop: ClosedLoop, flights: Flights) -> dict[str, FirstBifurcation]:
+    """First bifurcation of the loop's first recording, which has ``flights``, by the model ``before`` and ``after``.
+
+    Empty where a model refuses the measured plate, or a value that was fitted: no verdict depends on it.
+    """
+    declared, improved = resolve(loop.setup.declared_values()), loop.improved_effects()
+    try:
+        before = first_bifurcation(flights, loop.setup, declared)
+        after = before if improved == declared else first_bifurcation(flights, loop.setup, improved)
+    except ValueError:
+        return {}
+    return {"before": before, "after": after}
+
+
+def _bifurcations_json(first: Mapping[str, FirstBifurcation]) -> dict[str, object] | None:
+    if not first:
         return None
-    measured = first.measured
-
-    def predicted(b: Bifurcation) -> dict[str, object]:
-        return {"type": b.type, "gamma": b.gamma_low, "same_type_gamma": b.same_type_gamma}
-
-    return {
-        "measured": measured
-        and {"type": measured.type, "gamma_low": measured.gamma_low, "gamma_high": measured.gamma_high},
-        "before": predicted(first.before),
-        "after": predicted(first.after),
-    }
+    out: dict[str, object] = {"measured": None}
+    if (seen := first["before"].measured) is not None:
+        low, high = sorted((seen.gamma_before, seen.gamma_after))
+        out["measured"] = {"type": seen.type, "gamma_low": low, "gamma_high": high}
+    for model, x in first.items():
+        out[model] = {"type": x.predicted_type, "gamma": x.predicted_gamma, "same_type_gamma": x.same_type_gamma}
+    return out
 
 
-def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, term_effect: TermEffect | None) -> str:
+def _loop_page(
+    loop: ClosedLoop, first: Mapping[str, FirstBifurcation], software: dict[str, str], folder: Path,
+    term_effect: TermEffect | None,
+) -> str:  # fmt: skip
     """The page, with the figures that are in ``folder`` put in."""
     from markupsafe import Markup
 
@@ -184,7 +209,7 @@ def _loop_page(loop: ClosedLoop, software: dict[str, str], folder: Path, term_ef
         definition += " Only the discovered curve is over gamma = A w^2/g."
     return whole_page(
         "loop.html", title=f"Closed loop: {files}", kind="loop", heading="Closed loop", closed=loop, scale=scale,
-        drawn=drawn, term_effect=term_effect, level=2, simulated=simulated, files=files,
+        first=first, drawn=drawn, term_effect=term_effect, level=2, simulated=simulated, files=files,
         source=source_words(files, simulated=simulated), provenance=_provenance(loop, software),
         definition=definition,
     )  # fmt: skip

@@ -27,7 +27,7 @@ from analysis.report.interactive import flight_columns, inline_figure
 from analysis.report.narrative import headline
 from analysis.report.numbers import fixed, microseconds
 from analysis.report.origin import calibration_rows, file_rows, rig_rows, software_words, source_words
-from analysis.report.page import Drawn, Progress, fill, whole_page
+from analysis.report.page import Drawn, Progress, fill, first_bifurcations, whole_page
 from analysis.report.wording import plain
 from analysis.statistics import mad_sigma
 from daq.files.whole_file import whole
@@ -85,6 +85,7 @@ def section_of(
         source=source_words(recording.path.name, simulated=simulated),
         steps=_step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
         notebook=_notebook(recording), file=file_rows(recording, found), term_effect=None, level=4,
+        first={} if loop is None else first_bifurcations(loop, flights),
         pointed=_flights_behind(shown, number, scale), by_hand=in_words(flights.edges.by_hand),
     )  # fmt: skip
     return Section(recording.path.name, html, _summary(shown, found, scale), sentence)

@@ -108,7 +108,6 @@ def observations_from(
     *,
     setup: Setup | None = None,
     progress: Callable[[str, float], None] | None = None,
-    on_flights: Callable[[Recording, Flights], None] | None = None,
     known: MutableMapping[Path, Observations] | None = None,
     high_pass_hz: float | None = None,
 ) -> Observations:
@@ -125,8 +124,6 @@ def observations_from(
         Replaces the setup stored in the recordings (a corrected or completed profile).
     progress
         Called with the file's name and the fraction done.
-    on_flights
-        Called with each recording and its flights, so that it is not read a second time for them.
     known
         Recordings that were reduced before, with the same setup; those that were not are added.
     high_pass_hz
@@ -141,8 +138,6 @@ def observations_from(
                 recording.measure_with(setup)
             say = None if progress is None else partial(progress, path.name)
             flights = flights_of(recording, progress=say, high_pass_hz=high_pass_hz, elsewhere=elsewhere)
-            if on_flights is not None:
-                on_flights(recording, flights)
             parts[path] = observed(recording, flights, high_pass_hz=high_pass_hz)
             if flights.edges.sensor_offset is not None:
                 offsets[path] = flights.edges.sensor_offset

@@ -166,7 +166,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"  a next run worth {run.nats:.0f} nats: {run.design.description}")
 
     def report(folder: Path) -> None:
-        say(f"report: {drawn(loop, folder, quiet=quiet, term_effect=term_effect)}")
+        say(f"report: {drawn(loop, folder, quiet=quiet, recording=recordings[0], term_effect=term_effect)}")
 
     def improve(path: Path) -> None:
         for line in write_improved(loop, recordings[0], path, text):

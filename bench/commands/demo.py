@@ -190,12 +190,11 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         with open_recording(recording) as opened:
             known = {recording: observed(opened, flights)}
         loop, fitted = judge_loop([recording], progress=say, known=known)
-        say("first bifurcations", 0.98)
-        loop = completed(loop, fitted, flights)
+        loop = completed(loop, fitted)
 
     def write_page() -> None:
         with progress_bar() as say:
-            write_report(loop, folder / "report", progress=say)
+            write_report(loop, folder / "report", recording=recording, progress=say)
 
     def write_profile() -> None:
         for line in write_improved(loop, recording, folder / "improved.toml"):

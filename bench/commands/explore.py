@@ -212,6 +212,9 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
 
     writers = (
         ("picture of the choices", draw),
-        ("report", lambda: typer.echo(f"report: {write_report(loop, folder / 'report')}")),
+        (
+            "report",
+            lambda: typer.echo(f"report: {write_report(loop, folder / 'report', recording=found.recordings[0])}"),
+        ),
     )
     return conclude(loop, found.recordings, writers)

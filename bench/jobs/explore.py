@@ -29,7 +29,6 @@ from bench.jobs.blocks import (
     tells,
 )
 from bench.jobs.stakes import outcome_of, staked_block
-from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.stake import Stake, stake_in
 from rig.profile import parse_profile
@@ -90,7 +89,7 @@ def explore(
     last: _HeldStake | None = None
 
     def ended(why: str, *, failed: bool = False) -> Explored:
-        loop = None if judged is None else judged.completed(made[0], last)
+        loop = None if judged is None else judged.completed(last)
         return Explored(tuple(made), tuple(blocks), loop, sum(block.seconds for block in blocks), why, failed)
 
     own: Chosen | None = None
@@ -146,13 +145,9 @@ class _Judged:
     loop: ClosedLoop | None = None
     fitted: FittedLoop | None = None
 
-    def completed(self, first: Path, last: _HeldStake | None) -> ClosedLoop | None:
-        """The closed loop with what no choice depends on; ``first`` is the first recording.
-
-        ``last``, what was staked last, withdraws the verdict where that was not met.
-        """
+    def completed(self, last: _HeldStake | None) -> ClosedLoop | None:
+        """The closed loop with a discovered term; ``last``, what was staked last, withdraws a verdict if not met."""
         from analysis.explore.stake import with_outcome
-        from analysis.flights.assemble import flights_of
         from analysis.loop.close_loop import completed
 
         if self.loop is None or self.fitted is None:
@@ -160,8 +155,7 @@ class _Judged:
         loop = self.loop
         if last is not None and last.stake.named == loop.selection.names:
             loop = with_outcome(loop, last.outcome, last.run.name)
-        with open_recording(first) as opened:
-            return completed(loop, self.fitted, flights_of(opened))
+        return completed(loop, self.fitted)
 
 
 def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: bool) -> _Judged:

@@ -27,7 +27,6 @@ STAGES = {
     "judging": "_judge",
     "limits": "detection_limits",
     "tables": "_selected",
-    "bifurcations": "first_bifurcations",
 }
 WANTED = (  # kind, plant and what is hidden: light and heavy ones in turn
     ("clean", "other", ()), ("strong", "other", ("coulomb_friction",)), ("strong", "other", ("mains_hum",)),

@@ -22,6 +22,7 @@ from analysis.report.numbers import interval
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS, verdict_line
 from bench.cli import app
+from daq.recording import open_recording
 from tests.loops import changed, found_by
 
 
@@ -119,6 +120,28 @@ def test_the_page_tells_where_it_comes_from(closed_loop: ClosedLoop, tmp_path: P
     assert said["report"]["date"] in text and text.count("shakerbench") == 2
     assert text.count("Γ<sub>peak</sub> = max(-a)/g") == 1 and "gamma" not in text
     assert not re.search(r"\d[.\d]*e[+-]?\d+ (µs|us)", text)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_report_with_its_recording_has_the_first_bifurcation(
+    closed_loop: ClosedLoop, make: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Page and JSON have it as measured and as both models predict it; without the recording they leave it out."""
+    path = make(np.array([1.2, 1.55, 1.75]), settle=40, hold=20).path
+    with open_recording(path) as recording:
+        loop = dataclasses.replace(closed_loop, setup=recording.setup)
+    page = write_report(loop, tmp_path / "with", recording=path).read_text(encoding="utf-8")
+    write_report(closed_loop, tmp_path / "without")
+    found, none = (
+        json.loads((tmp_path / name / "report.json").read_text(encoding="utf-8"))["first_bifurcation"]
+        for name in ("with", "without")
+    )
+    assert none is None and "First bifurcation" not in (tmp_path / "without" / "report.html").read_text("utf-8")
+    seen, before, after = (found[key] for key in ("measured", "before", "after"))
+    # a lock at gamma_peak = hypot(1, pi), and gamma_peak = 2 gamma for c = 1
+    assert before["gamma"] == pytest.approx(np.hypot(1.0, np.pi) / 2.0, abs=2e-3) and before["type"] == "lock"
+    assert seen["gamma_low"] < before["gamma"] < seen["gamma_high"] and after["gamma"] > 1.02 * before["gamma"]
+    assert f"First bifurcation: in the data\n{seen['type']} between" in page
 
 
 def test_every_failed_test_is_a_reason(closed_loop: ClosedLoop) -> None:
