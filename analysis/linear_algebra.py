@@ -19,9 +19,6 @@ import scipy.linalg
 
 from kernels.arrays import Floats
 
-MOST_TURNS = 4  # for each coordinate, in which a step looks for the bounds that hold it
-LEAST_RELEASED = 1e-9  # nats that a coordinate gains where it leaves its bound
-
 Routine = TypeVar("Routine", bound=Callable[..., Any])
 
 
@@ -63,7 +60,7 @@ def bounded_step(normal: Floats, gradient: Floats, below: Floats, above: Floats,
     wants a Jacobian, which is not there.
     """
     step, loose, size = np.zeros(len(gradient)), np.ones(len(gradient), dtype=bool), np.diag(normal)
-    for _ in range(MOST_TURNS * len(gradient)):
+    for _ in range(4 * len(gradient)):
         goal = step.copy()
         push = gradient[loose] - normal[np.ix_(loose, ~loose)] @ step[~loose]
         goal[loose] = lstsq(normal[np.ix_(loose, loose)], push, rcond=rcond)[0]
@@ -79,7 +76,7 @@ def bounded_step(normal: Floats, gradient: Floats, below: Floats, above: Floats,
         step, pull = goal, gradient - normal @ goal
         inwards = np.where(step > below, np.maximum(-pull, 0.0), np.maximum(pull, 0.0))
         gain = np.where(loose | (below == above), 0.0, 0.5 * inwards**2 / np.maximum(size, 1e-300))
-        if gain.max(initial=0.0) < LEAST_RELEASED:
+        if gain.max(initial=0.0) < 1e-9:  # nats
             break
         loose[np.argmax(gain)] = True
     return step

@@ -52,13 +52,10 @@ def _not_empty(gammas: tuple[float, ...]) -> tuple[float, ...]:
     return gammas
 
 
-def _table_or_list(value: Any) -> str:
-    return "list" if isinstance(value, (list, tuple)) else "table"
-
-
 GammaList = Annotated[tuple[Annotated[float, Field(ge=0)], ...], AfterValidator(_not_empty)]
 Gammas = Annotated[
-    Annotated[GammaTable, Tag("table")] | Annotated[GammaList, Tag("list")], Discriminator(_table_or_list)
+    Annotated[GammaTable, Tag("table")] | Annotated[GammaList, Tag("list")],
+    Discriminator(lambda value: "list" if isinstance(value, (list, tuple)) else "table"),
 ]
 
 

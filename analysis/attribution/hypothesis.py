@@ -39,12 +39,10 @@ from model.effects.registry import effect
 
 P = ParamSpec("P")
 T = TypeVar("T")
-MOST_TURNS = 4  # of fits, until free values stand still
 SETTLED = 0.2  # move of a free value in one more fit that still counts as none, in standard deviations
 DAMPING = 1e-10  # along a valley
 REACH = 0.1  # of a step, over which the curvature is taken
 PARTS = (1.0, 0.5, 0.25, 0.125)
-MOST_STEPS = 12
 
 
 def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
@@ -188,7 +186,7 @@ class Refits:
 
     def settled(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted again until no free value moves by more than a part of its standard deviation."""
-        for _ in range(MOST_TURNS):
+        for _ in range(4):
             if not x.free:
                 break
             y = self.attempted(x.candidates, self._at_the_bottom, x)
@@ -222,7 +220,7 @@ def with_hidden_free(x: Hypothesis) -> Hypothesis:
 
 def to_the_bottom(fitted: Fitted) -> Fitted:
     """The fit where no step gains more than `LEAST_GAIN` any more, by slopes of all parameters taken anew."""
-    for _ in range(MOST_STEPS):
+    for _ in range(12):
         if _promised(fitted) < LEAST_GAIN:
             break
         fitted = replace(fitted, bare=_slopes(fitted))

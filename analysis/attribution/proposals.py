@@ -27,11 +27,8 @@ from model.effects.registry import effect, trend_name
 Tried = Callable[[Candidate], None]
 Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 
-MOST_DRIFTING = 4  # strong candidates of a round that are tried with a drift
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
-MOST_SHAPES = 4  # settings of shape parameters that are followed from the best linear gain
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up until it has half of its promise
-MOST_DESCENTS, MOST_FITS = 8, 5  # candidates minimised on the subsample, and from there by a full fit
 
 
 def has_shape(free: Sequence[ParameterId]) -> bool:
@@ -167,7 +164,7 @@ class Proposals:
             trend = trends[max(promised)[1]]
             return self.refits.attempted((*x.candidates, trend), self.add, x, trend)
 
-        return [x for x in pool.map(drifting, list(strong.values())[:MOST_DRIFTING]) if x is not None]
+        return [x for x in pool.map(drifting, list(strong.values())[:4]) if x is not None]
 
     def _loss(self, x: Hypothesis) -> float:
         """Held-out loss."""
@@ -274,7 +271,7 @@ class Proposals:
             return {k: v if k in shapes else part * v + (1.0 - part) * here[k] for k, v in point.items()}
 
         level, led = self.refits.profile_loss(best.whitener, best.fitted.values), list[tuple[float, Point]]()
-        for promised, point in steps[:MOST_SHAPES]:
+        for promised, point in steps[:4]:
             for part in PARTS:
                 there = reached(point, part)
                 led.append((self.refits.profile_loss(best.whitener, there), there))
@@ -327,9 +324,9 @@ class Proposals:
             enough = ordered[0][0] + max(NEAR_NATS, NEAR_PART * (level - ordered[0][0])) if ordered else 0.0
             return [x for x in ordered if x[0] <= enough]
 
-        seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:MOST_DESCENTS]
+        seen = sorted((x for x in pool.map(on_grid, options) if x[2].free), key=lambda x: x[0])[:8]
         below = sorted(pool.map(minimised, seen), key=lambda x: x[0])
         # a subsample orders candidates only roughly: all that come near the best are fitted in full
-        full = [x for x in pool.map(fitted, near(below, search.loss({}))[:MOST_FITS]) if x is not None]
+        full = [x for x in pool.map(fitted, near(below, search.loss({}))[:5]) if x is not None]
         full.sort(key=lambda x: x[0])
         return [x for x in pool.map(iterated, near(full, 0.0)) if x is not None]

@@ -28,9 +28,6 @@ from model.effects.routing import ball_effects
 
 Progress = Callable[[str, float], None]
 
-MOST_ROUNDS = 6  # twice as many as effects on the ball: instruments and plate may have as many
-MOST_REFITS = 3  # of a hypothesis, from where a larger one has led
-
 
 @dataclass(frozen=True)
 class SelectionResult:
@@ -144,7 +141,7 @@ class StepwiseSelection:
         rng = generator_of(self.model)
         chain: list[Hypothesis] = [before]
         last: _Round | None = None
-        for depth in range(MOST_ROUNDS):
+        for depth in range(6):  # twice as many as effects on the ball: instruments and plate may have as many
             if self._ball_effects(best) == self.limits.most_effects:
                 break
             if depth and best.noise_like(self.limits.noise_like_ratio):
@@ -220,7 +217,7 @@ class StepwiseSelection:
         A fit that had stopped short would let any other effect look needed.
         """
         refitted = None
-        for _ in range(MOST_REFITS):
+        for _ in range(3):
             chosen = self.judge.choose(best, found, depth, null)
             if chosen is None or chosen is refitted:  # from the same start to the same fit
                 return chosen, best, null

@@ -21,7 +21,6 @@ from analysis.statistics import nearest
 from kernels.arrays import Bools, Floats, Integers
 
 MATCH_S = 5e-4  # largest difference between an edge and that of the next cycle
-N_COEFFICIENTS = 4  # coefficients of the polynomial that a sequence of edges may follow
 MIN_STEPS = 3
 
 
@@ -168,8 +167,8 @@ def _before_rounding(squares: Floats, freedom: Integers, sampling_s: float) -> f
 
 
 def _left(time_s: Floats, off_s: Floats, lines_radps: Floats) -> tuple[Floats, int]:
-    """Deviations (n,) from a polynomial of `N_COEFFICIENTS` and the lines, and their degrees of freedom."""
-    slow = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, len(off_s)), N_COEFFICIENTS - 1)
+    """Deviations (n,) from a cubic and the lines, and their degrees of freedom."""
+    slow = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, len(off_s)), 3)
     regular = time_s - off_s - time_s[0]  # a line at jittered times would fit the jitter itself
     lines = np.exp(1j * np.outer(regular, lines_radps))
     shapes = np.hstack([slow, lines.real, lines.imag])

@@ -24,7 +24,6 @@ VISIBLE_SIGMAS = 5.0  # standard deviations of noise from which a sample counts 
 NO_NEIGHBOUR = 1 << 30  # distance in samples where there is no neighbouring crossing
 EDGES_AT_ONCE = 8192  # edges fitted together: memory stays bounded
 MIN_EDGES = 8  # edges needed to estimate a time constant
-FIT_SAMPLES = 3  # samples of an edge used for its shape; stretched
 CLEAR_SIGMAS = 6.0  # height of a fitted edge above its uncertainty from which its delay is linear in it
 PHASE_BINS = 20  # parts of the interval between two samples in which edges are counted
 POSTERIOR_POINTS = 200
@@ -211,8 +210,8 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
 
 
 def _from_first(y: Floats, first: Integers, around: Window) -> Floats:
-    """Samples of each edge from its first moved one on: `FIT_SAMPLES`, a stretch between two, and all between."""
-    columns = first[:, None] + np.arange((FIT_SAMPLES - 1) * around.stretch + 1)
+    """Samples of each edge from its first moved one on: three, a stretch between two, and all between."""
+    columns = first[:, None] + np.arange(2 * around.stretch + 1)
     return np.asarray(np.take_along_axis(y, np.minimum(columns, y.shape[1] - 1), axis=1))
 
 

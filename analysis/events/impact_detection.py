@@ -29,8 +29,6 @@ ECHO_MARGIN = 0.2  # part of an earlier impact's ringing that the template may g
 BEGINNING = 2 * LEAD  # samples of a snippet in which no later impact can be
 ONSET_S = 2e-6  # uncertainty of the template's onset
 FORERUNNER = 1e-3  # part of an impact that a converter's filter may ring before the template begins
-SWEEPS = 2  # fits of impacts that stand near others
-STRONG_PART = 0.5  # of the usual strength, from which an impact is no corner of motion that is cut off
 SEAM_S = 2.5e-3  # reach of the filter about a loss of samples
 RECENT = 16  # impacts before a piece whose ringing may reach into it
 
@@ -63,7 +61,7 @@ class Impacts:
         if not len(spans_s) or not self.time_s.size:
             return self
         within = np.any((spans_s[:, :1] <= self.time_s) & (self.time_s < spans_s[:, 1:]), axis=0)
-        return self._among(~within | (self.strength > STRONG_PART * np.median(self.strength)))
+        return self._among(~within | (self.strength > 0.5 * np.median(self.strength)))
 
     def _among(self, chosen: Bools) -> Impacts:
         return replace(self, **{k: getattr(self, k)[chosen] for k in ("time_s", "uncertainty_s", "strength")})
@@ -328,7 +326,7 @@ def _fitted_together(x, offset, stop, bank, table, before):  # type: ignore[no-u
     """Fit impacts near others anew with those taken away; the number of rows before ``x[stop]``."""
     own, echo, doubt, room = np.empty(LENGTH), np.empty(LENGTH), np.empty(LENGTH), np.empty((2, LENGTH))
     row = np.empty(table.shape[1])
-    for _ in range(SWEEPS):
+    for _ in range(2):
         for k in range(before, table.shape[0]):
             single = k == 0 or table[k, PLACE] - table[k - 1, PLACE] > LENGTH
             if single and (k + 1 == table.shape[0] or table[k + 1, PLACE] - table[k, PLACE] > LENGTH):

@@ -20,23 +20,18 @@ from kernels.arrays import Floats, Integers
 LEAD, TAIL = 12, 36  # samples (see `thinning`) before and after an impact's first sample
 LENGTH = LEAD + TAIL
 ENOUGH_HZ = 20000.0  # rate at which a table's ringing shows; the filter is so many milliseconds long
-MAX_WIDTH = 8
 MIN_ECHO = 128  # least samples of the template: an impact's ringing must not be taken for the next impact
 ECHO_S, CONTINUED_S = 25.6e-3, 64e-3  # longest ringing that is learnt, and that is continued as it decays
 FINE = 8  # template points per sample
-MIN_WEIGHT = 0.03  # weight of a known point over that of most points
 RESIDUAL_PART = 0.1  # part of the waveform that its subtraction may leave
 LOUD = 2.2  # rms over two samples, in the noise of a point, from which it is waveform
 RINGS = 2.0  # power over `SLOW_S`, in that of a point's noise, above which it rings
 SLOW_S = 1e-3  # averaging time that removes the ringing
 BEND = 4.0  # `SLOW_S` in which the slow motion under a template bends once
 BEGINNINGS, LEAST_DECAY = (1.0, 1.5, 2.0, 3.0, 4.0), 2.0  # `SLOW_S` after the peak and of ringing: fits of its decay
-MOST_POINTS = 400  # of a waveform in the fit of its decay
 CUT_OFF = 0.03  # rms of the last quarter over the greatest value, above which only one mode's decay may be cut off
-ONE_MODE = 0.1  # rms that one decaying mode may leave of a template's end
 ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is placed
 MIN_LANDINGS = 6  # landings needed for a template
-MIN_TEMPLATE_SIGMAS, MIN_TEMPLATE_NOISE = 3.0, 4.0  # least strength, in its error and in the noise of a landing
 MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of the landings and of the other
 FIRST_AGREEMENT = 0.4  # of landings at the first sample heard, before a template has aligned them
 LIKENESS = 0.75  # correlation with the median waveform, as a part of the usual one, below which a landing is left out
@@ -44,7 +39,6 @@ MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
 TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
 SHORTEST_MASK_S, LONGEST_MASK_S, LONGEST_PART = 1e-3, 8e-3, 0.6  # the longest, also as a part of a long template
 THRESHOLD = 6.0  # least threshold of the filter's output, in standard deviations of the noise
-MEDIAN_ERROR = 1.2533  # standard error of the median of normal values over that of their mean
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,7 @@ def thinning(rate_hz: float) -> int:
     A filter of `LENGTH` samples must last longer than a period of the ringing, or it takes it for slow motion.
     """
     width = 1
-    while width < MAX_WIDTH and rate_hz / (2 * width) >= ENOUGH_HZ:
+    while width < 8 and rate_hz / (2 * width) >= ENOUGH_HZ:
         width *= 2
     return width
 
@@ -133,11 +127,11 @@ def template_from_snippets(
     flat = snippets[:, :LENGTH] @ white.T
     mean = np.median(flat, axis=0)
     strength = np.linalg.norm(mean)
-    scatter = MEDIAN_ERROR * np.sqrt(LENGTH / snippets.shape[0])
+    scatter = np.sqrt(0.5 * np.pi) * np.sqrt(LENGTH / snippets.shape[0])
     # a template repeats in both halves of the landings; a residue of the motion or of noise does not
     halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
     agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
-    least = max(MIN_TEMPLATE_SIGMAS * scatter, MIN_TEMPLATE_NOISE)
+    least = max(3.0 * scatter, 4.0)  # in its error, and in the noise of a landing
     if strength < least or agreement < (MIN_AGREEMENT if aligned else FIRST_AGREEMENT):
         return None
     size = flat @ (mean / strength)
@@ -190,7 +184,7 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
         inside = np.minimum(index, points + 1).ravel()
         top += np.bincount(inside, (part * weight * flat).ravel(), points + 2)
         bottom += np.bincount(inside, (part * weight**2).ravel(), points + 2)
-    known = bottom > MIN_WEIGHT * np.quantile(bottom[:points], 0.9)  # a weak landing alone would amplify the noise
+    known = bottom > 0.03 * np.quantile(bottom[:points], 0.9)  # a weak landing alone would amplify the noise
     mean, known = top / np.where(known, bottom, 1.0), known[:points]
     enough = np.count_nonzero(np.isfinite(seen), axis=0) >= min(MIN_LANDINGS, len(seen))
     known &= np.repeat(enough, FINE)
@@ -287,7 +281,7 @@ def one_mode(fine: Floats, quick: Floats, peak: int, end: int, width: int) -> De
 
 def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[float, Decay]]:
     """What one mode and a polynomial leave of the end of a waveform, and both; none where they do not fit."""
-    n, size, point = seen.size, float(np.std(quick)), np.arange(0, seen.size, max(FINE // 2, seen.size // MOST_POINTS))
+    n, size, point = seen.size, float(np.std(quick)), np.arange(0, seen.size, max(FINE // 2, seen.size // 400))
     early, late = (float(np.std(half)) for half in np.array_split(quick, 2))
     if not early > late > 0.0:
         return []
@@ -304,7 +298,7 @@ def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[f
         return np.asarray(every @ lstsq(every, unit)[0] - unit)
 
     p = least_squares(left, np.ones(2), bounds=([0.2, 0.8], [5.0, 1.25])).x
-    if not np.std(left(p)) < ONE_MODE:
+    if not np.std(left(p)) < 0.1:
         return []
     parts: Floats = np.asarray(size * lstsq(columns(p), unit)[0], dtype=np.float64)
     fall, period = (float(x) for x in p * start)

@@ -15,7 +15,6 @@ from analysis.statistics import CORE, core_sigma
 from kernels import njit
 from kernels.arrays import Floats
 
-PLATEAU_SAMPLES = (16, 4)  # samples on one side before those of a plateau, the longer first; times the stretch
 PLATEAU_AFTER = 5  # samples that stay on that side, its own included
 MIN_PLATEAU = 50  # samples needed to measure a level
 NEAR_LEVEL = 0.1  # fraction of the swing within which samples belong to a level
@@ -111,13 +110,13 @@ def _edge_lengths(volts, closed_v, swing_v):  # type: ignore[no-untyped-def]
 def _on_plateaus(
     volts: Floats, step_v: float, declared_closed_v: float, declared_open_v: float, stretch: int
 ) -> Levels:
-    """Levels and noise where the voltage has been on one side for `PLATEAU_SAMPLES`, times ``stretch``."""
+    """Levels and noise where the voltage has been on one side for 16 samples, else for 4, times ``stretch``."""
     swing = declared_open_v - declared_closed_v
     side = (volts - declared_closed_v) / swing > 0.5
     levels, spreads = [], []
     for wanted, declared in ((False, declared_closed_v), (True, declared_open_v)):
         plateau = volts[:0]
-        for before in (stretch * n for n in PLATEAU_SAMPLES):
+        for before in (stretch * n for n in (16, 4)):
             length = before + PLATEAU_AFTER
             if volts.size < length:
                 continue

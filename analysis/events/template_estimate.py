@@ -46,12 +46,8 @@ PREDICTED_FROM = 16  # samples from which the next one is predicted: some modes 
 QUIET_SAMPLES = 30  # samples without an onset before an onset
 RISE = 2.5  # growth of the power of a dozen prediction errors that another impact makes
 ONSET_SIGMAS = 6.0  # standard deviations of what is not predicted that make an onset
-STRONG_SIGMAS, STRONG_PART = 12.0, 0.3  # least peak used, in standard deviations and as a part of the usual strong peak
 NOTICED = 0.05  # of an impact's strength, from which another one nearby changes its waveform
 N_PREDICTIONS, N_ALIGNMENTS = 3, 3
-MAX_IMPACTS = 400  # strongest impacts used
-N_BASIS_TONES = 4  # frequencies of the recording that the filter is made blind to
-MIN_CYCLES = 3.0  # cycles of the forcing needed to fit the motion
 
 
 def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
@@ -131,7 +127,7 @@ def estimate_template(
         pieces, rate_hz = [piece.thinned(width) for piece in pieces], rate_hz / width
     steps = _unbroken(steps, np.zeros(0, np.int64) if gaps is None else gaps[:, 0], width)
     tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
-    few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, N_BASIS_TONES).astype(int))]
+    few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, 4).astype(int))]
     stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
     nothing = [np.zeros(0) for _ in pieces]
     still = [_without_motion(*own, rate_hz) for own in zip(pieces, pieces, stretches, nothing, strict=True)]
@@ -143,7 +139,7 @@ def estimate_template(
     template: ImpactTemplate | None = None
     for turn in range(N_ALIGNMENTS):
         snippets, fractions = _all_snippets(clean, found, rate_hz, template)
-        most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:MAX_IMPACTS]
+        most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:400]
         template = template_from_snippets(snippets[most], fractions[most], noise, few, prediction, aligned=turn > 0)
         if template is None:
             break
@@ -183,7 +179,7 @@ def _all_snippets(
 ) -> tuple[Floats, Floats]:
     echo = echo_samples(rate_hz) if template is None else min(template.fine.size // FINE, echo_samples(rate_hz))
     strength = np.concatenate([own.strength for own in found])
-    least = max(STRONG_SIGMAS, STRONG_PART * float(np.quantile(strength, 0.9))) if strength.size else 0.0
+    least = max(12.0, 0.3 * float(np.quantile(strength, 0.9))) if strength.size else 0.0
     rows = [_snippets(*one, own, least, echo, template) for one, own in zip(clean, found, strict=True)]
     return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
 
@@ -336,7 +332,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
     for row in steps[(ends > piece.first) & (steps["first_sample"] < piece.last)]:
         start = max(int(row["first_sample"] + row["settle_samples"]), piece.first)
         stop = min(int(row["first_sample"] + row["n_samples"]), piece.last)
-        if stop - start < MIN_CYCLES * rate_hz / row["frequency_hz"]:
+        if stop - start < 3.0 * rate_hz / row["frequency_hz"]:
             continue
         own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
         if share_at_an_end(volts[own], rate_hz) > STANDS:

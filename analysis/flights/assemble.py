@@ -36,7 +36,6 @@ _Intervals = tuple[Floats, Floats, Floats, Floats, Integers]
 _Table = tuple[Floats, Floats, Floats, Floats, Floats, Integers, EdgeReport]
 
 GLITCH_S = 2e-4  # shortest flight
-BOUNCE_AFTER_S = 2e-3
 CHATTER_S = 1e-3  # longest opening of a contact that chatters, where no impact ends it; no rebound so short matters
 LAUNCHES = 0.8  # of g, downward acceleration of the plate below which a ball at rest would have stayed
 HIDDEN_POINTS, HIDDEN_BEFORE = 33, 27  # points of a flight, and those far enough from its own landing
@@ -180,7 +179,7 @@ def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, F
 def _back_at_once(takeoff: Floats, landing: Floats, most_s: float) -> Bools:
     """Intervals in the air shorter than ``most_s`` soon after a landing, as a contact that chatters makes them."""
     since = takeoff - np.append(-np.inf, landing[:-1])
-    return np.asarray((landing - takeoff < most_s) & (since < BOUNCE_AFTER_S))
+    return np.asarray((landing - takeoff < most_s) & (since < 2e-3))
 
 
 def _split(

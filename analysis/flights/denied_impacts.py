@@ -21,7 +21,6 @@ from kernels.arrays import Bools, Floats, Integers
 StepsOf = Callable[[Floats, Floats], tuple[Integers, Bools]]
 """Step of each flight by its begin and end, -1 where that is of none, and whether the plate has settled there."""
 
-MIN_LANDINGS = 8  # landings from which the strength of an impact gives a speed
 TOO_WEAK = 4.0  # speed that an impact must have changed over the one that it shows, from which it is none
 REST_S = 3e-4  # contact after which a ball is at rest on the plate
 FRICTION = 0.1  # error of a speed where friction acts, as a part of a free flight's
@@ -134,7 +133,7 @@ def _speed_of_strength(
     speed = (plate_mps - rise_m / lasted_s + 0.5 * g_mps2 * lasted_s) / strength
     own = settled & np.isfinite(speed)
     strong = speed[own][strength[own] >= np.median(strength[own])] if own.any() else speed[own]
-    return float(np.median(strong)) if strong.size >= MIN_LANDINGS else float("nan")
+    return float(np.median(strong)) if strong.size >= 8 else float("nan")
 
 
 def _plate(plate: PlateMotion, step: Integers, time_s: Floats) -> tuple[Floats, Floats, Floats]:

@@ -24,7 +24,6 @@ MAX_OFFSET_HZ = 0.3  # largest distance from the nominal frequency: a free-runni
 PRIOR_SIGMA_HZ = 0.1  # standard deviation of a line's frequency before any measurement
 SIGNIFICANT = 6.0  # amplitude over its uncertainty from which a line's frequency is refined
 MIN_SEPARATION_CYCLES = 0.3  # cycles over a step by which two tones must differ: their uncertainties grow by a half
-MIN_CYCLES = 5.0  # cycles of a line within a step, to be fitted
 FAR_FROM = 0.5  # part of a significant amplitude below which a line is not fitted at other frequencies
 LOBE = 0.25  # cycles over a step by which a line may be off and still be found from its start
 BIN_S = 0.2  # bin of a long step's search, short against a beat of `MAX_OFFSET_HZ`
@@ -128,7 +127,7 @@ def unmeasured_line(nominal_hz: float) -> MainsLine:
 
 def separable_lines(lines_hz: Sequence[float], tones_hz: Floats, length_s: float) -> list[float]:
     """Lines that a step of this length can separate from its tones."""
-    long_enough = [hz for hz in lines_hz if hz * length_s > MIN_CYCLES]
+    long_enough = [hz for hz in lines_hz if hz * length_s > 5.0]  # cycles
     return [hz for hz in long_enough if np.abs(tones_hz - hz).min() > MIN_SEPARATION_CYCLES / length_s]
 
 

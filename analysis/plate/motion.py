@@ -20,7 +20,6 @@ from kernels.arrays import Complexes, Floats, Integers
 from model.tones import Plate
 
 TWO_PI = 2.0 * np.pi
-MAX_LINES = 3
 MOST_CUT_OFF = 0.35  # part of a step at the sensor's end, up to which the rest gives its tones
 PADDING = 4  # zero padding of the spectrum
 LINE_BINS = 12  # bins on either side of a line that belong to it
@@ -43,7 +42,7 @@ class SlowMotion:
 
 
 def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...]:
-    """Significant spectral lines below the forcing, strongest first, at most `MAX_LINES`.
+    """Significant spectral lines below the forcing, strongest first, at most three.
 
     The false-alarm probability is that of the largest of independent exponentially distributed powers.
     """
@@ -66,7 +65,7 @@ def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...
     background = float(np.median(power[band])) / np.log(2.0)
     cells = max(band.sum() / 8.0, 1.0)
     found = []
-    for _ in range(MAX_LINES):
+    for _ in range(3):
         k = int(np.argmax(power))
         chance = 1.0 - (1.0 - np.exp(-power[k] / max(background, 1e-300))) ** cells
         # noise makes such a line once in 100000 spectra

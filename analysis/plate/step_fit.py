@@ -27,7 +27,6 @@ from daq.setup.setup import Setup
 from kernels.arrays import Complexes
 
 STEP_SAMPLES = 4096  # in which a converter's step is looked for
-PEAK_POINTS = 361  # points of a period at which the peak acceleration is looked for
 
 
 def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, forcing: tuple[int, ...]) -> float:
@@ -49,8 +48,8 @@ def gamma_peak_of(amplitudes: Complexes, multiples: tuple[int, ...], g_mps2: flo
 
 @cache
 def _period(multiples: tuple[int, ...]) -> Complexes:
-    """Tones of unit amplitude over a period, (`PEAK_POINTS`, k)."""
-    return np.asarray(np.exp(2j * np.pi * np.linspace(0.0, 1.0, PEAK_POINTS)[:, None] * multiples))
+    """Tones of unit amplitude over a period, (361, k)."""
+    return np.asarray(np.exp(2j * np.pi * np.linspace(0.0, 1.0, 361)[:, None] * multiples))
 
 
 def step_plate(recording: Recording, state: StepState) -> StepPlate | None:

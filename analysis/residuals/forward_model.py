@@ -29,7 +29,6 @@ from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Detection, Measured, PlateSteps, active
 
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
-FEWEST_OPENINGS = 40  # take-offs from rest that tell an opening from a closing
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
 
 
@@ -249,7 +248,7 @@ class ForwardModel:
         """Whether a parameter changes nothing that was observed."""
         heard, uneven = self.observations.circuit.heard, self.observations.circuit.uneven
         if key == ("contact_closure", "late_s"):  # where no opening tells the motion, a closing that is late is a lag
-            return not uneven or int(self.from_rest.sum()) < FEWEST_OPENINGS
+            return not uneven or int(self.from_rest.sum()) < 40
         return key == ("accelerometer_lag", "impact_s") and (heard is None or not heard.any())
 
     def predict(

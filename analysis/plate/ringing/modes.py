@@ -29,8 +29,6 @@ ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
 AGREED_MPS2 = 5e-4  # change of the impacts' mean push at which they agree with the motion: .00005 of the ball's weight
 SETTLED = 3e-4  # relative change of frequency and damping
 RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
-MOST_RESTARTS = 3  # pieces that are left out
-FEWEST_BLOCKS, FEWEST_IMPACTS = 1000, 20
 MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
 
@@ -74,8 +72,8 @@ def identified_mode(
     block_s = whole.block_s
     skipped = max(len(whole.acceleration) - round(MOST_S / block_s), 0)
     record, begun, found = replace(whole.last(skipped), forces=0), [0], None
-    for _ in range(MOST_RESTARTS + 1):
-        if len(record.landing_s) < FEWEST_IMPACTS or np.count_nonzero(record.known) < FEWEST_BLOCKS:
+    for _ in range(4):  # three pieces may be left out
+        if len(record.landing_s) < 20 or np.count_nonzero(record.known) < 1000:
             return Identified()
         try:
             seen, found = record.settled(begun, found)

@@ -22,10 +22,7 @@ from kernels.arrays import Bools, Floats, Integers
 
 EFFECT = "table_resonance"  # by which a verdict names the mode
 LOWEST_HZ, HIGHEST_HZ = 0.7, 200.0
-DAMPINGS = (0.01, 0.05, 0.2, 0.6)
 GRID = 1.12  # ratio of neighbouring frequencies of the first look
-STARTS = 3
-MOST_STEPS = 25  # of a search from one start
 # what is found at a bound, or so damped above the drive, is no mode
 LEAST_DAMPING, MOST_DAMPING, STRONG_DAMPING = 1e-3, 0.9, 0.5
 CLUSTER_S = TORN_S  # length of the pieces whose scores are taken as independent
@@ -157,7 +154,7 @@ class Regression:
 
     def searched(self) -> Floats:
         """Logarithms of frequency and damping of the best mode of all."""
-        return self.followed([x for _, x in self.looked[:STARTS]])
+        return self.followed([x for _, x in self.looked[:3]])
 
     @property
     def quiet(self) -> bool:
@@ -170,7 +167,7 @@ class Regression:
     def looked(self) -> list[tuple[float, Floats]]:
         """By how much modes of a grid lower the sum of squares, and their logarithms, the best of each rise first."""
         count = int(math.log(HIGHEST_HZ / LOWEST_HZ) / math.log(GRID))
-        at = np.log([[(LOWEST_HZ * GRID**k, d) for d in DAMPINGS] for k in range(count)])
+        at = np.log([[(LOWEST_HZ * GRID**k, d) for d in (0.01, 0.05, 0.2, 0.6)] for k in range(count)])
         gain = np.array([[self._gain_of_push(*np.exp(x)) for x in row] for row in at])
         best = np.pad(gain.max(axis=1), 1)
         # local maxima: the best of the whole look would be neighbours of one
@@ -189,7 +186,7 @@ class Regression:
         """The best minimum from some starts."""
         low, high = np.log([[0.5 * LOWEST_HZ, LEAST_DAMPING], [2.0 * HIGHEST_HZ, MOST_DAMPING]])
         fits = [
-            least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS)
+            least_squares(self.remainder, x, bounds=(low, high), x_scale=0.1, xtol=1e-4, ftol=1e-6, max_nfev=25)
             for x in starts
         ]
         # none at a bound where there is another: with the mode out of range free states explain much, but no impact
