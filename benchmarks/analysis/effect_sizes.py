@@ -19,10 +19,11 @@ import numpy as np
 from kernels import njit
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, EffectEntry
 from rig.sim.instrument import SECTIONS, sections
-from rig.sim.plant import _run
+from rig.sim.plant import CHANNELS, _run
 from rig.sim.scenario import Scenario
 from rig.sim.state import initial_state
 
+N_CHANNELS = len(CHANNELS)
 RATE_HZ = 20000.0
 SECONDS = 30.0
 REBOUND_FREE_MPS = 0.02
@@ -44,7 +45,7 @@ def _to_next_impact(start, params, drift, taps, drive_v, at, dt_s, volts, noise)
 @njit()
 def _differences(state, params, drift, ideal, taps, drive_v, dt_s, out):
     """Run with the effect; at each impact compare the next flight with and without it."""
-    noise, volts, memory = np.zeros((1, 1), np.float32), np.zeros((1, 3)), np.zeros((SECTIONS, 2))
+    noise, volts, memory = np.zeros((1, 1), np.float32), np.zeros((1, N_CHANNELS)), np.zeros((SECTIONS, 2))
     n = 0
     for k in range(drive_v.size - 4000):
         seen = state[0].impacts

@@ -6,6 +6,7 @@ Pacing changes when a block comes, never what is in it.
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 
 import numpy as np
 
@@ -31,8 +32,8 @@ class SimulatedBackend:
         Of the sensors' noise and the contact's bounce.
     real_time
         Whether a block takes as long as it lasts.
-    with_displacement
-        Whether the ball's height is recorded, too.
+    further
+        As of `rig.sim.plant.Plant`.
 
     Attributes
     ----------
@@ -50,19 +51,18 @@ class SimulatedBackend:
         seed: int,
         *,
         real_time: bool = False,
-        with_displacement: bool = False,
+        further: Collection[str] = (),
     ) -> None:
         self.rate_hz = rate_hz
         self.scenario_sha256: str | None = scenario.sha256
-        self._scenario, self._seed, self._real_time = scenario, seed, real_time
-        self._with_displacement = with_displacement
+        self._scenario, self._seed, self._real_time, self._further = scenario, seed, real_time, further
         self._running = False
         self._began_ns = 0
         self._new_plant()
 
     def _new_plant(self) -> None:
         rng = np.random.default_rng(self._seed)
-        self._plant = Plant(self._scenario, self.rate_hz, rng, with_displacement=self._with_displacement)
+        self._plant = Plant(self._scenario, self.rate_hz, rng, further=self._further)
         self.channels = self._plant.channels
         self.scales = {name: (scale, 0.0) for name, scale in self._plant.channel_scales.items()}
         self._n_samples = 0
@@ -105,5 +105,5 @@ def open_simulated(profile: Profile, options: OpenOptions) -> SimulatedBackend:
     scenario = Scenario("ideal") if options.scenario is None else load_scenario(options.scenario)
     return SimulatedBackend(
         profile.sampling.rate_hz, scenario, options.seed, real_time=options.real_time,
-        with_displacement=profile.channels.displacement is not None,
+        further=profile.channels.recorded(),
     )  # fmt: skip

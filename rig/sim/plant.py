@@ -9,6 +9,7 @@ plate moves smoothly between samples and follows the drive without delay.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -89,7 +90,7 @@ def drive_plate(s: Any, p: Any, volts: float) -> None:
 
 
 CHANNELS = ("continuity", "accelerometer", "drive", "displacement")
-"""Channels in the order of a frame; the last is recorded where the rig has a displacement sensor."""
+"""Channels in the order of a frame; those beyond the first three are recorded where they are asked for."""
 
 NOISE_BLOCK = 65536
 """Samples of noise drawn at once; bounds memory, does not change the result."""
@@ -170,10 +171,8 @@ def _run(
         volts[i, 0] = circuit_v + p.continuity_noise_v * small_noise(counter)
         volts[i, 1] = s.zero_v + _shown(s, p, s.volts_per_mps2 * a) + noise_v * noise[i, 0]
         volts[i, 2] = drive_v[i] + p.drive_noise_v * small_noise(counter + np.uint64(1))
-        if volts.shape[1] > 3:
-            # a key of its own: the noise of the other channels does not depend on whether this one is recorded
-            own = small_noise(~counter)
-            volts[i, 3] = p.displacement_v_per_m * s.height_m + p.displacement_noise_v * own
+        # a key of its own: no other channel's noise depends on it
+        volts[i, 3] = p.displacement_v_per_m * s.height_m + p.displacement_noise_v * small_noise(~counter)
         s.t_s += s.dt_s
         s.sample += 1
 
@@ -189,8 +188,8 @@ class Plant:
         Sampling rate of drive and channels.
     rng : numpy.random.Generator
         Source of the sensors' noise and of random contact bounce.
-    with_displacement : bool
-        Whether the rig has a sensor of the ball's height.
+    further : collection of str
+        Channels beyond the first three of `CHANNELS` that are recorded; names that it lacks are left out.
 
     Attributes
     ----------
@@ -204,9 +203,9 @@ class Plant:
     """
 
     def __init__(
-        self, scenario: Scenario, rate_hz: float, rng: np.random.Generator, *, with_displacement: bool = False
+        self, scenario: Scenario, rate_hz: float, rng: np.random.Generator, *, further: Collection[str] = ()
     ) -> None:
-        self.channels = CHANNELS if with_displacement else CHANNELS[:3]
+        self.channels = CHANNELS[:3] + tuple(name for name in CHANNELS[3:] if name in further)
         self.rate_hz = float(rate_hz)
         self.scenario_sha256 = scenario.sha256
         self._params, self._drift = scenario.parameters()
@@ -228,20 +227,19 @@ class Plant:
     def exchange(self, drive_v: Floats) -> NDArray[np.int16]:
         """Drive the rig and record it over the same samples.
 
-        Raises `ValueError` where `drive_v` is not one-dimensional or not finite. Returns codes of `channels`, (n, 3 or
-        4).
+        Raises `ValueError` where `drive_v` is not one-dimensional or not finite. Returns codes of `channels`, (n, k).
         """
         drive = np.ascontiguousarray(drive_v, dtype=np.float64)
         if drive.ndim != 1 or not np.isfinite(drive).all():
             raise ValueError(f"drive: wanted a 1-D array of finite volts, got shape {drive.shape}; check the sequencer")
-        codes = np.empty((drive.size, len(self.channels)), np.int16)
+        codes = np.empty((drive.size, len(CHANNELS)), np.int16)
         for start in range(0, drive.size, NOISE_BLOCK):
             stop = min(start + NOISE_BLOCK, drive.size)
             noise = self._rng.standard_normal((stop - start, self._noises), dtype=np.float32)
-            volts, first = np.empty((stop - start, len(self.channels))), int(self._state["sample"][0])
+            volts, first = np.empty((stop - start, len(CHANNELS))), int(self._state["sample"][0])
             march = (self._state, self._params, self._drift, self._sections, self._memory)
             _run(*march, drive[start:stop], noise, 1.0 / self.rate_hz, volts)
             if self._converter.changes:
                 self._converter.apply(volts, first)
             _convert(volts, self._scale_v, self._limit, codes[start:stop])
-        return codes
+        return np.ascontiguousarray(codes[:, [CHANNELS.index(name) for name in self.channels]])

@@ -119,9 +119,7 @@ class JackPlant(PlantClient):
 
     def __init__(self, profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog) -> None:
         rng = np.random.default_rng(seed)
-        made = functools.partial(
-            Plant, scenario, profile.sampling.rate_hz, with_displacement=profile.channels.displacement is not None
-        )
+        made = functools.partial(Plant, scenario, profile.sampling.rate_hz, further=profile.channels.recorded())
         made(rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
         self._plant = made(rng)
         self._profile, self._log = profile, log

@@ -47,12 +47,10 @@ class JackSerialPlant(PlantClient):
             raise InputError("a virtual serial device needs pseudo-terminals, which this system does not have")
         rate_hz = profile.sampling.rate_hz
         rng = np.random.default_rng(seed)
-        further = profile.channels.displacement is not None
-        warm = SerialDevice(scenario, rate_hz, rng.spawn(1)[0], with_displacement=further)
+        further = profile.channels.recorded()
+        warm = SerialDevice(scenario, rate_hz, rng.spawn(1)[0], further=further)
         warm.play(np.zeros(256))  # compiled before it counts
-        self.device = SerialDevice(
-            scenario, rate_hz, rng, ppm=ppm, ppm_per_minute=ppm_per_minute, with_displacement=further
-        )
+        self.device = SerialDevice(scenario, rate_hz, rng, ppm=ppm, ppm_per_minute=ppm_per_minute, further=further)
         if not isinstance(profile.backend, SoundcardSerialOptions):
             raise InputError(f"backend.kind is {profile.backend.kind}; wanted soundcard+serial")
         self._link = Path(profile.backend.port)

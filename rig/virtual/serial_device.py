@@ -6,6 +6,7 @@ between the samples that were played; a cubic through the four around an instant
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -31,8 +32,8 @@ class SerialDevice:
         As for `rig.sim.plant.Plant`.
     ppm, ppm_per_minute
         By how much an interval of the device is too long at the start, and what that gains.
-    with_displacement
-        Whether the ball's height is sent, too.
+    further
+        As for `rig.sim.plant.Plant`.
     """
 
     def __init__(
@@ -43,14 +44,14 @@ class SerialDevice:
         *,
         ppm: float = 0.0,
         ppm_per_minute: float = 0.0,
-        with_displacement: bool = False,
+        further: Collection[str] = (),
     ) -> None:
         drift = dict(scenario.drift_per_minute)
         if ppm_per_minute:
             drift["clock_error.relative"] = ppm_per_minute * 1e-6
         effects = dict(scenario.effects) | {"clock_error": {"relative": ppm * 1e-6}}
         scenario = replace(scenario, effects=effects, drift_per_minute=drift)
-        self.plant = Plant(scenario, rate_hz, rng, with_displacement=with_displacement)
+        self.plant = Plant(scenario, rate_hz, rng, further=further)
         self._ppm, self._ppm_per_s = ppm, ppm_per_minute / 60.0
         self._rate_hz = rate_hz
         self._drive = np.zeros(2)  # from two samples before the first

@@ -170,9 +170,8 @@ def test_a_displacement_sensor_reads_the_height_and_changes_no_other_channel() -
     """The fourth channel is at its zero in contact and above it in flight; the other three have the same codes."""
     time_s = np.arange(40000) / RATE_HZ
     drive_v = -1.2 * np.minimum(time_s, 1.0) * np.sin(2.0 * np.pi * 25.0 * time_s)
-    plants = [
-        Plant(Scenario("ideal"), RATE_HZ, np.random.default_rng(4), with_displacement=further) for further in (0, 1)
-    ]
+    asked = (), ("drive", "displacement", "of another rig")
+    plants = [Plant(Scenario("ideal"), RATE_HZ, np.random.default_rng(4), further=names) for names in asked]
     three, four = (plant.exchange(drive_v) for plant in plants)
     assert plants[1].channels == (*plants[0].channels, "displacement")
     assert np.array_equal(three, four[:, :3])
