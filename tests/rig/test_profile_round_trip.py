@@ -28,15 +28,14 @@ QUANTITY = st.one_of(
 GAMMAS = st.lists(numbers(0.0, 5.0), min_size=1, max_size=5) | st.fixed_dictionaries(
     {"start": numbers(0.0, 2.0), "stop": numbers(2.0, 5.0), "steps": st.integers(2, 9)}
 )
-NAMES = {"device": "a card", "port": "a port"}
 
 
 @st.composite
 def backends(draw: st.DrawFn) -> dict[str, Any]:
     """A ``[backend]`` table of any kind, some of its own options set."""
     name = draw(st.sampled_from(sorted(built_in())))
-    fields = built_in()[name].options.model_fields
-    table: dict[str, Any] = {"kind": name, **{key: text for key, text in NAMES.items() if key in fields}}
+    options = built_in()[name].options
+    fields, table = options.model_fields, {"kind": name, **dict.fromkeys(options.required, "a name")}
     # a marker beyond the least of the limits below is refused
     values = {"marker_v": numbers(0.01, 0.1), "block_samples": st.integers(16, 65536), "buffer_s": numbers(0.001, 1.0)}
     for key, strategy in values.items():
