@@ -118,8 +118,12 @@ class Candidate:
     starts: tuple[Mapping[ParameterId, float], ...] = ()
 
 
-def candidates_of(model: ForwardModel) -> list[Candidate]:
-    """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations."""
+def candidates_of(model: ForwardModel, seen: Mapping[ParameterId, float] | None = None) -> list[Candidate]:
+    """Every library effect that is not declared, in its variants, simplest first; and trends of calibrations.
+
+    What an earlier selection has ``seen`` of the same recordings starts there only: by now calibrations may have taken
+    its place, so that any smaller size looks better.
+    """
     out = []
     declared = {name for name, _ in model.base}
     for entry in registry():
@@ -130,7 +134,7 @@ def candidates_of(model: ForwardModel) -> list[Candidate]:
             continue
         for variant in e.variants or (tuple(q.name for q in e.parameters if not q.covariate),):
             keys = tuple((e.name, q) for q in variant)
-            out.append(Candidate((e.name,), keys, tuple(_starts(model.observations, e, variant))))
+            out.append(Candidate((e.name,), keys, tuple(_starts(model.observations, e, variant, seen or {}))))
     drifting = [(r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.drifts]
     out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
     # a parameter that stands for a quantity of the flight has no drift: it already varies with the flight
@@ -139,9 +143,13 @@ def candidates_of(model: ForwardModel) -> list[Candidate]:
     return out
 
 
-def _starts(observations: Observations, e: Effect, variant: Sequence[str]) -> list[Point]:
+def _starts(
+    observations: Observations, e: Effect, variant: Sequence[str], before: Mapping[ParameterId, float]
+) -> list[Point]:
     """Places to start from: those that the data suggest, or a grid, and the null values where they have a slope."""
     parameters, keys = [e.parameter(q) for q in variant], [(e.name, q) for q in variant]
+    if set(keys) <= before.keys():
+        return [{k: before[k] for k in keys}]
     if any(q.hint == "modulation_hz" for q in parameters):
         hints = () if observations.modulation is None else observations.modulation.hints()
         suggested = [{"modulation_hz": hz, "modulation_depth": depth} for hz, depth in hints]

@@ -29,6 +29,7 @@ Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up until it has half of its promise
+KEPT_PROMISE = 0.5  # part of a linear gain below which a fit is led on with new slopes of the calibrations
 
 
 def has_shape(free: Sequence[ParameterId]) -> bool:
@@ -219,8 +220,12 @@ class Proposals:
         if not cheap and promised < self.limits.negligible_nats:
             return None
         # what is fitted already has its slopes here: only the candidate's are taken
-        known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
-        return self.fitter.fit(best.whitener, (*best.free, *free), starts[0][1], known)
+        known, everything = {k: x for k, x in best.fitted.slopes.items() if k not in free}, (*best.free, *free)
+        fitted = self.fitter.fit(best.whitener, everything, starts[0][1], known)
+        if self._gained(best, fitted) > KEPT_PROMISE * promised or promised < self.limits.negligible_nats:
+            return fitted
+        # a calibration that has taken the effect's place has to go back, along slopes of its own
+        return self._lowest(best, [fitted, self.fitter.fit(best.whitener, everything, fitted.values)])
 
     def _lowest(self, best: Hypothesis, fits: Sequence[Fitted]) -> Fitted:
         """The fit of the lowest loss under the weights of ``best``."""

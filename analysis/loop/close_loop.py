@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from analysis.attribution.candidates import priors_of
+from analysis.attribution.candidates import candidates_of, priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Rejected, with_hidden_free
@@ -44,7 +44,7 @@ from analysis.residuals.prediction_errors import (
     noise_quantiles_us,
     scored_rows,
 )
-from analysis.residuals.values import TREND
+from analysis.residuals.values import TREND, ParameterId
 from analysis.signals.high_pass import LEAST_HZ
 from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful
@@ -54,6 +54,8 @@ from kernels.arrays import Bools
 from model.effects.registry import effect, resolve
 
 Progress = Callable[[str, float], None]
+
+HIGH_PASS = "accelerometer_high_pass", "corner_hz"
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ def judge_loop(
             # rings: read once more, knowing it
             observations = observations_from(recordings, setup=setup, high_pass_hz=corner_hz)
             if corner_hz > LEAST_HZ or observations.ringing.mode is not None:
-                found = _loop_of(observations, recordings, limits, say, anyway=anyway)
+                found = _loop_of(observations, recordings, limits, say, anyway=anyway, seen={HIGH_PASS: corner_hz})
         return found
     except NotFiniteError as error:
         raise InputError(
@@ -162,15 +164,24 @@ def judge_loop(
 
 
 def _loop_of(
-    observations: Observations, recordings: Sequence[Path], limits: Thresholds, say: Progress, *, anyway: bool
+    observations: Observations,
+    recordings: Sequence[Path],
+    limits: Thresholds,
+    say: Progress,
+    *,
+    anyway: bool,
+    seen: Mapping[ParameterId, float] | None = None,
 ) -> tuple[ClosedLoop, FittedLoop]:
-    """The loop closed on what was observed."""
+    """The loop closed on what was observed; ``seen`` as in `candidates_of`."""
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     if not anyway:
         refuse_far_off(model, recordings)
     train = np.arange(len(observations.steps)) % limits.reserve_every != limits.reserve_every // 2
     fitter = Fitter(model, priors_of(observations.setup), train)
-    stepwise = StepwiseSelection(model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part))
+    library = candidates_of(model, seen)
+    stepwise = StepwiseSelection(
+        model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part), library
+    )
     selection = withdraw_unconfirmed(model, stepwise.run(), train, limits)
     best, ties = with_hidden_free(stepwise.refits.settled(selection.best)), selection.ties
     selection = dataclasses.replace(selection, best=best, ties=(best, *ties[1:]) if ties else ())
@@ -197,7 +208,7 @@ def _loop_of(
 
 def high_pass_hz(loop: ClosedLoop) -> float:
     """Corner of the accelerometer's high-pass that a verdict names; 0 for none."""
-    named = [e.parameters["corner_hz"][0] for e in loop.selection.effects if e.name == "accelerometer_high_pass"]
+    named = [e.parameters[HIGH_PASS[1]][0] for e in loop.selection.effects if e.name == HIGH_PASS[0]]
     return max(named, default=0.0)
 
 

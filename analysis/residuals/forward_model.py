@@ -236,13 +236,17 @@ class ForwardModel:
         """By how much later than they happened openings and landings were seen, (n,) each."""
         seen, heard = self.observations.measured, self.observations.circuit.heard
         edge, later, mark = (self.per_step(values, hook)[seen.step] for hook in DELAYS)
-        closing = edge + later
+        closing, mark = edge + later, mark + self._motion_late_s(values)[seen.step]
         # a ball that leaves as it lands was seen when that landing was
         left = np.where(seen.relaunched, closing, edge)
         if heard is None:
             return left, closing
         left_heard = seen.relaunched & np.append(False, heard[:-1])
         return np.where(left_heard, mark, left), np.where(heard, mark, closing)
+
+    def _motion_late_s(self, values: Values) -> Floats:
+        """By how much later than it moves the accelerometer shows the plate at the first tone, (m,)."""
+        return np.asarray(-np.angle(self.reading(values)[:, 0]) / self.observations.steps.plate.omega_radps[:, 0])
 
     def is_idle(self, key: ParameterId) -> bool:
         """Whether a parameter changes nothing that was observed."""

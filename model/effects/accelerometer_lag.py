@@ -55,8 +55,8 @@ EFFECT = Effect(
 
 
 def impact_delay_s(p: Mapping[str, float]) -> float:
-    """Delay of impacts that only the accelerometer shows: that of slow motion, and what differs."""
-    return p["delay_s"] + p["low_pass_s"] + p["impact_s"]
+    """By how much later than slow motion the accelerometer shows impacts."""
+    return p["impact_s"]
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:

@@ -100,3 +100,12 @@ def test_plain_friction_is_contained_in_friction_that_weakens() -> None:
     """A fuller form holds its special cases and itself, not the other way round."""
     assert contained_in(("stribeck_friction",)) == {"stribeck_friction", "coulomb_friction"}
     assert contained_in(("coulomb_friction",)) == {"coulomb_friction"}
+
+
+def test_what_an_earlier_selection_has_seen_starts_there_only(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Neither the null value nor the grid: calibrations may have taken its place since."""
+    model, corner = fly_ramp({}, 0, gammas=(0.4, 0.8)), ("accelerometer_high_pass", "corner_hz")
+    starts = {c.free: c.starts for c in candidates_of(model, {corner: 2.9})}
+    unseen = {c.free: c.starts for c in candidates_of(model) if c.free != (corner,)}
+    assert starts.pop((corner,)) == ({corner: 2.9},)
+    assert starts == unseen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -68,3 +69,18 @@ def test_a_fuller_form_is_fitted_from_its_special_case_where_it_promises_more(
         (best.names == ("stribeck_friction",)) == (("stribeck_friction",) in [x.names for x in found]) == (extra > 0.0)
     )
     assert extra == 0.0 or best.fitted.values["stribeck_friction", "mu_extra"] == pytest.approx(extra, rel=0.2)
+
+
+def test_a_fit_that_old_slopes_mislead_is_led_on_with_its_own(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """Of what is kept from before nothing moves with a calibration: friction is found all the same."""
+    model = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
+    selection = StepwiseSelection(model, fitter_of(model))
+    nothing, friction = selection.declared(), Candidate(("coulomb_friction",), (UP, DOWN), ({},))
+    right = selection.proposals.add(nothing, friction)
+    misled = replace(nothing, fitted=replace(nothing.fitted, bare=0.0 * nothing.fitted.bare))
+    led_on = selection.proposals.add(misled, friction)
+    assert right is not None
+    assert led_on is not None
+    assert led_on.fitted.loss == pytest.approx(right.fitted.loss, abs=0.5)

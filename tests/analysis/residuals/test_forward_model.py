@@ -14,6 +14,7 @@ from analysis.residuals.noise.uncertainty import kicks_of, uncertainty_at
 from analysis.residuals.noise.whitening import Whitener, step_losses
 from analysis.residuals.values import TREND
 from analysis.thresholds import SHARED_S
+from model.effects.routing import accelerometer_response
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 CLOSES_LATE = ("contact_closure", "late_s")
@@ -191,10 +192,18 @@ def test_closings_tell_of_no_delay_of_their_own_where_no_ball_leaves_from_rest(
     assert [ForwardModel(x, {}).is_idle(CLOSES_LATE) for x in (uneven, even, never)] == [False, True, True]
 
 
-def test_a_late_accelerometer_shows_impacts_as_late_as_the_motion(fly_ramp: Callable[..., ForwardModel]) -> None:
-    """Where it alone shows landings, its lag moves take-offs from rest, and no landing against the plate."""
-    model, late_s = fly_ramp(FRICTION, 1), 2e-4
+@pytest.mark.parametrize(
+    ("key", "size"), [(("accelerometer_lag", "delay_s"), 2e-4), (("accelerometer_high_pass", "corner_hz"), 3.0)]
+)
+def test_an_accelerometer_shows_impacts_as_late_or_early_as_the_motion(
+    fly_ramp: Callable[..., ForwardModel], key: tuple[str, str], size: float
+) -> None:
+    """Where it alone shows landings, a lag or a lead moves take-offs from rest, and no landing against the plate."""
+    model = fly_ramp(FRICTION, 1)
     made, plate = model.observations, model.observations.steps.plate
+    response = accelerometer_response({key[0]: {key[1]: size}}, plate.omega_radps)
+    late_s = (-np.angle(response) / plate.omega_radps)[0, 0]
+    assert abs(late_s) > 1e-4
     heard = np.ones(len(made), dtype=bool)
     left = made.measured.relaunched & np.append(False, heard[:-1])
     shown = replace(
@@ -202,10 +211,8 @@ def test_a_late_accelerometer_shows_impacts_as_late_as_the_motion(fly_ramp: Call
         landing_s=made.measured.landing_s + late_s,
         opening_s=made.measured.opening_s + late_s * left,
     )
-    behind = plate.acceleration_mps2 * np.exp(-1j * plate.omega_radps * late_s)
-    steps = replace(made.steps, plate=replace(plate, acceleration_mps2=behind))
+    steps = replace(made.steps, plate=replace(plate, acceleration_mps2=plate.acceleration_mps2 * response))
     late = ForwardModel(replace(made, measured=shown, circuit=replace(made.circuit, heard=heard), steps=steps), {})
-    in_time = model.residuals(FRICTION)
-    found = late.residuals({**FRICTION, ("accelerometer_lag", "delay_s"): late_s})
+    in_time, found = model.residuals(FRICTION), late.residuals({**FRICTION, key: size})
     np.testing.assert_allclose(found.landing_s, in_time.landing_s, atol=1e-9)
     np.testing.assert_allclose(found.opening_s, in_time.opening_s, atol=1e-9)
