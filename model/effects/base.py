@@ -25,8 +25,8 @@ and, as plain functions of the effect's own parameters ``p`` by name, what it do
 omega_radps)``                         ``omega_radps`` (any shape)
 ``contact_delay_s(p)``                 delay of the continuity channel, both edges
 ``closing_delay_s(p)``                 delay of its closings beyond that of its openings
-``impact_delay_s(p)``                  delay of impacts in the accelerometer beyond that of the plate's motion there, where no
-                                       edge shows the landing as well
+``impact_delay_s(p)``                  delay of impacts in the accelerometer beyond that of motion, where no edge shows
+                                       the landing as well
 ``harmonics(p, multiple, others,       complex amplitudes added to multiples (k,) of the forcing, over its first tone
 shares, accel_g)``                     of ``accel_g`` (k,); the further tones are multiples ``others`` (k, t), and
                                        ``shares`` as large: complex, their phases from where the first is a sine
