@@ -145,6 +145,11 @@ def signed_frequencies(omega: Floats) -> Floats:
     return np.column_stack([np.zeros(len(omega)), omega, -omega])
 
 
+def in_both_senses(fitted: Bools) -> Bools:
+    """Which of the `signed_frequencies` are fitted, the constant first, from which tones (n, k) are, (n, 2 k + 1)."""
+    return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])
+
+
 def modulated_projection(up: Complexes, down: Complexes, phase: Floats) -> Complexes:
     """Projections of tones times ``sin(w t + phase)``, from those shifted up and down by w, (n, a, b)."""
     rotation = np.exp(1j * phase)[:, None, None]

@@ -5,7 +5,7 @@ A plate mode rings on from step to step. Flights in the fade strike it, too: how
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from analysis.flights.assemble import FlightFlag, Flights
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats, Integers
+from model.integrator.problem import Measured
 
 LONGEST_S = 0.2  # of a flight or contact whose acceleration is integrated
 AROUND_S = 4e-3  # time on both sides of an impact from which the motion in between is interpolated
@@ -67,40 +68,30 @@ class Fades:
         return other, np.where((share > 0.0) & (share < 1.0), share, 0.0)
 
 
-@dataclass(frozen=True)
-class Pushes:
-    """Integrals of the plate's acceleration plus gravity around fades, (n,).
+def with_pushes(measured: Measured, recording: Recording, flights: Flights, fades: Fades, rows: Integers) -> Measured:
+    """The flights in ``rows`` with integrals of the plate's acceleration plus gravity around fades.
 
-    Over each flight and over the contact before it, in m/s, and where the centre of the latter lies, as a part of the
-    contact; NaN where none touches a fade or where it is unknown.
-    """
-
-    flight_mps: Floats
-    contact_mps: Floats
-    contact_centre: Floats
-
-
-def pushes(recording: Recording, flights: Flights, fades: Fades, rows: Integers) -> Pushes:
-    """Integrals of the accelerometer's reading for the flights in ``rows``.
-
-    Nothing need be known of how the plate gets from one motion to the next, but the accelerometer's zero must: no mean
-    of its readings shows it under a ringing mode. Without a stated zero, or behind a capacitor, all are NaN.
+    Over each flight and over the contact before it, and where the centre of the latter lies, as a part of the contact;
+    NaN where none touches a fade or where it is unknown. Nothing need be known of how the plate gets from one motion to
+    the next, but the accelerometer's zero must: no mean of its readings shows it under a ringing mode. Without a stated
+    zero, or behind a capacitor, all are NaN.
     """
     takeoff_s, landing_s = flights.takeoff_s[rows], flights.landing_s[rows]
-    out = Pushes(*np.full((3, len(rows)), np.nan))
+    flight_mps, contact_mps, centre = np.full((3, len(rows)), np.nan)
+    out = replace(measured, gained_mps=flight_mps, pressed_mps=contact_mps, pressed_at=centre)
     channel = recording.setup.channels.accelerometer
     if channel.offset_v is None or channel.coupling == "ac":
         return out
     usable = (flights.flags[rows] & (FlightFlag.GAP | FlightFlag.CUT)) == 0
     before_s = np.concatenate([[-np.inf], landing_s[:-1]])
     for i in np.flatnonzero(usable & fades.touch(takeoff_s, landing_s) & (landing_s - takeoff_s < LONGEST_S)):
-        out.flight_mps[i] = np.mean(_push_mps2(recording, takeoff_s[i], landing_s[i])) * (landing_s[i] - takeoff_s[i])
+        flight_mps[i] = np.mean(_push_mps2(recording, takeoff_s[i], landing_s[i])) * (landing_s[i] - takeoff_s[i])
     for i in np.flatnonzero(usable & fades.touch(before_s, takeoff_s) & (takeoff_s - before_s < LONGEST_S)):
         # a push of nothing has its centre in the middle
         push = np.maximum(_after_impact_mps2(recording, before_s[i], takeoff_s[i]), 0.0) + 1e-9
         if len(push):
-            out.contact_mps[i] = np.mean(push) * (takeoff_s[i] - before_s[i])
-            out.contact_centre[i] = np.average((np.arange(len(push)) + 0.5) / len(push), weights=push)
+            contact_mps[i] = np.mean(push) * (takeoff_s[i] - before_s[i])
+            centre[i] = np.average((np.arange(len(push)) + 0.5) / len(push), weights=push)
     return out
 
 

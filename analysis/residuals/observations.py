@@ -23,7 +23,7 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import without_ringing
 from analysis.plate.ringing.modes import Identified, identified_mode
 from analysis.plate.ringing.true_to_drive import remarks
-from analysis.residuals.fades import Fades, pushes
+from analysis.residuals.fades import Fades, with_pushes
 from analysis.residuals.held import Launches
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_observables import PlateData, plate_data, with_wander
@@ -279,10 +279,7 @@ def _events(
     measured = Measured(
         opening, landing, relaunched, linked, step.astype(np.int64), scored, other_row[keep], share[keep]
     )
-    pushed = pushes(recording, flights, fades, np.flatnonzero(keep))
-    measured = replace(
-        measured, gained_mps=pushed.flight_mps, pressed_mps=pushed.contact_mps, pressed_at=pushed.contact_centre
-    )
+    measured = with_pushes(measured, recording, flights, fades, np.flatnonzero(keep))
     if launches is not None:
         number = np.array([s.step for s in fitted], dtype=np.int64)[measured.step]
         measured = launches.of_flights(measured, recording, number, flights.takeoff_s[keep])

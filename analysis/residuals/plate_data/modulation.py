@@ -16,6 +16,7 @@ import numpy as np
 from analysis.linear_algebra import solve
 from analysis.plate.fit_mask import (
     FitIntervals,
+    in_both_senses,
     mean_phasor,
     modulated_projection,
     shifted_down,
@@ -151,13 +152,13 @@ class AmplitudeModulation(Amplitudes):
     @cached_property
     def _gram(self) -> Complexes:
         """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
-        return self.intervals.gram(self._signed[0], _in_both_senses(self.seen_mps2 != 0.0))
+        return self.intervals.gram(self._signed[0], in_both_senses(self.seen_mps2 != 0.0))
 
     @cached_property
     def _window_gram(self) -> Complexes:
         """Normal equations of the windows' fits, (w, 1 + 2 l, 1 + 2 l)."""
         of = self.window_step
-        return self.intervals.in_windows.gram(self._signed[1][of], _in_both_senses(self._forced)[of])
+        return self.intervals.in_windows.gram(self._signed[1][of], in_both_senses(self._forced)[of])
 
     def _fit_at(self, hz: float) -> ModulationFit:
         """Projections at a frequency and the modulation of each recording that fits windows and gains best."""
@@ -318,8 +319,3 @@ class ModulationFit:
     window_up: Complexes
     window_down: Complexes
     phasor: Complexes
-
-
-def _in_both_senses(fitted: Bools) -> Bools:
-    """Which turns are fitted, the constant first, from which tones are, (n, 2 k + 1)."""
-    return np.column_stack([np.ones(len(fitted), dtype=np.bool_), fitted, fitted])

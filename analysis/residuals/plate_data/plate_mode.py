@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy.special import spherical_jn
 
-from analysis.plate.fit_mask import FitIntervals, signed_frequencies, solved
+from analysis.plate.fit_mask import FitIntervals, in_both_senses, signed_frequencies, solved
 from analysis.plate.ringing.mode_motion import ModeMotion
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_observables import (
@@ -262,21 +262,15 @@ class Ringing:
         """The constant and both senses of every tone, (m, 1 + 2 k)."""
         return signed_frequencies(self.omega_radps[:, 1:])
 
-    def _fitted(self, tones: Bools) -> Bools:
-        """Which turns a fit of the constant and of ``tones`` (n, k) has, (n, 1 + 2 k)."""
-        return np.column_stack([np.ones(len(tones), dtype=np.bool_), tones, tones])
-
     @cached_property
     def _own(self) -> Bools:
         """Turns that are the constant or the forcing's, (m, 1 + 2 k)."""
-        k = self.seen_mps2.shape[1]
-        return self._fitted(np.arange(k) < self.tones[:, None])
+        return in_both_senses(np.arange(self.seen_mps2.shape[1]) < self.tones[:, None])
 
     @cached_property
     def _gram(self) -> Complexes:
         """Normal equations of the steps' fits, (m, 1 + 2 k, 1 + 2 k)."""
-        fitted = self._fitted(self.seen_mps2 != 0.0)
-        return self.intervals.overlaps(self._turns, self._turns) * (fitted[:, :, None] & fitted[:, None, :])
+        return self.intervals.gram(self._turns, in_both_senses(self.seen_mps2 != 0.0))
 
     @cached_property
     def _inverse(self) -> Complexes:

@@ -11,10 +11,11 @@ import pytest
 import shakerbench as sb
 from analysis.flights.assemble import flights_of
 from analysis.plate.ringing.modes import Identified
-from analysis.residuals.fades import Fades, pushes
+from analysis.residuals.fades import Fades, with_pushes
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations, observations_from
 from daq.recording import Recording, open_recording
+from model.integrator.problem import Measured
 from model.tones import STANDARD_GRAVITY_MPS2
 
 MODE = {"table_resonance": {"frequency_hz": 7.5, "damping": 0.04, "mass_ratio": 0.03}}
@@ -93,18 +94,20 @@ def test_the_accelerometer_tells_what_a_plate_gives_a_ball(tmp_path: Path) -> No
         flights = flights_of(recording)
         hold = Fades(np.array([0.0]), np.array([recording.n_samples / recording.rate_hz]), np.zeros(1))
         rows = np.flatnonzero((flights.flags == 0) & (flights.step == 1))
-        found = pushes(recording, flights, hold, rows)
+        true = np.ones(len(rows), dtype=bool)
+        bare = Measured(flights.takeoff_s[rows], flights.landing_s[rows], ~true, true, flights.step[rows], true)
+        found = with_pushes(bare, recording, flights, hold, rows)
         channel = recording.setup.channels.accelerometer.model_copy(update={"offset_v": None})
         channels = recording.setup.channels.model_copy(update={"accelerometer": channel})
         recording.measure_with(recording.setup.model_copy(update={"channels": channels}))
-        assert np.isnan(pushes(recording, flights, hold, rows).flight_mps).all()
+        assert np.isnan(with_pushes(bare, recording, flights, hold, rows).gained_mps).all()
     for i in np.flatnonzero(np.diff(rows) == 1) + 1:
         opening, landing, before = (
             flights.takeoff_s[rows[i]],
             flights.landing_s[rows[i]],
             flights.landing_s[rows[i - 1]],
         )
-        for value, a, b in ((found.flight_mps[i], opening, landing), (found.contact_mps[i], before, opening)):
+        for value, a, b in ((found.gained_mps[i], opening, landing), (found.pressed_mps[i], before, opening)):
             time_s = np.linspace(a, b, 400)
             at = flights.plate.acceleration_mps2(time_s, np.full(400, flights.step[rows[i]]))
             assert value == pytest.approx(np.trapezoid(at + STANDARD_GRAVITY_MPS2, time_s), abs=0.01)
