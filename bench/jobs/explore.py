@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from analysis.explore.stake import Outcome
     from analysis.loop.close_loop import FittedLoop
     from analysis.loop.result import ClosedLoop
-    from analysis.residuals.forward_model import ForwardModel
     from analysis.residuals.observations import Observations
     from analysis.residuals.values import ParameterId
 
@@ -137,22 +136,18 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> tuple[list[Path], int
 # -- what was found so far ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Judged:
-    """The best set on all blocks so far, what it is a fit of, and the verdict; ``loop`` is None with too few steps."""
+    """The fits on all blocks so far, and the verdict; ``loop`` is None with too few steps."""
 
-    model: ForwardModel
-    best: Hypothesis
-    ties: Sequence[Hypothesis]
+    fitted: FittedLoop
     loop: ClosedLoop | None = None
-    fitted: FittedLoop | None = None
 
     def completed(self, last: _HeldStake | None) -> ClosedLoop | None:
         """The closed loop with a discovered term; ``last``, what was staked last, withdraws a verdict if not met."""
         from analysis.explore.stake import with_outcome
         from analysis.loop.close_loop import completed
 
-        if self.loop is None or self.fitted is None:
+        if (loop := self.loop) is None:
             return None
-        loop = self.loop
         if last is not None and last.stake.named == loop.selection.names:
             loop = with_outcome(loop, last.outcome, last.run.name)
         return completed(loop, self.fitted)
@@ -163,7 +158,7 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: boo
     from analysis.attribution.candidates import priors_of
     from analysis.attribution.fit import Fitter
     from analysis.attribution.selection import StepwiseSelection
-    from analysis.loop.close_loop import judge_loop
+    from analysis.loop.close_loop import FittedLoop, judge_loop
     from analysis.residuals.forward_model import ForwardModel
     from analysis.residuals.observations import observations_from
     from analysis.thresholds import FROZEN
@@ -176,10 +171,9 @@ def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: boo
     if len(observations.steps) < 2 * FROZEN.reserve_every:
         model = ForwardModel(observations, resolve(observations.setup.declared_values()))
         fitter = Fitter(model, priors_of(observations.setup), np.ones(len(observations.steps), dtype=bool))
-        found = StepwiseSelection(model, fitter).run()
-        return _Judged(model, found.best, found.ties)
+        return _Judged(FittedLoop(model, StepwiseSelection(model, fitter).run()))
     loop, fitted = judge_loop(made, known=known, anyway=anyway)
-    return _Judged(fitted.model, fitted.selection.best, fitted.selection.ties, loop, fitted)
+    return _Judged(fitted, loop)
 
 
 @dataclass(frozen=True)
@@ -206,7 +200,7 @@ def _stake(
     offered: Callable[[int], Sequence[Option]], aims: Aims, why: str,
 ) -> tuple[Chosen | None, str]:  # fmt: skip
     """The last block, on which an explanation is staked; or why there is none. The others are as in `_next`."""
-    if judged is None or judged.loop is None or judged.fitted is None or judged.loop.verdict != "explained":
+    if judged is None or judged.loop is None or judged.loop.verdict != "explained":
         return None, why
     left_s = aims.budget_s - sum(block.seconds for block in blocks)
     block = staked_block(text, judged.fitted, offered(aims.hold_cycles), replace(aims, budget_s=left_s), made)
@@ -229,17 +223,18 @@ def _next(
     options = offered(aims.hold_cycles)
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
-    loop, model, best, fitter = judged.loop, judged.model, judged.best, judged.best.fitter
-    if loop is None:
+    if (loop := judged.loop) is None:
         return _farthest(text, options, blocks, aims, "too few steps for a verdict yet"), ""
-    known = weighed(model, fitter, best, judged.ties)
+    model, best, ties = judged.fitted.model, judged.fitted.selection.best, judged.fitted.selection.ties
+    fitter = best.fitter
+    known = weighed(model, fitter, best, ties)
     hidden = _not_shown(loop, aims, known) if loop.verdict == "nothing_missing" else {}
     if loop.verdict == "explained" and len(loop.selection.ties) < 2 and not _loose(best, aims):
         return None, f"{' + '.join(loop.selection.names)} explains everything"
     if loop.verdict == "nothing_missing" and not hidden:
         return None, "nothing is missing, down to the sizes asked for"
     if loop.verdict == "explained":  # only what explains as much is left to be distinguished
-        known = known.among([best.names, *(rival.names for rival in judged.ties)])
+        known = known.among([best.names, *(rival.names for rival in ties)])
     wanted = [key for key in aims.until if key in best.free]
     pools = [Pool.of(option, model, fitter, known) for option in options]
     left_s = aims.budget_s - sum(block.seconds for block in blocks)

@@ -65,7 +65,7 @@ def test_blocks_are_spread_until_a_verdict_is_possible():
     aims = Aims(60.0)
     offered = partial(offered_for, aims)
     first, _ = _next(TEXT, None, (), offered, aims)
-    judged = SimpleNamespace(loop=None, model=None, ties=(), best=SimpleNamespace(fitter=None))
+    judged = SimpleNamespace(loop=None, fitted=None)
     second, why = _next(TEXT, judged, (first,), offered, aims)
     assert why == "" and "too few steps for a verdict yet: spread over the range" in second.reason
     one, two = (parse_profile(block.text) for block in (first, second))
