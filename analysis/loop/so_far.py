@@ -80,7 +80,7 @@ def judge_so_far(observations: Observations, look: int) -> SoFar | None:
     floor_us = noise_floors_us(model, declared.values, rows)[0]
     # the three tests share the level; a trifle that many flights resolve is no discovery, as in the closed loop
     tests = (
-        (left.p_lack_of_fit, left.ratio > FROZEN.lack_ratio),
+        (left.p_flights(FROZEN), left.ratio > FROZEN.lack_ratio),
         (plate_probability(model, declared.values), not left.plate_passes(FROZEN)),
         (p_landings, rms_us > FROZEN.most_rms_us(floor_us)),
     )

@@ -147,7 +147,8 @@ def _failure(loop: ClosedLoop, failed: Failed) -> str:
         with_what = f", and goes with {COVARIATES[left.covariate].words}" if left.covariate else ""
         if left.only_takeoffs_fail(loop.limits):
             with_what = " in take-offs only, landings are as predicted: look for a contact that opens late now and then"
-        return f"what is left is {failed.found:.2f} times the noise ({probability(left.p_lack_of_fit)}){with_what}"
+        chance = probability(left.p_flights(loop.limits))
+        return f"what is left is {failed.found:.2f} times the noise ({chance}){with_what}"
     if failed.test == "plate":
         return f"the plate is off by {failed.found:.2f} standard deviations rms ({failed.allowed:g} allowed)"
     if failed.test == "stake":

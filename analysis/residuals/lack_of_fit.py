@@ -57,13 +57,16 @@ class GoodnessOfFit:
     landing_ratio: float = math.inf  # ``ratio`` of landings
     p_takeoffs: float = 0.0  # ``p_lack_of_fit`` of openings
 
-    def flights_pass(self, limits: Thresholds) -> bool:
-        """Whether flights leave no more than noise, or no more than is let pass.
+    def p_flights(self, limits: Thresholds) -> float:
+        """Probability of so much from noise; that of take-offs where landings leave no more than is let pass.
 
         What is improbable in landings that pass by their size says nothing against take-offs that look like noise.
         """
-        noise = self.landing_ratio <= limits.lack_ratio and self.p_takeoffs >= limits.lack_p
-        return noise or self.p_lack_of_fit >= limits.lack_p or self.ratio <= limits.lack_ratio
+        return max(self.p_lack_of_fit, self.p_takeoffs if self.landing_ratio <= limits.lack_ratio else 0.0)
+
+    def flights_pass(self, limits: Thresholds) -> bool:
+        """Whether flights leave no more than noise, or no more than is let pass."""
+        return self.p_flights(limits) >= limits.lack_p or self.ratio <= limits.lack_ratio
 
     def only_takeoffs_fail(self, limits: Thresholds) -> bool:
         """Whether flights leave more than is let pass, and neither landings nor plate data do."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from analysis.flights.assemble import flights_of
 from analysis.loop.so_far import judge_so_far, level_of_look
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.observations import Observations, observed
 from analysis.thresholds import RUN_P
 from bench.jobs.run_ramp import make_backend, record
@@ -42,3 +46,22 @@ def test_friction_is_accused_and_an_ideal_rig_is_not(runs: dict[float, Observati
     assert rubbing is not None and not rubbing.within and rubbing.p < rubbing.level == level_of_look(3)
     assert rubbing.landing_rms_us > 10.0 * rubbing.floor_us
     assert any("coulomb_friction" in one.names for one in rubbing.promising)
+
+
+def test_landings_that_pass_by_their_size_do_not_accuse_takeoffs(
+    runs: dict[float, Observations], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is improbable in one kind of event and what is large in the other are no accusation together."""
+
+    def judged(p_takeoffs: float) -> bool:
+        left = replace(
+            goodness_of_fit(ForwardModel(runs[0.0], {}), {}),
+            p_lack_of_fit=1e-12, ratio=1.3, landing_ratio=0.97, p_takeoffs=p_takeoffs, plate_rms_z=1.0,
+        )  # fmt: skip
+        monkeypatch.setattr("analysis.loop.so_far.goodness_of_fit", lambda *_: left)
+        found = judge_so_far(runs[0.0], 3)
+        assert found is not None
+        return found.within
+
+    assert judged(0.5)
+    assert not judged(1e-12)
