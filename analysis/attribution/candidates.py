@@ -139,6 +139,7 @@ def candidates_of(model: ForwardModel, seen: Mapping[ParameterId, float] | None 
     out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
     # a parameter that stands for a quantity of the flight has no drift: it already varies with the flight
     base = [(n, q) for n, q in model.base if not effect(n).effect.parameter(q.removesuffix(TREND)).covariate]
+    base = [(n, q) for n, q in base if "rebound_scatter" not in effect(n).hooks]  # no residual shifts with a scatter
     out += [Candidate((trend_name(),), ((name, q + TREND),), ({},)) for name, q in base]
     return out
 

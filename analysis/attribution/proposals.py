@@ -27,6 +27,7 @@ from model.effects.registry import effect, trend_name
 Tried = Callable[[Candidate], None]
 Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 
+MOST_SWITCHED = 3  # sizes from which a ball that rebounds a little is sought
 SQUARED_HOOKS = frozenset({"harmonics", "hum_mps2", "pickup_mps2"})  # of plate data without a slope at the null value
 PARTS = (1.0, 0.5, 0.25)  # of a linear step, at which its loss is looked up until it has half of its promise
 KEPT_PROMISE = 0.5  # part of a linear gain below which a fit is led on with new slopes of the calibrations
@@ -123,7 +124,28 @@ class Proposals:
             found += [x for x in pool.map(lambda x: followed(x, enough), begun[1:]) if x is not None]
             rest = [c for c in options if c not in plain]
             found += [x for x in list(pool.map(fuller, rest)) if x is not None]
-            return found + self._drifting(best, found, pool)
+            gains = any(self._loss(best) - self._loss(x) > self.limits.next_effect_nats for x in found)
+            if gains or best.noise_like(self.limits.noise_like_ratio):
+                return found + self._drifting(best, found, pool)
+            return found + [x for x in pool.map(lambda c: self._switched_on(best, c), flying) if x is not None]
+
+    def _switched_on(self, best: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+        """What switches the ball's behaviour, from small sizes with their own weights; None for other candidates.
+
+        A ball that rebounds a little is flown with another uncertainty than one that rests: by the weights of rest the
+        truth itself would lose.
+        """
+        chosen = self._chosen(best, candidate)
+        free = chosen[-1].free
+        if not any(keys == free for keys, _ in coarse_grids()):
+            return None
+        starts = [p for _, p in self._starts(best, candidate, free) if any(p[k] != null_value_of(k) for k in free)]
+
+        def from_start(start: Point) -> Hypothesis:
+            return self.refits.scored(chosen, self.refits.reweighted(self._fitted_sharply((*best.free, *free), start)))
+
+        fits = [self.refits.attempted(chosen, from_start, p) for p in starts[:MOST_SWITCHED]]
+        return min((x for x in fits if x is not None), key=self._loss, default=None)
 
     def _extended(self, case: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """A fuller form, fitted from where its special case stands; None where what it has beyond promises nothing."""

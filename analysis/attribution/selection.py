@@ -21,6 +21,7 @@ from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, cont
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected
 from analysis.attribution.proposals import Proposals
+from analysis.attribution.rebound_scatter import Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, Thresholds
@@ -42,6 +43,7 @@ class SelectionResult:
     # of all that was refused although it gained more than what was accepted in its place, the one of greatest gain
     rejected: Rejected | None = None
     chance: tuple[ChanceTest, ...] = ()  # by round, the best candidate against chance
+    scatter: Scatter | None = None  # of the restitution from impact to impact, where it is a cause
     earlier: tuple[Hypothesis, ...] = ()  # hypotheses before the last effect was added, from the declared model on
 
 
@@ -184,7 +186,7 @@ class StepwiseSelection:
         strongest = max((x for x in refused if not set(x.names) <= set(best.names)), key=lambda x: x.gain, default=None)
         gains = tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried)
         result = SelectionResult(
-            before, best, ties, gains, tuple(rounds), strongest, tuple(chance), tuple(chain[:-1])
+            before, best, ties, gains, tuple(rounds), strongest, tuple(chance), earlier=tuple(chain[:-1])
         )  # fmt: skip
         return result, first
 

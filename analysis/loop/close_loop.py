@@ -19,6 +19,7 @@ from analysis.attribution.candidates import candidates_of, priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Rejected, with_hidden_free
+from analysis.attribution.rebound_scatter import with_scatter
 from analysis.attribution.selection import SelectionResult, StepwiseSelection
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
@@ -176,17 +177,14 @@ def _loop_of(
     model = ForwardModel(observations, resolve(observations.setup.declared_values()))
     if not anyway:
         refuse_far_off(model, recordings)
-    train = np.arange(len(observations.steps)) % limits.reserve_every != limits.reserve_every // 2
-    fitter = Fitter(model, priors_of(observations.setup), train)
-    library = candidates_of(model, seen)
-    stepwise = StepwiseSelection(
-        model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part), library
-    )
-    selection = withdraw_unconfirmed(model, stepwise.run(), train, limits)
-    best, ties = with_hidden_free(stepwise.refits.settled(selection.best)), selection.ties
-    selection = dataclasses.replace(selection, best=best, ties=(best, *ties[1:]) if ties else ())
+    selection = _selection_of(model, limits, say, seen)
     say("what remains", 0.87)
-    judged = _judge(model, fitter, selection, limits)
+    judged = _judge(selection, limits)
+    if (other := with_scatter(selection, limits, lambda x: _selection_of(x, limits, say, seen))) is not None:
+        again = _judge(other, limits)
+        # what is left may pass by its size; a scatter must leave nothing that follows anything
+        if again["verdict"] == "explained" and again["remainder"].p_lack_of_fit >= limits.lack_p:
+            selection, judged, model = other, again, other.best.model
     points = selection.before.fitted.values, selection.best.fitted.values
     say("detection limits", 0.97)
     detection, unidentifiable = detection_limits(selection.best, limits)
@@ -197,13 +195,28 @@ def _loop_of(
         flights=flight_table(model, *points),
         plate=plate_table(model, *points),
         discovered=None,
-        steps=step_table(model, train),
+        steps=step_table(model, selection.best.fitter.train),
         setup=observations.setup,
         limits=limits,
         sources=tuple(source_of(path) for path in recordings),
         notes=_notes(observations, selection),
     )
     return result, FittedLoop(model, selection)
+
+
+def _selection_of(
+    model: ForwardModel, limits: Thresholds, say: Progress, seen: Mapping[ParameterId, float] | None
+) -> SelectionResult:
+    """The effects that a model lacks, fitted to the end; ``seen`` as in `candidates_of`."""
+    train = np.arange(len(model.observations.steps)) % limits.reserve_every != limits.reserve_every // 2
+    fitter = Fitter(model, priors_of(model.observations.setup), train)
+    library = candidates_of(model, seen)
+    stepwise = StepwiseSelection(
+        model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part), library
+    )
+    found = withdraw_unconfirmed(model, stepwise.run(), train, limits)
+    best, ties = with_hidden_free(stepwise.refits.settled(found.best)), found.ties
+    return dataclasses.replace(found, best=best, ties=(best, *ties[1:]) if ties else ())
 
 
 def high_pass_hz(loop: ClosedLoop) -> float:
@@ -247,9 +260,9 @@ def completed(loop: ClosedLoop, fitted: FittedLoop) -> ClosedLoop:
         return dataclasses.replace(loop, notes=(*loop.notes, f"the search for a smooth term ended early: {error}"))
 
 
-def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:
+def _judge(selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:
     """Verdict, errors on the held-out steps, and remainder."""
-    best, train = selection.best, fitter.train
+    best, model, train = selection.best, selection.best.model, selection.best.fitter.train
     values = best.fitted.values
     left = goodness_of_fit(model, values, limits)
     rows, left_out = scored_rows(model, values, ~train)
@@ -270,7 +283,7 @@ def _judge(model: ForwardModel, fitter: Fitter, selection: SelectionResult, limi
 def _selected(found: SelectionResult) -> Selection:
     """Outcome of the selection as names and numbers."""
     best = found.best
-    parameters = fitted_parameters(best)
+    parameters = fitted_parameters(best, found.scatter)
     return Selection(
         effects=added_effects(best.names, parameters),
         names=best.names,

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.rebound_scatter import SCATTER, Scatter
 from analysis.loop.result import (
     AddedEffect,
     Calibration,
@@ -82,8 +83,10 @@ def source_of(path: Path) -> Source:
         return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened), str(path))
 
 
-def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:
+def fitted_parameters(best: Hypothesis, scatter: Scatter | None = None) -> tuple[FittedParameter, ...]:
     """Every parameter that the best hypothesis fits: those of the added effects first, in the order added.
+
+    A ``scatter`` of the restitution is the last of these.
 
     The standard deviation of an added one has what ordinary instruments add of it (`Parameter.ordinary`).
     """
@@ -96,7 +99,8 @@ def fitted_parameters(best: Hypothesis) -> tuple[FittedParameter, ...]:
             sigma = math.hypot(sigma, effect(name).effect.parameter(plain).ordinary)
         return FittedParameter(name, plain, float(values[key]), sigma, added, q.endswith(TREND))
 
-    return (*(one(k, True) for k in best.free), *(one(k, False) for k in values if k not in best.free))
+    noise = () if scatter is None else (FittedParameter(*SCATTER, scatter.sd, scatter.sigma, True, False),)
+    return (*(one(k, True) for k in best.free), *noise, *(one(k, False) for k in values if k not in best.free))
 
 
 def fitted_calibrations(best: Hypothesis) -> tuple[Calibration, ...]:

@@ -249,7 +249,7 @@ def innovation_covariance(u: Uncertainty, carried: tuple[Floats, Floats], event:
     tones = np.where(landing[:, None], u.landing_by_tone[event], u.opening_by_tone[event])
     # a landing's error enters its own residual, and those of flights predicted from it
     edge = slope * u.landing_edge_s[edges]
-    own = np.where(landing, 0.0, u.opening_edge_s[event]) ** 2 + LEAST_EXCESS_S**2
+    own = np.where(landing, u.landing_scatter_s[event], u.opening_edge_s[event]) ** 2 + LEAST_EXCESS_S**2
     together = SHARED_S**2 * (landing[:, None] == landing[None, :])
     return np.asarray(edge @ edge.T + tones @ tones.T + together + np.diag(own))
 

@@ -72,7 +72,8 @@ def near_grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bo
 
 def _grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
     ev = model.observations
-    total = uncertainty_at(model, values).landing_total_s
+    u = uncertainty_at(model, values)
+    total = np.sqrt(u.landing_total_s**2 - u.landing_scatter_s**2)  # a rebound that scatters is no graze
     usual = GRAZING_RATIO * float(np.median(total[ev.scored])) if ev.scored.any() else np.inf
     base = model.predicted(values)
     out = total >= usual

@@ -33,6 +33,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "viscous_damping": {"rate_per_s": (0.05, 0.3, 4.0)},
     "quadratic_drag": {"per_m": (0.5, 3.0, 25.0)},
     "restitution": {"e0": (0.02, 0.1, 0.5), "slope_s_per_m": (0.0, 0.0, 0.1)},
+    "restitution_scatter": {"sd": (0.001, 0.005, 0.03)},  # of `restitution.e0`, from impact to impact
     "adhesion": {"pull_g": (0.01, 0.04, 0.25)},
     "spring": {"per_s2": (2.0, 10.0, 150.0)},
     "magnet": {"pull_g": (0.005, 0.02, 0.15), "range_m": (0.002, 0.002, 0.002)},
@@ -63,7 +64,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
 NAMES = tuple(f"{effect}.{key}" for effect, table in SIZES.items() for key in table)
 PLACE = {name: k for k, name in enumerate(NAMES)}
 
-LATENCY = "contact_latency.delay_s"
+LATENCY, SCATTER = "contact_latency.delay_s", "restitution_scatter.sd"
 _LAG, _GAIN = PLACE["phase_lag.delay_s"], PLACE["drive_gain.relative"]
 _COMPRESSION = PLACE["gain_compression.per_gamma2"]
 _AM, _AM_HZ, _HUM = PLACE["amplitude_modulation.depth"], PLACE["amplitude_modulation.hz"], PLACE["mains_hum.g"]
@@ -161,9 +162,9 @@ def _push(q, g, height, speed, absolute, last_flight):
 
 
 @njit()
-def _rebound(q, speed):
-    """Restitution at this impact speed."""
-    e = min(max(q[_E0] - q[_E1] * speed, 0.0), 0.95)
+def _rebound(q, speed, off):
+    """Restitution at this impact speed, by so much ``off``."""
+    e = min(max(q[_E0] - q[_E1] * speed + off, 0.0), 0.95)
     if q[_E_AT] > 0.0:
         e = max(e, q[_E_AT] * math.exp(-(((speed - q[_E_MPS]) / 0.1) ** 2)))
     return e
@@ -184,8 +185,11 @@ def _holding(q, g, here, rested_s):
 
 
 @njit()
-def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
-    """March ball and table; fill the plate's acceleration at ``every`` step, edges (+t opens, -t closes), impacts."""
+def _march(q, off, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
+    """March ball and table; fill the plate's acceleration at ``every`` step, edges (+t opens, -t closes), impacts.
+
+    Each impact's restitution is by so much ``off`` (k,).
+    """
     g = 9.80665 * (1.0 + q[_GRAVITY])
     slow_w = 2.0 * math.pi * q[_TABLE_HZ]
     y = yv = load = h = u = rested = left = last = 0.0  # h, u: height and speed above the plate
@@ -222,7 +226,7 @@ def _march(q, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
         elif h < 0.0:
             share = h_old / (h_old - h)
             hit, speed = t + share * dt, max(-(u_old + share * (u - u_old)), 0.0)
-            e = _rebound(q, speed)
+            e = _rebound(q, speed, off[n_impacts])
             last, yv, u = hit - left, yv - q[_RATIO] / (1.0 + q[_RATIO]) * (1.0 + e) * speed, e * speed
             impacts[n_impacts, 0], impacts[n_impacts, 1] = hit, speed
             edges[n_edges] = -hit
@@ -277,7 +281,9 @@ def simulate(run: Run) -> dict[str, np.ndarray]:
     over = 1 if run.instrument is None else STEPS_PER_SAMPLE if run.rate_hz < FINE_HZ else STEPS_PER_SAMPLE // 2
     plate, edges, impacts = np.zeros(n * over), np.zeros(2 * most), np.zeros((most, 2))
     dt, every = 1.0 / (run.rate_hz * STEPS_PER_SAMPLE), STEPS_PER_SAMPLE // over
-    n_edges, n_impacts = _march(q, gammas, step_s, fade_s, w, float(run.c), dt, every, plate, edges, impacts)
+    # from a generator of its own, so that other noise is the same with it and without
+    off = np.random.default_rng([run.seed, 1]).laplace(0.0, run.hidden.get(SCATTER, 0.0) / math.sqrt(2.0), most)
+    n_edges, n_impacts = _march(q, off, gammas, step_s, fade_s, w, float(run.c), dt, every, plate, edges, impacts)
     impacts, edges = impacts[:n_impacts], edges[:n_edges]
     measured = _ideally if run.instrument is None else _by_instrument
     felt_v, circuit_v, drive_s = measured(run, plate, over, impacts, edges, rng)

@@ -39,8 +39,13 @@ OTHER_OUTSIDE = {  # and the covariate of each
     "restitution_at_one_speed": "impact speed",
     "upper_stop": "height",
 }
-OTHER_SAME = {"friction_with_speed": "viscous_damping", "friction_with_dwell": "adhesion"}
-"""Beyond the agreed list by their names, one and the same as a named effect for whoever predicts one event ahead."""
+OTHER_SAME = {
+    "friction_with_speed": "viscous_damping",
+    "friction_with_dwell": "adhesion",
+    "restitution_scatter": "restitution_scatter",
+}
+"""Beyond the agreed list by their names, one and the same as a named effect for whoever predicts one event ahead; and
+what is hidden only together with another one."""
 
 OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     # hidden number: (library's effect, parameter, factor)
@@ -50,6 +55,7 @@ OTHER_PARAMETERS: Mapping[str, tuple[tuple[str, str, float], ...]] = {
     "viscous_damping.rate_per_s": (("viscous_damping", "rate_per_s", 1.0),),
     "quadratic_drag.per_m": (("quadratic_drag", "k_per_m", 1.0),),
     "restitution.e0": (("restitution", "e0", 1.0),),
+    "restitution_scatter.sd": (("restitution_scatter", "sd", 1.0),),
     "adhesion.pull_g": (("adhesion", "a_mps2", G),),
     "spring.per_s2": (("position_force", "spring_per_s2", 1.0),),
     "magnet.pull_g": (("position_force", "magnet_mps2", G),),

@@ -38,6 +38,7 @@ shares, accel_g)``                     of ``accel_g`` (k,); the further tones ar
 ``time_scale(p)``                      factor of the recorder's clock
 ``gap_m(p)``                           height that the ball must reach before the circuit opens
 ``closure_s(p)``                       time for which an impact closes the circuit at least
+``rebound_scatter(p)``                 standard deviation of the restitution from impact to impact
 ====================================== =========================================================================
 """
 
@@ -78,6 +79,7 @@ PLAIN_HOOKS = (
     "time_scale",
     "gap_m",
     "closure_s",
+    "rebound_scatter",
 )
 
 PLATE_ONLY_HOOKS = frozenset({"transfer", "harmonics", "hum_mps2", "offset_mps2", "time_scale", "closure_s"})

@@ -152,7 +152,7 @@ def _settle(s: Any, p: Any, v: float) -> None:
 def _land(s: Any, p: Any, v: float) -> None:
     """Impact with relative speed ``v`` <= 0 at the current place: recoil of the table, ringing, rebound."""
     t, impact = s.t_s + s.u * s.dt_s, max(-v, 0.0)
-    chance = uniform(s) if p.scattered_restitution_e > 0.0 else 0.0
+    chance = uniform(s) if p.scattered_restitution_e > 0.0 or p.restitution_scatter_sd > 0.0 else 0.5
     e = rebound(s, p, impact, chance)
     if p.rod_rocking_mu > 0.0:
         # an impact at 0.5 m/s sets the block rocking by one unit

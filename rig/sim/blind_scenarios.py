@@ -24,8 +24,9 @@ STRENGTHS: dict[str, tuple[float, float]] = {"weak": (1.0, 3.0), "medium": (3.0,
 NUISANCES = ("contact_gap", "contact_closure")
 """Effects of the contact circuit only: never the one to be found, but may be added."""
 
-INVISIBLE = ("clock_error",)
-"""Where drive and recording share one clock, the motion keeps its phases and only the table's ringing changes pitch."""
+INVISIBLE = ("clock_error", "restitution_scatter")
+"""Where drive and recording share one clock, the motion keeps its phases and only the table's ringing changes pitch. A
+rebound that scatters needs one to scatter about."""
 
 
 def pool(kind: Literal["named", "beyond", "covariate"]) -> tuple[str, ...]:

@@ -146,6 +146,10 @@ def hang_margin(s: Any, p: Any, u: float, y: float, yv: float) -> float:
 def rebound(s: Any, p: Any, impact_mps: float, chance: float) -> float:
     """Coefficient of restitution for this impact, 0 to 0.99; ``chance`` is uniform in [0, 1)."""
     e = p.restitution_e0 - p.restitution_e1_s_per_m * impact_mps + p.scattered_restitution_e * chance
+    if p.restitution_scatter_sd > 0.0:
+        # two-sided exponential: above its mean as often as below
+        tail = -math.log(max(1.0 - 2.0 * abs(chance - 0.5), 1e-12)) * p.restitution_scatter_sd / math.sqrt(2.0)
+        e += tail if chance > 0.5 else -tail
     if p.impact_restitution_e > 0.0:
         e += p.impact_restitution_e * _bell(impact_mps, p.impact_restitution_centre_mps, p.impact_restitution_width_mps)
     if p.memory_restitution_e > 0.0:

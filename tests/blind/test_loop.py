@@ -52,6 +52,23 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("c", "strength"), [(1, "strong"), (2, "medium")])
+def test_a_restitution_that_scatters_is_named_with_its_scatter(tmp_path: Path, c: int, strength: str) -> None:
+    """Both are named, the scatter within three of its standard deviations, and landings are at their floor."""
+    gammas = np.random.default_rng(41).permutation(np.round(np.linspace(*GAMMAS[c]), 4))
+    scatter = other_plant.hidden_by("restitution_scatter", strength)
+    hidden = {"restitution.e0": 0.35, **scatter}
+    run = other_plant.Run(c=c, gammas=tuple(gammas.tolist()), seed=41, closure_s=1e-4, hidden=hidden)
+    verdict = loop_json(close_loop([imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)]))
+    assert verdict["verdict"] == "explained"
+    effects = {e["name"]: e["parameters"] for e in verdict["effects"]}
+    assert effects.keys() == {"restitution", "restitution_scatter"}
+    value, low, high = effects["restitution_scatter"]["sd"].values()
+    assert abs(value - scatter[other_plant.SCATTER]) < 3.0 * (high - low) / 3.92
+    assert verdict["after"]["landing_rms_us"] < 1.3 * verdict["noise_floor_us"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("c", "frequency", "jitter_us"), [(2, 40.0, 5.0), (3, 25.0, 0.0), (1, 20.0, 20.0)])
 def test_a_drive_of_whole_samples_a_period_hides_nothing(
     tmp_path: Path, c: int, frequency: float, jitter_us: float

@@ -21,7 +21,7 @@ def test_flights_have_the_published_lengths(gamma_peak: float, taus: tuple[float
     w = 2.0 * math.pi * run.frequency_hz
     n = int(60 / run.frequency_hz * run.rate_hz)
     count, _ = other._march(
-        run.values(), np.array(run.gammas), 60 / run.frequency_hz, 1 / run.frequency_hz, w, 1.0, 5e-6,
+        run.values(), np.zeros(20000), np.array(run.gammas), 60 / run.frequency_hz, 1 / run.frequency_hz, w, 1.0, 5e-6,
         other.STEPS_PER_SAMPLE, np.zeros(n), edges, np.zeros((20000, 2)),
     )  # fmt: skip
     edges = edges[: count - count % 2][-4 * len(taus) :]  # opening, closing, opening, ...
@@ -33,8 +33,9 @@ def test_flights_have_the_published_lengths(gamma_peak: float, taus: tuple[float
 def test_each_hidden_effect_changes_the_recording(effect: str) -> None:
     """Same seed, strong effect: continuity or accelerometer differ from a run without it."""
     gammas = (0.6, 1.2, 1.8)
-    # a drift of the friction changes nothing where there is no friction
-    besides = other.hidden_by("coulomb_friction", "strong") if effect == "friction_drift" else {}
+    # a drift of the friction changes nothing where there is no friction, nor a scatter where nothing rebounds
+    needed = {"friction_drift": "coulomb_friction", "restitution_scatter": "restitution"}
+    besides = other.hidden_by(needed[effect], "strong") if effect in needed else {}
     clean = other.simulate(other.Run(gammas=gammas, seed=2, hidden=besides))
     data = other.simulate(other.Run(gammas=gammas, seed=2, hidden={**besides, **other.hidden_by(effect, "strong")}))
     contact = np.count_nonzero((data["continuity_v"] > 2.5) != (clean["continuity_v"] > 2.5))

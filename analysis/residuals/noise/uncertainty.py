@@ -25,6 +25,7 @@ from analysis.events.edge_jitter import rounded
 from analysis.residuals.forward_model import ForwardModel, Inputs
 from analysis.residuals.values import Values
 from kernels.arrays import Bools, Complexes, Floats, Integers
+from model.effects.registry import offsets
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Measured, PlateSteps, active, columns_of
@@ -33,6 +34,8 @@ Kicks = tuple[tuple[float, float], ...]
 
 EDGE_STEP_S = 2e-6  # finite difference of an edge
 STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
+REBOUND_STEP = 1e-4  # finite difference of a restitution
+STEEPEST_BY_REBOUND_S = 1.0  # a flight at 5 m/s lasts so long; a larger slope means another event
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
 HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
 BEFORE = 3  # events before one on which an elastic ball's prediction depends
@@ -42,10 +45,11 @@ BEFORE = 3  # events before one on which an elastic ball's prediction depends
 class Uncertainty:
     """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
 
-    ``*_sigma_s`` is that of the edges, propagated; ``*_by_tone`` the change for one sigma of each quadrature of each
-    plate tone of the event's step, of the initial state of a plate mode in the step, and of each part of the rounding
-    to samples that edges of a step share, its own and that of the landings it is predicted from. ``*_edge_s`` is
-    what no other measured edge shares.
+    ``*_sigma_s`` is that of the edges, propagated, and of rebounds that scatter; ``*_by_tone`` the change for one sigma
+    of each quadrature of each plate tone of the event's step, of the initial state of a plate mode in the step, and of
+    each part of the rounding to samples that edges of a step share, its own and that of the landings it is predicted
+    from. ``*_edge_s`` is what no other measured edge shares, ``landing_scatter_s`` what rebounds that scatter add to
+    their next landings.
     """
 
     opening_sigma_s: Floats
@@ -54,6 +58,7 @@ class Uncertainty:
     landing_by_tone: Floats
     opening_edge_s: Floats
     landing_edge_s: Floats
+    landing_scatter_s: Floats
 
     @property
     def landing_total_s(self) -> Floats:
@@ -94,7 +99,10 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     # rounding errors are common to edges of a step and are carried separately: this is the rest
     independent = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
     var = independent**2 + np.sum(bent**2, axis=0)
-    var[:, 1] += _finite(base.ambiguity_s) ** 2
+    scatter = model.per_step(values, "rebound_scatter")[ev.measured.step]
+    if scatter.any():
+        scatter = scatter * np.abs(slope_by_rebound(model, values))
+    var[:, 1] += _finite(base.ambiguity_s) ** 2 + scatter**2
     none = np.zeros_like(opening)
     shared = np.stack([np.hstack([opening, none]), np.hstack([none, landing])])
     for back, slope in enumerate(edges, start=1):  # what is predicted from an earlier landing errs with it
@@ -108,7 +116,19 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
         np.hstack([changes[..., 1].T, shared[1]]),
         independent[:, 0],
         independent[:, 1],
+        scatter,
     )
+
+
+def slope_by_rebound(model: ForwardModel, values: Values) -> Floats:
+    """Derivative of each predicted landing by the restitution of the impact before it, (n,), s; 0 without a rebound."""
+    rows, base = model.rows(model.start(values)), model.predicted(values)
+    if not np.any(rows[..., columns_of("rebound")] > 0.0):
+        return np.zeros(len(model.observations))
+    moved = rows.copy()
+    moved[..., offsets()["restitution", "e0"]] += REBOUND_STEP
+    slope = (model.predict(values, rows=moved, near=base).landing_s - base.landing_s) / REBOUND_STEP
+    return np.where(np.abs(slope) < STEEPEST_BY_REBOUND_S, np.nan_to_num(slope), 0.0)
 
 
 def kicks_of(model: ForwardModel, values: Values) -> Kicks:

@@ -84,3 +84,16 @@ def test_a_fit_that_old_slopes_mislead_is_led_on_with_its_own(
     assert right is not None
     assert led_on is not None
     assert led_on.fitted.loss == pytest.approx(right.fitted.loss, abs=0.5)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_small_rebound_is_sought_from_small_sizes(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], seed: int
+) -> None:
+    """Of .005, where its own steps in landings hide it from a start at nothing, and from one at .03."""
+    e0 = ("restitution", "e0")
+    model = fly_ramp({e0: 0.005}, seed)
+    selection = StepwiseSelection(model, fitter_of(model))
+    options = [c for c in candidates_of(model) if c.free == (e0,)]
+    found = selection.proposals.round(selection.declared(), options, lambda *_: None)
+    assert found[0].fitted.values[e0] == pytest.approx(0.005, rel=0.15)

@@ -8,8 +8,10 @@ import math
 import numpy as np
 import pytest
 
+from rig.sim.forces import rebound
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
+from rig.sim.state import initial_state
 
 RATE_HZ = 20000.0
 FREQUENCY_HZ = 25.0
@@ -182,3 +184,14 @@ def test_phase_is_measured_as_the_tests_mean_it() -> None:
     found = tone(plate_g({}, 0.3))
     assert abs(found) == pytest.approx(0.6, rel=5e-4)
     assert abs(cmath.phase(found)) < 5e-4
+
+
+def test_a_rebound_that_scatters_does_so_as_a_two_sided_exponential() -> None:
+    """Its mean is e0, its standard deviation as given, its kurtosis that of the distribution, 6."""
+    effects = {"restitution": {"e0": 0.5}, "restitution_scatter": {"sd": 0.02}}
+    parameters, _ = Scenario("one", effects, QUIET).parameters()
+    state = initial_state(1, 2, 0.0)[0]
+    off = np.array([rebound(state, parameters[0], 0.3, x) for x in np.random.default_rng(5).random(20000)]) - 0.5
+    assert off.mean() == pytest.approx(0.0, abs=6e-4)
+    assert off.std() == pytest.approx(0.02, rel=0.03)
+    assert np.mean(off**4) / off.var() ** 2 == pytest.approx(6.0, abs=0.6)
