@@ -7,7 +7,8 @@
 Each trial is kept at once, by the version of the code; a run that is started again goes on where it stopped.
 ``--no-loop`` finds flights only. A landing is a phantom where no impact was within 0.5 ms of it (and the time in which
 the contact chatters); a flight of more than 1 ms is missed where no landing was found so near to its own. Where a
-verdict is judged, a name that is the instrument's own (`Chain.causes`) is neither wanted nor wrong.
+verdict is judged, a name that is the instrument's own (`Chain.causes`) is neither wanted nor wrong. Tones: gain and
+phase of each step against its drive, about the recording's mean.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from benchmarks.scoring.version import code_version
 from daq.files.whole_file import Journal
 from kernels.arrays import Bools, Floats
 from model.surveys.workers import outcomes
+
+if TYPE_CHECKING:
+    from analysis.residuals.plate_data.plate_observables import PlateData
 
 Row = dict[str, Any]
 
@@ -62,9 +66,24 @@ def _far(times: Floats, others: Floats, near_s: float) -> np.ndarray:
     return np.asarray(np.minimum(times - edges[place - 1], edges[place] - times) > near_s)
 
 
+def tone_scatter(data: PlateData) -> tuple[float, int]:
+    """Squares of what gain and phase of steps' tones differ from their means, over stated variances, and freedom."""
+    from analysis.residuals.plate_data.plate_observables import GAIN, PHASE
+
+    squares, freedom = 0.0, 0
+    for kind in (GAIN, PHASE):
+        for multiple in np.unique(data.multiple[data.kind == kind]):
+            own = data.among((data.kind == kind) & (data.multiple == multiple))
+            mean = np.average(own.value, weights=own.sigma**-2.0)
+            squares += float(np.sum(((own.value - mean) / own.sigma) ** 2))
+            freedom += len(own) - 1
+    return squares, freedom
+
+
 def trial(job: Job, with_loop: bool) -> Row:
     """A row: what was found of what was flown, and the verdict; a failure is a row with its reason."""
     from analysis.flights.assemble import FlightFlag, flights_of
+    from analysis.residuals.plate_data.plate_observables import plate_data
     from daq.recording import open_recording
 
     row: Row = {"chain": job.chain, "hidden": job.hidden, "plant": job.plant, "seed": job.seed}
@@ -75,6 +94,8 @@ def trial(job: Job, with_loop: bool) -> Row:
             with open_recording(path) as recording:
                 flights = flights_of(recording)
                 row["seconds_recorded"] = recording.n_samples / recording.rate_hz
+                data, _ = plate_data([s for s in flights.plate.steps if s is not None], recording.setup)
+                row["tone_squares"], row["tone_freedom"] = tone_scatter(data)
                 after, lost = recording.gaps.T / recording.rate_hz
             row["seconds_flights"] = time.process_time() - start
             whole = flights.landing_s < row["seconds_recorded"] - 1e-3  # the last flight may not have ended
@@ -129,16 +150,25 @@ def show(rows: Sequence[Row]) -> None:
     """Flights and verdicts of each chain, as Markdown."""
     good, failed = [r for r in rows if "failed" not in r], [r for r in rows if "failed" in r]
     print(f"{len(good)} trials, {len(failed)} failed\n")
-    print("| chain | plant | trials | intervals found / flown | phantoms an hour | missed |\n|---|---|---|---|---|---|")
+    print(
+        "| chain | plant | trials | intervals found / flown | phantoms an hour | missed | tones, actual / stated |"
+        "\n|---|---|---|---|---|---|---|"
+    )
     for (chain, plant), some in _grouped(good, "chain", "plant").items():
         hours = sum(r["seconds_recorded"] for r in some) / 3600.0
         found, flown, phantoms, missed = (sum(r[k] for r in some) for k in ("found", "flown", "phantoms", "missed"))
-        print(f"| {chain} | {plant} | {len(some)} | {found} / {flown} | {phantoms / hours:.0f} | {missed} |")
+        cells = f"{found} / {flown} | {phantoms / hours:.0f} | {missed} | {_tones(some)}"
+        print(f"| {chain} | {plant} | {len(some)} | {cells} |")
     judged = [r for r in good if "verdict" in r]
     if judged:
         _show_verdicts(judged)
     for r in failed:
         print(f"failed: {r.get('plant')}/{r.get('chain')}/{r.get('hidden')}/{r.get('seed')}:", r["failed"])
+
+
+def _tones(rows: Sequence[Row]) -> str:
+    squares, freedom = (sum(r.get(k, 0) for r in rows) for k in ("tone_squares", "tone_freedom"))
+    return f"{np.sqrt(squares / freedom):.2f}" if freedom else "-"
 
 
 def _show_verdicts(rows: Sequence[Row]) -> None:

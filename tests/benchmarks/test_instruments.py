@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from analysis.residuals.plate_data.plate_observables import GAIN, HUM, PHASE, PlateData
 from benchmarks.analysis import chains, instruments
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Chain, Job, jobs
 from benchmarks.plants.handed_over import Afterwards
@@ -28,6 +29,15 @@ def test_landings_are_counted_against_flights_that_were_flown():
     assert instruments.counted(found, cut, flown, 5e-4) == (3, 1, 1)
 
 
+def test_tones_scatter_about_the_mean_of_their_own_kind():
+    """Gains of two steps 2 sigma apart, phases alike, and a hum that is neither: squares of 2 for two freedoms."""
+    kind = np.array([GAIN, GAIN, PHASE, PHASE, HUM])
+    value, none, one = np.array([1.0, 3.0, 5.0, 5.0, 9.0]), np.zeros(5), np.ones(5)
+    multiple, others = np.ones(5, dtype=int), np.zeros((5, 0))
+    data = PlateData(kind, np.array([0, 1, 0, 1, 0]), value, one, one, none, one, multiple, others.astype(int), others)
+    assert instruments.tone_scatter(data) == (2.0, 2)
+
+
 @pytest.mark.parametrize(("plant", "chain"), [("other", "fast"), ("own", "fast"), ("third", CARDS[0])])
 def test_flights_found_are_those_flown(plant, chain, monkeypatch):
     """Truth and analysis have the same flights: with a clock that is fast, or a drawn card, on each plant."""
@@ -36,6 +46,7 @@ def test_flights_found_are_those_flown(plant, chain, monkeypatch):
     row = instruments.trial(Job(chain, "friction", plant, 3), False)
     assert "failed" not in row, row["failed"]
     assert row["flown"] > 15 and row["phantoms"] == row["missed"] == 0
+    assert row["tone_freedom"] > 0
 
 
 def test_a_verdict_is_held_against_the_truth(closed_loop, monkeypatch, tmp_path):
