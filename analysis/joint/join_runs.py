@@ -30,7 +30,7 @@ from analysis.joint.outcome import days_since_first, parameters_over_runs, syste
 from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own, fit_population
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Point, RunSummary, common_priors, summarise
-from analysis.loop.close_loop import fit_loop
+from analysis.loop.close_loop import judge_loop
 from analysis.loop.verdicts import Verdict
 from analysis.residuals.observations import Observations
 from analysis.residuals.values import TREND, ParameterId
@@ -230,7 +230,7 @@ class _Search:
             return state
         worst = max(odd, key=lambda s: (s.lost, s.outcome.ratio))
         path = next(p for p, s in zip(self.passes.recordings, state.summaries, strict=True) if s is worst)
-        loop, fitted = fit_loop([path], setup=self.passes.setup, limits=FROZEN, anyway=True)
+        loop, fitted = judge_loop([path], setup=self.passes.setup, limits=FROZEN, anyway=True)
         best = fitted.selection.best
         free = {k: v for k, v in best.fitted.values.items() if k in best.free and not k[1].endswith(TREND)}
         if not free:

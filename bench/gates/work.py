@@ -113,7 +113,7 @@ def _check(job: Job, ask: Ask, tell: Ask) -> Message:
 
 def _verdict(job: Job, ask: Ask, tell: Ask) -> Message:
     """`bench close-loop RECORDING --improved PROFILE`."""
-    from analysis.loop.close_loop import fit_loop
+    from analysis.loop.close_loop import close_loop
     from analysis.loop.verdict_json import loop_json
     from analysis.report.narrative import headline
     from bench.jobs.loops.keep_verdict import keep_verdict
@@ -121,7 +121,7 @@ def _verdict(job: Job, ask: Ask, tell: Ask) -> Message:
 
     if job.recording is None or job.improved is None:
         raise InputError("no recording to judge; drive a ramp first")
-    loop, _ = fit_loop([job.recording], progress=lambda what, *_: tell(str(what)))
+    loop = close_loop([job.recording], progress=lambda what, *_: tell(str(what)))
     problem = keep_verdict(loop, [job.recording])
     lines = write_improved(loop, job.recording, job.improved)[1:]
     full = loop_json(loop)

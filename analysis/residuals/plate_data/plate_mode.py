@@ -210,7 +210,8 @@ class Ringing:
         out[rows] = np.where(data.kind[rows] == GAIN, np.log(np.abs(ratio)), np.angle(ratio))
         sigma[rows] = inexact * np.abs(ratio - 1.0)
         rows = np.flatnonzero(data.kind == GATE)
-        contact, flight = self._in_both_places(contact_side, rest_side)
+        sides = np.concatenate([contact_side + rest_side, contact_side * self._own], axis=1)
+        contact, flight = (np.sum(row * sides, axis=1) for row in self._first_tone)
         z = driven(plate.acceleration_mps2[step[rows], 0], mode_amplitudes[step[rows], 0])
         there, here = (np.abs(z + x[step[rows]]) for x in (flight, contact))
         out[rows] = np.log(np.maximum(there, LEAST * np.abs(z)) / np.maximum(here, LEAST * np.abs(z)))
@@ -308,12 +309,6 @@ class Ringing:
         """Rows of the inverse of `_gates` that give the first tone in contact and in flight, (m, 2 p) each."""
         every = solved(self._gates, np.broadcast_to(np.eye(self._gates.shape[1]), self._gates.shape).astype(complex))
         return 2.0 * (every[:, 1] + every[:, self._turns.shape[1] + 1]), 2.0 * every[:, 1]
-
-    def _in_both_places(self, contact: Complexes, rest: Complexes) -> tuple[Complexes, Complexes]:
-        """The first tone in contact and in flight, (m,) each, from the right sides of the two."""
-        sides = np.concatenate([contact + rest, contact * self._own], axis=1)
-        there, here = (np.sum(row * sides, axis=1) for row in self._first_tone)
-        return there, here
 
     # -- windows ----------------------------------------------------------------------------------------------------
     @cached_property
