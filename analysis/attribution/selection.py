@@ -25,6 +25,7 @@ from analysis.attribution.rebound_scatter import Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, Thresholds
+from model.effects.registry import trend_name
 from model.effects.routing import ball_effects
 
 Progress = Callable[[str, float], None]
@@ -156,6 +157,8 @@ class StepwiseSelection:
                 if plain is not None:
                     found += self._round(plain, remaining_candidates(self.library, plain, best.names), depth)
             accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
+            if accepted is not None:
+                accepted = self._without_drift(best, accepted, found, depth)
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
             chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
             if accepted is None:
@@ -200,6 +203,20 @@ class StepwiseSelection:
             self.progress(name, min((depth + part) / self.limits.most_effects, 1.0))
 
         return self.proposals.round(best, options, progress)
+
+    def _without_drift(
+        self, best: Hypothesis, accepted: Hypothesis, found: Sequence[Hypothesis], depth: int
+    ) -> Hypothesis:
+        """The cause without the drift that was added with it, where a second cause does as well as the drift.
+
+        Where a second cause is missing, a drift may stand in for it; in the round that adds both it has no rival.
+        """
+        cause = next((x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates), None)
+        if cause is None or self.judge.refusal(best, cause, depth):
+            return accepted
+        others = [c for c in remaining_candidates(self.library, cause) if trend_name() not in c.names]
+        second = min(self._round(cause, others, depth), key=lambda x: float(x.per_step[self.train].sum()), default=None)
+        return cause if second is not None and self.judge.tied(accepted, second) else accepted
 
     def _special_case(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """Of a round the best hypothesis with a special case in place of the one that was added; None without one.

@@ -11,6 +11,7 @@ from analysis.attribution.candidates import Candidate, candidates_of, trends_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.selection import StepwiseSelection
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.values import TREND
 from analysis.thresholds import FROZEN
 
 RATIO = ("table_resonance", "mass_ratio")
@@ -97,3 +98,22 @@ def test_a_small_rebound_is_sought_from_small_sizes(
     options = [c for c in candidates_of(model) if c.free == (e0,)]
     found = selection.proposals.round(selection.declared(), options, lambda *_: None)
     assert found[0].fitted.values[e0] == pytest.approx(0.005, rel=0.15)
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_a_drift_gives_way_to_a_second_cause_that_does_as_well(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], drifts: bool
+) -> None:
+    """Friction is chosen with its drift: it stays where friction drifts, and goes where the accelerometer is late."""
+    drift = {(name, q + TREND): 0.08 for name, q in (UP, DOWN)}
+    second = drift if drifts else {("accelerometer_lag", "delay_s"): 2e-4}
+    model = fly_ramp({UP: 0.2, DOWN: 0.2, **second}, 1)
+    options = [c for c in candidates_of(model) if c.names in (("coulomb_friction",), ("accelerometer_lag",))]
+    selection = StepwiseSelection(model, fitter_of(model), library=options)
+    nothing = selection.declared()
+    friction = selection.proposals.add(nothing, next(c for c in options if c.free == (UP, DOWN)))
+    assert friction is not None
+    accepted = selection.proposals.add(friction, next(c for c in trends_of(friction.free) if len(c.free) == 2))
+    assert accepted is not None
+    chosen = selection._without_drift(nothing, accepted, [friction, accepted], 0)
+    assert chosen is (accepted if drifts else friction)
