@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -24,6 +24,7 @@ from scipy.special import log_ndtr
 
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.selection import Scatter, SelectionResult
 from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import T_PEAK, excess_noise
@@ -33,13 +34,9 @@ from analysis.thresholds import OUTLIER_FRACTION, Thresholds
 from kernels.arrays import Floats
 from model.effects.registry import effect
 
-if TYPE_CHECKING:
-    from analysis.attribution.selection import SelectionResult
-
 SCATTER = ("restitution_scatter", "sd")
 FEWEST_REBOUNDS = 30  # whose landings tell the scatter
 LEAST_SD = 1e-5
-MOST_TURNS = 2  # of fits, until the scatter stands still
 
 
 @dataclass(frozen=True)
@@ -75,20 +72,6 @@ class Rebounds:
         density = 0.5 * (s / width) ** 2 + np.logaddexp(*tails) - np.log(2.0 * width * T_PEAK)
         outlier = np.log(OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK / self.period_s)
         return -float(np.sum(np.logaddexp(density, outlier)))
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """Standard deviation of the restitution from impact to impact, its own standard deviation, and its gain in nats
-    over uncertainties of another size and over one excess noise of all landings after rebounds."""
-
-    sd: float
-    sigma: float
-    gain: float
-
-    def is_clear(self, limits: Thresholds) -> bool:
-        """Whether it is beyond doubt, as a further cause has to be."""
-        return self.gain > limits.next_effect_nats and self.sd > limits.next_effect_sigmas * self.sigma
 
 
 def scatter_of(x: Hypothesis) -> Scatter | None:
@@ -134,7 +117,7 @@ def with_scatter(
     model, scatter = found.best.model, scatter_of(found.best)
     if SCATTER in model.base or scatter is None or not scatter.is_clear(limits):
         return None
-    for _ in range(MOST_TURNS):
+    for _ in range(2):  # until the scatter stands still
         declared = {**model.declared, SCATTER[0]: {SCATTER[1]: scatter.sd}}
         found = select(ForwardModel(model.observations, declared, like=model))
         used, scatter = scatter, scatter_of(found.best)

@@ -21,7 +21,6 @@ from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, cont
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected
 from analysis.attribution.proposals import Proposals
-from analysis.attribution.rebound_scatter import Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, Thresholds
@@ -29,6 +28,20 @@ from model.effects.registry import trend_name
 from model.effects.routing import ball_effects
 
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviation of the restitution from impact to impact, its own standard deviation, and its gain in nats
+    over uncertainties of another size and over one excess noise of all landings after rebounds."""
+
+    sd: float
+    sigma: float
+    gain: float
+
+    def is_clear(self, limits: Thresholds) -> bool:
+        """Whether it is beyond doubt, as a further cause has to be."""
+        return self.gain > limits.next_effect_nats and self.sd > limits.next_effect_sigmas * self.sigma
 
 
 @dataclass(frozen=True)

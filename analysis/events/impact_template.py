@@ -32,9 +32,6 @@ BEGINNINGS, LEAST_DECAY = (1.0, 1.5, 2.0, 3.0, 4.0), 2.0  # `SLOW_S` after the p
 CUT_OFF = 0.03  # rms of the last quarter over the greatest value, above which only one mode's decay may be cut off
 ONSET_SIGMAS = 5.0  # height in the noise of a point below which no onset is placed
 MIN_LANDINGS = 6  # landings needed for a template
-MIN_AGREEMENT = 0.7  # least correlation between the templates of one half of the landings and of the other
-FIRST_AGREEMENT = 0.4  # of landings at the first sample heard, before a template has aligned them
-LIKENESS = 0.75  # correlation with the median waveform, as a part of the usual one, below which a landing is left out
 MIN_FAST_PART = 0.3  # least part of the template that the projector leaves
 TYPICAL_HZ = 30.0  # impacts a second for which a mask is chosen
 SHORTEST_MASK_S, LONGEST_MASK_S, LONGEST_PART = 1e-3, 8e-3, 0.6  # the longest, also as a part of a long template
@@ -132,12 +129,13 @@ def template_from_snippets(
     halves = [np.median(flat[i::2], axis=0) for i in (0, 1)]
     agreement = float(halves[0] @ halves[1]) / max(float(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1])), 1e-300)
     least = max(3.0 * scatter, 4.0)  # in its error, and in the noise of a landing
-    if strength < least or agreement < (MIN_AGREEMENT if aligned else FIRST_AGREEMENT):
+    # landings at the first sample heard agree less than those that a template has aligned
+    if strength < least or agreement < (0.7 if aligned else 0.4):
         return None
     size = flat @ (mean / strength)
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
     # a landing placed a period of the ringing off would spoil the mean
-    size[likeness < LIKENESS * np.quantile(likeness, 0.75)] = 0.0
+    size[likeness < 0.75 * np.quantile(likeness, 0.75)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
     known = ringing_part(_continued(fine, prediction, snippets.shape[1]), sigma_v, noise.rate_hz)

@@ -19,7 +19,7 @@ import numpy as np
 from analysis.attribution.candidates import Candidate, candidates_of, null_value_of, parameter_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.second_order import gradient_and_information, slopes_of
+from analysis.explore.second_order import gradient_and_information, slopes_of
 from analysis.linear_algebra import inv, lstsq, slogdet
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import ParameterId, Values

@@ -24,10 +24,10 @@ from analysis.attribution.choice import contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.proposals import Proposals
-from analysis.attribution.second_order import slopes_of
 from analysis.attribution.selection import SelectionResult
 from analysis.explore.choice import MOST_EXPLANATIONS, Block, Option, Pool, best_block, divergences
 from analysis.explore.explanations import Explanation, Weighed, weighed
+from analysis.explore.second_order import slopes_of
 from analysis.linear_algebra import inv, solve
 from analysis.loop.close_loop import FittedLoop
 from analysis.loop.design import simulate_steps

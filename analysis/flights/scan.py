@@ -212,15 +212,14 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
             progress(piece.last / recording.n_samples)
     plate = with_coloured_noise(accumulator.finish())
     impacts = NO_IMPACTS if detector is None else detector.impacts().away_from(recording.gaps[:, 0] / rate_hz)
-    noise_v = 0.0 if known.noise is None else known.noise.rms_v
-    noise_mps2 = noise_v / abs(recording.setup.channels.accelerometer.volts_per_mps2)
+    noise_v, accelerometer = 0.0 if known.noise is None else known.noise.rms_v, recording.setup.channels.accelerometer
     return Scan(
         survey=known,
         steps=steps,
         crossings=contact.crossings(),
         starts_open=contact.started_open,
         impacts=impacts.strong_in(_cut_off_spans_s(recording, steps, plate)),
-        plate=PlateMotion(plate, noise_mps2, rate_hz, recording.gaps),
+        plate=PlateMotion(plate, noise_v / abs(accelerometer.volts_per_mps2), rate_hz, recording.gaps),
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
         filled_spans_s=_filled_spans_s(recording),
     )

@@ -17,7 +17,7 @@ from analysis.attribution.candidates import Prior, candidates_of, coordinate_of,
 from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
-from analysis.attribution.second_order import adjusted_gradient_and_information, secants_at, slopes_at
+from analysis.explore.second_order import adjusted_gradient_and_information, secants_at, slopes_at
 from analysis.joint.population import Quadratic
 from analysis.joint.result import RunOutcome
 from analysis.joint.systematics import PLACES, Systematics

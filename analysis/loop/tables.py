@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.rebound_scatter import SCATTER, Scatter
+from analysis.attribution.rebound_scatter import SCATTER
+from analysis.attribution.selection import Scatter
 from analysis.loop.result import (
     AddedEffect,
     Calibration,

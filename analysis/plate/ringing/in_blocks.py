@@ -17,7 +17,6 @@ LEAD_S = 1e-3  # before an impact, left out with it
 HUM_HZ = tuple(k * hz for hz in MAINS_HZ for k in (1, 3, 5))
 INTEGRALS = 3  # the drive, and its first and second integral
 LEAKS = 0.1  # of the forcing's frequency: below it an integral of the drive leaks, as it would wander
-END_S = 0.1  # at the end of a recording, where the drive is cut off and its integrals are not known
 
 
 def volts_in_blocks(recording: Recording, width: int) -> tuple[Floats, Floats]:
@@ -45,7 +44,7 @@ def unmasked(n: int, block_s: float, landing_s: Floats, mask_s: float) -> Bools:
     last = np.clip(((landing_s + mask_s) / block_s).astype(np.int64) + 1, 0, n)
     np.add.at(edges, first, 1)
     np.add.at(edges, last, -1)
-    edges[max(n - round(END_S / block_s), 0)] += 1
+    edges[max(n - round(0.1 / block_s), 0)] += 1  # s: there the drive is cut off, and its integrals are not known
     return np.asarray(np.cumsum(edges[:-1]) == 0)
 
 

@@ -19,7 +19,6 @@ from analysis.plate.ringing.ball_push import Push
 from kernels.arrays import Bools, Complexes, Floats
 
 KICK_MPS, KICK_PART = 2.5e-4, 1e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
-UNKNOWN_MPS = 1.0  # where it was not followed before, or flights were missed
 TORN_S = 0.5  # length of such a piece
 LEFT = 0.005  # of the mode's power, which may be noise: where impacts are masked it is another one
 
@@ -98,7 +97,7 @@ class PushedPlate:
         sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2)
         for begin_s in (-TORN_S, *self.torn_s):
             # where flights were missed, or before the first sample, the plate may have got any kick
-            sure[(time_s >= begin_s) & (time_s <= begin_s + TORN_S)] = UNKNOWN_MPS**-2
+            sure[(time_s >= begin_s) & (time_s <= begin_s + TORN_S)] = 1.0  # m/s
         step = np.exp(turn * np.diff(time_s))
         own = sure + np.append(np.abs(step) ** 2 * sure[1:], 0.0)
         bands = np.zeros((4, 2 * m))

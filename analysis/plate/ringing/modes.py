@@ -29,7 +29,6 @@ ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
 AGREED_MPS2 = 5e-4  # change of the impacts' mean push at which they agree with the motion: .00005 of the ball's weight
 SETTLED = 3e-4  # relative change of frequency and damping
 RINGS_ON = 2.0  # of the mask: what still rings behind it would pull
-MOST_S = 100.0  # of a long recording its end, where the ball is thrown hardest
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,8 @@ def identified_mode(
         return Identified()
     whole = _Recorded.of(recording, takeoff_s, landing_s, mask_s, high_pass_hz)
     block_s = whole.block_s
-    skipped = max(len(whole.acceleration) - round(MOST_S / block_s), 0)
+    # of a long recording the last 100 s, where the ball is thrown hardest
+    skipped = max(len(whole.acceleration) - round(100.0 / block_s), 0)
     record, begun, found = replace(whole.last(skipped), forces=0), [0], None
     for _ in range(4):  # three pieces may be left out
         if len(record.landing_s) < 20 or np.count_nonzero(record.known) < 1000:
