@@ -28,7 +28,7 @@ from analysis.residuals.lack_of_fit import (
     plate_rms_standardised,
     rms_standardised,
 )
-from analysis.residuals.noise.noise_model import robust_weight
+from analysis.residuals.noise.noise_model import robust_loss, robust_weight
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
@@ -43,6 +43,7 @@ SETTLED = 0.2  # move of a free value in one more fit that still counts as none,
 DAMPING = 1e-10  # along a valley
 REACH = 0.1  # of a step, over which the curvature is taken
 PARTS = (1.0, 0.5, 0.25, 0.125)
+ODD, MOST_ODD = 1.2, 0.2  # loss of an event, nats (noise leaves .4), from which a step is odd; part of the steps
 
 
 def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
@@ -184,8 +185,25 @@ class Refits:
         fitted = to_the_bottom(self.fitter.fit(x.whitener, x.free, x.fitted.values))
         return self.scored(x.candidates, self.reweighted(fitted))
 
+    def _past_odd_steps(self, x: Hypothesis) -> Hypothesis:
+        """The hypothesis fitted from where the other steps lead, where a few steps cost far more than noise would.
+
+        Where flights graze, they leap between minima: a step of them can hold a fit that all others would lead on.
+        """
+        step = x.whitener.step
+        z, odds = x.whitener.white_all(x.fitted.raw)[: len(step)], x.whitener.odds[: len(step)]
+        lost, events = (np.bincount(step, v, len(self.train)) for v in (robust_loss(z, odds), np.ones(len(step))))
+        odd = self.train & (lost > ODD * events)
+        if not 0 < odd.sum() <= MOST_ODD * self.train.sum():
+            return x
+        without = Fitter(self.model, self.fitter.priors, self.train & ~odd).fit
+        led = self.attempted(x.candidates, without, x.whitener, x.free, x.fitted.values)
+        back = led and self.attempted(x.candidates, self.fitter.fit, x.whitener, x.free, led.values)
+        return self.scored(x.candidates, back) if back and back.loss < x.fitted.loss - LEAST_GAIN else x
+
     def settled(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted again until no free value moves by more than a part of its standard deviation."""
+        x = self._past_odd_steps(x) if x.free else x
         for _ in range(4):
             if not x.free:
                 break

@@ -26,7 +26,7 @@ from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Detection, Measured, PlateSteps, active
+from model.integrator.problem import Detection, Measured, PlateSteps, active, columns_of
 
 MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
@@ -173,12 +173,13 @@ class ForwardModel:
             total = total + self._hook_in_steps(entry, hook, own)
         return total
 
-    def reading(self, values: Values) -> Complexes | Floats:
-        """What the accelerometer shows of each tone of the plate, relative to it, (m, k)."""
+    def reading(self, values: Values, *, without: str = "") -> Complexes | Floats:
+        """What the accelerometer shows of each tone of the plate, relative to it, ``without`` an effect, (m, k)."""
         total: Complexes | Floats = np.ones(self.observations.steps.plate.omega_radps.shape)
         for entry, own in self._with_hook(values, "accelerometer_response"):
-            key = ("reading", entry.effect.name, own)
-            total = total * self._plate_memory.recall(key, functools.partial(self._reading_of, entry, own))
+            if entry.effect.name != without:
+                key = ("reading", entry.effect.name, own)
+                total = total * self._plate_memory.recall(key, functools.partial(self._reading_of, entry, own))
         return total
 
     def _reading_of(self, entry: Registered, own: Own) -> Complexes | Floats:
@@ -274,7 +275,10 @@ class ForwardModel:
         x = self.inputs(values, tones, rows)
         measured, mode = self.measured_at(x, wanted), self.measured_mode(x.rows)
         if mode is not None:  # it is known everywhere, and so is a kick to it
-            measured, kick = replace(measured, mode=mode.kicked(kick)), (0.0, 0.0)
+            bounces = bool(np.any(x.rows[columns_of("rebound")] > 0.0))
+            measured, kick = replace(measured, mode=mode.kicked(kick, bounces=bounces)), (0.0, 0.0)
+            # it was seen as the accelerometer shows it, but for a high-pass, which was undone
+            mode = mode.read(self.reading(values, without="accelerometer_high_pass"))
         if landing_shift_s is not None:
             measured = replace(measured, landing_s=measured.landing_s + landing_shift_s)
         p = one_ahead(measured, x.plate, x.rows, self.detection_at(x), kick=kick, probe=self.ringing, mode=mode or near)
@@ -350,7 +354,8 @@ class ForwardModel:
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
         if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):
-            added = functools.partial(ringing.added, ev.plate, ev.steps.plate, p, self.inexact(values))
+            shown = replace(p, mode_amplitudes=p.mode_amplitudes * self.reading(values))
+            added = functools.partial(ringing.added, ev.plate, ev.steps.plate, shown, self.inexact(values))
             of_flights = ("mode in plate data", values.flying)
             with np.errstate(over="ignore", invalid="ignore"):  # of a mode that diverges
                 mode = self.memory.recall(of_flights, added) if rows is None else added()

@@ -34,6 +34,12 @@ class Push:
     late_s: float = 0.0  # by so much the accelerometer shows what happens too late
     rise_mps2: Floats | float = 0.0  # change of the contact's push over the length of each block, (n,)
     missed_mps: float = np.inf  # median speed by which flights from rest miss the plate; none where they are too few
+    left_mps: Floats | float = 0.0  # part of the impulse by which the ball left at once, (m,); 0 where it stayed
+
+    def left_at_mps(self, landing_s: Floats) -> Floats:
+        """``left_mps`` of the impacts that ended flights, (k,)."""
+        between_s = 0.5 * (self.impact_s[1:] + self.impact_s[:-1])
+        return np.broadcast_to(self.left_mps, self.impact_s.shape)[np.searchsorted(between_s, landing_s + self.late_s)]
 
     @property
     def impacts_mps2(self) -> Floats:
@@ -109,12 +115,13 @@ def ball_push(
         back = (twice(ended_s) - twice(begun_s)) / length_s - once(begun_s) + friction * slowed_back
         missed_mps = float(np.median(np.abs(back[long])))
     start = np.where(bounced, back, 0.0)
-    impulse = gained - start + np.append(start[1:], 0.0)
+    left = np.append(start[1:], 0.0)
     # what changes at an impact is the speed over the plate, which recoils
     loaded = 1.0 + mass_ratio
     pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
     rise = -(1.0 - air) * once(edges_s[:-1] + 0.5 * block_s, 2) * block_s / loaded
-    return Push(pressed, landed_s + late_s, -impulse / loaded, block_s, late_s, rise, missed_mps)
+    impulse, left = -(gained - start + left) / loaded, -left / loaded
+    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, left)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +13,15 @@ from analysis.attribution.candidates import Candidate, Prior, priors_of
 from analysis.attribution.choice import contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import SETTLED, Hypothesis, Refits, to_the_bottom, with_hidden_free
+from analysis.flights.assemble import flights_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
+from analysis.residuals.observations import observed
 from analysis.residuals.values import ParameterId
+from benchmarks.analysis.ringing import drawn
+from benchmarks.plants import other_plant
+from benchmarks.plants.handed_over import imported
+from daq.recording import open_recording
 
 CORNER, LAG = ("accelerometer_high_pass", "corner_hz"), ("accelerometer_lag", "delay_s")
 UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
@@ -90,3 +98,23 @@ def test_frictions_that_a_scale_can_hide_in_are_followed_to_the_bottom(
         for key, value in truth.items():
             assert fitted.values[key] == pytest.approx(value, abs=0.2 * fitted.sigma(key))
     assert to_the_bottom(deep) is deep
+
+
+def test_a_step_of_grazing_flights_does_not_hold_a_fit_that_all_others_lead_on(tmp_path: Path) -> None:
+    """In one of 27 steps the ball flies for nearly all of the time: it leaves the fit where both frictions are wrong,
+    six standard deviations apart, and all its own landings are missed by .2 to .6 ms."""
+    mode = {"table_resonance.hz": 4.4273, "table_resonance.damping": 0.0276, "table_resonance.ratio": 0.0886}
+    run = replace(drawn(152016, without=False), hidden={**mode, "coulomb_friction.mu": 0.0463})
+    path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)
+    with open_recording(path) as recording:
+        model = ForwardModel(observed(recording, flights_of(recording)), {})
+    fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
+    refits, measured = Refits(fitter), {k: v for k, (v, _) in model.observations.ringing.mode.measured().items()}
+    free = (*measured, UP, DOWN, LAG)
+    traded = {**measured, UP: 0.035, DOWN: 0.058, LAG: 4.2e-5, SCALE: 0.01, GAIN: -0.01}
+    held = refits.converged((Candidate(("coulomb_friction",), free),), Whitener.of(model, traded), free, traded)
+    assert held.fitted.values[UP] < 0.0463 - 2.5 * held.fitted.sigma(UP)
+    led = refits.settled(held).fitted
+    assert led.loss < held.fitted.loss - 10.0
+    for key in (UP, DOWN):
+        assert abs(led.values[key] - 0.0463) < 0.5 * abs(held.fitted.values[key] - 0.0463)

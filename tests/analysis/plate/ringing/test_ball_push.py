@@ -33,6 +33,15 @@ def test_rebounds_give_back_what_the_flights_gained() -> None:
     assert np.sum(impulses[at - 5 : at + 5]) * BLOCK_S == pytest.approx(-G * 0.04, rel=1e-6)
 
 
+def test_what_a_ball_gives_by_leaving_at_once_is_told_from_what_its_impact_gives() -> None:
+    """After four flights that follow one another the ball stays, and flies once more from there."""
+    edges_s = np.linspace(0.1, 0.3, 5)
+    takeoff_s, landing_s = np.append(edges_s[:-1], 0.4), np.append(edges_s[1:], 0.45)
+    push = ball_push(np.zeros(1000), BLOCK_S, takeoff_s, landing_s, G)
+    wanted = [-0.025 * G, -0.025 * G, -0.025 * G, 0.0, 0.0]
+    np.testing.assert_allclose(push.left_at_mps(landing_s), wanted, rtol=1e-6, atol=1e-12)
+
+
 def test_blocks_that_an_impact_hides_are_bridged() -> None:
     """A line joins the known ones."""
     known = np.ones(10, dtype=np.bool_)

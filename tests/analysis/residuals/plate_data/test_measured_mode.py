@@ -128,3 +128,53 @@ def test_take_offs_from_a_plate_that_rings_are_not_taken_for_a_late_contact(tmp_
         seen = observed(recording, flights_of(recording))
     assert seen.ringing.mode is not None
     assert not any("circuit opens" in note for note in seen.notes)
+
+
+LATE_S, SOFT = 2.0**0.5 / (2.0 * np.pi * 1e3), (3.5, 0.15, 0.15)
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> tuple[ForwardModel, dict[tuple[str, str], float]]:
+    """A soft plate under flights after rests of a millisecond, behind a low-pass of 1 kHz; its true values."""
+    hidden = dict(zip(("table_resonance.hz", "table_resonance.damping", "table_resonance.ratio"), SOFT, strict=True))
+    gammas = np.random.default_rng(4).permutation(np.round(np.linspace(0.6, 1.4, 12), 4))
+    run = other_plant.Run(
+        c=2,
+        hidden=hidden,
+        seed=4,
+        gammas=tuple(gammas.tolist()),
+        closure_s=1e-4,
+        instrument=Instrument(low_pass_hz=1e3),
+    )
+    path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path_factory.mktemp("late"))
+    with open_recording(path) as recording:
+        model = ForwardModel(observed(recording, flights_of(recording)), {})
+    names = ("frequency_hz", "damping", "mass_ratio")
+    true = {("table_resonance", k): v for k, v in zip(names, SOFT, strict=True)}
+    return model, {**true, ("accelerometer_lag", "delay_s"): LATE_S}
+
+
+def test_a_ball_that_lies_for_a_millisecond_presses_the_plate_once(
+    late: tuple[ForwardModel, dict[tuple[str, str], float]],
+) -> None:
+    """Flights that seem to begin at once, and do not, are predicted as well as those after a rest that was seen."""
+    model, true = late
+    left, seen = model.residuals(true), model.observations.measured
+    stayed = seen.relaunched & (left.predicted.kind == 0.0) & np.isfinite(left.landing_s)
+    assert stayed.sum() > 8
+    z = left.landing_s / uncertainty_at(model, true).landing_total_s
+    assert np.sqrt(np.mean(z[stayed] ** 2)) < 1.5
+
+
+def test_a_late_accelerometer_shows_the_mode_late_too(
+    late: tuple[ForwardModel, dict[tuple[str, str], float]],
+) -> None:
+    """What the drive does not ask for is the mode's: its harmonics, taken as late as the drive's, leave nothing."""
+    model, true = late
+    plate = model.observations.steps.plate
+    added = model.predicted(true).mode_amplitudes
+    k = np.abs(plate.omega_radps[:, : added.shape[1]] / (2.0 * np.pi) - 3.0 * 25.37) < 0.1
+    own = k & (plate.acceleration_mps2[:, : k.shape[1]] != 0.0)
+    shown = (plate.acceleration_mps2 / model.reading(true))[:, : k.shape[1]][own]
+    assert own.sum() > 5
+    assert np.angle(np.vdot(added[own], shown)) == pytest.approx(0.0, abs=0.02)
