@@ -134,7 +134,7 @@ def template_from_snippets(
         return None
     size = flat @ (mean / strength)
     likeness = size / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)
-    # a landing placed a period of the ringing off would spoil the mean
+    # a landing placed a period of the ringing off would spoil the mean: it is less like it than most
     size[likeness < 0.75 * np.quantile(likeness, 0.75)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
@@ -279,6 +279,7 @@ def one_mode(fine: Floats, quick: Floats, peak: int, end: int, width: int) -> De
 
 def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[float, Decay]]:
     """What one mode and a polynomial leave of the end of a waveform, and both; none where they do not fit."""
+    # some 400 points tell a decay, and a fit of them is quick
     n, size, point = seen.size, float(np.std(quick)), np.arange(0, seen.size, max(FINE // 2, seen.size // 400))
     early, late = (float(np.std(half)) for half in np.array_split(quick, 2))
     if not early > late > 0.0:
@@ -296,7 +297,7 @@ def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[f
         return np.asarray(every @ lstsq(every, unit)[0] - unit)
 
     p = least_squares(left, np.ones(2), bounds=([0.2, 0.8], [5.0, 1.25])).x
-    if not np.std(left(p)) < 0.1:
+    if not np.std(left(p)) < 0.1:  # of the end's own deviation
         return []
     parts: Floats = np.asarray(size * lstsq(columns(p), unit)[0], dtype=np.float64)
     fall, period = (float(x) for x in p * start)

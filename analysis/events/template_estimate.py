@@ -127,6 +127,7 @@ def estimate_template(
         pieces, rate_hz = [piece.thinned(width) for piece in pieces], rate_hz / width
     steps = _unbroken(steps, np.zeros(0, np.int64) if gaps is None else gaps[:, 0], width)
     tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
+    # the filter is made blind to four of the recording's frequencies: others lie between them
     few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, 4).astype(int))]
     stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
     nothing = [np.zeros(0) for _ in pieces]
@@ -139,7 +140,7 @@ def estimate_template(
     template: ImpactTemplate | None = None
     for turn in range(N_ALIGNMENTS):
         snippets, fractions = _all_snippets(clean, found, rate_hz, template)
-        most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:400]
+        most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:400]  # the strongest
         template = template_from_snippets(snippets[most], fractions[most], noise, few, prediction, aligned=turn > 0)
         if template is None:
             break
@@ -179,6 +180,7 @@ def _all_snippets(
 ) -> tuple[Floats, Floats]:
     echo = echo_samples(rate_hz) if template is None else min(template.fine.size // FINE, echo_samples(rate_hz))
     strength = np.concatenate([own.strength for own in found])
+    # weak impacts would only add noise: those used stand out of it, and are no small part of the usual strong ones
     least = max(12.0, 0.3 * float(np.quantile(strength, 0.9))) if strength.size else 0.0
     rows = [_snippets(*one, own, least, echo, template) for one, own in zip(clean, found, strict=True)]
     return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
@@ -332,7 +334,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
     for row in steps[(ends > piece.first) & (steps["first_sample"] < piece.last)]:
         start = max(int(row["first_sample"] + row["settle_samples"]), piece.first)
         stop = min(int(row["first_sample"] + row["n_samples"]), piece.last)
-        if stop - start < 3.0 * rate_hz / row["frequency_hz"]:
+        if stop - start < 3.0 * rate_hz / row["frequency_hz"]:  # cycles, fewer of which do not tell the motion
             continue
         own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
         if share_at_an_end(volts[own], rate_hz) > STANDS:
