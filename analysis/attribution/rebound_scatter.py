@@ -3,7 +3,7 @@
 An impact whose restitution is off by ``d`` moves the next landing by ``d`` times the landing's slope by restitution. Of
 a two-sided exponential ``d`` and a normal error of the times the density is known in closed form. Where it fits
 landings far better than one excess noise of all of them, the hypotheses are fitted anew with that scatter as a part of
-each rebound's uncertainty; it is a cause only where what is then left passes the tests that had failed.
+each rebound's uncertainty. The closed loop names it where it then explains the recording. Decision 630.
 
 References
 ----------
@@ -114,8 +114,9 @@ def with_scatter(
     select
         The selection under another model.
     """
-    model, scatter = found.best.model, scatter_of(found.best)
-    if SCATTER in model.base or scatter is None or not scatter.is_clear(limits):
+    model = found.best.model
+    scatter = None if SCATTER in model.base else scatter_of(found.best)
+    if scatter is None or not scatter.is_clear(limits):
         return None
     for _ in range(2):  # until the scatter stands still
         declared = {**model.declared, SCATTER[0]: {SCATTER[1]: scatter.sd}}

@@ -186,10 +186,7 @@ def _holding(q, g, here, rested_s):
 
 @njit()
 def _march(q, off, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
-    """March ball and table; fill the plate's acceleration at ``every`` step, edges (+t opens, -t closes), impacts.
-
-    Each impact's restitution is by so much ``off`` (k,).
-    """
+    """March; fill the plate at ``every`` step, edges (+t opens, -t closes), impacts. Restitutions are ``off`` (k,)."""
     g = 9.80665 * (1.0 + q[_GRAVITY])
     slow_w = 2.0 * math.pi * q[_TABLE_HZ]
     y = yv = load = h = u = rested = left = last = 0.0  # h, u: height and speed above the plate
@@ -260,10 +257,6 @@ def _felt_g(run: Run, plate: np.ndarray, rate_hz: float) -> np.ndarray:
 
 def simulate(run: Run) -> dict[str, np.ndarray]:
     """Run the experiment.
-
-    Parameters
-    ----------
-    run : Run
 
     Returns
     -------
