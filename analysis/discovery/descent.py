@@ -86,6 +86,11 @@ class StackedResiduals:
         cap = FARTHEST_PERIODS * self.period_s
         return np.asarray(np.clip(np.where(np.isfinite(both), both, cap), -cap, cap))
 
+    def scatter(self, r: Floats) -> float:
+        """Root mean square of the trained landings over their uncertainty, each at most 6 and with at least 1 us."""
+        rows = ~self.first & self.train
+        return float(np.sqrt(np.mean(np.clip(r[rows] / np.hypot(self.sigma_s[rows], 1e-6), -6.0, 6.0) ** 2)))
+
     def loss(self, r: Floats) -> float:
         """Loss of what is trained on, each channel's excess at its best."""
         total = 0.0

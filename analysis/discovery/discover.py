@@ -16,7 +16,7 @@ from analysis.attribution.choice import LogScoreDifference, tied
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
-from analysis.discovery.symbolic import FittedForm, search_forms
+from analysis.discovery.symbolic import FittedForm, Forms, search_forms
 from analysis.discovery.terms import Curve, label
 from analysis.parallel import THREADS
 from analysis.residuals.covariates import Covariate
@@ -66,7 +66,7 @@ class Discovery:
     # named effects that shift the flights in a similar pattern, with the correlation
     similar_effects: tuple[tuple[str, float], ...]
     tied_covariates: tuple[str, ...]  # other covariates that do as well on held-out steps
-    after: Errors  # errors on the reserved steps with the term
+    after: Errors  # errors on the reserved steps with the term, by the suggested formula where there is one
     noise_floor_us: float  # rms that noise leaves of landings there
     of: str = ""  # name of the covariate for programs
     within_flight: bool = False  # whether it varies within the flight
@@ -84,8 +84,9 @@ def discover(
 ) -> Discovery | None:
     """Search for a smooth term that explains what the named effects do not.
 
-    None where no term gains on held-out steps over the named effects and its constant. Of terms within chance of the
-    best it is the one of least curvature.
+    None where no term gains on held-out steps over the named effects and its constant. Where a formula does as well as
+    the best curve, the term is the one that it is a formula of; else, of those within chance of the best, the one of
+    least curvature.
 
     Parameters
     ----------
@@ -97,32 +98,45 @@ def discover(
         Thresholds of gains and ties.
     """
     train, tables = fitter.train, model.covariates(explanation.fitted.values)
-    found: list[RefinedTerm] = []
+    found, laws = list[RefinedTerm](), list[Forms]()
     # the effects of plate and instruments are held on to first, then all named ones
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
     every = explanation.candidates
     for named in (still,) if len(still) == len(every) else (still, every):
         found += _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
-        # of the terms within chance of the best the least curved; of its curves, that of least scatter
-        least = min(p.held_out for p in found) + limits.gain_nats
-        able = [p for p in found if p.held_out < least]
-        term = min(able, key=lambda p: p.curve.total_curvature).curve.term
-        best = min((p for p in able if p.curve.term == term), key=lambda p: p.scatter)
-        if best.scatter < limits.base_rms:
+        best = _least_curved(found, limits)
+        # formulas of that term, and of the next in the order of what held-out steps say
+        ranked = {p.curve.term: p for p in sorted(found, key=lambda p: -p.held_out)} | {best.curve.term: best}
+        for p in [best, *(p for p in reversed(ranked.values()) if p is not best)][:2]:
+            if all(forms.best is not p for forms in laws):
+                laws.append(search_forms(p, tables, limits))
+        if min(best.scatter, *(forms.scatter for forms in laws)) < limits.base_rms:
             break
-    gain = LogScoreDifference.of(named_loss(model, explanation, train), best.per_step, train)
+    # a formula that does as well as the best curve goes before every curve
+    forms = min(laws, key=lambda forms: forms.penalised)
+    if not tied(best.per_step, forms.told.per_step, train, limits):
+        forms = next(forms for forms in laws if forms.best is best)
+    best, told = forms.best, forms.told
+    gain = LogScoreDifference.of(named_loss(model, explanation, train), told.per_step, train)
     if gain.gain < limits.gain_nats:  # the goodness-of-fit tests have refused the named effects already
         return None
-    named = best.explanation.candidates
-    level = TermSearch(model, fitter, explanation, named, tables).refine(
+    level = TermSearch(model, fitter, explanation, told.candidates, tables).refine(
         best.curve.without_covariate(len(model.observations))
     )
     # a curve that does no better than its constant shows no law of the covariate
-    constant = LogScoreDifference.of(level.per_step, best.per_step, train)
+    constant = LogScoreDifference.of(level.per_step, told.per_step, train)
     if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
         return None
-    others = [p for p in found if p is not best and tied(best.per_step, p.per_step, train, limits)]
-    return _discovery(best, gain, constant, others, tables, limits)
+    others = [p for p in found if p is not best and tied(told.per_step, p.per_step, train, limits)]
+    return _discovery(forms, gain, constant, others, tables, limits)
+
+
+def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
+    """Of the terms within chance of the best the least curved; of its curves, that of least scatter."""
+    least = min(p.held_out for p in found) + limits.gain_nats
+    able = [p for p in found if p.held_out < least]
+    term = min(able, key=lambda p: p.curve.total_curvature).curve.term
+    return min((p for p in able if p.curve.term == term), key=lambda p: p.scatter)
 
 
 def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
@@ -139,7 +153,7 @@ def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
 
 
 def _discovery(
-    best: RefinedTerm,
+    forms: Forms,
     gain: LogScoreDifference,
     constant: LogScoreDifference,
     others: Sequence[RefinedTerm],
@@ -147,8 +161,8 @@ def _discovery(
     limits: Thresholds,
 ) -> Discovery:
     """The chosen term as numbers and names."""
-    curve, model, fitted = best.curve, best.model, best.explanation.fitted
-    covariate = Covariate(*label(curve.term))
+    best, model, fitted = forms.best, forms.told.model, forms.told.fitted
+    curve, covariate = best.curve, Covariate(*label(best.curve.term))
     seen = tables[curve.term.of if curve.term.columns else REACHES.get(curve.term.of, curve.term.of)]
     seen = seen[model.observations.scored]
     values, half = curve.at(curve.points), best.band
@@ -157,7 +171,7 @@ def _discovery(
         values, low, high = -values, -high, -low
     names = dict.fromkeys(label(p.curve.term)[0] for p in others)
     names.pop(covariate.words, None)
-    rows, left_out = scored_rows(model, fitted.values, ~best.explanation.fitter.train)
+    rows, left_out = scored_rows(model, fitted.values, ~fitted.fitter.train)
     return Discovery(
         curve.term.name,
         covariate,
@@ -172,7 +186,8 @@ def _discovery(
         noise_floors_us(model, fitted.values, rows)[0],
         curve.term.of,
         not curve.term.columns,
-        *search_forms(best, tables, limits),
+        forms.tried,
+        forms.suggested,
     )
 
 

@@ -43,7 +43,6 @@ from analysis.discovery.terms import (
 from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import robust_loss
-from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId, Values
 from analysis.statistics import Z95
@@ -206,29 +205,17 @@ class TermSearch:
         stack = StackedResiduals.of(augmented, values, self.train)
         r = stack.residuals(augmented, values)
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
-        # residuals of openings and landings (n,), each step's with the curve that the others give; these curves
-        measured, curves = self.model.observations.measured, []
-        p = AugmentedModel(self.model, [curve], self.dwell).predict(values)
-        opening, landing = measured.opening_s - p.opening_s, measured.landing_s - p.landing_s
-        for fold in self._folds():
-            step = newton_step(stack.without(fold[stack.event]), r, jacobian, penalty=penalty_of_curve(curve))
+        # residuals, each step's with the curve that the others give; these curves
+        held, curves = r.copy(), []
+        for fold in (f[stack.event] for f in self._folds()):
+            step = newton_step(stack.without(fold), r, jacobian, penalty=penalty_of_curve(curve))
             other = curve.moved(curve.values + step)
             curves.append(other.values)
-            p = AugmentedModel(self.model, [other], self.dwell).predict(values)
-            opening = np.where(fold, measured.opening_s - p.opening_s, opening)
-            landing = np.where(fold, measured.landing_s - p.landing_s, landing)
-        opening_s, landing_s, folds = opening, landing, np.array(curves)
-        held = stack.cut(opening_s, landing_s)
+            held[fold] = stack.residuals(AugmentedModel(self.model, [other], self.dwell), values)[fold]
         losses = {"events": self._by_step(stack, held), "plate": plate_loss(augmented, values)}
         explanation = Hypothesis(self.named, fitted, Whitener.of(augmented, values), losses)
-        # root mean square of held-out landing residuals (n,) over their uncertainty, on the steps of the fit
-        observations = self.model.observations
-        rows = observations.scored & self.train[observations.measured.step]
-        # no landing counts with less than 1 us of uncertainty
-        z = (landing_s / np.hypot(uncertainty_at(augmented, values).landing_total_s, 1e-6))[rows]
-        # and none with more than 6 sigma
-        scatter = float(np.sqrt(np.mean(np.clip(np.nan_to_num(z, nan=6.0), -6.0, 6.0) ** 2)))
-        return RefinedTerm(curve, covariance_of(curve, stack, r, jacobian), folds, scatter, augmented, explanation)
+        covariance, scatter = covariance_of(curve, stack, r, jacobian), stack.scatter(held)
+        return RefinedTerm(curve, covariance, np.array(curves), scatter, augmented, explanation)
 
     def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:
         observations = self.model.observations

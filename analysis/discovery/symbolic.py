@@ -21,10 +21,13 @@ from typing import Literal
 import numpy as np
 
 from analysis.attribution.choice import LogScoreDifference, penalised_best, tied
+from analysis.attribution.fit import Fitted, Fitter
+from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.descent import Problem, StackedResiduals, descend, newton_step, normal_equations
-from analysis.discovery.search import CURVE_FOLDS, RefinedTerm
+from analysis.discovery.search import CURVE_FOLDS, RefinedTerm, plate_loss
 from analysis.discovery.terms import AugmentedModel, Curve, Term
 from analysis.linear_algebra import lstsq, pinv
+from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import ANOTHER_EVENT_S, Thresholds
 from kernels.arrays import Floats
 from model.effects.curves import KNOTS
@@ -145,29 +148,34 @@ class FittedForm:
     as_good: bool  # whether held-out steps do not tell it from the curve, or prefer it
 
 
-def search_forms(
-    best: RefinedTerm, tables: Mapping[str, Floats], limits: Thresholds
-) -> tuple[tuple[FittedForm, ...], str]:
-    """Formulas fitted in place of a curve, least penalised loss first, and the name of the one to prefer to it.
+@dataclass(frozen=True)
+class Forms:
+    """Formulas fitted in place of a curve."""
+
+    best: RefinedTerm  # the curve
+    tried: tuple[FittedForm, ...]  # those judged on held-out steps, least penalised loss first
+    suggested: str  # of those as good as the curve, the name of the one of least penalised loss; empty where none is
+    told: Hypothesis  # everything fitted with the suggested one, or with the curve
+    scatter: float  # as that of the curve
+    penalised: float  # held-out loss of the suggested one, with what its parameters cost; infinite where none is
+
+
+def search_forms(best: RefinedTerm, tables: Mapping[str, Floats], limits: Thresholds) -> Forms:
+    """Formulas fitted in place of a curve, the two best of them together with everything else.
+
+    A curve that only nears the law biases the calibrations that were fitted with it.
 
     Parameters
     ----------
     best
-        The curve, fitted jointly with everything else; calibrations stay where that fit put them.
+        The curve, fitted jointly with everything else.
     tables
         Covariates of every flight.
     limits
         Thresholds of ties.
-
-    Returns
-    -------
-    tuple of FittedForm
-        Those judged on held-out steps.
-    str
-        Of those as good as the curve, the name of the one of least penalised loss; empty where there is none.
     """
 
-    def penalised(x: _Fit | FittedForm) -> float:  # a parameter costs what it costs among named effects
+    def penalised(x: _Fit) -> float:  # a parameter costs what it costs among named effects
         return x.loss + limits.tie_nats * len(x.values)
 
     fits = _FormFits(best, tables)
@@ -175,20 +183,24 @@ def search_forms(
     # the eight forms nearest to the curve, and all of one parameter
     chosen = [p for i, p in enumerate(near) if i < 8 or len(p[0].parameters) == 1]
     # the six best of them are judged on held-out steps
-    fitted = sorted((fits.fit(form, start) for form, start, _ in chosen), key=penalised)[:6]
-    judged = [(p, fits.held_out(p)) for p in fitted]
-    spline = best.explanation.losses["events"]
-    leads = [LogScoreDifference.of(loss, spline, fits.train) for _, loss in judged]
-    good = [tied(spline, loss, fits.train, limits) for _, loss in judged]
-    forms = [fits.result(p, lead.gain, lead.error, ok) for (p, _), lead, ok in zip(judged, leads, good, strict=True)]
-    losses = [loss for (_, loss), ok in zip(judged, good, strict=True) if ok]
-    able = [form for form in forms if form.as_good]
-    suggested = ""
-    if able:
-        top = min(losses, key=lambda loss: float(loss[fits.train].sum()))
-        costs = [limits.tie_nats * len(form.values) for form in able]
-        suggested = able[penalised_best(top, losses, costs, fits.train)].name
-    return tuple(sorted(forms, key=penalised)), suggested
+    fitted = sorted((fits.fit(form, start, fits.others) for form, start, _ in chosen), key=penalised)[:6]
+    fitted[:2] = [fits.with_all_else(p) for p in fitted[:2]]
+    held = [fits.held_out(p) for p in fitted]
+    judged = [fits.explanation(p, r) for p, r in zip(fitted, held, strict=True)]
+    spline, train = best.per_step, fits.train
+    leads = [LogScoreDifference.of(x.per_step, spline, train) for x in judged]
+    good = [tied(spline, x.per_step, train, limits) for x in judged]
+    forms = [fits.result(p, lead.gain, lead.error, ok) for p, lead, ok in zip(fitted, leads, good, strict=True)]
+    costs = limits.tie_nats * np.array([len(p.values) for p in fitted])
+    order = np.argsort([p.gain for p in leads] + costs)
+    tried, able = tuple(forms[i] for i in order), [i for i in order if good[i]]
+    if not able:
+        return Forms(best, tried, "", best.explanation, best.scatter, np.inf)
+    losses = [judged[i].per_step for i in able]
+    top = min(losses, key=lambda loss: float(loss[train].sum()))
+    i = able[penalised_best(top, losses, costs[able].tolist(), train)]
+    lost = float(judged[i].per_step[train].sum() + costs[i])
+    return Forms(best, tried, forms[i].name, judged[i], fits.stack.scatter(held[i]), lost)
 
 
 @dataclass(frozen=True)
@@ -197,6 +209,7 @@ class _Fit:
 
     form: Form
     values: Floats
+    others: Fitted  # everything else
     r: Floats
     slopes: Floats
     loss: float
@@ -206,9 +219,9 @@ class _FormFits:
     """Fits of forms in place of one curve."""
 
     def __init__(self, best: RefinedTerm, tables: Mapping[str, Floats]) -> None:
-        self.curve, self.band, self.augmented = best.curve, best.band, best.model
-        self.train, self.values = best.explanation.fitter.train, best.explanation.fitted.values
-        self.stack = StackedResiduals.of(best.model, self.values, self.train)
+        self.curve, self.band, self.augmented, self.named = best.curve, best.band, best.model, best.explanation
+        self.train, self.others = best.explanation.fitter.train, best.explanation.fitted
+        self.stack = StackedResiduals.of(best.model, self.others.values, self.train)
         self.span = (float(best.curve.knots[0]), float(best.curve.knots[-1]))
         inside = np.linspace(*self.span, KNOTS)
         self.x = tables[best.curve.term.of] if best.curve.term.columns else inside
@@ -255,46 +268,60 @@ class _FormFits:
         return np.clip(values, ends[:, 0], ends[:, 1])
 
     # -- a form fitted to the events ---------------------------------------------------------------------------------
-    def residuals(self, form: Form, values: Floats) -> Floats:
-        """Stacked residuals with the form in place of the curve."""
+    def model(self, form: Form, values: Floats) -> AugmentedModel:
+        """The forward model with the form in place of the curve."""
         curve = Curve(self.curve.term, self.curve.knots, np.ones(1), form.at(self.x, values)[:, None])
-        model = AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
-        return self.stack.residuals(model, self.values)
+        return AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
 
-    def _slopes(self, form: Form, values: Floats, r: Floats) -> Floats:
-        """Derivatives of the residuals by the parameters in their units, (k, parameters)."""
-        out = np.empty((len(r), len(values)))
-        for i, unit in enumerate(self._units(form)):
-            moved = values.copy()
-            moved[i] += NUDGE * unit
-            change = self.residuals(form, moved) - r
-            change[np.abs(change) > ANOTHER_EVENT_S] = 0.0
-            out[:, i] = change / NUDGE
-        return out
-
-    def fit(self, form: Form, start: Floats) -> _Fit:
-        """Gauss-Newton on the robust loss of the training steps."""
+    def fit(self, form: Form, start: Floats, others: Fitted) -> _Fit:
+        """Gauss-Newton on the robust loss of the training steps, everything else as it is in ``others``."""
         unit = self._units(form)
+
+        def residuals(values: Floats) -> Floats:
+            return self.stack.residuals(self.model(form, values), others.values)
+
+        def slopes(values: Floats, r: Floats) -> Floats:  # by the parameters in their units, (k, parameters)
+            out = np.empty((len(r), len(values)))
+            for i, step in enumerate(NUDGE * np.diag(unit)):
+                change = residuals(values + step) - r
+                change[np.abs(change) > ANOTHER_EVENT_S] = 0.0
+                out[:, i] = change / NUDGE
+            return out
+
         problem = Problem[Floats](
-            lambda values: self.residuals(form, values),
-            lambda values, r: self._slopes(form, values, r),
-            lambda values, step: self._within(form, values + step * unit),
-        )
+            residuals, slopes, lambda values, step: self._within(form, values + step * unit)
+        )  # fmt: skip
         # robust widths narrow from pass to pass, so that the first passes are not ruled by outliers
         values, r = descend(problem, self._within(form, start), self.stack, (0.8, 0.65, 0.5, 0.5, 0.5))
-        return _Fit(form, values, r, self._slopes(form, values, r), self.stack.loss(r))
+        return _Fit(form, values, others, r, slopes(values, r), self.stack.loss(r))
+
+    def with_all_else(self, p: _Fit) -> _Fit:
+        """The form and everything else fitted in turn."""
+        for _ in range(2):
+            model, others = self.model(p.form, p.values), p.others
+            twin = Fitter(model, self.named.fitter.priors, self.train)
+            others = twin.fit(Whitener.of(model, others.values), self.named.free, others.values, others.slopes)
+            p = self.fit(p.form, p.values, others)
+        return p
 
     def held_out(self, p: _Fit) -> Floats:
-        """Loss of the events by step, each step's with the values that the others give, (m,)."""
+        """Stacked residuals, each step's with the values that the others give."""
         observations = self.augmented.observations
         fit_steps, held = np.flatnonzero(self.train), p.r.copy()
         for i in range(CURVE_FOLDS):
             fold = np.isin(observations.measured.step, fit_steps[i::CURVE_FOLDS])[self.stack.event]
-            rest = self.stack.without(fold)
-            step = newton_step(rest, p.r, p.slopes)
-            other = self._within(p.form, p.values + step * self._units(p.form))
-            held[fold] = self.residuals(p.form, other)[fold]
-        return self.stack.by_step(held, observations.measured.step, len(observations.steps))
+            step = newton_step(self.stack.without(fold), p.r, p.slopes)
+            other = self.model(p.form, self._within(p.form, p.values + step * self._units(p.form)))
+            held[fold] = self.stack.residuals(other, p.others.values)[fold]
+        return held
+
+    def explanation(self, p: _Fit, held: Floats) -> Hypothesis:
+        """The named effects with the form; ``held`` are its held-out residuals."""
+        observations, model = self.augmented.observations, self.model(p.form, p.values)
+        events = self.stack.by_step(held, observations.measured.step, len(observations.steps))
+        losses = {"events": events, "plate": plate_loss(model, p.others.values)}
+        fitted = replace(p.others, fitter=Fitter(model, self.named.fitter.priors, self.train))
+        return Hypothesis(self.named.candidates, fitted, self.named.whitener, losses)
 
     def result(self, p: _Fit, loss: float, error: float, as_good: bool) -> FittedForm:
         """A fitted form as names and numbers."""
