@@ -326,6 +326,15 @@ class Fitted:
         normal, _ = self.normal(self.state.mask)
         return np.asarray(pinv(normal, rcond=1e-14))
 
+    def covariance_of(self, slopes: Floats) -> Floats:
+        """Of further parameters, fitted with all coordinates, from their slopes of the bare residuals: (rows, p)."""
+        whitener, p = self.state.whitener, slopes.shape[1]
+        jacobian = whitener.white_slopes(np.hstack([slopes, self.bare]), self.raw)
+        weight = np.where(self.state.mask, robust_weight(whitener.white_all(self.raw), whitener.odds), 0.0)
+        normal = (jacobian * weight[:, None]).T @ jacobian
+        normal[p:, p:] += np.diag(self.state.inverse**2)
+        return np.asarray(pinv(normal, rcond=1e-14))[:p, :p]
+
     @functools.cached_property
     def _variances(self) -> Floats:
         """Of all coordinates: from the noise as stated, or from how much steps differ where that is more, (k,).

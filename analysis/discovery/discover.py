@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,7 @@ class Discovery:
     within_flight: bool = False  # whether it varies within the flight
     forms: tuple[FittedForm, ...] = ()  # formulas fitted in its place, best first
     suggested: str = ""  # name of the one to prefer to the curve; empty: the curve
+    instead_of: tuple[str, ...] = ()  # named effects that the term was fitted without
 
     @property
     def form(self) -> FittedForm | None:
@@ -128,7 +129,8 @@ def discover(
     if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
         return None
     others = [p for p in found if p is not best and tied(told.per_step, p.per_step, train, limits)]
-    return _discovery(forms, gain, constant, others, tables, limits)
+    instead_of = tuple(name for name in explanation.names if name not in told.names)
+    return replace(_discovery(forms, gain, constant, others, tables, limits), instead_of=instead_of)
 
 
 def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:

@@ -21,11 +21,11 @@ from typing import Literal
 import numpy as np
 
 from analysis.attribution.choice import LogScoreDifference, penalised_best, tied
-from analysis.attribution.fit import Fitted, Fitter
+from analysis.attribution.fit import Fitted, Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.descent import Problem, StackedResiduals, descend, newton_step, normal_equations
+from analysis.discovery.descent import Problem, StackedResiduals, descend, newton_step
 from analysis.discovery.search import CURVE_FOLDS, RefinedTerm, plate_loss
-from analysis.discovery.terms import AugmentedModel, Curve, Term
+from analysis.discovery.terms import AugmentedModel, Curve, Term, hat_functions
 from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import ANOTHER_EVENT_S, Thresholds
@@ -129,6 +129,41 @@ def forms_for(term: Term, span: tuple[float, float]) -> tuple[Form, ...]:
     return tuple(replace(form, expression=form.expression.replace("{span}", largest)) for form in able)
 
 
+FARTHER = 0.25  # of a curve's range, that a formula within the flight is carried beyond it
+
+
+@functools.cache
+def _nearest_lines() -> Floats:
+    """Values at `KNOTS` places of the broken line nearest to a function, from its values at eight times as many."""
+    fine = np.linspace(0.0, 1.0, 8 * (KNOTS - 1) + 1)
+    return np.asarray(pinv(hat_functions(fine, np.linspace(0.0, 1.0, KNOTS)), rcond=1e-12))
+
+
+def curve_of(
+    term: Term, span: tuple[float, float], tables: Mapping[str, Floats], at: Callable[[Floats], Floats]
+) -> Curve:
+    """A term whose values are a function of its covariate.
+
+    Parameters
+    ----------
+    term, span
+        The term, and the range over which it varies if it does so within the flight.
+    tables
+        Covariates of every flight.
+    at
+        The function.
+    """
+    if term.columns:
+        return Curve(term, np.array(span), np.ones(1), at(tables[term.of])[:, None])
+    # a function goes on beyond the knots, which leave out the farthest flights
+    beyond = FARTHER * (span[1] - span[0])
+    first, last = span[0] - (beyond if span[0] < 0.0 else 0.0), span[1] + beyond
+    # of the broken lines the nearest: one through the function's own values would shift a kink between two of them
+    lines = _nearest_lines()
+    y = lines @ at(np.linspace(first, last, lines.shape[1]))
+    return Curve(term, np.array([first, last]), np.ones(1), y[:, None])
+
+
 NUDGE = 1e-3  # finite difference, of a parameter's unit
 
 
@@ -146,6 +181,10 @@ class FittedForm:
     loss: float  # held-out loss over that of the curve, nats; negative: better
     error: float  # its standard error
     as_good: bool  # whether held-out steps do not tell it from the curve, or prefer it
+
+    def at(self, x: Floats) -> Floats:
+        """Value where the covariate is ``x``, SI; a force points up."""
+        return Form(self.name, self.expression, tuple((name, "value") for name in self.parameters)).at(x, self.values)
 
 
 @dataclass(frozen=True)
@@ -220,11 +259,10 @@ class _FormFits:
 
     def __init__(self, best: RefinedTerm, tables: Mapping[str, Floats]) -> None:
         self.curve, self.band, self.augmented, self.named = best.curve, best.band, best.model, best.explanation
+        self.tables = tables
         self.train, self.others = best.explanation.fitter.train, best.explanation.fitted
         self.stack = StackedResiduals.of(best.model, self.others.values, self.train)
         self.span = (float(best.curve.knots[0]), float(best.curve.knots[-1]))
-        inside = np.linspace(*self.span, KNOTS)
-        self.x = tables[best.curve.term.of] if best.curve.term.columns else inside
 
     # -- a form near the curve ---------------------------------------------------------------------------------------
     def nearest(self, form: Form) -> tuple[Floats, float]:
@@ -270,7 +308,7 @@ class _FormFits:
     # -- a form fitted to the events ---------------------------------------------------------------------------------
     def model(self, form: Form, values: Floats) -> AugmentedModel:
         """The forward model with the form in place of the curve."""
-        curve = Curve(self.curve.term, self.curve.knots, np.ones(1), form.at(self.x, values)[:, None])
+        curve = curve_of(self.curve.term, self.span, self.tables, lambda x: form.at(x, values))
         return AugmentedModel(self.augmented.without, [curve], self.augmented.dwell_s)
 
     def fit(self, form: Form, start: Floats, others: Fitted) -> _Fit:
@@ -325,8 +363,14 @@ class _FormFits:
 
     def result(self, p: _Fit, loss: float, error: float, as_good: bool) -> FittedForm:
         """A fitted form as names and numbers."""
-        covariance = pinv(normal_equations(self.stack, p.r, p.slopes)[0], rcond=1e-14)
-        sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self._units(p.form)
+        unit, whitener = self._units(p.form), p.others.state.whitener
+
+        def bare(values: Floats) -> Floats:
+            return whitener.stacked(self.model(p.form, values).residuals(p.others.values))
+
+        here, steps = bare(p.values), NUDGE * np.diag(unit)
+        slopes = [of_same_events(bare(p.values + step) - here, whitener) / NUDGE for step in steps]
+        sigmas = np.sqrt(np.maximum(np.diag(p.others.covariance_of(np.column_stack(slopes))), 0.0)) * unit
         up = -1.0 if self.curve.term.name == "force" and self.curve.term.columns else 1.0  # fitted as a pull
         sign = np.array([up if kind in SIZES else 1.0 for _, kind in p.form.parameters])
         form = p.form

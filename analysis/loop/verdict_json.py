@@ -125,4 +125,7 @@ def _discovery(found: Discovery) -> dict[str, Any]:
         "tied_covariates": found.tied_covariates,
         "forms": [_form(form) for form in found.forms],
         "suggested_form": found.suggested or None,
+        "instead_of": found.instead_of,
+        "after_us": found.after.landing_rms_us,
+        "noise_floor_us": found.noise_floor_us,
     }

@@ -15,6 +15,7 @@ from analysis.report.numbers import microseconds
 from analysis.report.wording import (
     capital,
     coverage_in_words,
+    discovered_in_words,
     lost_in_words,
     others_in_words,
     plain,
@@ -117,7 +118,8 @@ def _rivals(loop: ClosedLoop) -> str:
 def reasoning(loop: ClosedLoop) -> list[str]:
     """Sentences in the order of the argument."""
     coverage = [f"{words}." for words in coverage_in_words(loop)]
-    return [*_residual_sentences(loop), *_candidate_sentences(loop), *coverage, *why_this_verdict(loop)]
+    found = [] if loop.discovered is None else [f"{words}." for words in discovered_in_words(loop.discovered)]
+    return [*_residual_sentences(loop), *_candidate_sentences(loop), *coverage, *why_this_verdict(loop), *found]
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:

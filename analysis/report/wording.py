@@ -108,13 +108,17 @@ def parameters_of(form: FittedForm) -> list[str]:
     ]
 
 
-def form_in_words(found: Discovery) -> str:
-    """The suggested formula with its values; empty where the curve does better than any."""
-    form = found.form
-    if form is None:
-        return ""
-    values = ", ".join(parameters_of(form))
-    return f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate.words}, SI)"
+def discovered_in_words(found: Discovery) -> list[str]:
+    """The discovered term, the suggested formula with its values, and the error with it, a line each."""
+    out = [f"discovered: {found.description}"]
+    if (form := found.form) is not None:
+        values = ", ".join(parameters_of(form))
+        out.append(
+            f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate.words}, SI)"
+        )
+    instead = f", in place of {' and '.join(plain(name) for name in found.instead_of)}," if found.instead_of else ""
+    after = f"landings on held-out steps are missed by {microseconds(found.after.landing_rms_us)} us rms"
+    return [*out, f"with it{instead} {after}, noise {microseconds(found.noise_floor_us)} us"]
 
 
 def term_effect_in_words(term_effect: TermEffect) -> list[str]:

@@ -11,7 +11,7 @@ from analysis.loop.result import ClosedLoop
 from analysis.loop.verdicts import short_verdict
 from analysis.report.numbers import microseconds, plus_minus
 from analysis.report.wording import (
-    form_in_words,
+    discovered_in_words,
     moved_calibrations,
     others_in_words,
     rejected_in_words,
@@ -32,9 +32,8 @@ def show(loop: ClosedLoop) -> None:
     for line in why_this_verdict(loop):
         out.print(f"  {line}", soft_wrap=True)
     if loop.discovered is not None:
-        out.print(f"  discovered: {loop.discovered.description}", soft_wrap=True)
-        if form := form_in_words(loop.discovered):
-            out.print(f"  {form}", soft_wrap=True, markup=False)
+        for line in discovered_in_words(loop.discovered):
+            out.print(f"  {line}", soft_wrap=True, markup=False)
     if loop.selection.rejected is not None:
         out.print(f"  {rejected_in_words(loop)}", soft_wrap=True)
     others = others_in_words(loop)

@@ -13,7 +13,18 @@ import numpy as np
 
 from analysis.loop.result import ClosedLoop
 from analysis.report.figures.residuals import draw_landings, draw_plate_residuals, draw_takeoffs, sides
-from analysis.report.figures.style import AFTER, BAND, BEFORE, ERROR_BAR, FLOOR, NEUTRAL, PLATE, Figure, plain_decades
+from analysis.report.figures.style import (
+    AFTER,
+    BAND,
+    BEFORE,
+    ERROR_BAR,
+    FLOOR,
+    IMPROVED,
+    NEUTRAL,
+    PLATE,
+    Figure,
+    plain_decades,
+)
 from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
 from analysis.report.wording import plain
@@ -111,6 +122,8 @@ def draw_discovery(loop: ClosedLoop, figure: Canvas) -> None:
     x = found.covariate.scale * found.curve.knots
     ax.fill_between(x, found.curve.low, found.curve.high, color=BAND, lw=0, label="95 % band")
     ax.plot(x, found.curve.values, "-", lw=1.8, color=AFTER, label="estimate")
+    if found.form is not None:
+        ax.plot(x, found.form.at(found.curve.knots), "--", lw=1.2, color=IMPROVED, label=f"formula: {found.form.name}")
     inside = found.covariate.scale * found.seen
     inside = inside[(inside >= x[0]) & (inside <= x[-1])]
     ax.plot(

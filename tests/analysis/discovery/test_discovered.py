@@ -75,6 +75,25 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
 
 
 @pytest.mark.slow
+def test_a_stop_that_bends_too_sharply_for_a_curve_is_found_by_its_formula(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """Above an edge a pull grows in proportion: edge and slope to a hundredth, held-out landings at the floor."""
+    edge_m, slope_per_s2 = HEIGHTS[6], 3000.0
+    values = -slope_per_s2 * np.maximum(2.0 * HEIGHTS - edge_m, 0.0)  # higher than the ball flies
+    stop = {("smooth_force", f"c{i}"): float(x) for i, x in enumerate(values)}
+    model = fly_ramp(latch() | {("smooth_force", "spacing"): 2.0 * HEIGHTS[1]} | stop, 1)
+    fitter = fitter_of(model)
+    found = discover(model, fitter, unexplained(model, fitter))
+    assert found is not None
+    assert (found.term, found.covariate.words, found.suggested) == ("force", "height", "threshold")
+    form = found.form
+    assert form is not None
+    assert form.values == pytest.approx((-slope_per_s2, edge_m), rel=0.01)
+    assert found.after.landing_rms_us < 1.3 * found.noise_floor_us
+
+
+@pytest.mark.slow
 def test_nothing_is_discovered_in_noise(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
 ) -> None:

@@ -29,9 +29,9 @@ def test_the_law_of_a_spring_is_recovered(
     search = TermSearch(model, fitter, nothing, (), tables)
     term = next(t for t in IN_FLIGHT if t.name == "force" and t.of == "height_m")
     found = search.refine(Curve.even(term, ranges_of(tables, model.observations.scored)[term.of], 5))
-    forms, suggested = search_forms(found, tables, FROZEN)
-    assert suggested == "proportional"
-    form = next(f for f in forms if f.name == suggested)
+    forms = search_forms(found, tables, FROZEN)
+    assert forms.suggested == "proportional"
+    form = next(f for f in forms.tried if f.name == forms.suggested)
     assert form.units == ("m/s^2/m",) and form.as_good
     assert abs(form.values[0] + SPRING) < 3.0 * form.sigmas[0]
     assert form.sigmas[0] < 0.05 * SPRING
