@@ -104,14 +104,17 @@ def discover(
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
     every = explanation.candidates
     for named in (still,) if len(still) == len(every) else (still, every):
-        found += _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
+        fresh = _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
+        found += fresh
         best = _least_curved(found, limits)
-        # formulas of that term, and of the next in the order of what held-out steps say
-        ranked = {p.curve.term: p for p in sorted(found, key=lambda p: -p.held_out)} | {best.curve.term: best}
-        for p in [best, *(p for p in reversed(ranked.values()) if p is not best)][:2]:
+        # formulas of that term, then of the others until one suffices: a curve may have stopped short of its best
+        others = {p.curve.term: p for p in sorted(fresh, key=lambda p: -p.held_out)}
+        for p in (best, *reversed(others.values())):
             if all(forms.best is not p for forms in laws):
                 laws.append(search_forms(p, tables, limits))
-        if min(best.scatter, *(forms.scatter for forms in laws)) < limits.base_rms:
+            if suffices := min(best.scatter, *(forms.scatter for forms in laws)) < limits.base_rms:
+                break
+        if suffices:
             break
     # a formula that does as well as the best curve goes before every curve
     forms = min(laws, key=lambda forms: forms.penalised)
@@ -128,9 +131,9 @@ def discover(
     constant = LogScoreDifference.of(level.per_step, told.per_step, train)
     if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
         return None
-    others = [p for p in found if p is not best and tied(told.per_step, p.per_step, train, limits)]
+    as_good = [p for p in found if p is not best and tied(told.per_step, p.per_step, train, limits)]
     instead_of = tuple(name for name in explanation.names if name not in told.names)
-    return replace(_discovery(forms, gain, constant, others, tables, limits), instead_of=instead_of)
+    return replace(_discovery(forms, gain, constant, as_good, tables, limits), instead_of=instead_of)
 
 
 def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
