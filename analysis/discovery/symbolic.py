@@ -337,8 +337,8 @@ class _FormFits:
         """The form and everything else fitted in turn."""
         for _ in range(2):
             model, others = self.model(p.form, p.values), p.others
-            twin = Fitter(model, self.named.fitter.priors, self.train)
-            others = twin.fit(Whitener.of(model, others.values), self.named.free, others.values, others.slopes)
+            fitter = Fitter(model, self.named.fitter.priors, self.train)
+            others = fitter.fit(Whitener.of(model, others.values), self.named.free, others.values, others.slopes)
             p = self.fit(p.form, p.values, others)
         return p
 
