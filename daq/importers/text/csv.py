@@ -27,7 +27,7 @@ from kernels.arrays import Floats, Integers
 
 Item = TypeVar("Item")
 
-_DIALECTS = ((",", "."), (";", "."), ("\t", "."), (";", ","), ("\t", ","), (None, "."))
+_DIALECTS = ((",", "."), (";", ","), ("\t", ","), (None, "."))  # delimiter, and the decimal sign if it is no point
 _LISTED = 64
 _END_OF_HEADER = "***End_of_Header***"  # of LabVIEW's .lvm
 _QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')

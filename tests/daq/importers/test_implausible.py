@@ -143,6 +143,9 @@ def test_decimal_commas_wherever_they_first_come(tmp_path: Path, setup: Setup, c
     (tmp_path / "d.csv").write_text("a;b\n1.5;2\n1,5;2\n")
     with pytest.raises(InputError, match="line 3, column a: wanted a number, got '1,5'"):
         list(open_source(tmp_path / "d.csv").pieces(["a", "b"]))
+    (tmp_path / "e.csv").write_text("a;b;c\n3,2;1,5;0\n3,3;0;0\n3,4;0;0\n")
+    (piece,) = open_source(tmp_path / "e.csv").pieces(["a"])
+    np.testing.assert_array_equal(piece.columns["a"], [3.2, 3.3, 3.4])
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
