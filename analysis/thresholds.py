@@ -87,6 +87,7 @@ MOST_OF_A_STEP_NATS = 12.0  # clip of one step's contribution to a gain
 DRIFTING_NATS = 100.0  # gain above which a candidate is tried with a drift as well
 FOLLOWED_PART = 0.3  # of the best gain of a round, below which a candidate's weights are not iterated
 NEAR_NATS, NEAR_PART = 30.0, 0.2  # lag behind the best one, in nats and of its gain, beyond which a candidate is left
+NEAR_CAUSE = 0.5  # part of a chosen cause's gain from which another is tried in its place when all causes are named
 LEADING_P = 0.05  # chance of so large a gain below which a refused candidate of many runs is worth a pass of its own
 IMPROBABLE = 1e-4  # explanations of less probability are left out
 LEAST_INFORMATION = 1e-9  # of a size of unit scale, and of its part beyond the nuisances: below, it changes nothing

@@ -133,8 +133,9 @@ def candidates_of(model: ForwardModel, seen: Mapping[ParameterId, float] | None 
         if model.observations.ringing.quiet and any(q.hint == "slow_line_hz" for q in e.parameters):
             continue
         for variant in e.variants or (tuple(q.name for q in e.parameters if not q.covariate),):
-            keys = tuple((e.name, q) for q in variant)
-            out.append(Candidate((e.name,), keys, tuple(_starts(model.observations, e, variant, seen or {}))))
+            starts = _starts(model.observations, e, variant, seen or {})
+            if starts:  # a modulation that no step shows begins nowhere
+                out.append(Candidate((e.name,), tuple((e.name, q) for q in variant), tuple(starts)))
     drifting = [(r.effect.name, q.name) for r in registry() for q in r.effect.parameters if q.drifts]
     out += [Candidate((name, trend_name()), ((name, q), (name, q + TREND)), ({},)) for name, q in drifting]
     # a parameter that stands for a quantity of the flight has no drift: it already varies with the flight

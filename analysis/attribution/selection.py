@@ -10,7 +10,7 @@ A. Miller, Subset Selection in Regression, 2nd ed. (Chapman & Hall, 2002), chapt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Reje
 from analysis.attribution.proposals import Proposals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
-from analysis.thresholds import FROZEN, MOVED_SIGMAS, Thresholds
+from analysis.thresholds import FROZEN, MOVED_SIGMAS, NEAR_CAUSE, Thresholds
 from model.effects.registry import trend_name
 from model.effects.routing import ball_effects
 
@@ -157,6 +157,7 @@ class StepwiseSelection:
         rng = generator_of(self.model)
         chain: list[Hypothesis] = [before]
         last: _Round | None = None
+        near: dict[str, list[Hypothesis]] = {}  # by the cause that was chosen, others that gained nearly as much
         for depth in range(6):  # twice as many as effects on the ball: instruments and plate may have as many
             if self._ball_effects(best) == self.limits.most_effects:
                 break
@@ -170,8 +171,9 @@ class StepwiseSelection:
                 if plain is not None:
                     found += self._round(plain, remaining_candidates(self.library, plain, best.names), depth)
             accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
-            if accepted is not None:
-                accepted = self._without_drift(best, accepted, found, depth)
+            if accepted is not None and self._is_in_place_of_a_cause(best, accepted, found, depth):
+                steady = [x for x in found if len(x.candidates) == len(accepted.candidates) - 1]
+                accepted = self.judge.choose(best, steady, depth, null)
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
             chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
             if accepted is None:
@@ -184,6 +186,9 @@ class StepwiseSelection:
                 f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
             )
             last = _Round(best, rivals, gain, depth, null)
+            near[accepted.candidates[-1].names[0]] = [
+                x for x in found if self.judge.gain(best, x).gain > NEAR_CAUSE * gain.gain
+            ]
             kept = self.pruning.without_idle(accepted, rounds)
             # a step back changes what the round's other hypotheses were added to: they are no rivals any more
             rivals = found if kept is accepted else []
@@ -193,7 +198,7 @@ class StepwiseSelection:
             chain.append(best)
         best, rivals = self._simplest(best, rivals, last, rounds)
         # an effect may have been needed only while others were missing
-        best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds)
+        best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds, near)
         chain = [*(x for x in chain[:-1] if x is not best), best]
         ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:
@@ -217,19 +222,19 @@ class StepwiseSelection:
 
         return self.proposals.round(best, options, progress)
 
-    def _without_drift(
+    def _is_in_place_of_a_cause(
         self, best: Hypothesis, accepted: Hypothesis, found: Sequence[Hypothesis], depth: int
-    ) -> Hypothesis:
-        """The cause without the drift that was added with it, where a second cause does as well as the drift.
+    ) -> bool:
+        """Whether a drift was added with a cause, and a second cause beside that does as well.
 
         Where a second cause is missing, a drift may stand in for it; in the round that adds both it has no rival.
         """
         cause = next((x for x in found if x.candidates == accepted.candidates[:-1] != best.candidates), None)
         if cause is None or self.judge.refusal(best, cause, depth):
-            return accepted
+            return False
         others = [c for c in remaining_candidates(self.library, cause) if trend_name() not in c.names]
         second = min(self._round(cause, others, depth), key=lambda x: float(x.per_step[self.train].sum()), default=None)
-        return cause if second is not None and self.judge.tied(accepted, second) else accepted
+        return second is not None and self.judge.tied(accepted, second)
 
     def _special_case(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """Of a round the best hypothesis with a special case in place of the one that was added; None without one.
@@ -284,11 +289,14 @@ class StepwiseSelection:
             return last.before, last.rivals
         return self.refits.again(kept), []
 
-    def _exchanged(self, best: Hypothesis, rounds: list[str]) -> tuple[Hypothesis, list[Hypothesis]]:
-        """The hypothesis with a cause exchanged for a calibration that the fit moved far, where that does as well.
+    def _exchanged(
+        self, best: Hypothesis, rounds: list[str], near: Mapping[str, Sequence[Hypothesis]]
+    ) -> tuple[Hypothesis, list[Hypothesis]]:
+        """The hypothesis with a cause exchanged for another that does as well with less, and its rivals.
 
-        A cause may have been chosen together with one that was taken back later. Of causes that data do not distinguish
-        that one is named which leaves the calibrations where they are stated; the others are its rivals.
+        An earlier cause was chosen while a later one was missing, from others that came ``near`` it; one may have been
+        chosen together with a cause that was taken back. Each is tried against those, and against calibrations that the
+        fit moved far: of what ties that is named which leaves calibrations where they are stated.
         """
         moved = best.fitted.moved_calibrations(MOVED_SIGMAS)
         close = [best]
@@ -296,18 +304,23 @@ class StepwiseSelection:
             rest = tuple(c for c in best.candidates if c is not own)
             if any(set(own.names) & set(c.names) for c in rest):  # its drift, or a second form
                 continue
-            for c in self.library:
-                if len(c.names) > 1 or not set(c.free) <= moved:
+            others = [(c, best.fitted.values) for c in self.library if set(c.free) <= moved]
+            if own is not best.candidates[-1]:
+                others += [(x.candidates[-1], x.fitted.values) for x in near.get(own.names[0], ())]
+            for c, values in others:
+                if len(c.names) > 1 or set(c.names) & set(best.names):
                     continue
                 free = tuple(k for x in (*rest, c) for k in x.free)
-                start = {k: v for k, v in best.fitted.values.items() if k in best.free and k not in own.free}
+                known = {k: v for k, v in best.fitted.values.items() if k in best.free and k not in own.free}
+                start = known | {k: values[k] for k in c.free if k in values}
                 x = self.refits.attempted((*rest, c), self.refits.converged, (*rest, c), best.whitener, free, start)
                 if x is not None and self.judge.tied(best, x) and not self.judge.refuted(x, best):
                     close.append(x)
         chosen = self.judge.cheapest(close)
         if chosen is not best:
             gone, new = (set(a.names) - set(b.names) for a, b in ((best, chosen), (chosen, best)))
-            rounds.append(f"{' + '.join(new)} in place of {' + '.join(gone)}: as good, with calibrations as stated")
+            rounds.append(f"{' + '.join(new)} in place of {' + '.join(gone)}: as good or better, with less")
+            chosen = self.pruning.simplified(chosen, self.library, rounds)
         return chosen, [x for x in close if x is not chosen]
 
     def _ties(self, before: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

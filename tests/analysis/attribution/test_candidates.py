@@ -90,6 +90,13 @@ def test_a_plate_that_is_quiet_offers_no_resonance(fly_ramp: Callable[..., Forwa
     assert offered - left == {("table_resonance",)}
 
 
+def test_every_candidate_has_a_place_to_start_from(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Where steps are too short to show a modulation, none is offered."""
+    model = fly_ramp({}, 0, gammas=(0.4, 0.8))
+    assert model.observations.modulation is None
+    assert all(c.starts for c in candidates_of(model))
+
+
 def test_trends_of_calibrations_are_candidates_from_the_first_round(fly_ramp: Callable[..., ForwardModel]) -> None:
     """A drive and an accelerometer that drift are offered, each with its own calibration."""
     found = [c.names for c in candidates_of(fly_ramp({}, 0, gammas=(0.4, 0.8)))]

@@ -115,5 +115,22 @@ def test_a_drift_gives_way_to_a_second_cause_that_does_as_well(
     assert friction is not None
     accepted = selection.proposals.add(friction, next(c for c in trends_of(friction.free) if len(c.free) == 2))
     assert accepted is not None
-    chosen = selection._without_drift(nothing, accepted, [friction, accepted], 0)
-    assert chosen is (accepted if drifts else friction)
+    assert selection._is_in_place_of_a_cause(nothing, accepted, [friction, accepted], 0) is not drifts
+
+
+def test_an_earlier_cause_gives_way_to_one_that_came_near_it(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """A weaker gravity was chosen for friction while the accelerometer's lateness was missing: friction is named."""
+    lag = ("accelerometer_lag", "delay_s")
+    selection = StepwiseSelection(model := fly_ramp({UP: 0.06, DOWN: 0.08, lag: 2e-4}, 1), fitter_of(model))
+    nothing = selection.declared()
+    options = {c.free: c for c in candidates_of(model)}
+    gravity, friction = (
+        selection.proposals.add(nothing, options[free]) for free in ((("local_gravity", "excess_mps2"),), (UP, DOWN))
+    )
+    assert gravity is not None and friction is not None
+    both = selection.proposals.add(gravity, options[lag,])
+    assert both is not None
+    chosen, _ = selection._exchanged(both, [], {"local_gravity": [friction]})
+    assert set(chosen.names) == {"coulomb_friction", "accelerometer_lag"}
