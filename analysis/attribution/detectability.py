@@ -23,7 +23,7 @@ from analysis.thresholds import Thresholds
 from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import registry
 
-SETTLED = 0.1  # relative change of a size at which it has been found
+SETTLED, TURNS = 0.1, 16  # relative change of a size at which it has been found; turns at most
 FARTHEST, COARSE = 8.0, 7  # times the size tried, or its part, up to which expected gains are tested; at so many sizes
 
 
@@ -61,28 +61,29 @@ class Detectability:
         x = fitter.to_x(key, self.best.values.get(key, null_value_of(key)))
         low, high = fitter.to_x(key, q.low), fitter.to_x(key, q.high)
         most, up = max(high - x, x - low), high - x >= x - low
-        size, found = min(1.0, most), math.inf
         others = np.array([k != key for k in self.best.keys])
-        # the change is not proportional to the size: each turn takes it at the size that the one before has found
-        for _ in range(8):
-            slope = self._change(key, x + size if up else x - size, others) / size
+
+        def change(size: float, beside: Floats) -> Floats:
+            return self._moved(key, x + size if up else x - size, beside)
+
+        size, hidden, shown = min(1.0, most), 0.0, math.inf  # the largest size that is not named, the smallest that is
+        slope = change(size, self.best.x) / size
+        # the change is not proportional to the size: each turn takes it at the size that the one before has found,
+        # where calibrations have followed, less what they do by their derivatives: what they hide to first order they
+        # mostly hide to second
+        for turn in range(TURNS):
+            beside = np.clip(self.best.x - self._followed(others, size * slope, 0), self._state.low, self._state.high)
+            slope = (change(size, beside) - self._beside @ (beside - self.best.x)) / size
             multiple = self._multiple(key, others, slope, size, high - low)
-            found = size * multiple
-            if abs(multiple - 1.0) < SETTLED or (size == most and multiple > 1.0):
+            if turn > 0:  # the first one only guesses what calibrations do
+                hidden, shown = (max(hidden, size), shown) if multiple > 1.0 else (hidden, min(shown, size))
+            if abs(multiple - 1.0) < SETTLED or shown < (1.0 + SETTLED) * hidden or hidden == most:
                 break
-            size = min(size * min(multiple, FARTHEST), most)
+            further = size * min(multiple, FARTHEST)
+            # calibrations that meet their bounds hide it no farther: from there on it shows all at once
+            size = min(further if hidden < further < shown else math.sqrt(hidden * shown), most)
+        found = size * multiple if abs(multiple - 1.0) < SETTLED else shown
         return float((found * scale_of(key)) ** q.power) if found <= most else math.inf
-
-    def _change(self, key: ParameterId, x: float, others: Bools) -> Floats:
-        """Change of the whitened residuals when a parameter goes to the coordinate ``x``, (r,).
-
-        It is taken where calibrations have followed, less what they have done by their derivatives: what they hide to
-        first order they mostly hide to second.
-        """
-        now, state = self.best.x, self._state
-        wanted = now - self._followed(others, self._moved(key, x, now), 0)
-        after = np.clip(wanted, state.low, state.high)
-        return np.asarray(self._moved(key, x, after) - self._beside @ (after - now))
 
     def _moved(self, key: ParameterId, x: float, beside: Floats) -> Floats:
         """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted, (q,)."""
