@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 from analysis.linear_algebra import solveh_banded
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import Push
+from kernels import njit
 from kernels.arrays import Bools, Complexes, Floats
 
 KICK_MPS, KICK_PART = 2.5e-4, 1e-3  # uncertainty of an impact's kick, for a ball of the mode's mass
@@ -84,16 +85,10 @@ class PushedPlate:
         From kick to kick the amplitude turns freely; the two real unknowns of each meet those of the next, so that the
         normal equations are banded.
         """
-        turn, time_s = motion.turn, motion.time_s
-        slope = turn.real / turn.imag
-        left_mps2 = self.answer_mps2 - motion.gained_mps / self.push.block_s
-        middle_s = (np.flatnonzero(self.known) + 0.5) * self.push.block_s
-        after = np.searchsorted(time_s, middle_s, side="right") - 1
-        rate = turn * np.exp(turn * (middle_s - time_s[after])) * (motion.mass_ratio / self.noise_mps2)
-        shown = np.stack([rate.real + slope * rate.imag, slope * rate.real - rate.imag])
-        m, read = len(time_s), left_mps2[self.known] / self.noise_mps2
-        total = [np.bincount(after, x, minlength=m) for x in (shown[0] ** 2, shown[1] ** 2, shown[0] * shown[1])]
-        side = np.column_stack([np.bincount(after, x * read, minlength=m) for x in shown])
+        turn, time_s, m = motion.turn, motion.time_s, len(motion.time_s)
+        read = (self.answer_mps2 - motion.gained_mps / self.push.block_s) / self.noise_mps2
+        sums = _shown(self.known, read, time_s, turn, self.push.block_s, motion.mass_ratio / self.noise_mps2)
+        total, side = sums[:, :3].T, sums[:, 3:]
         sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2)
         for begin_s in (-TORN_S, *self.torn_s):
             # where flights were missed, or before the first sample, the plate may have got any kick
@@ -156,17 +151,67 @@ class ModeMotion:
     @cached_property
     def gained_mps(self) -> Floats:
         """What the speed gains in each block but for the jumps of impacts, (n,): the integral of the acceleration."""
-        edges_s = self.push.block_s * np.arange(len(self.pressed), dtype=np.float64)
-        smooth: Complexes = np.add(self.pressed, self._struck(edges_s))
-        jumps = np.append(0.0, np.cumsum(self._speed(self.kicks)))
-        over = jumps[np.searchsorted(self.time_s, edges_s, side="right")]
-        return np.asarray(self.mass_ratio * np.diff(self._speed(smooth) - over))
+        return self.mass_ratio * _gained(self.pressed, self.time_s, self.kicks, self.turn, self.push.block_s)
 
     @cached_property
     def rises_mps(self) -> Floats:
         """By how much that gain changes over the length of each block, (n,)."""
         pressed = self.push.block_s * self.mass_ratio * self.push.contact_mps2
         return np.gradient(self.gained_mps - pressed) + self.push.block_s * self.mass_ratio * self.push.rise_mps2
+
+
+@njit(error_model="numpy", nogil=True)
+def _gained(pressed: Complexes, time_s: Floats, kicks: Complexes, turn: complex, block_s: float) -> Floats:
+    """What the speed of a mode of mass ratio 1 gains in each block but for the jumps of kicks, (n,).
+
+    ``pressed`` are amplitudes by contacts at the edges of the blocks, (n + 1,).
+    """
+    out, step, slope = np.empty(len(pressed) - 1), np.exp(turn * block_s), turn.real / turn.imag
+    struck, jumps, before, k = 0.0j, 0.0, 0.0, 0
+    for i in range(len(pressed)):
+        struck *= step
+        while k < len(time_s) and time_s[k] <= i * block_s:
+            struck += kicks[k] * np.exp(turn * (i * block_s - time_s[k]))
+            jumps += kicks[k].real + slope * kicks[k].imag
+            k += 1
+        z = pressed[i] + struck
+        speed = z.real + slope * z.imag - jumps
+        if i > 0:
+            out[i - 1] = speed - before
+        before = speed
+    return out
+
+
+@njit(error_model="numpy", nogil=True)
+def _shown(known: Bools, read: Floats, time_s: Floats, turn: complex, block_s: float, scale: float) -> Floats:
+    """What known blocks show of the kick before each, (m, 5): normal equations of its two parts, their right sides.
+
+    Parameters
+    ----------
+    known, read
+        Whether a block is known, and its acceleration, in its noise, (n,).
+    time_s
+        Of the kicks, the first at 0, (m,).
+    turn, block_s
+        Rate of the mode's amplitude; length of a block.
+    scale
+        Mass ratio over the blocks' noise.
+    """
+    out, step, slope, k = np.zeros((len(time_s), 5)), np.exp(turn * block_s), turn.real / turn.imag, -1
+    rate = 0.0j
+    for i in range(len(known)):
+        rate *= step
+        while k + 1 < len(time_s) and time_s[k + 1] <= (i + 0.5) * block_s:
+            k += 1
+            rate = turn * scale * np.exp(turn * ((i + 0.5) * block_s - time_s[k]))
+        if known[i]:
+            a, b = rate.real + slope * rate.imag, slope * rate.real - rate.imag
+            out[k, 0] += a * a
+            out[k, 1] += b * b
+            out[k, 2] += a * b
+            out[k, 3] += a * read[i]
+            out[k, 4] += b * read[i]
+    return out
 
 
 def without_ringing(step: StepPlate, noise_mps2: float) -> StepPlate:

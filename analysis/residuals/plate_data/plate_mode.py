@@ -28,6 +28,7 @@ from analysis.residuals.plate_data.plate_observables import (
     THIRD,
     PlateData,
 )
+from kernels import njit
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.one_step import Predicted
 from model.integrator.problem import PlateSteps
@@ -116,16 +117,26 @@ class BlockIntegrals:
     def of_motion(self, motion: ModeMotion) -> Complexes:
         """Of a mode's acceleration, (r, k)."""
         rows = slice(self.begin, self.begin + len(self.level))
-        own, rise = motion.gained_mps[rows, None], motion.rises_mps[rows, None]
-        so_far = np.concatenate([0.0 * self.level[:1], np.cumsum(own * self.level + rise * self.tilt, axis=0)])
-        start, stop = self.place
-        first, last = np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64)
-        out, whole = so_far[last] - so_far[first], last > first
+        return _integrals(motion.gained_mps[rows], motion.rises_mps[rows], self.place, self.level, self.tilt)
+
+
+@njit(error_model="numpy", nogil=True)
+def _integrals(own: Floats, rise: Floats, place: Floats, level: Complexes, tilt: Complexes) -> Complexes:
+    """Integrals over intervals, (r, k), of what blocks hold and how it rises in each: see `BlockIntegrals`."""
+    out = np.zeros((place.shape[1], level.shape[1]), dtype=np.complex128)
+    for r in range(place.shape[1]):
+        start, stop = place[0, r], place[1, r]
+        first, last = int(np.ceil(start)), int(np.floor(stop))
+        sign = 1.0 if last > first else -1.0  # both parts of an only block are more than it
+        for i in range(min(first, last), max(first, last)):
+            for k in range(level.shape[1]):
+                out[r, k] += sign * (own[i] * level[i, k] + rise[i] * tilt[i, k])
         for inside, edge, part, side in ((first, first - 1, first - start, -0.5), (last - 1, last, stop - last, 0.5)):
-            edge = np.clip(edge, 0, len(own) - 1)
-            at, farther = np.where(whole, inside, edge), np.where(whole, side * (1.0 + part), 0.0)
-            out += part[:, None] * (own[at] + farther[:, None] * rise[at]) * self.level[edge]
-        return np.asarray(out)
+            edge = min(max(edge, 0), len(own) - 1)
+            at, farther = (inside, side * (1.0 + part)) if last > first else (edge, 0.0)
+            for k in range(level.shape[1]):
+                out[r, k] += part * (own[at] + farther * rise[at]) * level[edge, k]
+    return out
 
 
 @dataclass(frozen=True)
