@@ -57,24 +57,13 @@ class Detectability:
         The parameter's own prior is left out; all others stay free. A calibration needs no gain on steps left out: what
         tells it from the others is what the profile states of them, and that is known beside any step.
         """
-        fitter, q = self.best.fitter, parameter_of(key)
-        x = fitter.to_x(key, self.best.values.get(key, null_value_of(key)))
-        low, high = fitter.to_x(key, q.low), fitter.to_x(key, q.high)
-        most, up = max(high - x, x - low), high - x >= x - low
-        others = np.array([k != key for k in self.best.keys])
-
-        def change(size: float, beside: Floats) -> Floats:
-            return self._moved(key, x + size if up else x - size, beside)
-
+        q, (x, low, high) = parameter_of(key), self._axis(key)
+        most, multiple = max(high - x, x - low), math.inf
         size, hidden, shown = min(1.0, most), 0.0, math.inf  # the largest size that is not named, the smallest that is
-        slope = change(size, self.best.x) / size
-        # the change is not proportional to the size: each turn takes it at the size that the one before has found,
-        # where calibrations have followed, less what they do by their derivatives: what they hide to first order they
-        # mostly hide to second
+        slope = self._moved(key, size, self.best.x) / size
+        # the change is not proportional to the size: each turn takes it at the size that the one before has found
         for turn in range(TURNS):
-            beside = np.clip(self.best.x - self._followed(others, size * slope, 0), self._state.low, self._state.high)
-            slope = (change(size, beside) - self._beside @ (beside - self.best.x)) / size
-            multiple = self._multiple(key, others, slope, size, high - low)
+            slope, multiple = self.turn(key, size, slope)
             if turn > 0:  # the first one only guesses what calibrations do
                 hidden, shown = (max(hidden, size), shown) if multiple > 1.0 else (hidden, min(shown, size))
             if abs(multiple - 1.0) < SETTLED or shown < (1.0 + SETTLED) * hidden or hidden == most:
@@ -85,10 +74,28 @@ class Detectability:
         found = size * multiple if abs(multiple - 1.0) < SETTLED else shown
         return float((found * scale_of(key)) ** q.power) if found <= most else math.inf
 
-    def _moved(self, key: ParameterId, x: float, beside: Floats) -> Floats:
-        """Change of the whitened residuals at a coordinate of a parameter, and at those of what is fitted, (q,)."""
-        fitter, raw = self.best.fitter, self.best.raw
-        values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), np.array([x]))}
+    def turn(self, key: ParameterId, size: float, slope: Floats) -> tuple[Floats, float]:
+        """Change of whitened residuals (r,) per unit of a size, in coordinates, and its multiple that would be named.
+
+        It is taken where calibrations have followed what ``slope`` promises, the change of a size near it, less what
+        they have done by their derivatives: what they hide to first order they mostly hide to second.
+        """
+        others, (_, low, high) = np.array([k != key for k in self.best.keys]), self._axis(key)
+        beside = np.clip(self.best.x - self._followed(others, size * slope, 0), self._state.low, self._state.high)
+        slope = (self._moved(key, size, beside) - self._beside @ (beside - self.best.x)) / size
+        return slope, self._multiple(key, others, slope, size, high - low)
+
+    def _axis(self, key: ParameterId) -> tuple[float, float, float]:
+        """Coordinate of a parameter in the fit, and its bounds."""
+        fitter, q = self.best.fitter, parameter_of(key)
+        x = fitter.to_x(key, self.best.values.get(key, null_value_of(key)))
+        return x, fitter.to_x(key, q.low), fitter.to_x(key, q.high)
+
+    def _moved(self, key: ParameterId, size: float, beside: Floats) -> Floats:
+        """Change of the whitened residuals by a size to the farther bound, at coordinates of what is fitted, (q,)."""
+        fitter, raw, (x, low, high) = self.best.fitter, self.best.raw, self._axis(key)
+        there = np.array([x + size if high - x >= x - low else x - size])
+        values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), there)}
         change = of_same_events(self._whitener.stacked(fitter.model.residuals(values)) - raw, self._whitener)
         return np.asarray(self._whitener.white_slopes(change[:, None], raw)[:, 0])
 

@@ -19,7 +19,7 @@ from analysis.linear_algebra import NotFiniteError, lstsq, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import PushedPlate, answer
-from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
+from analysis.plate.ringing.regression import CLUSTER_S, PROMISING_NATS, SURE_NATS, PlateMode, Regression
 from analysis.signals.high_pass import restored
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats
@@ -68,23 +68,24 @@ def identified_mode(
     if "drive" not in recording.channels or len(recording.gaps):
         return Identified()
     whole = _Recorded.of(recording, takeoff_s, landing_s, mask_s, high_pass_hz)
-    block_s = whole.block_s
+    block_s, forcing_hz = whole.block_s, recording.setup.forcing.frequency_hz
     # of a long recording the last 100 s, where the ball is thrown hardest
     skipped = max(len(whole.acceleration) - round(100.0 / block_s), 0)
-    record, begun, found = replace(whole.last(skipped), forces=0), [0], None
+    record, begun, forces, found = whole.last(skipped), [0], 0, None
     for _ in range(4):  # three pieces may be left out
         if len(record.landing_s) < 20 or np.count_nonzero(record.known) < 1000:
             return Identified()
         try:
-            seen, found = record.settled(begun, found)
+            seen, found = record.settled(begun, found, forces)
             if found is None:
                 return Identified(quiet=True)
+            if len(begun) == 1 and not record.promises(seen, found):
+                return Identified(seen.judged(found, forcing_hz))
             # a plate that goes as it is asked feels no force of the drive: none is looked for where noise is left
             if len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
-                driven = replace(record, forces=whole.forces)
-                other, x = driven.settled(begun, None)
+                other, x = record.settled(begun, None, record.forces)
                 if x is not None and other.forced(x):
-                    record, seen, found = driven, other, x
+                    forces, seen, found = record.forces, other, x
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
         worst = seen.worst_cluster(found)
@@ -94,7 +95,6 @@ def identified_mode(
         ends = int((worst + 1) * CLUSTER_S / block_s)
         record = record.without(int(worst * CLUSTER_S / block_s), ends)
         begun.append(min(ends, len(record.known) - 2))
-    forcing_hz = recording.setup.forcing.frequency_hz
     mode = None if found is None else seen.judged(found, forcing_hz)
     if mode is None or found is None or not mode.sure:
         return Identified(mode)
@@ -165,11 +165,17 @@ class _Recorded:
         rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio, late_s)
         return min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
 
-    def settled(self, begun: Sequence[int], found: Floats | None) -> tuple[Regression, Floats | None]:
+    def promises(self, seen: Regression, x: Floats) -> bool:
+        """Whether a mode found first, without forces, could become sure, with them or without."""
+        driven = replace(seen, shaken=np.vstack([seen.shaken, self.linear[:, : self.forces].T]))
+        return max(seen.gained(x), driven.gained(x)) > PROMISING_NATS
+
+    def settled(self, begun: Sequence[int], found: Floats | None, forces: int) -> tuple[Regression, Floats | None]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.
 
         Where impacts hide the acceleration, the ball feels what the model says. The plate goes nowhere, so what it
-        gains by impacts, which the acceleration between them lacks, is its mean. On a quiet plate no mode is searched.
+        gains by impacts, which the acceleration between them lacks, is its mean. On a quiet plate no mode is searched,
+        and none that promises too little is followed. So many ``forces`` may drive the mode, too.
         """
         known, ratio, push, fresh = self.known, 0.0, None, found is None
         # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
@@ -183,7 +189,7 @@ class _Recorded:
         for rounds in range(ROUNDS):
             push = self.push(acceleration, hum, push, ratio)
             impulses = push.impacts_mps2
-            shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, : self.forces].T])
+            shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, :forces].T])
             seen = Regression.of(acceleration, basis, shaken, known, self.block_s, begun)
             if fresh and rounds == 0 and seen.quiet:
                 return seen, None
@@ -194,6 +200,7 @@ class _Recorded:
             driven, hum = drive_part(acceleration - mode)
             acceleration = np.where(known, acceleration, driven + mode - sizes[0] * impulses)
             settled = not again and found is not None and bool(np.max(np.abs(x - found)) < SETTLED)
+            settled = settled or (fresh and rounds == 0 and not forces and not self.promises(seen, x))
             found, ratio = x, float(sizes[0])
             if settled:
                 break

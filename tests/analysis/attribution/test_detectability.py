@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.constants import g as G_MPS2
 
-from analysis.attribution.candidates import priors_of
+from analysis.attribution.candidates import priors_of, scale_of
 from analysis.attribution.detectability import Detectability
 from analysis.attribution.fit import Fitter
 from analysis.loop.close_loop import close_loop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
+from analysis.residuals.values import ParameterId
 from analysis.thresholds import FROZEN
 from benchmarks.analysis.joint import short_runs
 
@@ -39,6 +41,20 @@ def test_what_lies_beyond_the_limit_gains_the_threshold(
     whitener = Whitener.of(model, {RATE: part * limit})
     gain = fitter.fit(whitener, (), {}).loss - fitter.fit(whitener, (RATE,), {}).loss
     assert (gain > 12.0) == seen
+
+
+@pytest.mark.parametrize("key", [RATE, ("local_gravity", "excess_mps2"), ("drive_gain", "relative")])
+def test_a_size_is_named_beyond_its_limit_and_not_below(
+    fly_ramp: Callable[..., ForwardModel], key: ParameterId
+) -> None:
+    """Calibrations hide a pull or a gain up to their bounds, so that no straight line leads to its limit."""
+    of = detectability(fly_ramp({}, 5))
+    limit = of.limit(key) / scale_of(key)
+    for part, seen in ((0.8, False), (1.25, True)):
+        slope, multiple = np.zeros(len(of.best.raw)), math.nan
+        for _ in range(4):  # until calibrations have followed
+            slope, multiple = of.turn(key, part * limit, slope)
+        assert (multiple < 1.0) == seen
 
 
 def test_few_data_of_unknown_scatter_tell_less(fly_ramp: Callable[..., ForwardModel]) -> None:

@@ -151,6 +151,17 @@ def test_no_mode_is_found_where_only_a_friction_is_hidden(recorded: Callable[...
     assert not _identified(recorded(_mode(2.5, 0.02, 0.25))).quiet
 
 
+def test_what_a_compressed_gain_leaves_is_searched_once(
+    recorded: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first look sees more than noise there, the first search no mode that could become sure."""
+    counted: list[Regression] = []
+    searched = Regression.searched
+    monkeypatch.setattr(Regression, "searched", lambda self: counted.append(self) or searched(self))
+    found = _identified(recorded((("gain_compression.per_gamma2", 0.01),)))
+    assert len(counted) == 1 and not found.pushed
+
+
 def test_the_answer_of_a_mode_is_that_of_its_differential_equation() -> None:
     """Block means of the acceleration after a step of the push, against the closed form of the speed."""
     w, damping, block_s = 2.0 * np.pi * 5.0, 0.1, 5e-4
