@@ -10,7 +10,7 @@ _T = TypeVar("_T")
 
 
 class Memory:
-    """Results by their key, forgotten together when they are too many; what one thread makes, the others wait for."""
+    """Results by their key, of too many those not asked for longest go; what one thread makes, the others wait for."""
 
     def __init__(self, most: int) -> None:
         self._most, self._results = most, dict[Hashable, Any]()
@@ -18,18 +18,17 @@ class Memory:
 
     def recall(self, key: Hashable, make: Callable[[], _T]) -> _T:
         """The result stored under ``key``; made, and stored, where there is none."""
-        found = self._results.get(key)
-        while found is None:
+        while True:
             with self._lock:
-                found, others = self._results.get(key), self._making.get(key)
-                if found is None and others is None:
+                found = self._results.pop(key, None)
+                if found is not None:  # now the last to be forgotten
+                    self._results[key] = found
+                    return cast(_T, found)
+                if (others := self._making.get(key)) is None:
                     self._making[key] = threading.Event()
-            if found is None and others is None:
+            if others is None:
                 return self._make(key, make)
-            if found is None and others is not None:  # it may fail, or be forgotten again
-                others.wait()
-                found = self._results.get(key)
-        return cast(_T, found)
+            others.wait()  # it may fail, or be forgotten again
 
     def _make(self, key: Hashable, make: Callable[[], _T]) -> _T:
         """Make the result and store it; whoever waits for it goes on, even if it could not be made."""
@@ -37,7 +36,7 @@ class Memory:
             made = make()
             with self._lock:
                 if len(self._results) >= self._most:
-                    self._results.clear()
+                    del self._results[next(iter(self._results))]
                 self._results[key] = made
         finally:
             self._making.pop(key).set()

@@ -28,7 +28,7 @@ from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
 from model.integrator.problem import Detection, Measured, PlateSteps, active, columns_of
 
-MOST_STORED = {"flights": 64, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
+MOST_STORED = {"flights": 128, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
 
 

@@ -179,19 +179,19 @@ class Regression:
         """By how much modes of a grid lower the sum of squares, and their logarithms, the best of each rise first."""
         count = int(math.log(HIGHEST_HZ / LOWEST_HZ) / math.log(GRID))
         at = np.log([[(LOWEST_HZ * GRID**k, d) for d in (0.01, 0.05, 0.2, 0.6)] for k in range(count)])
-        gain = np.array([[self._gain_of_push(*np.exp(x)) for x in row] for row in at])
+        gain = np.array([self._gains_of_push(np.exp(row)) for row in at])
         best = np.pad(gain.max(axis=1), 1)
         # local maxima: the best of the whole look would be neighbours of one
         inner = [k for k in range(count) if best[k + 1] >= max(best[k], best[k + 2])]
         found = [(float(best[k + 1]), np.asarray(at[k, np.argmax(gain[k])])) for k in inner]
         return sorted(found, key=lambda pair: -pair[0])
 
-    def _gain_of_push(self, frequency_hz: float, damping: float) -> float:
-        """By how much the answer to the push lowers the sum of squares."""
-        x = answer(self.shaken[0], self.block_s, frequency_hz, damping)[self.known]
-        own = self.basis.T @ x
+    def _gains_of_push(self, modes: Floats) -> Floats:
+        """By how much answers of modes (r, 2) to the push lower the sum of squares, (r,)."""
+        x = np.array([answer(self.shaken[0], self.block_s, *mode)[self.known] for mode in modes])
+        own = x @ self.basis
         # a push that had to act backwards explains nothing
-        return max(float(x @ self.left), 0.0) ** 2 / float(x @ x - own @ own)
+        return np.asarray(np.maximum(x @ self.left, 0.0) ** 2 / (np.sum(x**2, axis=1) - np.sum(own**2, axis=1)))
 
     def followed(self, starts: list[Floats]) -> Floats:
         """The best minimum from some starts."""
