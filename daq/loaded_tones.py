@@ -19,6 +19,8 @@ import numpy as np
 from daq.lock_in import LockIn, ToneFit
 from kernels.arrays import Complexes, Floats
 
+LEAST_SEEN = 0.1  # part of the contact that is unmasked
+
 
 @dataclass(frozen=True)
 class Load:
@@ -78,7 +80,12 @@ class LoadedTones:
         return np.concatenate([[self.gravity], np.column_stack([fit.amplitudes.real, fit.amplitudes.imag]).ravel()])
 
     def load(self) -> Load:
-        """Sums for the load's share in the motion; raises ``ValueError`` where the tones cannot be distinguished."""
+        """Sums for the load's share in the motion; raises ``ValueError`` where the tones cannot be distinguished.
+
+        Where hardly any of the contact is unmasked, the last of a ringing would be taken for a load: none is then seen.
+        """
+        if self.unmasked_contact.gram[0, 0] < LEAST_SEEN * self.whole_contact.gram[0, 0]:
+            return Load()
         x = self.unmasked.solve(0)
         columns = self._load_columns(x)
         common = self.unmasked_contact.gram @ columns

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, fit_tones, fit_tones_each
 
 RATE = 20000.0
@@ -192,3 +193,17 @@ def test_whole_stretches_need_no_sums_of_the_tones(frequencies: list[float]) -> 
     np.testing.assert_allclose(closed.gram, summed.gram, atol=1e-8)
     np.testing.assert_allclose(closed.rhs, summed.rhs, atol=1e-8)
     np.testing.assert_array_equal(closed.counts, summed.counts)
+
+
+def test_hardly_any_contact_shows_no_load() -> None:
+    """Of each contact all but two samples are masked, in which the last of a ringing stands: no load bends the tone."""
+    rate_hz, hz, amplitude = 20_000.0, 25.0, 2.3
+    index, noise = np.arange(20_000), np.random.default_rng(1).standard_normal(20_000)
+    x = amplitude * np.sin(2.0 * np.pi * hz * index / rate_hz) + 0.003 * noise
+    cycle = index % 800
+    touching, unmasked = cycle < 202, cycle >= 200
+    x[touching & unmasked] += 0.02
+    sums = LockIn(rate_hz, np.array([hz, 2.0 * hz, 3.0 * hz]), sorts=4)
+    sums.add(x, 0, (np.where(unmasked, 0, 2) + touching).astype(np.int8))
+    amplitudes, _ = LoadedTones.of_sorts(sums, 1.0).solve()
+    assert abs(amplitudes[0]) == pytest.approx(amplitude, rel=1e-3)
