@@ -11,6 +11,7 @@ M. K. Transtrum, J. P. Sethna, arXiv:1201.5885 (2012).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -84,6 +85,12 @@ class Hypothesis:
     def per_step(self) -> Floats:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))
+
+    @functools.cached_property
+    def level(self) -> float:
+        """Loss of the fit on the training steps, each channel's excess noise at its best."""
+        noise = self.model.observations.plate.noise(self.fitter.train)
+        return self.whitener.profile_loss(self.model.residuals(self.fitted.values), self.fitter.train, noise)
 
     def noise_like(self, ratio: float, plate_ratio: float | None = None) -> bool:
         """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms.

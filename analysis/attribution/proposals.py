@@ -212,8 +212,7 @@ class Proposals:
 
     def _gained(self, best: Hypothesis, fitted: Fitted) -> float:
         """What a fit gains on the training steps, each channel's excess noise at its best, nats."""
-        level, loss = (self.refits.profile_loss(best.whitener, x.values) for x in (best.fitted, fitted))
-        return level - loss
+        return best.level - self.refits.profile_loss(best.whitener, fitted.values)
 
     def _iterated(self, best: Hypothesis, chosen: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
         """The hypothesis of a fit, its weights iterated where it gains."""
@@ -233,8 +232,7 @@ class Proposals:
         promised, starts, two = self._begun(best, candidate, free)
         if not math.isfinite(starts[0][0]):
             raise NotFiniteError("what it predicts is not finite")
-        level = self.refits.profile_loss(best.whitener, best.fitted.values)
-        if level - starts[0][0] >= self.limits.negligible_nats:
+        if best.level - starts[0][0] >= self.limits.negligible_nats:
             return self._lowest(best, [self._fitted_from(best, (*best.free, *free), p) for _, p in two])
         plate_only = set(candidate.names) <= plate_effects()
         # a power has no slope where its amplitude is 0: the linear gain would be none, whatever the data show
@@ -297,12 +295,12 @@ class Proposals:
         def reached(point: Point, part: float) -> Point:
             return {k: v if k in shapes else part * v + (1.0 - part) * here[k] for k, v in point.items()}
 
-        level, led = self.refits.profile_loss(best.whitener, best.fitted.values), list[tuple[float, Point]]()
+        led = list[tuple[float, Point]]()
         for promised, point in steps[:4]:
             for part in PARTS:
                 there = reached(point, part)
                 led.append((self.refits.profile_loss(best.whitener, there), there))
-                if level - led[-1][0] > 0.5 * promised:
+                if best.level - led[-1][0] > 0.5 * promised:
                     break
         return steps[0][0], led
 
