@@ -42,6 +42,7 @@ class Thresholds:
     # standard deviations, of a log-likelihood ratio, by which reserved steps may lie below what the others promise
     reserve_sigmas: float = 2.0
     lack_p: float = 1e-4  # probability under which the remainder is more than noise
+    law_p: float = 1e-2  # probability of the remainder below which a law is sought in place of what is named
     # least rms of standardised residuals for a lack of fit to count; a trifle in a long run is no discovery
     lack_ratio: float = 1.25
     plate_rms_z: float = 1.6  # largest rms of standardised plate data

@@ -21,6 +21,7 @@ from analysis.discovery.terms import Curve, label
 from analysis.parallel import THREADS
 from analysis.residuals.covariates import Covariate
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.prediction_errors import Errors, held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import plate_effects
 from analysis.thresholds import ANOTHER_EVENT_S, FROZEN, Thresholds
@@ -73,6 +74,12 @@ class Discovery:
     forms: tuple[FittedForm, ...] = ()  # formulas fitted in its place, best first
     suggested: str = ""  # name of the one to prefer to the curve; empty: the curve
     instead_of: tuple[str, ...] = ()  # named effects that the term was fitted without
+    p_lack_of_fit: float = 1.0  # probability of what the term leaves of flights
+
+    def refutes(self, limits: Thresholds) -> bool:
+        """Whether a formula in place of named effects foretells held-out steps better and leaves only noise."""
+        better = self.gain.gain > limits.gain_nats and self.p_lack_of_fit >= limits.law_p
+        return better and bool(self.suggested) and bool(self.instead_of)
 
     @property
     def form(self) -> FittedForm | None:
@@ -133,7 +140,9 @@ def discover(
         return None
     as_good = [p for p in found if p is not best and tied(told.per_step, p.per_step, train, limits)]
     instead_of = tuple(name for name in explanation.names if name not in told.names)
-    return replace(_discovery(forms, gain, constant, as_good, tables, limits), instead_of=instead_of)
+    left = goodness_of_fit(told.model, told.fitted.values, limits)
+    out = _discovery(forms, gain, constant, as_good, tables, limits)
+    return replace(out, instead_of=instead_of, p_lack_of_fit=left.p_lack_of_fit)
 
 
 def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:

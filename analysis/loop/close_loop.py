@@ -33,7 +33,7 @@ from analysis.loop.tables import (
     source_of,
     step_table,
 )
-from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
+from analysis.loop.verdict import Failed, confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
 from analysis.residuals.noise.whitening import step_losses
@@ -45,7 +45,7 @@ from analysis.residuals.prediction_errors import (
     noise_quantiles_us,
     scored_rows,
 )
-from analysis.residuals.values import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId, plate_effects
 from analysis.signals.high_pass import LEAST_HZ
 from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful
@@ -249,15 +249,27 @@ def refuse_far_off(model: ForwardModel, recordings: Sequence[Path]) -> None:
 
 
 def completed(loop: ClosedLoop, fitted: FittedLoop) -> ClosedLoop:
-    """The loop with a term discovered where it is unexplained; ``loop`` and ``fitted`` are of `judge_loop`."""
-    best, left = fitted.selection.best, loop.remainder
+    """The loop with a term discovered where it is unexplained; ``loop`` and ``fitted`` are of `judge_loop`.
+
+    What an explanation leaves may be improbable and pass by its size. Then a formula is looked for in its place, and
+    where one does better the verdict is *unexplained*. Decision 671.
+    """
+    best, left, limits = fitted.selection.best, loop.remainder, loop.limits
+    by_size = loop.verdict == "explained" and left.p_lack_of_fit < limits.law_p
     # no term of the ball's motion changes take-offs alone, nor the plate, nor single landings that are lost
-    if loop.verdict != "unexplained" or left.flights_pass(loop.limits) or left.only_takeoffs_fail(loop.limits):
+    fails = loop.verdict == "unexplained" and not (left.flights_pass(limits) or left.only_takeoffs_fail(limits))
+    if not (fails or (by_size and set(best.names) - plate_effects())):
         return loop
     try:
-        return dataclasses.replace(loop, discovered=discover(fitted.model, best.fitter, best, loop.limits))
+        found = discover(fitted.model, best.fitter, best, limits)
     except NotFiniteError as error:
         return dataclasses.replace(loop, notes=(*loop.notes, f"the search for a smooth term ended early: {error}"))
+    if fails:
+        return dataclasses.replace(loop, discovered=found)
+    if found is None or not found.refutes(limits):
+        return loop
+    law = Failed("law", found.gain.gain, limits.gain_nats)
+    return dataclasses.replace(loop, verdict="unexplained", failed=(law,), discovered=found)
 
 
 def _judge(selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:

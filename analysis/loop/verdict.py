@@ -24,8 +24,9 @@ class Failed:
     """A test of the verdict that was not passed."""
 
     # ``flights`` and ``plate``: residuals of all steps over their uncertainty, rms. ``landings`` and ``takeoffs``:
-    # errors of held-out events, us. ``stake``: steps of a later run that miss what was predicted of them.
-    test: Literal["flights", "plate", "landings", "takeoffs", "stake"]
+    # errors of held-out events, us. ``stake``: steps of a later run that miss what was predicted of them. ``law``: gain
+    # of a discovered formula in place of the named effects, nats.
+    test: Literal["flights", "plate", "landings", "takeoffs", "stake", "law"]
     found: float
     allowed: float  # the most that the test allows, in the unit of ``found``
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.descent import StackedResiduals
@@ -19,6 +20,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, scored_rows
 from analysis.residuals.values import ParameterId
+from analysis.thresholds import FROZEN
 from model.effects.curves import KNOTS
 
 DEEPEST_M = 8e-3
@@ -91,6 +93,30 @@ def test_a_stop_that_bends_too_sharply_for_a_curve_is_found_by_its_formula(
     assert form is not None
     assert form.values == pytest.approx((-slope_per_s2, edge_m), rel=0.01)
     assert found.after.landing_rms_us < 1.3 * found.noise_floor_us
+
+
+@pytest.mark.slow
+def test_a_friction_that_grows_with_height_refutes_the_damping_named_for_it(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> None:
+    """A formula of the height stands in place of the damping, and leaves the flights no more than noise."""
+    friction = {("smooth_friction", f"c{i}"): float(x) for i, x in enumerate(15.0 * HEIGHTS)}
+    where = {
+        ("smooth_friction", "of"): 1.0,
+        ("smooth_friction", "start"): 0.0,
+        ("smooth_friction", "spacing"): HEIGHTS[1],
+    }
+    model = fly_ramp(where | friction, 1)
+    fitter = fitter_of(model)
+    damping = {("viscous_damping", "rate_per_s"): 1.0}
+    whitener = Whitener.of(model, damping)
+    fitted = fitter.fit(whitener, tuple(damping), damping)
+    named = Candidate(("viscous_damping",), tuple(damping), (damping,))
+    found = discover(model, fitter, Hypothesis((named,), fitted, whitener, fitted.held_out(whitener)))
+    assert found is not None
+    assert (found.term, found.covariate.words) == ("friction", "height")
+    assert found.instead_of == ("viscous_damping",)
+    assert found.refutes(FROZEN)
 
 
 @pytest.mark.slow

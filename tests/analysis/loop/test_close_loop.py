@@ -10,12 +10,16 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.attribution.selection import SelectionResult
-from analysis.loop.close_loop import refuse_far_off, withdraw_unconfirmed
+from analysis.discovery.symbolic import FORMS
+from analysis.loop import close_loop
+from analysis.loop.close_loop import FittedLoop, completed, refuse_far_off, withdraw_unconfirmed
+from analysis.loop.result import ClosedLoop
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import FROZEN
 from daq.setup.errors import InputError
+from tests.loops import changed, found_by
 
 UP, DOWN = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down")
 DRAG = ("quadratic_drag", "k_per_m")
@@ -56,6 +60,31 @@ def test_what_the_reserved_steps_contradict_is_withdrawn(
     assert left.best is friction and left.ties == (friction,) and left.earlier == (nothing,)
     assert left.rounds[-1] == "the steps held out of the fit do not improve with quadratic_drag: withdrawn"
     assert left.rejected is not None and left.rejected.names == ("quadratic_drag",) and left.rejected.gain < 0.0
+
+
+@pytest.mark.parametrize(
+    ("left_p", "law_p", "verdict"), [(1e-6, 0.5, "unexplained"), (1e-6, 1e-6, "explained"), (0.5, 0.5, "explained")]
+)
+def test_a_formula_that_leaves_only_noise_refutes_an_explanation_that_does_not(
+    left_p: float,
+    law_p: float,
+    verdict: str,
+    closed_loop: ClosedLoop,
+    fits: tuple[Fitter, Hypothesis, Hypothesis, Hypothesis],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It must be more than noise by probability what the named effects leave, and no more what the formula leaves."""
+    fitter, nothing, friction, _ = fits
+    loop = changed(closed_loop, remainder=replace(closed_loop.remainder, p_lack_of_fit=left_p))
+    found = found_by(loop, "force", "height_m", True, FORMS[1], "m/s^2").discovered
+    assert found is not None
+    found = replace(found, instead_of=("coulomb_friction",), p_lack_of_fit=law_p)
+    monkeypatch.setattr(close_loop, "discover", lambda *_: found)
+    fitted = FittedLoop(fitter.model, SelectionResult(nothing, friction, (friction,), ()))
+    ended = completed(loop, fitted)
+    assert ended.verdict == verdict
+    assert [failed.test for failed in ended.failed] == (["law"] if verdict == "unexplained" else [])
+    assert (ended.discovered is found) == (verdict == "unexplained")
 
 
 def test_take_offs_and_landings_far_off_are_refused(fly_ramp: Callable[..., ForwardModel]) -> None:
