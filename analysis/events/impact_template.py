@@ -138,7 +138,7 @@ def template_from_snippets(
     size[likeness < 0.75 * np.quantile(likeness, 0.75)] = 0.0
     fine, _ = _oversample(snippets, fractions, size, noise.rms_v)
     fine, sigma_v = _oversample(_level(snippets, fractions, size, fine), fractions, size, noise.rms_v)
-    known = ringing_part(_continued(fine, prediction, snippets.shape[1]), sigma_v, noise.rate_hz)
+    known = ringing_part(_continued(even(fine, noise.rate_hz), prediction, snippets.shape[1]), sigma_v, noise.rate_hz)
     if known is None:
         return None
     fine = _from_onset(known, sigma_v)
@@ -190,6 +190,21 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
     grid, known = np.arange(points), known[:points]
     sigma_v = noise_v / float(np.sqrt(np.median(bottom[:points][known])))
     return np.asarray(np.interp(grid, grid[known], mean[:points][known])), sigma_v
+
+
+def even(fine: Floats, rate_hz: float) -> Floats:
+    """The waveform less slow motion in which the points of a sample differ: they come from different landings.
+
+    Such motion would be subtracted from the recording after every impact, by the landing's place between two samples.
+    """
+    half = max(round(0.5 * SLOW_S * rate_hz), 8)  # samples, with a long motion at low rates
+    box = np.ones((2 * half + 1) * FINE + 1)
+    box[[0, -1]] = 0.5
+    every = np.zeros(box.size)
+    every[FINE // 2 :: FINE] = 1.0
+    reach = box.size // 2
+    differs = np.convolve(np.pad(fine, reach, mode="edge"), every / every.sum() - box / box.sum(), mode="valid")
+    return np.asarray(fine - differs)
 
 
 def _continued(fine: Floats, prediction: Floats, samples: int) -> Floats:
