@@ -26,7 +26,7 @@ from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Detection, Measured, PlateSteps, active, columns_of
+from model.integrator.problem import Detection, Measured, PlateSteps, active
 
 MOST_STORED = {"flights": 128, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
@@ -275,8 +275,7 @@ class ForwardModel:
         x = self.inputs(values, tones, rows)
         measured, mode = self.measured_at(x, wanted), self.measured_mode(x.rows)
         if mode is not None:  # it is known everywhere, and so is a kick to it
-            bounces = bool(np.any(x.rows[columns_of("rebound")] > 0.0))
-            measured, kick = replace(measured, mode=mode.kicked(kick, bounces=bounces)), (0.0, 0.0)
+            measured, kick = replace(measured, mode=mode.kicked(kick)), (0.0, 0.0)
             # it was seen as the accelerometer shows it, but for a high-pass, which was undone
             mode = mode.read(self.reading(values, without="accelerometer_high_pass"))
         if landing_shift_s is not None:

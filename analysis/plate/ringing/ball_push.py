@@ -21,6 +21,7 @@ LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction and 
 # friction (m/s^2) and lateness (s), where flights of one length leave open which of both it is
 USUAL = np.array([1.0, 1e-4])
 LEAST_SPREAD_MPS = 1e-6  # of flights without noise
+RESTS = 0.005  # of the speeds of impacts: a ball that leaves at once by less does not bounce
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,7 @@ class Push:
     late_s: float = 0.0  # by so much the accelerometer shows what happens too late
     rise_mps2: Floats | float = 0.0  # change of the contact's push over the length of each block, (n,)
     missed_mps: float = np.inf  # median speed by which flights from rest miss the plate; none where they are too few
-    left_mps: Floats | float = 0.0  # part of the impulse by which the ball left at once, (m,); 0 where it stayed
-
-    def left_at_mps(self, landing_s: Floats) -> Floats:
-        """``left_mps`` of the impacts that ended flights, (k,)."""
-        between_s = 0.5 * (self.impact_s[1:] + self.impact_s[:-1])
-        return np.broadcast_to(self.left_mps, self.impact_s.shape)[np.searchsorted(between_s, landing_s + self.late_s)]
+    stays: bool = False  # whether the ball that lands stays there: it leaves at once only as the plate falls away
 
     @property
     def impacts_mps2(self) -> Floats:
@@ -66,7 +62,7 @@ def filled_after_impacts(acceleration_mps2: Floats, known: Bools) -> Floats:
 
 def ball_push(
     acceleration_mps2: Floats, block_s: float, takeoff_s: Floats, landing_s: Floats, gravity_mps2: float,
-    mass_ratio: float = 0.0, late_s: float = 0.0,
+    mass_ratio: float = 0.0, before: Push | None = None,
 ) -> Push:  # fmt: skip
     """What the ball does to the plate while it lies on it, and at each landing.
 
@@ -76,17 +72,18 @@ def ball_push(
         Of the plate, means (n,) of blocks of that length.
     takeoff_s, landing_s
         Of the flights (m,), in order.
-    gravity_mps2
-        Of the place.
-    mass_ratio
-        Of the ball and what moves under it: with the ball on it the plate accelerates by so much less.
-    late_s
-        By so much the accelerometer is late, as far as that is known.
+    gravity_mps2, mass_ratio
+        Of the place; of the ball and what moves under it: with the ball on it the plate accelerates by so much less.
+    before
+        The push from an acceleration that was known less well; how late the accelerometer is, and whether the ball
+        bounces, go on from there.
     """
-    n, felt = len(acceleration_mps2), gravity_mps2 + acceleration_mps2
-    edges_s = np.arange(n + 1) * block_s
+    late_s, stays = (0.0, False) if before is None else (before.late_s, before.stays)
+    felt, edges_s = gravity_mps2 + acceleration_mps2, np.arange(len(acceleration_mps2) + 1) * block_s
     bounced, landed_s = np.append(np.inf, takeoff_s[1:] - landing_s[:-1]) < SHORTEST_REST_S, landing_s
-    takeoff_s = np.where(bounced, np.roll(landing_s, 1), takeoff_s)  # a contact stays closed for longer than it touches
+    # a contact stays closed for longer than it touches; a ball that does not bounce leaves where nothing presses it
+    presses = np.interp(np.roll(landing_s, 1) + late_s, edges_s[:-1] + 0.5 * block_s, felt) > 0.0
+    takeoff_s = np.where(bounced & ~(presses & stays), np.roll(landing_s, 1), takeoff_s)
     takeoff_s, landing_s = takeoff_s + late_s, landing_s + late_s
     length_s = landing_s - takeoff_s
     flight = np.clip(np.searchsorted(takeoff_s, edges_s, side="right") - 1, 0, len(takeoff_s) - 1)
@@ -101,7 +98,7 @@ def ball_push(
     gained, back = once(landing_s) - begun, (twice(landing_s) - twice(takeoff_s)) / length_s - begun
     flown = (np.cumsum(gained) - gained)[flight] + once(until_s) - begun[flight]
     inside = np.clip(np.searchsorted(takeoff_s, edges_s[:-1] + 0.5 * block_s) - 1, 0, len(takeoff_s) - 1)
-    free_mps = (np.where(bounced, back, 0.0) + begun)[inside] - once(np.stack([edges_s[:-1], edges_s[1:]]))
+    free_mps = (back * (bounced & (not stays)) + begun)[inside] - once(np.stack([edges_s[:-1], edges_s[1:]]))
     long, missed_mps = ~bounced & (landing_s - takeoff_s > LONG_S), np.inf
     if np.sum(long) >= FEWEST_FLIGHTS:
         friction, slowed_mps = 0.0, np.zeros_like(free_mps)
@@ -114,14 +111,15 @@ def ball_push(
         gained = once(ended_s) - once(begun_s) + friction * slowed
         back = (twice(ended_s) - twice(begun_s)) / length_s - once(begun_s) + friction * slowed_back
         missed_mps = float(np.median(np.abs(back[long])))
-    start = np.where(bounced, back, 0.0)
-    left = np.append(start[1:], 0.0)
+    if np.sum(left := bounced & ~presses) >= FEWEST_FLIGHTS:
+        stays = bool(np.median(back[left]) < RESTS * np.median(gained[left]))
+    start = back * (bounced & (not stays))
     # what changes at an impact is the speed over the plate, which recoils
     loaded = 1.0 + mass_ratio
     pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
     rise = -(1.0 - air) * once(edges_s[:-1] + 0.5 * block_s, 2) * block_s / loaded
-    impulse, left = -(gained - start + left) / loaded, -left / loaded
-    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, left)
+    impulse = -(gained - start + np.append(start[1:], 0.0)) / loaded
+    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, stays)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

@@ -159,10 +159,10 @@ class _Recorded:
         Whether the mains' ``hum`` shakes the plate, or only the accelerometer's cable, flights from rest show.
         """
         # both ends fade: the plate is cut off there in full swing, as if it went somewhere
-        weight, late_s = np.hanning(len(acceleration)), 0.0 if before is None else before.late_s
+        weight = np.hanning(len(acceleration))
         gained = 0.0 if before is None else mass_ratio * before.impacts_mps2
         felt = acceleration - np.average(acceleration + gained, weights=weight)
-        rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio, late_s)
+        rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio, before)
         return min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
 
     def promises(self, seen: Regression, x: Floats) -> bool:

@@ -24,20 +24,14 @@ class MeasuredMode:
     projection: Complexes  # the same
     observed_s: Floats  # the same
     turning: Complexes  # phase of the mode at the times of ``state``, (n, 2)
-    left_mps: Floats  # speed in ``state`` that a ball gave the mode by leaving each landing at once, (n,)
     omega_radps: float
     error_mps: float  # standard deviation of the speed, and of the displacement times the angular frequency
 
-    def kicked(self, kick: tuple[float, float], *, bounces: bool) -> Floats:
-        """``state`` with a displacement (m) and a speed (m/s) added that ring on in it all the time.
-
-        A ball that never ``bounces`` lay there for a moment where it seemed to leave at once: it is predicted to press.
-        """
+    def kicked(self, kick: tuple[float, float]) -> Floats:
+        """``state`` with a displacement (m) and a speed (m/s) added that ring on in it all the time."""
         q, qd = kick
         z = (qd + 1j * self.omega_radps * q) * self.turning
-        added = np.stack([z.imag / self.omega_radps, z.real], axis=2).reshape(self.state.shape)
-        added[:, 3] -= 0.0 if bounces else self.left_mps
-        return self.state + added
+        return self.state + np.stack([z.imag / self.omega_radps, z.real], axis=2).reshape(self.state.shape)
 
     def read(self, reading: Complexes | Floats) -> Self:
         """The same, what it adds to the tones as they are, (m, k), where it was seen through a ``reading`` of them."""
@@ -49,12 +43,11 @@ class MeasuredMode:
         omega_radps, damping, mass_ratio = mode
         motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         of, seen = observations.steps.recording[observations.measured.step], observations.measured
-        state, left_mps = np.empty((len(observations), 4)), np.empty(len(observations))
+        state = np.empty((len(observations), 4))
         for i, motion in enumerate(motions):
             own = of == i
             opened, landed = seen.opening_s[own], seen.landing_s[own]
             state[own] = np.hstack([motion.state(opened), motion.state(landed, landings=True)])
-            left_mps[own] = mass_ratio * motion.push.left_at_mps(landed)
         # after the last landing nothing shows whether the ball flew on
         until_s = np.array([x.until_s for x in observations.ringing.pushed])[of_step := observations.steps.recording]
         followed = ringing.span_s[:, 1] <= until_s[ringing.intervals.step]
@@ -63,4 +56,4 @@ class MeasuredMode:
         turning = np.exp(1j * motions[0].turn.imag * np.stack([seen.opening_s, seen.landing_s], axis=1))
         errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         amplitudes = ringing.of_tones(projection, seconds)
-        return cls(state, amplitudes, projection, seconds, turning, left_mps, omega_radps, max(errors))
+        return cls(state, amplitudes, projection, seconds, turning, omega_radps, max(errors))

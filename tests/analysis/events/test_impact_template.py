@@ -41,6 +41,22 @@ def test_what_goes_on_slowly_under_an_impact_is_no_part_of_it() -> None:
     assert abs(mean) < 0.1 * 1.4 / 30.0
 
 
+def test_what_swings_under_landings_at_one_place_between_samples_is_no_part_of_it() -> None:
+    """A plate that rings: landings that hit the same place between two samples hit it in the same motion."""
+    rng = np.random.default_rng(8)
+    fraction = np.repeat(np.arange(FINE) / FINE, 10)
+    lag_s = (np.arange(512) - LEAD + fraction[:, None]) / RATE_HZ
+    rings = np.where(lag_s > 0.0, 30.0 * np.exp(-lag_s / 1e-3) * np.sin(2.0 * np.pi * 1700.0 * lag_s), 0.0)
+    swings = 0.5 * np.sin(2.0 * np.pi * 60.0 * (lag_s + fraction[:, None] / 60.0))
+    snippets = rings + swings + 0.1 * rng.standard_normal(rings.shape)
+    waveform = template_from_snippets(
+        snippets, fraction, NoiseSpectrum.white(0.1, RATE_HZ), np.array([25.0]), np.zeros(1)
+    )
+    assert waveform is not None
+    after = waveform.fine[(LEAD + 40) * FINE : (LEAD + 60) * FINE].reshape(-1, FINE)
+    assert np.ptp(np.mean(after, axis=0)) < 0.005 * np.max(waveform.fine)
+
+
 def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
     """Landings at one place between samples, and a weak one at another: the waveform is that of the strong ones."""
     rng = np.random.default_rng(7)
