@@ -189,7 +189,7 @@ class Judge:
         """The candidate of lowest held-out loss that passes; of those that tie with it, that of lowest penalised loss.
 
         The penalty counts its parameters and the prior of the calibrations that it moves. A candidate that leaves more
-        than noise, and would need a second cause as well, comes after those that do not.
+        than noise, or strains a calibration, and would need a second cause as well, comes after those that do not.
         """
         ranked = sorted(found, key=lambda x: float(x.per_step[self.train].sum()))
         passing = (x for x in ranked if self.refusal(best, x, depth, chance) is None)
@@ -199,7 +199,7 @@ class Judge:
         after = ranked[ranked.index(top) + 1 :]  # what chance does is drawn only for those that could be chosen
         close = [top, *(x for x in after if self.tied(top, x) and self.refusal(best, x, depth, chance) is None)]
         if len(close) > 1:
-            close = [x for x in close if x.noise_like(self.limits.noise_like_ratio)] or close
+            close = [x for x in close if x.noise_like(self.limits.noise_like_ratio) and not x.strained] or close
         return self.cheapest(close)
 
     def cheapest(self, close: Sequence[Hypothesis]) -> Hypothesis:

@@ -34,7 +34,7 @@ from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
 from analysis.residuals.values import ParameterId
-from analysis.thresholds import Thresholds
+from analysis.thresholds import CALIBRATION_SIGMAS, Thresholds
 from kernels.arrays import Floats
 from model.effects.registry import effect
 
@@ -91,6 +91,11 @@ class Hypothesis:
         """Loss of the fit on the training steps, each channel's excess noise at its best."""
         noise = self.model.observations.plate.noise(self.fitter.train)
         return self.whitener.profile_loss(self.model.residuals(self.fitted.values), self.fitter.train, noise)
+
+    @property
+    def strained(self) -> bool:
+        """Whether a calibration is as far off as it may be: it may play a cause that is not named."""
+        return bool(self.fitted.moved_calibrations(0.99 * CALIBRATION_SIGMAS))
 
     def noise_like(self, ratio: float, plate_ratio: float | None = None) -> bool:
         """Whether flights and plate data leave residuals below ``ratio`` times their uncertainty, rms.

@@ -161,15 +161,15 @@ class StepwiseSelection:
         for depth in range(6):  # twice as many as effects on the ball: instruments and plate may have as many
             if self._ball_effects(best) == self.limits.most_effects:
                 break
-            if depth and best.noise_like(self.limits.noise_like_ratio):
+            if depth and best.noise_like(self.limits.noise_like_ratio) and not best.strained:
                 rounds.append(f"round {depth + 1}: what is left is no more than noise")
                 break
             options = remaining_candidates(self.library, best) if depth else self.library
             if depth:
-                plain = self._special_case(best, found)
+                instead = [x for x in (self._special_case(best, found), self._rival(best, found)) if x is not None]
                 found = self._round(best, options, depth)
-                if plain is not None:
-                    found += self._round(plain, remaining_candidates(self.library, plain, best.names), depth)
+                for x in instead:
+                    found += self._round(x, remaining_candidates(self.library, x, best.names), depth)
             accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
             if accepted is not None and self._is_in_place_of_a_cause(best, accepted, found, depth):
                 steady = [x for x in found if len(x.candidates) == len(accepted.candidates) - 1]
@@ -245,6 +245,15 @@ class StepwiseSelection:
         cases = contained_in(last) - set(last)
         same = [x for x in found if x.candidates[:-1] == best.candidates[:-1] and set(x.candidates[-1].names) <= cases]
         return min(same, key=lambda x: float(x.per_step[self.train].sum()), default=None)
+
+    def _rival(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+        """Of a round the best hypothesis as good as the one chosen there, where a calibration plays a further cause.
+
+        Which of them is right may show only with that cause.
+        """
+        same = [x for x in found if x.candidates[:-1] == best.candidates[:-1] and x.names != best.names]
+        rival = min(same, key=lambda x: float(x.per_step[self.train].sum()), default=None)
+        return rival if rival is not None and best.strained and self.judge.tied(best, rival) else None
 
     def _accepted(
         self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, null: ChanceGains
