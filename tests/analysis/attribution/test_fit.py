@@ -66,6 +66,7 @@ def test_a_calibration_goes_no_farther_than_its_uncertainty_lets_it(fly_ramp: Ca
     whitener = Whitener.of(model, {gravity: 0.3})
     bound, free = fitter.fit(whitener, (), {}), fitter.fit(whitener, (gravity,), {})
     assert bound.values[gravity] == pytest.approx(CALIBRATION_SIGMAS * 0.01, rel=1e-6)
+    assert bound.moved_calibrations(0.99 * CALIBRATION_SIGMAS) == {gravity}
     assert free.values[gravity] == pytest.approx(0.3, abs=4 * free.sigma(gravity))
     assert bound.loss > free.loss + 100.0
 

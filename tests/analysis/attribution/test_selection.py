@@ -88,6 +88,35 @@ def test_what_leaves_more_than_noise_neither_ties_with_nor_replaces_what_leaves_
     assert not selection.pruning._as_good(friction, drag)
 
 
+@pytest.mark.parametrize("strained", [True, False])
+def test_a_further_cause_is_sought_while_a_calibration_stands_at_its_bound(
+    fly_ramp: Callable[..., ForwardModel],
+    fitter_of: Callable[[ForwardModel], Fitter],
+    monkeypatch: pytest.MonkeyPatch,
+    strained: bool,
+) -> None:
+    """Friction and a late accelerometer, whatever is left taken for noise: the lag is named where it strains one."""
+    model = fly_ramp({UP: 0.05, DOWN: 0.05, ("accelerometer_lag", "delay_s"): 5e-4}, 1)
+    few = [c for c in candidates_of(model) if set(c.names) <= {"coulomb_friction", "accelerometer_lag"}]
+    monkeypatch.setattr(Hypothesis, "noise_like", lambda *_: True)
+    monkeypatch.setattr(Hypothesis, "strained", property(lambda x: strained and len(x.names) < 2))
+    best = StepwiseSelection(model, fitter_of(model), library=few).run().best
+    assert len(best.names) == 1 + strained
+
+
+def test_what_did_as_well_is_followed_too_where_a_calibration_stands_at_its_bound(
+    selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rival with the same loss: with the cause that the calibration plays, it may do better."""
+    selection = selection_of({UP: 0.05, DOWN: 0.05}, 1)
+    friction = added(selection, named(selection, "coulomb_friction"))
+    assert not friction.strained
+    rival = replace(friction, candidates=(Candidate(("quadratic_drag",), (("quadratic_drag", "k_per_m"),)),))
+    assert selection._rival(friction, [friction, rival]) is None
+    monkeypatch.setattr(Hypothesis, "strained", property(lambda x: x is friction))
+    assert selection._rival(friction, [friction, rival]) is rival
+
+
 def test_a_first_choice_that_leaves_more_than_noise_gives_way_to_another(
     fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter], monkeypatch: pytest.MonkeyPatch
 ) -> None:
