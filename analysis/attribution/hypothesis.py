@@ -210,8 +210,14 @@ class Refits:
             return x
         without = Fitter(self.model, self.fitter.priors, self.train & ~odd).fit
         led = self.attempted(x.candidates, without, x.whitener, x.free, x.fitted.values)
-        back = led and self.attempted(x.candidates, self.fitter.fit, x.whitener, x.free, led.values)
-        return self.scored(x.candidates, back) if back and back.loss < x.fitted.loss - LEAST_GAIN else x
+        if led is None:
+            return x
+        # with their weights: by those of the place that was left, a step to the bottom leads back there
+        weights = Whitener.of(self.model, led.values)
+        back = self.attempted(x.candidates, self.converged, x.candidates, weights, x.free, led.values)
+        if back is None or float((back.per_step - x.per_step)[self.train].sum()) > -LEAST_GAIN:
+            return x
+        return back
 
     def settled(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted again until no free value moves by more than a part of its standard deviation."""
