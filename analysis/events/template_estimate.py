@@ -21,6 +21,8 @@ from analysis.events.impact_template import (
     FINE,
     LEAD,
     LENGTH,
+    MIN_ECHO,
+    MIN_LANDINGS,
     THRESHOLD,
     ImpactTemplate,
     echo_samples,
@@ -182,8 +184,13 @@ def _all_snippets(
     strength = np.concatenate([own.strength for own in found])
     # weak impacts would only add noise: those used stand out of it, and are no small part of the usual strong ones
     least = max(12.0, 0.3 * float(np.quantile(strength, 0.9))) if strength.size else 0.0
-    rows = [_snippets(*one, own, least, echo, template) for one, own in zip(clean, found, strict=True)]
-    return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
+    while True:
+        rows = [_snippets(*one, own, least, echo, template) for one, own in zip(clean, found, strict=True)]
+        volts, fractions = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
+        # a ball that lands every few milliseconds never leaves the longest ringing its time
+        if template is not None or len(volts) >= MIN_LANDINGS or echo < 2 * MIN_ECHO:
+            return volts, fractions
+        echo //= 2
 
 
 def _quiet(fitted: Bools, places: Floats, echo: int) -> Bools:

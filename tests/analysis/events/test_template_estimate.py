@@ -1,11 +1,12 @@
-"""A template estimated from the accelerometer: the threshold of its detector, from its own output."""
+"""A template estimated from the accelerometer: its landings, and the threshold of its detector."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from analysis.events.template_estimate import FALSE_PER_HOUR, scale_and_threshold
+from analysis.events.impact_template import MIN_LANDINGS
+from analysis.events.template_estimate import FALSE_PER_HOUR, _all_snippets, _Found, scale_and_threshold
 
 RATE_HZ = 20000.0
 
@@ -24,3 +25,12 @@ def test_a_threshold_comes_from_the_output_of_the_detector() -> None:
     assert threshold > 7.0
     hours = 20_000_000 / RATE_HZ / 3600.0
     assert np.count_nonzero(bursts(20_000_000) > threshold * scale) <= 3 + hours * FALSE_PER_HOUR
+
+
+def test_impacts_that_follow_each_other_within_the_longest_ringing_are_learnt() -> None:
+    """One every 17 ms, as at c = 2: none has 25.6 ms of rest before it, and all have died away by the next."""
+    places = 425.0 * np.arange(1, 41)
+    found = _Found(places - 0.5, np.full(40, 50.0), np.zeros(40), np.full(40, 425.0))
+    clean = [(np.zeros(20_000), np.ones(20_000, np.bool_))]
+    snippets, fractions = _all_snippets(clean, [found], 25_000.0, None)
+    assert MIN_LANDINGS <= len(snippets) == len(fractions) and snippets.shape[1] < 425
