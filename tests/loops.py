@@ -23,7 +23,7 @@ def changed(loop: ClosedLoop, **values: Any) -> ClosedLoop:
     return dataclasses.replace(loop, **values)
 
 
-def found_by(loop: ClosedLoop, term: str, of: str, within: bool, form: Form | None, unit: str) -> ClosedLoop:
+def found_by(loop: ClosedLoop, term: str, of: str, form: Form | None, unit: str) -> ClosedLoop:
     """A loop that discovered a term, as a formula with values 0.3, 0.2, ... or as a curve."""
     x, gain = np.linspace(0.01, 0.5, 9), LogScoreDifference(90.0, 9.0, 80.0, 8.0)
     forms: tuple[FittedForm, ...] = ()
@@ -34,7 +34,7 @@ def found_by(loop: ClosedLoop, term: str, of: str, within: bool, form: Form | No
             FittedForm(form.name, form.expression, form.names, kinds, ("1",) * n, values, values, -3.0, 2.0, True),
         )
     discovered = Discovery(
-        term, Covariate("some quantity"), "it rises", Band(x, x + 0.1, x, x, unit), x, gain, gain,
-        (("adhesion", 0.9),), (), loop.errors.after, 5.0, of, within, forms, form.name if form else "",
+        term, Covariate("some quantity"), "it rises", Band(x, x + 0.1, x, x, unit), x, gain,
+        (("adhesion", 0.9),), (), loop.errors.after, 5.0, of, forms, form.name if form else "",
     )  # fmt: skip
     return dataclasses.replace(loop, verdict="unexplained", discovered=discovered)

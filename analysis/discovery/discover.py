@@ -17,7 +17,7 @@ from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
 from analysis.discovery.symbolic import FittedForm, Forms, search_forms
-from analysis.discovery.terms import Curve, label
+from analysis.discovery.terms import IN_FLIGHT_WORDS, Curve, label
 from analysis.parallel import THREADS
 from analysis.residuals.covariates import Covariate
 from analysis.residuals.forward_model import ForwardModel
@@ -63,18 +63,21 @@ class Discovery:
     # values of the covariate at the flights, or the range of each flight in a quantity that varies within it
     seen: Floats
     gain: LogScoreDifference  # held-out log-score gain over the best named hypothesis
-    over_constant: LogScoreDifference  # over the same term as a constant
     # named effects that shift the flights in a similar pattern, with the correlation
     similar_effects: tuple[tuple[str, float], ...]
     tied_covariates: tuple[str, ...]  # other covariates that do as well on held-out steps
     after: Errors  # errors on the reserved steps with the term, by the suggested formula where there is one
     noise_floor_us: float  # rms that noise leaves of landings there
     of: str = ""  # name of the covariate for programs
-    within_flight: bool = False  # whether it varies within the flight
     forms: tuple[FittedForm, ...] = ()  # formulas fitted in its place, best first
     suggested: str = ""  # name of the one to prefer to the curve; empty: the curve
     instead_of: tuple[str, ...] = ()  # named effects that the term was fitted without
     p_lack_of_fit: float = 1.0  # probability of what the term leaves of flights
+
+    @property
+    def within_flight(self) -> bool:
+        """Whether it varies within the flight."""
+        return self.of in IN_FLIGHT_WORDS
 
     def refutes(self, limits: Thresholds) -> bool:
         """Whether a formula in place of named effects foretells held-out steps better and leaves only noise."""
@@ -106,6 +109,28 @@ def discover(
         Thresholds of gains and ties.
     """
     train, tables = fitter.train, model.covariates(explanation.fitted.values)
+    found, forms = _found(model, fitter, explanation, tables, limits)
+    best, after = forms.best, forms.explanation
+    gain = LogScoreDifference.of(named_loss(model, explanation, train), after.per_step, train)
+    if gain.gain < limits.gain_nats:  # the goodness-of-fit tests have refused the named effects already
+        return None
+    level = TermSearch(model, fitter, explanation, after.candidates, tables).refine(
+        best.curve.without_covariate(len(model.observations))
+    )
+    # a curve that does no better than its constant shows no law of the covariate
+    if not LogScoreDifference.of(level.per_step, after.per_step, train).exceeds(limits.gain_nats, limits.gain_sigmas):
+        return None
+    as_good = [p for p in found if p is not best and tied(after.per_step, p.per_step, train, limits)]
+    instead_of = tuple(name for name in explanation.names if name not in after.names)
+    left = goodness_of_fit(after.model, after.fitted.values, limits)
+    out = _discovery(forms, gain, as_good, tables, limits)
+    return replace(out, instead_of=instead_of, p_lack_of_fit=left.p_lack_of_fit)
+
+
+def _found(
+    model: ForwardModel, fitter: Fitter, explanation: Hypothesis, tables: Mapping[str, Floats], limits: Thresholds
+) -> tuple[list[RefinedTerm], Forms]:
+    """All terms that were fitted, and the one to report with its formulas."""
     found, laws = list[RefinedTerm](), list[Forms]()
     # the effects of plate and instruments are held on to first, then all named ones
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
@@ -125,24 +150,9 @@ def discover(
             break
     # a formula that does as well as the best curve goes before every curve
     forms = min(laws, key=lambda forms: forms.penalised)
-    if not tied(best.per_step, forms.told.per_step, train, limits):
+    if not tied(best.per_step, forms.explanation.per_step, fitter.train, limits):
         forms = next(forms for forms in laws if forms.best is best)
-    best, told = forms.best, forms.told
-    gain = LogScoreDifference.of(named_loss(model, explanation, train), told.per_step, train)
-    if gain.gain < limits.gain_nats:  # the goodness-of-fit tests have refused the named effects already
-        return None
-    level = TermSearch(model, fitter, explanation, told.candidates, tables).refine(
-        best.curve.without_covariate(len(model.observations))
-    )
-    # a curve that does no better than its constant shows no law of the covariate
-    constant = LogScoreDifference.of(level.per_step, told.per_step, train)
-    if not constant.exceeds(limits.gain_nats, limits.gain_sigmas):
-        return None
-    as_good = [p for p in found if p is not best and tied(told.per_step, p.per_step, train, limits)]
-    instead_of = tuple(name for name in explanation.names if name not in told.names)
-    left = goodness_of_fit(told.model, told.fitted.values, limits)
-    out = _discovery(forms, gain, constant, as_good, tables, limits)
-    return replace(out, instead_of=instead_of, p_lack_of_fit=left.p_lack_of_fit)
+    return found, forms
 
 
 def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
@@ -169,13 +179,12 @@ def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
 def _discovery(
     forms: Forms,
     gain: LogScoreDifference,
-    constant: LogScoreDifference,
     others: Sequence[RefinedTerm],
     tables: Mapping[str, Floats],
     limits: Thresholds,
 ) -> Discovery:
     """The chosen term as numbers and names."""
-    best, model, fitted = forms.best, forms.told.model, forms.told.fitted
+    best, model, fitted = forms.best, forms.explanation.model, forms.explanation.fitted
     curve, covariate = best.curve, Covariate(*label(best.curve.term))
     seen = tables[curve.term.of if curve.term.columns else REACHES.get(curve.term.of, curve.term.of)]
     seen = seen[model.observations.scored]
@@ -193,13 +202,11 @@ def _discovery(
         Band(curve.points, values, low, high, curve.term.unit),
         seen[np.isfinite(seen)],
         gain,
-        constant,
         _similar_effects(best, limits.similar_correlation),
         tuple(names),
         held_out_errors(model, fitted.values, rows, left_out),
         noise_floors_us(model, fitted.values, rows)[0],
         curve.term.of,
-        not curve.term.columns,
         forms.tried,
         forms.suggested,
     )

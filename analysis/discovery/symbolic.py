@@ -194,7 +194,7 @@ class Forms:
     best: RefinedTerm  # the curve
     tried: tuple[FittedForm, ...]  # those judged on held-out steps, least penalised loss first
     suggested: str  # of those as good as the curve, the name of the one of least penalised loss; empty where none is
-    told: Hypothesis  # everything fitted with the suggested one, or with the curve
+    explanation: Hypothesis  # everything fitted with the suggested one, or with the curve
     scatter: float  # as that of the curve
     penalised: float  # held-out loss of the suggested one, with what its parameters cost; infinite where none is
 

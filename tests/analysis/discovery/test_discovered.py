@@ -70,7 +70,7 @@ def test_a_magnet_on_the_rod_is_discovered_as_a_force_of_height(
     assert "height" in found.description
     middle = float(np.interp(4e-3, found.curve.knots, found.curve.values))
     assert middle == pytest.approx(-float(pull_mps2(np.array([4e-3]))[0]), rel=0.1)
-    assert found.over_constant.gain > 12.0
+    assert found.gain.gain > 12.0
     assert found.after.landing_rms_us < 1.3 * found.noise_floor_us
     before = held_out_errors(model, {}, *scored_rows(model, {}, ~fitter.train))
     assert before.landing_rms_us > 5.0 * found.noise_floor_us

@@ -76,7 +76,7 @@ def test_a_formula_that_leaves_only_noise_refutes_an_explanation_that_does_not(
     """It must be more than noise by probability what the named effects leave, and no more what the formula leaves."""
     fitter, nothing, friction, _ = fits
     loop = changed(closed_loop, remainder=replace(closed_loop.remainder, p_lack_of_fit=left_p))
-    found = found_by(loop, "force", "height_m", True, FORMS[1], "m/s^2").discovered
+    found = found_by(loop, "force", "height_m", FORMS[1], "m/s^2").discovered
     assert found is not None
     found = replace(found, instead_of=("coulomb_friction",), p_lack_of_fit=law_p)
     monkeypatch.setattr(close_loop, "discover", lambda *_: found)

@@ -60,7 +60,7 @@ def discovery(seen: np.ndarray, loop: ClosedLoop) -> Discovery:
     x, gain = np.linspace(0.0, 8e-3, 9), LogScoreDifference(90.0, 9.0, 80.0, 8.0)
     return Discovery(
         "force", Covariate("height", "mm", 1e3), "a downward pull rises", Band(x, -x, -x - 1.0, 1.0 - x, "m/s^2"),
-        seen, gain, gain,
+        seen, gain,
         (("position_force", 0.9),), ("flight time",), loop.errors.after, 5.0,
     )  # fmt: skip
 

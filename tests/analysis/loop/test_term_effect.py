@@ -35,9 +35,8 @@ def module_of(text: str, folder: Path) -> ModuleType:
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{t.of}")
 def test_every_term_can_be_kept(term: SimpleNamespace, closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Curve and formula of every term and quantity: the hook, uncompiled, gives the value at the quantity."""
-    within = not term.columns
     for form in (None, FORMS[3]):
-        loop = found_by(closed_loop, term.name, term.of, within, form, term.unit)
+        loop = found_by(closed_loop, term.name, term.of, form, term.unit)
         effect, hooks = _checked(module_of(effect_source(loop, "odd_rod"), tmp_path))
         (hook, compiled), size = next(iter(hooks.items())), 1 if form is None else 2
         row = np.array([*((1.0,) if form is None else (0.3, 0.2)), 0.25, 1.0])
@@ -60,7 +59,7 @@ def test_every_term_can_be_kept(term: SimpleNamespace, closed_loop: ClosedLoop, 
 @pytest.mark.parametrize("form", forms_for(TERMS[1], (-0.2, 0.5)), ids=lambda f: f.name)
 def test_the_formula_of_a_file_is_the_one_that_was_fitted(form: Form, closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Every form, compiled from its file: the values that the search computed."""
-    loop = found_by(closed_loop, "force", "velocity_mps", True, form, "m/s^2")
+    loop = found_by(closed_loop, "force", "velocity_mps", form, "m/s^2")
     effect, hooks = _checked(module_of(effect_source(loop, "odd_rod"), tmp_path))
     values = (0.3, 0.2, 0.1)[: len(form.parameters)]
     row = np.array([*values, 9.8])

@@ -79,7 +79,7 @@ def test_nothing_missing_names_nothing(closed_loop: ClosedLoop, tmp_path: Path) 
 @pytest.mark.usefixtures("no_figures")
 def test_the_page_has_the_formulas_of_a_discovered_term(closed_loop: ClosedLoop, tmp_path: Path) -> None:
     """Each formula stands with its loss over the curve's, without and with the cost of its parameters."""
-    loop = found_by(closed_loop, "force", "velocity_mps", True, FORMS[0], "m/s^2")
+    loop = found_by(closed_loop, "force", "velocity_mps", FORMS[0], "m/s^2")
     text = write_report(loop, tmp_path / "report").read_text(encoding="utf-8")
     cost = loop.limits.tie_nats * len(FORMS[0].parameters)
     assert FORMS[0].expression in text and f"<td>-3.0 ± 2.0</td><td>{cost - 3.0:+.1f}</td>" in text

@@ -35,7 +35,7 @@ def found(closed_loop: ClosedLoop) -> Found:
         )
         discovered = Discovery(
             "force", Covariate("height", "mm", 1e3), term, Band(*(np.zeros(2),) * 4, "m/s^2"), np.zeros(2),
-            *(LogScoreDifference(90.0, 9.0, 80.0, 8.0),) * 2, (), (), closed_loop.errors.after, 5.0,
+            LogScoreDifference(90.0, 9.0, 80.0, 8.0), (), (), closed_loop.errors.after, 5.0,
         )  # fmt: skip
         return changed(closed_loop, verdict=verdict, parameters=added, discovered=discovered if term else None)
 
