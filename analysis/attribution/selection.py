@@ -151,11 +151,9 @@ class StepwiseSelection:
     def _followed(self, before: Hypothesis, found: list[Hypothesis]) -> tuple[SelectionResult, tuple[str, ...]]:
         """The result of the rounds that begin with the choice among ``found``, and the names that were chosen first."""
         best, rounds, rivals, tried = before, list[str](), list[Hypothesis](), found
-        refused: list[Rejected] = []
-        chance: list[ChanceTest] = []
+        refused, chance = list[Rejected](), list[ChanceTest]()
         first: tuple[str, ...] = ()
-        rng = generator_of(self.model)
-        chain: list[Hypothesis] = [before]
+        rng, chain = generator_of(self.model), [before]
         last: _Round | None = None
         near: dict[str, list[Hypothesis]] = {}  # by the cause that was chosen, others that gained nearly as much
         for depth in range(6):  # twice as many as effects on the ball: instruments and plate may have as many
@@ -166,9 +164,9 @@ class StepwiseSelection:
                 break
             options = remaining_candidates(self.library, best) if depth else self.library
             if depth:
-                instead = [x for x in (self._special_case(best, found), self._rival(best, found)) if x is not None]
+                others = [self._special_case(best, found), self._rival(best, found)]
                 found = self._round(best, options, depth)
-                for x in instead:
+                for x in filter(None, others):
                     found += self._round(x, remaining_candidates(self.library, x, best.names), depth)
             accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
             if accepted is not None and self._is_in_place_of_a_cause(best, accepted, found, depth):
