@@ -19,8 +19,6 @@ import numpy as np
 from daq.lock_in import LockIn, ToneFit
 from kernels.arrays import Complexes, Floats
 
-LEAST_SEEN = 0.1  # part of the contact that is unmasked
-
 
 @dataclass(frozen=True)
 class Load:
@@ -84,7 +82,8 @@ class LoadedTones:
 
         Where hardly any of the contact is unmasked, the last of a ringing would be taken for a load: none is then seen.
         """
-        if self.unmasked_contact.gram[0, 0] < LEAST_SEEN * self.whole_contact.gram[0, 0]:
+        # where less than this part of the contact is unmasked, load and tones cannot be distinguished
+        if self.unmasked_contact.gram[0, 0] < 0.1 * self.whole_contact.gram[0, 0]:
             return Load()
         x = self.unmasked.solve(0)
         columns = self._load_columns(x)

@@ -138,7 +138,10 @@ def _found(
     for named in (still,) if len(still) == len(every) else (still, every):
         fresh = _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
         found += fresh
-        best = _least_curved(found, limits)
+        # of the terms within chance of the best the least curved; of its curves, that of least scatter
+        able = [p for p in found if p.held_out < min(x.held_out for x in found) + limits.gain_nats]
+        term = min(able, key=lambda p: p.curve.total_curvature).curve.term
+        best = min((p for p in able if p.curve.term == term), key=lambda p: p.scatter)
         # formulas of that term, then of the others until one suffices: a curve may have stopped short of its best
         others = {p.curve.term: p for p in sorted(fresh, key=lambda p: -p.held_out)}
         for p in (best, *reversed(others.values())):
@@ -153,14 +156,6 @@ def _found(
     if not tied(best.per_step, forms.explanation.per_step, fitter.train, limits):
         forms = next(forms for forms in laws if forms.best is best)
     return found, forms
-
-
-def _least_curved(found: Sequence[RefinedTerm], limits: Thresholds) -> RefinedTerm:
-    """Of the terms within chance of the best the least curved; of its curves, that of least scatter."""
-    least = min(p.held_out for p in found) + limits.gain_nats
-    able = [p for p in found if p.held_out < least]
-    term = min(able, key=lambda p: p.curve.total_curvature).curve.term
-    return min((p for p in able if p.curve.term == term), key=lambda p: p.scatter)
 
 
 def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:

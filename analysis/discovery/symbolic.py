@@ -129,9 +129,6 @@ def forms_for(term: Term, span: tuple[float, float]) -> tuple[Form, ...]:
     return tuple(replace(form, expression=form.expression.replace("{span}", largest)) for form in able)
 
 
-FARTHER = 0.25  # of a curve's range, that a formula within the flight is carried beyond it
-
-
 @functools.cache
 def _nearest_lines() -> Floats:
     """Values at `KNOTS` places of the broken line nearest to a function, from its values at eight times as many."""
@@ -155,8 +152,8 @@ def curve_of(
     """
     if term.columns:
         return Curve(term, np.array(span), np.ones(1), at(tables[term.of])[:, None])
-    # a function goes on beyond the knots, which leave out the farthest flights
-    beyond = FARTHER * (span[1] - span[0])
+    # a function goes on beyond the knots, which leave out the farthest flights: by a quarter of the range
+    beyond = 0.25 * (span[1] - span[0])
     first, last = span[0] - (beyond if span[0] < 0.0 else 0.0), span[1] + beyond
     # of the broken lines the nearest: one through the function's own values would shift a kink between two of them
     lines = _nearest_lines()

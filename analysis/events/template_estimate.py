@@ -42,14 +42,11 @@ from kernels.arrays import Bools, Floats, Integers
 
 TAIL = 3.0  # standard deviations from which a detector's output counts as its tail
 FALSE_PER_HOUR = 0.1  # impacts that noise may make in an hour of recording
-MASK_S = 4e-3  # mask after an impact in the tone fits made here
-ROWS = 16384  # predictions that the weights are fitted to
 PREDICTED_FROM = 16  # samples from which the next one is predicted: some modes of a table and a filter's
 QUIET_SAMPLES = 30  # samples without an onset before an onset
-RISE = 2.5  # growth of the power of a dozen prediction errors that another impact makes
 ONSET_SIGMAS = 6.0  # standard deviations of what is not predicted that make an onset
 NOTICED = 0.05  # of an impact's strength, from which another one nearby changes its waveform
-N_PREDICTIONS, N_ALIGNMENTS = 3, 3
+N_ALIGNMENTS = 3
 
 
 def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
@@ -268,8 +265,8 @@ def _prediction(still: list[tuple[Floats, Bools]]) -> tuple[Floats, list[Floats]
     """
     lags = np.arange(PREDICTED_FROM + 1)
     known = [np.convolve(fitted, np.ones(lags.size))[: fitted.size] > PREDICTED_FROM + 0.5 for _, fitted in still]
-    rings, every_nth = known, sum(int(own.sum()) for own in known) // ROWS + 1
-    for _ in range(N_PREDICTIONS):
+    rings, every_nth = known, sum(int(own.sum()) for own in known) // 16384 + 1  # so many predictions are enough
+    for _ in range(3):
         products = np.zeros((lags.size, lags.size))
         for (volts, _), own in zip(still, rings, strict=True):
             rows = volts[np.flatnonzero(own)[::every_nth, None] - lags]
@@ -290,7 +287,8 @@ def _begun(left: Floats) -> _Found:
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
     peak = np.array([left[n : n + LEAD].max() for n in first])
     power = np.convolve(left**2, np.ones(LEAD) / LEAD)[: left.size]
-    rises = power > RISE * np.maximum(np.append(np.full(LEAD, np.inf), power)[: power.size], 1.0)
+    # another impact makes the power of a dozen of them grow by more than this
+    rises = power > 2.5 * np.maximum(np.append(np.full(LEAD, np.inf), power)[: power.size], 1.0)
     free = np.full(first.size, np.inf)
     for k, n in enumerate(first):
         heard = rises[n + 2 * LEAD :] & (power[n + 2 * LEAD :] > NOTICED**2 * power[n : n + LENGTH].max())
@@ -360,10 +358,9 @@ def _without_motion(
 ) -> tuple[Floats, Bools]:
     """Accelerometer volts less tones of each step (by ``clean`` outside impacts), and where a fit was possible."""
     volts, fit_to = (p.channels["accelerometer"].astype(np.float64) for p in (piece, clean))
-    fitted = np.zeros(volts.size, dtype=np.bool_)
-    ringing = np.zeros(volts.size, dtype=np.bool_)
+    fitted, ringing = np.zeros((2, volts.size), dtype=np.bool_)
     for place in places.astype(np.int64):
-        ringing[max(place - 4, 0) : max(place + int(MASK_S * rate_hz), 0)] = True
+        ringing[max(place - 4, 0) : max(place + int(4e-3 * rate_hz), 0)] = True
     for part in stretches:
         own = part.own
         try:
@@ -383,8 +380,7 @@ def _motion(part: _Stretch, volts: Floats, ringing: Bools) -> ToneFit:
     """
     masked = LockIn(part.every.rate_hz, part.every.frequencies_hz)
     masked.add(volts, part.start, ringing)  # few samples: the sums over the others are not made anew
-    outside = part.every - masked
-    fit = outside.solve()
+    fit = (outside := part.every - masked).solve()
     present = part.main | (np.abs(fit.amplitudes) > SIGNIFICANT * fit.amplitude_sigma())
     return fit if present.all() else outside.only(present).solve()
 

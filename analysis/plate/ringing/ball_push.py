@@ -21,7 +21,6 @@ LONG_S, FEWEST_FLIGHTS = 5e-3, 10  # flights from rest that show a friction and 
 # friction (m/s^2) and lateness (s), where flights of one length leave open which of both it is
 USUAL = np.array([1.0, 1e-4])
 LEAST_SPREAD_MPS = 1e-6  # of flights without noise
-RESTS = 0.005  # of the speeds of impacts: a ball that leaves at once by less does not bounce
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def ball_push(
         back = (twice(ended_s) - twice(begun_s)) / length_s - once(begun_s) + friction * slowed_back
         missed_mps = float(np.median(np.abs(back[long])))
     if np.sum(left := bounced & ~presses) >= FEWEST_FLIGHTS:
-        stays = bool(np.median(back[left]) < RESTS * np.median(gained[left]))
+        stays = bool(np.median(back[left]) < 0.005 * np.median(gained[left]))  # slower than that is no bounce
     start = back * (bounced & (not stays))
     # what changes at an impact is the speed over the plate, which recoils
     loaded = 1.0 + mass_ratio

@@ -19,7 +19,7 @@ from analysis.linear_algebra import NotFiniteError, lstsq, solve
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import PushedPlate, answer
-from analysis.plate.ringing.regression import CLUSTER_S, PROMISING_NATS, SURE_NATS, PlateMode, Regression
+from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
 from analysis.signals.high_pass import restored
 from daq.recording import Recording
 from kernels.arrays import Bools, Floats
@@ -168,7 +168,8 @@ class _Recorded:
     def promises(self, seen: Regression, x: Floats) -> bool:
         """Whether a mode found first, without forces, could become sure, with them or without."""
         driven = replace(seen, shaken=np.vstack([seen.shaken, self.linear[:, : self.forces].T]))
-        return max(seen.gained(x), driven.gained(x)) > PROMISING_NATS
+        # what impacts hide, once known, has raised a gain by 4 parts in 10, never to twice
+        return max(seen.gained(x), driven.gained(x)) > 0.5 * SURE_NATS
 
     def settled(self, begun: Sequence[int], found: Floats | None, forces: int) -> tuple[Regression, Floats | None]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.

@@ -32,8 +32,6 @@ LAGS = 2  # pieces whose scores are correlated
 GAIN_NATS, SURE_NATS = 15.0, 200.0  # least gain of a mode that is there, and of one without a near rival
 # of the best mode of the first look; of what is left, over noise: below both a search would find none that is sure
 QUIET_NATS, QUIET_OVER_NOISE = 0.5 * GAIN_NATS, 1.03
-# of the first search, below which none becomes sure: what impacts hide, once known, has raised a gain by 4 parts in 10
-PROMISING_NATS = 0.5 * SURE_NATS
 LEFT_BY_TWO = 0.9  # of what one mode leaves of the acceleration, where a second one is said to be missing
 
 
