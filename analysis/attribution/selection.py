@@ -326,7 +326,7 @@ class StepwiseSelection:
         chosen = self.judge.cheapest(close)
         if chosen is not best:
             gone, new = (set(a.names) - set(b.names) for a, b in ((best, chosen), (chosen, best)))
-            rounds.append(f"{' + '.join(new)} in place of {' + '.join(gone)}: as good or better, with less")
+            rounds.append(f"{' + '.join(new)} in place of {' + '.join(gone)}: as good or better")
             chosen = self.pruning.simplified(chosen, self.library, rounds)
         return chosen, [x for x in close if x is not chosen]
 
