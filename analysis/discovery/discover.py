@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -112,7 +112,7 @@ def discover(
     found, forms = _found(model, fitter, explanation, tables, limits)
     best, after = forms.best, forms.explanation
     gain = LogScoreDifference.of(named_loss(model, explanation, train), after.per_step, train)
-    if gain.gain < limits.gain_nats:  # the goodness-of-fit tests have refused the named effects already
+    if gain.gain < limits.gain_nats:  # that named effects leave more than noise is known already
         return None
     level = TermSearch(model, fitter, explanation, after.candidates, tables).refine(
         best.curve.without_covariate(len(model.observations))
@@ -122,9 +122,7 @@ def discover(
         return None
     as_good = [p for p in found if p is not best and tied(after.per_step, p.per_step, train, limits)]
     instead_of = tuple(name for name in explanation.names if name not in after.names)
-    left = goodness_of_fit(after.model, after.fitted.values, limits)
-    out = _discovery(forms, gain, as_good, tables, limits)
-    return replace(out, instead_of=instead_of, p_lack_of_fit=left.p_lack_of_fit)
+    return _discovery(forms, gain, as_good, instead_of, tables, limits)
 
 
 def _found(
@@ -175,6 +173,7 @@ def _discovery(
     forms: Forms,
     gain: LogScoreDifference,
     others: Sequence[RefinedTerm],
+    instead_of: tuple[str, ...],
     tables: Mapping[str, Floats],
     limits: Thresholds,
 ) -> Discovery:
@@ -204,6 +203,8 @@ def _discovery(
         curve.term.of,
         forms.tried,
         forms.suggested,
+        instead_of,
+        goodness_of_fit(model, fitted.values, limits).p_lack_of_fit,
     )
 
 

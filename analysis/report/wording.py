@@ -156,7 +156,8 @@ def _failure(loop: ClosedLoop, failed: Failed) -> str:
     if failed.test == "plate":
         return f"the plate is off by {failed.found:.2f} standard deviations rms ({failed.allowed:g} allowed)"
     if failed.test == "law":
-        return f"a discovered formula in their place foretells held-out steps better by {failed.found:.0f} nats"
+        better = f"foretells held-out steps better by {failed.found:.0f} nats and leaves no more than noise"
+        return f"a discovered formula in place of what is named {better}"
     if failed.test == "stake":
         return "a later run does not meet the prediction that was staked on it"
     event = "landings" if failed.test == "landings" else "take-offs"

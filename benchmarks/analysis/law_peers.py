@@ -97,6 +97,6 @@ def peer_errors(peer: str, fitter: Fitter, values: Values, there: Fitter) -> dic
     _, kind, found = best
     out = {"kind": kind}
     for name, of, steps in (("here", fitter, ~fitter.train), ("there", there, there.train)):
-        told = with_values(of.model, kind, np.nan_to_num(found(features(of.model))))
-        out[name] = missed_us(Fitter(told, of.priors, of.train), values if of is fitter else {}, steps)
+        carried = with_values(of.model, kind, np.nan_to_num(found(features(of.model))))
+        out[name] = missed_us(Fitter(carried, of.priors, of.train), values if of is fitter else {}, steps)
     return out

@@ -186,7 +186,7 @@ def _holding(q, g, here, rested_s):
 
 @njit()
 def _march(q, off, gammas, step_s, fade_s, w, c, dt, every, plate, edges, impacts):
-    """March; fill the plate at ``every`` step, edges (+t opens, -t closes), impacts. Restitutions are ``off`` (k,)."""
+    """March; fill plate at ``every`` step, edges (+t opens, -t closes), impacts; ``off`` (k,) adds to restitutions."""
     g = 9.80665 * (1.0 + q[_GRAVITY])
     slow_w = 2.0 * math.pi * q[_TABLE_HZ]
     y = yv = load = h = u = rested = left = last = 0.0  # h, u: height and speed above the plate
