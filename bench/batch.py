@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from daq.files.disk import Journal, whole
 from daq.files.json_values import json_object
-from daq.files.whole_file import Journal, whole
 from daq.recording.notebook import state_of
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
@@ -106,7 +106,7 @@ def _measured(opened: Recording, parts: tuple[str, ...]) -> Iterator[Row]:
 def _verdict(path: Path, setup: Setup | None, *, anyway: bool) -> Row:
     """The verdict of the closed loop, saved next to the recording; values of what it names with their intervals."""
     from analysis.loop.close_loop import close_loop
-    from bench.jobs.loops.keep_verdict import keep_verdict
+    from bench.jobs.loops.runs_and_files import keep_verdict
 
     loop = close_loop([path], setup=setup, anyway=anyway)
     row: Row = {

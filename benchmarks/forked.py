@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from daq.recording.subprocess_reader import limit_memory
+from daq.recording.opening import limit_memory
 
 
 def in_copy(call: Callable[[], Any], patience_s: float = 60.0) -> Any:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.drop.falls.fall import Fall, with_balls
+from analysis.drop.falls.fit import Fall, with_balls
 from analysis.drop.load import load_all
 from analysis.drop.outcome import with_interval
 from bench.jobs.drop_test import Request, measure

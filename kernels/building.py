@@ -20,7 +20,7 @@ from numba.core import event, registry, runtime, serialize, types
 from numba.extending import typeof_impl
 
 from kernels.emit import lanes
-from kernels.fingerprint import fingerprint_of_closure
+from kernels.folder import fingerprint_of_closure
 from kernels.kernel import Kernel, watchers
 from kernels.lanes import Intrinsic
 from kernels.machine_code import StoredKernel

@@ -2,7 +2,7 @@
 
 numba's own cache looks at the file in which a function stands, not at the functions it calls, and so runs stale code
 after an edit of one of those. Here a stored kernel's name is a hash of its bytecode and constants and those of every
-function it reaches (`kernels.fingerprint`), of the kinds of its arguments, of the processor, of numba's settings in the
+function it reaches (`kernels.folder`), of the kinds of its arguments, of the processor, of numba's settings in the
 environment and of the sources of this package `kernels`. The folder carries the versions of numba, llvmlite, Python
 and shakerbench. Any number of processes may use it at once: a file is written whole under its final name or not at
 all, and its name fixes its content.
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from kernels import folder
-from kernels.fingerprint import fingerprint, fingerprint_of_sources
+from kernels.folder import fingerprint, fingerprint_of_sources
 from kernels.kernel import Function, Kernel, Kind, text
 
 DIGEST_BYTES = 32

@@ -13,10 +13,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from daq.setup.setup import Setup
-from daq.setup.stake import Stake
-from daq.setup.strict_toml import load_toml, parse_toml
-from daq.setup.values import Frozen
+from daq.setup.setup import Setup, Stake
+from daq.setup.values import Frozen, load_toml, parse_toml
 from rig.backends.kinds.find import OptionsByKind
 from rig.backends.kinds.simulated import SimulatedOptions
 

@@ -17,9 +17,9 @@ from analysis.flights.scan import plate_of
 from analysis.flights.table import COLUMNS, flag_names
 from analysis.loop.close_loop import close_loop as close_loop_of
 from analysis.loop.result import ClosedLoop
-from analysis.loop.verdict_json import loop_json
+from analysis.loop.tables import loop_json
 from analysis.plate.motion import PlateMotion
-from analysis.report.gamma import gamma_scale
+from analysis.report.wording import gamma_scale
 from bench.jobs.drop_test import Request, check_request
 from bench.jobs.drop_test import measure as measure_drop
 from bench.profiles.find import load_measuring

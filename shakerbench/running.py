@@ -11,8 +11,7 @@ import numpy as np
 
 from bench.jobs.run_ramp import make_backend, record
 from bench.profiles.edit import with_values
-from bench.profiles.find import load
-from bench.profiles.plan import planned, refuse_forbidden
+from bench.profiles.find import load, planned, refuse_forbidden
 from daq.setup.errors import InputError
 from rig.execution.operator import RunSummary
 from rig.profile import Profile, parse_profile

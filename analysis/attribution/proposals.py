@@ -17,8 +17,8 @@ from analysis.attribution.candidates import Candidate, Point, distinct_starts, n
 from analysis.attribution.coarse_search import CoarseSearch, axes_of, coarse_grids, subsample
 from analysis.attribution.fit import Fitted
 from analysis.attribution.hypothesis import Hypothesis, Refits
+from analysis.computing import THREADS
 from analysis.linear_algebra import NotFiniteError
-from analysis.parallel import THREADS
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId, plate_effects
 from analysis.thresholds import DRIFTING_NATS, FOLLOWED_PART, NEAR_NATS, NEAR_PART, Thresholds

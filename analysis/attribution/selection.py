@@ -24,8 +24,7 @@ from analysis.attribution.proposals import Proposals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, NEAR_CAUSE, Thresholds
-from model.effects.registry import trend_name
-from model.effects.routing import ball_effects
+from model.effects.registry import ball_effects, trend_name
 
 Progress = Callable[[str, float], None]
 

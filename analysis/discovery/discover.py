@@ -15,10 +15,10 @@ import numpy as np
 from analysis.attribution.choice import LogScoreDifference, tied
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
+from analysis.computing import THREADS
 from analysis.discovery.search import RefinedTerm, TermSearch, named_loss
 from analysis.discovery.symbolic import FittedForm, Forms, search_forms
 from analysis.discovery.terms import IN_FLIGHT_WORDS, Curve, label
-from analysis.parallel import THREADS
 from analysis.residuals.covariates import Covariate
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit

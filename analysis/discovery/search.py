@@ -15,16 +15,18 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.coarse_search import subsample
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.descent import StackedResiduals, newton_step
-from analysis.discovery.penalised_fit import (
+from analysis.computing import THREADS
+from analysis.discovery.fit import (
     SHARP,
     TAILS,
     ScreenedTerm,
+    StackedResiduals,
     best_constant,
     best_start,
     covariance_of,
     fit_in_flight,
     jacobian_of,
+    newton_step,
     penalty_of_curve,
     residual_table,
     screen_covariate,
@@ -40,7 +42,6 @@ from analysis.discovery.terms import (
     knots_of,
     ranges_of,
 )
-from analysis.parallel import THREADS
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import robust_loss
 from analysis.residuals.noise.whitening import Whitener
@@ -50,7 +51,7 @@ from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
 FINALISTS = 5  # screened terms that are fitted jointly, at most
-SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.penalised_fit.TAILS`, for terms within the flight
+SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.fit.TAILS`, for terms within the flight
 NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
     "since_impact_s": "dwell_s",
     "impact_mps": "previous_impact_mps",

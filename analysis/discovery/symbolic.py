@@ -23,7 +23,7 @@ import numpy as np
 from analysis.attribution.choice import LogScoreDifference, penalised_best, tied
 from analysis.attribution.fit import Fitted, Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.descent import Problem, StackedResiduals, descend, newton_step
+from analysis.discovery.fit import Problem, StackedResiduals, descend, newton_step
 from analysis.discovery.search import CURVE_FOLDS, RefinedTerm, plate_loss
 from analysis.discovery.terms import AugmentedModel, Curve, Term, hat_functions
 from analysis.linear_algebra import lstsq, pinv

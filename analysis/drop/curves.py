@@ -14,9 +14,9 @@ import numpy as np
 from analysis.drop.falls.fit import heights_m
 from analysis.drop.falls.judge import Judged as JudgedFalls
 from analysis.drop.film.camera_fit import CameraFit
-from analysis.drop.laws.choice import Verdict
+from analysis.drop.laws import Verdict
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.model_selection import Judged
-from analysis.drop.times.one_ahead import Drop
 from kernels.arrays import Floats
 
 Curve = tuple[Floats, Floats]

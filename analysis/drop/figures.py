@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from analysis.drop.curves import FitPlot
 from analysis.drop.film.tracking import Tracked
-from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.model_fit import Drop
 from daq.files.wav import open_wav
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from scipy import stats
 
 from analysis.drop import thresholds
-from analysis.drop.film.flights import LEAST_SAMPLES, Clip, Flight, jitter
-from analysis.drop.times.model_fit import Fit
-from analysis.drop.times.one_ahead import Rows
+from analysis.drop.film.track import LEAST_SAMPLES, Clip, Flight, jitter
+from analysis.drop.times.model_fit import Fit, Rows
 from kernels.arrays import Floats, Integers
 
 

@@ -11,14 +11,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from analysis.drop.corrections import NOTHING, Corrections, Progress
-from analysis.drop.falls.fall import is_fall
-from analysis.drop.film.flights import Clip, near_impacts
-from analysis.drop.film.linking import ball_of
+from analysis.drop.falls.fit import is_fall
+from analysis.drop.film.track import Clip, ball_of, near_impacts
 from analysis.drop.film.tracking import Tracked, track_film
 from analysis.drop.film.video import FILMS
 from analysis.drop.read.readings import Points, read_tables
 from analysis.drop.times.impact_chain import Onsets, drops_of, unheard
-from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.onsets import contact_onsets, onsets_of_file
 from daq.files.wav import is_wav
 from daq.importers.tables import read_sheets

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from analysis.drop.laws.choice import Candidate, Verdict
+from analysis.drop.laws import Candidate, Verdict
 from analysis.drop.thresholds import LEVEL_SIGMAS
 from daq.setup.values import MeasuredValue
 from kernels.arrays import Floats

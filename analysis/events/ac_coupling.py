@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.levels import Levels
-from analysis.signals.stream import PAD, Piece
-from daq.instrument.noise_spectrum import measure_noise
+from analysis.signals import PAD, Piece
+from daq.instrument.channel_limits import measure_noise
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings, Window
-from analysis.events.levels import Levels
+from analysis.events.levels import CLOSES, DIP, OPENS, Crossings, Levels, Window
 from analysis.statistics import mad_sigma
 from kernels.arrays import Floats, Integers
 

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.impact_template import FINE, LEAD, LENGTH, ImpactTemplate
-from analysis.signals.search import first_beyond
-from analysis.signals.stream import block_means
+from analysis.signals import block_means, first_beyond
 from analysis.statistics import nearest
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers

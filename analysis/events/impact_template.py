@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from analysis.linear_algebra import lstsq
-from daq.instrument.noise_spectrum import NoiseSpectrum
+from daq.instrument.channel_limits import NoiseSpectrum
 from kernels.arrays import Floats, Integers
 
 LEAD, TAIL = 12, 36  # samples (see `thinning`) before and after an impact's first sample

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.events.crossings import CLOSES
 from analysis.events.edges import Edges
 from analysis.events.impact_detection import ONSET_S, Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
+from analysis.events.levels import CLOSES
 from analysis.statistics import mad_sigma, nearest
 from kernels.arrays import Floats
 

@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from analysis.events.crossings import CLOSES, DIP, OPENS, Crossings
 from analysis.events.edges import Edges, EdgeShape
 from analysis.events.impact_detection import Impacts
-from analysis.events.levels import Levels
+from analysis.events.levels import CLOSES, DIP, OPENS, Crossings, Levels
 from kernels.arrays import Floats
 
 GRID_POINTS = 25  # grid points a parameter in the search for a start

@@ -32,10 +32,9 @@ from analysis.events.impact_template import (
 from analysis.linear_algebra import lstsq
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
-from analysis.signals.stream import Piece
+from analysis.signals import Piece
 from analysis.statistics import CORE, core_sigma
-from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
-from daq.instrument.saturation import STANDS, share_at_an_end
+from daq.instrument.channel_limits import STANDS, NoiseSpectrum, measure_noise, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers

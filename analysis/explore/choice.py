@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.attribution.fit import Fitter, of_same_events
-from analysis.explore.explanations import Explanation, Weighed
-from analysis.explore.second_order import slopes_of
+from analysis.explore.explanations import Explanation, Weighed, slopes_of
 from analysis.linear_algebra import inv, lstsq
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel

@@ -26,8 +26,7 @@ from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.proposals import Proposals
 from analysis.attribution.selection import SelectionResult
 from analysis.explore.choice import MOST_EXPLANATIONS, Block, Option, Pool, best_block, divergences
-from analysis.explore.explanations import Explanation, Weighed, weighed
-from analysis.explore.second_order import slopes_of
+from analysis.explore.explanations import Explanation, Weighed, slopes_of, weighed
 from analysis.linear_algebra import inv, solve
 from analysis.loop.close_loop import FittedLoop
 from analysis.loop.design import simulate_steps
@@ -42,7 +41,7 @@ from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.thresholds import FARTHEST_SIGMAS, FROZEN, OUTLIER_FRACTION, SCALE_KNOWN, SHARED_S
 from daq.recording import open_recording
 from daq.setup.errors import InputError
-from daq.setup.stake import Stake, StakedParameter, StakedStep
+from daq.setup.setup import Stake, StakedParameter, StakedStep
 from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import resolve
 

@@ -11,21 +11,19 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from analysis.events.crossings import CLOSES, DIP, OPENS
 from analysis.events.edge_jitter import Scatter
 from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
+from analysis.events.levels import CLOSES, DIP, OPENS
 from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts
 from analysis.events.short_contacts import refine_short_contacts
-from analysis.flights.by_hand import changed_edges, changed_impacts, given_by_hand
-from analysis.flights.denied_impacts import undenied
+from analysis.flights.events_corrected import changed_edges, changed_impacts, given_by_hand, undenied
 from analysis.flights.scan import Progress, Scan, scan
 from analysis.flights.table import EdgeReport, FlightFlag, Flights, write_csv
 from analysis.plate.motion import PlateMotion
 from analysis.statistics import nearest
 from daq.recording import Recording
-from daq.recording.event_changes import EventChange
-from daq.recording.notebook import event_changes_of
+from daq.recording.notebook import EventChange, event_changes_of
 from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers

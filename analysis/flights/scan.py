@@ -13,20 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
-from analysis.events.crossings import OPENS, Crossings, CrossingScan
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
 from analysis.events.impact_template import ImpactTemplate
-from analysis.events.levels import Levels, measure_levels
+from analysis.events.levels import OPENS, Crossings, CrossingScan, Levels, measure_levels
 from analysis.events.sensor_offset import SensorOffset
 from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.plate.tone_noise import with_coloured_noise
-from analysis.signals.high_pass import LEAST_HZ, HighPass
-from analysis.signals.stream import PAD, Piece, Volts, pieces, survey_pieces
+from analysis.signals import LEAST_HZ, PAD, HighPass, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
-from daq.instrument.noise_spectrum import NoiseSpectrum
-from daq.instrument.saturation import NO_ENDS, Ends, common_ends
+from daq.instrument.channel_limits import NO_ENDS, Ends, NoiseSpectrum, common_ends
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE

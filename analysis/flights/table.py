@@ -18,8 +18,8 @@ from analysis.events.edges import EdgeShape
 from analysis.events.levels import Levels
 from analysis.events.sensor_offset import SensorOffset
 from analysis.plate.motion import PlateMotion
-from daq.files.whole_file import whole
-from daq.recording.event_changes import EventChange
+from daq.files.disk import whole
+from daq.recording.notebook import EventChange
 from kernels.arrays import Bools, Floats, Integers
 
 

@@ -24,18 +24,25 @@ from analysis.attribution.candidates import (
     scale_of,
     value_at,
 )
-from analysis.joint.alignment import Aligned, aligned
-from analysis.joint.choice import Candidates, Tested, bounded_fit, left_out_losses, loss_of
-from analysis.joint.outcome import days_since_first, parameters_over_runs, systematics_of
+from analysis.joint.choice import (
+    Candidates,
+    Tested,
+    bounded_fit,
+    days_since_first,
+    left_out_losses,
+    loss_of,
+    parameters_over_runs,
+    systematics_of,
+)
 from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own, fit_population
 from analysis.joint.result import Candidate, JointVerdict
-from analysis.joint.summary import Point, RunSummary, common_priors, summarise
+from analysis.joint.summary import Aligned, Point, RunSummary, aligned, common_priors, summarise
 from analysis.loop.close_loop import judge_loop
-from analysis.loop.verdicts import Verdict
+from analysis.loop.verdict import Verdict
 from analysis.residuals.observations import Observations
 from analysis.residuals.values import TREND, ParameterId
 from analysis.thresholds import FROZEN, LEADING_P
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from daq.recording import open_recording
 from daq.recording.header import refuse_repeated
 from daq.recording.notebook import state_of

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from analysis.joint.constancy import Constancy, OneRun
-from analysis.loop.verdicts import Verdict
+from analysis.joint.population import Constancy, OneRun
+from analysis.loop.verdict import Verdict
 from daq.files.json_values import json_object
 
 

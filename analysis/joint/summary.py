@@ -1,5 +1,15 @@
-"""One run in a small table: what its recording tells about calibrations and about every candidate, to second order.
+"""One run in a small table, its systematic errors, and the tables of all runs in one set of coordinates.
 
+Systematic errors that all runs of a rig share, as nuisances with a prior: how the contact's edges are dated.
+An estimator of edges errs alike in every run, by its threshold, the sampling, or the edges that it does not see. Ten
+runs average noise, and not this. So each run's summary has derivatives to these errors too, and one value of each,
+common to all runs, is fitted with every candidate: only what such an error cannot imitate can be named.
+
+What delays both edges alike is a calibration of each run, `contact_latency`. Openings may be off against closings. A
+contact from which the ball leaves at once is seen only where noise or sampling has made it longer, so its closing is
+dated too early: by up to half of its length, and by no more than an edge's own uncertainty. Decision 158.
+
+One run in a small table: what its recording tells about calibrations and about every candidate, to second order.
 A recording is read, reduced, fitted for its own calibrations, linearised there and let go; only the summary stays.
 """
 
@@ -7,32 +17,84 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, MutableMapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from analysis.attribution.candidates import Prior, candidates_of, coordinate_of, null_value_of, parameter_of
+from analysis.attribution.candidates import Prior, candidates_of, coordinate_of, null_value_of, parameter_of, scale_of
 from analysis.attribution.chance import Place, places
-from analysis.attribution.fit import Fitter
+from analysis.attribution.fit import Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis, Refits
-from analysis.explore.second_order import adjusted_gradient_and_information, secants_at, slopes_at
-from analysis.joint.population import Quadratic
+from analysis.explore.explanations import adjusted_gradient_and_information, secants_at, slopes_at
+from analysis.joint.population import Priors, Quadratic
 from analysis.joint.result import RunOutcome
-from analysis.joint.systematics import PLACES, Systematics
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
+from analysis.residuals.noise.uncertainty import EDGE_STEP_S
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows
-from analysis.residuals.values import TREND, ParameterId
+from analysis.residuals.values import TREND, ParameterId, Values
 from analysis.thresholds import Thresholds
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
+from kernels.arrays import Bools, Floats, Integers
 from model.effects.registry import resolve
+
+NAMES = ("openings late beside closings", "closings of brief contacts late")
+PLACES: tuple[Place, ...] = tuple((("systematic", name), ()) for name in NAMES)
+"""What their coordinates are called among those of a run's summary."""
+UNIT_S = 1e-6  # of their coordinates
+
+
+@dataclass(frozen=True)
+class Systematics:
+    """What one run tells of the errors of `NAMES`."""
+
+    slopes: Floats  # derivatives of the bare residuals to each, per `UNIT_S`, (r, 2)
+    # standard deviations of their priors, in `UNIT_S`, (2,); 0 where the run has no such edges
+    sigma: tuple[float, ...]
+
+    @classmethod
+    def of(cls, model: ForwardModel, whitener: Whitener, at: Values) -> Systematics:
+        """From one run at the parameter values ``at``."""
+        observations = model.observations
+        brief = np.append(observations.measured.relaunched[1:] & observations.measured.linked[1:], False)
+        now = model.residuals(at)
+        raw, columns = whitener.stacked(now), []
+        for closings, openings in ((np.zeros_like(brief), 1.0), (brief, 0.0)):
+            late_s = np.where(closings, EDGE_STEP_S, 0.0)
+            earlier = model.predict(at, landing_shift_s=-late_s, near=now.predicted)
+            there = replace(
+                now,
+                landing_s=np.where(
+                    observations.scored, observations.measured.landing_s - late_s - earlier.landing_s, np.nan
+                ),
+                opening_s=np.where(
+                    model.from_rest,
+                    observations.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s,
+                    np.nan,
+                ),
+            )
+            change = of_same_events(whitener.stacked(there) - raw, whitener)
+            columns.append(change * UNIT_S / EDGE_STEP_S)
+        opening_s, closing_s = (
+            _typical(observations.opening_sigma_s, model.from_rest),
+            _typical(observations.landing_sigma_s, brief),
+        )
+        # all edges together may be off by a tenth of one edge's uncertainty; closings by half of what their prior
+        # allows
+        sigma_s = (0.1 * opening_s, min(0.5 * observations.circuit.closure_s, closing_s))
+        return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
+
+
+def _typical(sigma_s: Floats, some: Bools) -> float:
+    return float(np.median(sigma_s[some])) if some.any() else 0.0
+
 
 Row = dict[str, Any]
 
@@ -87,7 +149,7 @@ class RunSummary:
     columns: tuple[Place, ...]
     options: tuple[Option, ...]  # the candidates
     quadratic: Quadratic  # log likelihood about the run's own fit
-    # widths of the priors of shared systematic errors, see `analysis.joint.systematics.Systematics`.
+    # widths of the priors of shared systematic errors, see `analysis.joint.summary.Systematics`.
     systematic_sigma: tuple[float, ...]
     lost: bool  # whether landings are so far off that nothing is linear
 
@@ -209,3 +271,79 @@ def _place(entry: Sequence[Any]) -> Place:
     """A column's meaning from JSON."""
     (name, q), shapes = entry
     return (name, q), tuple(((n, p), float(v)) for (n, p), v in shapes)
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """All runs in the same coordinates: each run's own parameters first (q), then shared ones, systematic errors that
+    all runs share, and candidates.
+    """
+
+    point: Point
+    columns: tuple[Place, ...]  # what each coordinate stands for, K in all
+    options: tuple[Option, ...]  # candidates that at least half of the runs can show
+    runs: tuple[Quadratic, ...]  # a quadratic each; what a run cannot show has no information
+    prior: Priors  # of means and shared parameters
+    width: Floats  # of the priors of what runs have their own values of, (q,)
+    low: Floats  # least values of the coordinates, (K,)
+    high: Floats  # largest ones, (K,)
+
+    @property
+    def named(self) -> int:
+        """Number of coordinates before the candidates'."""
+        return len(self.point.own) + len(self.point.shared) + len(PLACES)
+
+    def places_of(self, option: Option) -> Integers:
+        """Columns of a candidate."""
+        return self.named + np.array([self.columns[self.named :].index(s) for s in option.sizes], dtype=np.int64)
+
+
+def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[str]) -> Aligned:
+    """All runs in the same coordinates.
+
+    All summaries are at ``point``; ``released`` effects were named: the mean of what they set has no prior.
+    """
+    counts: dict[Option, int] = {}
+    for run in summaries:
+        for option in run.options:
+            counts[option] = counts.get(option, 0) + 1
+    options = tuple(o for o, n in counts.items() if 2 * n >= len(summaries))
+    own, shared = point.own, tuple(sorted(point.shared))
+    columns = (*((k, ()) for k in (*own, *shared)), *PLACES, *dict.fromkeys(s for o in options for s in o.sizes))
+    mean, precision = np.zeros(len(columns)), np.zeros(len(columns))
+    width = np.array([width_of(key, point.priors[key].sigma) for key in own])
+    for i, key in enumerate(own):
+        mean[i] = coordinate_of(key, point.priors[key].mean)
+        precision[i] = 0.0 if key[0] in released else width[i] ** -2.0
+    first, named = len(own) + len(shared), len(own) + len(shared) + len(PLACES)
+    sigma = np.max([run.systematic_sigma for run in summaries], axis=0)
+    # a systematic error of a narrower prior is none
+    precision[first:named] = np.maximum(sigma, 1e-3) ** -2.0
+    bounds = [
+        (-np.inf, np.inf)
+        if place in PLACES
+        else (coordinate_of(place[0], parameter_of(place[0]).low), coordinate_of(place[0], parameter_of(place[0]).high))
+        for place in columns
+    ]
+    runs = tuple(_on(run, columns, named) for run in summaries)
+    low, high = np.array(bounds).reshape(-1, 2).T
+    return Aligned(point, columns, options, runs, Priors(mean, precision), width, low, high)
+
+
+def width_of(key: tuple[str, str], sigma: float) -> float:
+    """Standard deviation of a parameter's prior in coordinates."""
+    return float(sigma ** (1.0 / parameter_of(key).power)) / scale_of(key)
+
+
+def _on(run: RunSummary, columns: Sequence[Place], named: int) -> Quadratic:
+    """A run's quadratic on the common columns; those that are named stand in the same place in every run."""
+    known = {place: j for j, place in enumerate(run.columns[named:], start=named)}
+    mine = np.array([j for j, place in enumerate(columns) if j < named or place in known], dtype=np.int64)
+    theirs = np.array([j if j < named else known[columns[j]] for j in mine], dtype=np.int64)
+    k, old = len(columns), run.quadratic
+    origin = np.zeros(k)
+    origin[mine] = old.origin[theirs]
+    gradient, information = np.zeros(k), np.zeros((k, k))
+    gradient[mine] = old.gradient[theirs]
+    information[np.ix_(mine, mine)] = old.information[np.ix_(theirs, theirs)]
+    return Quadratic(origin, gradient, information)

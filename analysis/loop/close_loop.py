@@ -46,7 +46,7 @@ from analysis.residuals.prediction_errors import (
     scored_rows,
 )
 from analysis.residuals.values import TREND, ParameterId, plate_effects
-from analysis.signals.high_pass import LEAST_HZ
+from analysis.signals import LEAST_HZ
 from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
 from daq.instrument.stored import refuse_doubtful
 from daq.setup.errors import InputError

@@ -1,22 +1,36 @@
-"""The verdict of a closed loop, and the tests that it rests on.
+"""The verdict of a closed loop: its words, and the tests that it rests on.
 
+The verdict of a closed loop, and the tests that it rests on.
 "Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise only. Decision 65.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from analysis.attribution.choice import LogScoreDifference
-from analysis.loop.verdicts import Verdict
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import OUTLIER_FRACTION, Thresholds
 from kernels.arrays import Bools, Floats
+
+Verdict = Literal["explained", "unexplained", "nothing_missing"]
+
+VERDICTS: Mapping[Verdict, str] = {
+    "explained": "Explained",
+    "unexplained": "Unexplained: something is left that no named effect accounts for",
+    "nothing_missing": "Nothing is missing: the declared model explains the recording",
+}
+
+
+def short_verdict(verdict: str) -> str:
+    """A verdict in one or two words: ``nothing missing``."""
+    return verdict.replace("_", " ")
 
 
 @dataclass(frozen=True)

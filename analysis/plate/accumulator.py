@@ -40,8 +40,8 @@ from analysis.plate.step_state import (
     multiples_of,
 )
 from analysis.plate.windows import fit_windows, refined_hz
-from analysis.signals.stream import block_means
-from daq.instrument.saturation import NO_ENDS, Ends, blocks_at_an_end
+from analysis.signals import block_means
+from daq.instrument.channel_limits import NO_ENDS, Ends, blocks_at_an_end
 from daq.lock_in import LockIn
 from daq.recording import Recording
 from daq.setup.setup import Forcing

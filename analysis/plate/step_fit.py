@@ -12,14 +12,12 @@ from functools import cache
 
 import numpy as np
 
-from analysis.plate.contact_flight_fit import ContactFlightFit, scaled
-from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import with_line_uncertainty
-from analysis.plate.motion import SlowMotion, StepPlate, Windows
-from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, StepState
+from analysis.plate.motion import ContactFlightFit, SlowMotion, StepPlate, Windows, scaled
+from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, FitIntervals, StepState
 from analysis.plate.tone_noise import converter_step, with_rounding
 from analysis.plate.windows import WINDOW_CYCLES
-from daq.instrument.saturation import share_at_an_end
+from daq.instrument.channel_limits import share_at_an_end
 from daq.loaded_tones import LoadedTones
 from daq.lock_in import LockIn, ToneFit
 from daq.recording import Recording

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.plate.fit_mask import FitIntervals
 from analysis.plate.mains_lines import BIN_S, noise_near
-from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, Span, StepState
+from analysis.plate.step_state import CONTACT, N_MASK_LEVELS, ChunkFit, FitIntervals, Span, StepState
 from analysis.statistics import median
 from daq.lock_in import ToneFit
 from daq.lock_in_kernel import RESYNC, turns

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from analysis.loop.result import ClosedLoop
-from analysis.report.numbers import microseconds
 from analysis.report.wording import (
     capital,
     coverage_in_words,
     discovered_in_words,
     lost_in_words,
+    microseconds,
     others_in_words,
     plain,
     rejected_in_words,

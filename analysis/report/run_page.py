@@ -1,46 +1,140 @@
-"""The report of recordings: one page that needs nothing but itself, for the screen and for paper.
+"""The report of recordings as one page, and its figures that answer the mouse.
 
+Figures as inline SVG, and the flights behind their points, for a page that needs nothing but itself.
+A figure names the flights behind its points (`name_flights`). The page's script finds the point nearest to the pointer;
+paper shows the same vectors.
+
+The report of recordings: one page that needs nothing but itself, for the screen and for paper.
 A section a recording: verdict, figures, steps, residuals, and where the data come from; several recordings are compared
 in a table.
 """
 
 from __future__ import annotations
 
+import base64
 import datetime
+import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.flights.table import FlightFlag
-from analysis.loop.verdicts import short_verdict
+from analysis.loop.verdict import short_verdict
 from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
 from analysis.report.figures.measured import Measured
-from analysis.report.gamma import GammaScale, gamma_scale
-from analysis.report.interactive import flight_columns, inline_figure
+from analysis.report.figures.style import FLIGHT_ROWS, STYLE
 from analysis.report.narrative import headline
-from analysis.report.numbers import fixed, microseconds
-from analysis.report.origin import calibration_rows, file_rows, rig_rows, software_words, source_words
-from analysis.report.page import Drawn, Progress, fill, first_bifurcations, whole_page
-from analysis.report.wording import plain
+from analysis.report.page import (
+    Drawn,
+    Progress,
+    calibration_rows,
+    file_rows,
+    fill,
+    first_bifurcations,
+    rig_rows,
+    software_words,
+    source_words,
+    whole_page,
+)
+from analysis.report.wording import GammaScale, fixed, gamma_scale, microseconds, plain
 from analysis.statistics import mad_sigma
-from daq.files.whole_file import whole
+from daq.files.disk import whole
 from daq.recording import Recording
-from daq.recording.event_changes import in_words
 from daq.recording.header import header_of
-from daq.recording.notebook import notebook, read_remarks, side_file
+from daq.recording.notebook import in_words, notebook, read_remarks, side_file
 from daq.recording.verify import VerifyReport
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 
 if TYPE_CHECKING:
     from markupsafe import Markup
+    from matplotlib.figure import Figure
+
+
+MOST_VECTOR_POINTS = 15_000  # in one figure; with more of them the dots are one picture under vector axes
+MOST_HOVER_POINTS = 60_000  # in one figure that the pointer can name; of more, every second, third, ... one
+
+
+@dataclass(frozen=True)
+class InlineFigure:
+    """A drawn figure."""
+
+    svg: str  # element ``<svg>``
+    # place of each named point in the SVG's units and its flight's row, base64 of little-endian numbers
+    points: Mapping[str, str]
+    remark: str  # what the number of points made necessary, in words; else empty
+
+
+def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
+    """A new figure, filled by ``draw``, as inline SVG; None where that draws no axes."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):  # the reader's machine lacks TeX's fonts
+        figure = Figure(layout="constrained")
+        draw(figure)
+        if not figure.axes:
+            return None
+        dots = [line for ax in figure.axes for line in ax.lines]
+        named = [line for line in dots if hasattr(line, FLIGHT_ROWS)]
+        sizes = [0 if line.get_rasterized() else int(np.isfinite(line.get_xydata()).all(axis=1).sum()) for line in dots]
+        n = sum(sizes)
+        if n > MOST_VECTOR_POINTS:
+            for line, size in zip(dots, sizes, strict=True):
+                # a line of more than 500 dots joins the picture
+                line.set_rasterized(bool(line.get_rasterized()) or size > 500)
+        out = io.BytesIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        points, known = _points(figure, named)
+    text = out.getvalue().decode("utf-8")
+    element = re.sub(r"\s*<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL).strip()
+    remarks = []
+    if n > MOST_VECTOR_POINTS:
+        remarks.append(f"Its {n} points are drawn as a picture; axes and text are vectors.")
+    if known[0] < known[1]:
+        remarks.append(f"The pointer knows {known[0]} of the {known[1]} points, evenly chosen.")
+    return InlineFigure(element, points, " ".join(remarks))
+
+
+def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int, int]]:
+    """Places and rows of the named points, and how many of them the page holds, of how many."""
+    places, rows = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    for line in lines:
+        places.append(line.get_transform().transform(np.column_stack([line.get_xdata(), line.get_ydata()])))
+        rows.append(getattr(line, FLIGHT_ROWS))
+    place, row = np.concatenate(places) * (72.0 / figure.dpi), np.concatenate(rows)
+    seen = np.isfinite(place).all(axis=1)
+    place, row = place[seen], row[seen]
+    stride = -(-len(row) // MOST_HOVER_POINTS) if len(row) else 1
+    shown = place[::stride]
+    coded = {
+        "x": packed(shown[:, 0], "<f4"),
+        "y": packed(72.0 * figure.get_figheight() - shown[:, 1], "<f4"),
+        "row": packed(row[::stride], "<i4"),
+    }
+    return coded, (len(shown), len(row))
+
+
+def packed(values: Any, kind: str) -> str:
+    """Numbers as base64 of the little-endian type ``kind``."""
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode("ascii")
+
+
+def flight_columns(columns: Mapping[str, NDArray[Any]]) -> dict[str, str]:
+    """Columns of a table of flights for the script: whole numbers as ``i4``, others as ``f8``, by name."""
+    return {
+        name: ("i4:" + packed(x, "<i4")) if np.issubdtype(x.dtype, np.integer) else "f8:" + packed(x, "<f8")
+        for name, x in columns.items()
+    }
+
 
 SYMBOLS = {"gamma": "Γ", "gamma_peak": "Γ peak"}
 

@@ -1,16 +1,104 @@
-"""The verdict in words, for page, figures and terminal."""
+"""Words and numbers of a verdict, as pages, figures and terminal show them.
+
+The measure of forcing on every axis and page: gamma, or at c = 1 gamma_peak, with its definition.
+Everything is computed in ``gamma = A w^2 / g`` of one tone. At c = 1 both tones are one sine, and the paper's
+experimental axis is its peak acceleration, ``gamma_peak``: a constant multiple of gamma.
+"""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.term_effect import TermEffect
-from analysis.loop.verdict import Failed
-from analysis.loop.verdicts import VERDICTS
-from analysis.report.numbers import interval, microseconds, plus_minus, probability
+from analysis.loop.verdict import VERDICTS, Failed
 from analysis.residuals.covariates import COVARIATES
+from daq.setup.setup import Forcing
 from model.effects.registry import unit_of
+
+BELOW = 1e-4  # a number smaller than this is written with an exponent
+
+
+def interval(value: float, low: float, high: float) -> str:
+    """A value with its interval, all to the same place: two significant digits of half the interval's width.
+
+    Example: ``0.1178 (0.1100 .. 0.1255)``.
+    """
+    if not all(math.isfinite(x) for x in (value, low, high)):
+        return f"{value:.4g} ({low:.4g} .. {high:.4g})"
+    half, largest = 0.5 * (high - low), max(abs(value), abs(low), abs(high))
+    place = 1 - math.floor(math.log10(half)) if half > 0.0 else 6
+    if 0.0 < largest < BELOW:
+        exponent = math.floor(math.log10(largest))
+        digits = max(place + exponent, 0)
+        shown = [f"{x / 10.0**exponent:.{digits}f}e{exponent}" for x in (value, low, high)]
+    else:
+        shown = [f"{x:.{min(max(place, 0), 9)}f}" for x in (value, low, high)]
+    return f"{shown[0]} ({shown[1]} .. {shown[2]})"
+
+
+def fixed(value: float, digits: int) -> str:
+    """A number with so many decimals; a dash where there is none."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def microseconds(value: float) -> str:
+    """Microseconds to a tenth, without a unit; a dash where there is none."""
+    return fixed(value, 1)
+
+
+def probability(p: float) -> str:
+    """A probability as ``p = 0.03``; below 1e-9 as a bound."""
+    return f"p = {p:.2g}" if p >= 1e-9 else "p < 1e-9"
+
+
+def plus_minus(value: float, sigma: float) -> str:
+    """A value with its standard deviation, both to the second significant digit of the latter."""
+    if not (math.isfinite(value) and math.isfinite(sigma) and sigma > 0.0):
+        return f"{value:.4g}"
+    if max(abs(value), sigma) < BELOW:
+        return f"{value:.2e} +- {sigma:.1e}"
+    place = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
+    return f"{value:.{place}f} +- {sigma:.{place}f}"
+
+
+PEAK_LABEL = "Γₚₑₐₖ = max(−ẍₚ)/g"
+GAMMA_LABEL = "Γ = Aω²/g"
+
+
+@dataclass(frozen=True)
+class GammaScale:
+    """The measure of gamma that is shown."""
+
+    factor: float  # shown value over gamma
+    name: str  # in plain text
+    symbol: str  # a sign in figures
+    label: str  # of an axis, with the definition
+    definition: str  # one sentence
+
+
+def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:
+    """The measure shown for steps driven at the frequency ratios ``ratios``: gamma_peak where all are 1, else gamma."""
+    own = np.unique(np.asarray(ratios, dtype=np.int64))
+    if own.tolist() == [1]:
+        factor = float(abs(forcing.displacement_tones()[0][1])) if forcing.ratio == 1 else 2.0
+        sense = f"gamma_peak = max(-a)/g = {factor:.4g} A w^2/g"
+        return GammaScale(
+            factor, "gamma_peak", "Γₚₑₐₖ", f"{PEAK_LABEL}   (c = 1)",
+            f"{sense}: the greatest downward acceleration of the plate's sine over gravity (c = 1).",
+        )  # fmt: skip
+    at = f"   (c = {own[0]})" if len(own) == 1 else ""
+    return GammaScale(
+        1.0, "gamma", "Γ", f"{GAMMA_LABEL}{at}",
+        "gamma = A w^2/g: the acceleration amplitude of the first tone over gravity, before the second is added.",
+    )  # fmt: skip
+
 
 # 95 % intervals that held the truth, of how many, on recordings of another plant; of all others together 208 of 226:
 # docs/results/closed-loop.md

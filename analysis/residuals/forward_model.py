@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analysis.computing import Memory
 from analysis.flights.assemble import GLITCH_S
-from analysis.memory import Memory
 from analysis.residuals.covariates import COVARIATES, covariates_of
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_data.measured_mode import MeasuredMode
@@ -24,9 +24,8 @@ from analysis.residuals.plate_data.plate_observables import PLATE_HOOKS, expecte
 from analysis.residuals.values import TREND, AllValues, Own, ParameterId, Values, calibrating_effects, driving_effects
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
-from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Detection, Measured, PlateSteps, active
+from model.integrator.problem import Detection, Measured, PlateSteps, active, plate_mode
 
 MOST_STORED = {"flights": 128, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"

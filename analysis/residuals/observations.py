@@ -21,17 +21,15 @@ from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from analysis.flights.scan import corner_of
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import without_ringing
-from analysis.plate.ringing.modes import Identified, identified_mode
-from analysis.plate.ringing.true_to_drive import remarks
-from analysis.residuals.fades import Fades, with_pushes
-from analysis.residuals.held import Launches
+from analysis.plate.ringing.modes import Identified, identified_mode, remarks
+from analysis.residuals.held import Fades, Launches, with_pushes
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_observables import PlateData, plate_data, with_wander
-from analysis.residuals.plate_data.slow_lines import hints_of, other_lines_radps
+from analysis.residuals.plate_data.slow_motion import hints_of, other_lines_radps
 from analysis.residuals.shown_impacts import closure_s, weak_mps
 from daq.recording import Recording, open_recording
-from daq.recording.event_changes import in_words
 from daq.recording.header import refuse_repeated
+from daq.recording.notebook import in_words
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import Measured, PlateSteps

@@ -7,7 +7,7 @@ import numpy as np
 from analysis.events.impact_detection import ECHO_MARGIN
 from analysis.events.impact_template import THRESHOLD
 from analysis.flights.assemble import Flights
-from analysis.residuals.fades import RINGING_S
+from analysis.residuals.held import RINGING_S
 from kernels.arrays import Bools, Floats
 from model.integrator.problem import Measured, PlateSteps
 from model.tones import STANDARD_GRAVITY_MPS2

@@ -10,8 +10,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from bench.agent.arming import arm, armed, disarm
-from bench.agent.door import Door
+from bench.agent.door import Door, arm, armed, disarm
 from bench.web.section import Place, Section, templates_of
 from daq.setup.errors import InputError
 

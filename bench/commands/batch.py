@@ -39,7 +39,7 @@ def command(
     """
     from bench.batch import PARTS, Batch, find_recordings, run_batch, write_table
     from bench.profiles.find import load_measuring
-    from daq.files.whole_file import Journal
+    from daq.files.disk import Journal
 
     rows_file = out.with_name(f"{out.name}.rows")
     check_outputs(

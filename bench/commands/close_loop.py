@@ -55,8 +55,7 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from bench.jobs.loops.joint_runs import holds_summaries, judge_runs
-    from bench.jobs.loops.keep_term import place_for
+    from bench.jobs.loops.runs_and_files import holds_summaries, judge_runs, place_for
 
     check_outputs(
         File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
@@ -121,7 +120,7 @@ def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, in
     ``again``: what the simulated rig hides, and a seed, for runs that are made until one explanation stands.
     """
     from analysis.loop.close_loop import fit_loop
-    from bench.jobs.loops.adaptive_runs import until_clear
+    from bench.jobs.loops.runs_and_files import until_clear
     from bench.profiles.find import load_measuring
     from bench.terminal.progress import progress_bar
 
@@ -143,12 +142,10 @@ def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, in
 def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted: _Wanted, text: str | None) -> bool:
     """Show the verdict and write what is wanted; ``text`` is that of the profile, if not the recordings' own."""
     from analysis.loop.design import ranking_json
-    from analysis.loop.verdict_json import loop_json
+    from analysis.loop.tables import loop_json
     from analysis.report.wording import term_effect_in_words
-    from bench.jobs.loops.keep_term import keep_term
-    from bench.jobs.loops.keep_verdict import conclude, drawn
-    from bench.profiles.improved import write_improved
-    from bench.profiles.next_run import possible_runs, write_next
+    from bench.jobs.loops.runs_and_files import conclude, drawn, keep_term
+    from bench.profiles.improved import possible_runs, write_improved, write_next
 
     say = speaker(quiet := wanted.json == "-")
     ranked: list[Ranked] = []
@@ -180,7 +177,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")
 
     def staking(path: Path) -> None:
-        from bench.jobs.stakes import write_stake  # with what a stake needs, where one is asked for
+        from bench.jobs.blocks import write_stake  # with what a stake needs, where one is asked for
 
         for line in write_stake(loop, fitted, recordings, text, path):
             say(line)

@@ -13,7 +13,7 @@ from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from analysis.flights.compare import Comparison
-    from analysis.report.gamma import GammaScale
+    from analysis.report.wording import GammaScale
 
 COLUMNS = (
     "n: measured flights; ratio: their mean time over the model's; rms: of their distance to the nearest time predicted"
@@ -32,9 +32,8 @@ def command(
 
     Example: bench compare run.h5 --profile better.toml --figures pictures
     """
-    from analysis.flights.compare import compare
-    from analysis.flights.plausibility import plausibility_warnings
-    from analysis.report.gamma import gamma_scale
+    from analysis.flights.compare import compare, plausibility_warnings
+    from analysis.report.wording import gamma_scale
     from bench.jobs.report import draw, flights_with_progress
     from bench.profiles.find import load_measuring
     from bench.terminal.comparison import comparison_json

@@ -43,8 +43,7 @@ def command(
     """
     from bench.jobs.loops.unsealed import compared, in_words
     from bench.profiles.find import find_scenario
-    from rig.sim.blind_scenarios import instrument_in_words
-    from rig.sim.scenario import load_scenario
+    from rig.sim.scenario import instrument_in_words, load_scenario
 
     started = time.perf_counter()
     folder = out or Path("runs") / datetime.datetime.now().strftime("%Y-%m-%d_%H%M%S")
@@ -87,8 +86,7 @@ def command(
 
 def _simulated(name: str) -> tuple[Profile, str]:
     """The profile and its text; refused unless its back end is the simulated one and its limits allow the ramp."""
-    from bench.profiles.find import load
-    from bench.profiles.plan import refuse_forbidden
+    from bench.profiles.find import load, refuse_forbidden
 
     profile, text = load(name)
     if profile.backend.kind != "simulated":
@@ -106,7 +104,7 @@ def _sealed(seed: int, profile: Profile) -> Hidden:
 
     import numpy as np
 
-    from rig.sim.blind_scenarios import left_open, ordinary_instrument, pool, sealed_scenario
+    from rig.sim.scenario import left_open, ordinary_instrument, pool, sealed_scenario
 
     allowed = left_open(profile.setup())
     hidden = sealed_scenario(np.random.default_rng(seed), pool("named"), strength="strong", allowed=allowed)
@@ -155,7 +153,7 @@ def _reprocess(recording: Path, folder: Path) -> Flights:
     from analysis.flights.assemble import flights_of
     from analysis.flights.compare import compare
     from analysis.flights.table import write_csv
-    from analysis.report.gamma import gamma_scale
+    from analysis.report.wording import gamma_scale
     from bench.jobs.report import draw
     from bench.terminal.comparison import sentences
     from daq.recording import open_recording
@@ -178,10 +176,10 @@ def _reprocess(recording: Path, folder: Path) -> Flights:
 def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop, bool]:
     """Close the loop on the flights found, show the verdict, then write it; whether everything could be written."""
     from analysis.loop.close_loop import completed, judge_loop
-    from analysis.loop.verdict_json import loop_json
+    from analysis.loop.tables import loop_json
     from analysis.report.page import write_report
     from analysis.residuals.observations import observed
-    from bench.jobs.loops.keep_verdict import conclude
+    from bench.jobs.loops.runs_and_files import conclude
     from bench.profiles.improved import write_improved
     from daq.recording import open_recording
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bench.jobs.blocks import Chosen, Driven
     from bench.jobs.explore import Explored
     from bench.live.onlooker import Onlookers
-    from bench.terminal.orders import TypedLines
+    from bench.terminal.run_console import TypedLines
 
 
 def command(
@@ -57,7 +57,7 @@ def command(
     from bench.jobs.explore import explore
     from bench.live.onlooker import Onlookers
     from bench.profiles.find import load
-    from bench.terminal.orders import typed_lines
+    from bench.terminal.run_console import typed_lines
 
     quiet, say = json == "-", speaker(json == "-")
     check_outputs(
@@ -85,7 +85,7 @@ def command(
 
 def _answer(found: Explored, budget_s: float, json: str | None) -> None:
     """Write the outcome for a machine."""
-    from analysis.loop.verdict_json import loop_json
+    from analysis.loop.tables import loop_json
 
     blocks = [
         {"recording": path, "seconds": block.seconds, "reason": block.reason}
@@ -166,7 +166,7 @@ class Driver:
 def _asker(typed: TypedLines | None) -> Callable[[Chosen], Chosen | None]:
     """A function that asks a person before a block: the block, one with the person's steps, or None to stop."""
     from bench.jobs.blocks import by_person
-    from bench.terminal.orders import steps_from
+    from bench.terminal.run_console import steps_from
 
     def ask(block: Chosen) -> Chosen | None:
         while True:
@@ -190,7 +190,7 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     from analysis.report.figures.several import ChosenSteps, draw_choices
     from analysis.report.figures.style import badge_of, save_picture
     from analysis.report.page import write_report
-    from bench.jobs.loops.keep_verdict import conclude
+    from bench.jobs.loops.runs_and_files import conclude
     from daq.recording import open_recording
     from rig.profile import parse_profile
 

@@ -40,7 +40,7 @@ def command(
     """
     from daq.export.export import export
     from daq.export.resample import Resampled
-    from daq.files.whole_file import write_whole
+    from daq.files.disk import write_whole
     from daq.recording import open_recording
     from daq.recording.header import header_of
     from daq.recording.notebook import as_text, read_remarks, side_file

@@ -26,8 +26,7 @@ def command(
 
     Example: bench plan simulated
     """
-    from bench.profiles.find import load
-    from bench.profiles.plan import planned, refusal
+    from bench.profiles.find import load, planned, refusal
 
     check_outputs(File("--json", json, JSON), inputs=[profile], overwrite=overwrite)
     checked, _ = load(profile)

@@ -49,7 +49,7 @@ def show(
 
     Example: bench profile show run.h5
     """
-    from bench.profiles.new import text_of
+    from bench.profiles.improved import text_of
 
     text = text_of(name)
     sys.stdout.write(text if text.endswith("\n") else text + "\n")
@@ -65,7 +65,7 @@ def new(
 
     Example: bench profile new my_rig.toml --like soundcard
     """
-    from bench.profiles.new import new_profile
+    from bench.profiles.improved import new_profile
 
     check_outputs(File("PROFILE.toml", out, PROFILE), inputs=[like], overwrite=overwrite)
     text = new_profile(out.stem, like)

@@ -55,9 +55,8 @@ def command(
     from bench.jobs.hold_branch import branch_hold
     from bench.jobs.run_ramp import continued, make_backend, record
     from bench.live.onlooker import Onlookers
-    from bench.profiles.find import load
-    from bench.profiles.plan import refuse_forbidden
-    from bench.terminal.orders import free_keys
+    from bench.profiles.find import load, refuse_forbidden
+    from bench.terminal.run_console import free_keys
     from daq.setup.setup import calibration_warnings
 
     check_outputs(

@@ -28,7 +28,7 @@ def command(
     Example: bench reprocess run.h5 --flights flights.csv --figures pictures
     """
     from analysis.flights.classify import classify
-    from analysis.flights.plausibility import plausibility_warnings
+    from analysis.flights.compare import plausibility_warnings
     from analysis.flights.table import write_csv
     from bench.jobs.report import draw, flights_with_progress
     from daq.instrument.stored import instrument_of
@@ -114,7 +114,7 @@ IN_WORDS = {
 def _print(title: str, table: Flights, classes: tuple[StepClass, ...]) -> None:
     """Tables for a person."""
     from analysis.flights.table import FlightFlag
-    from analysis.report.numbers import plus_minus
+    from analysis.report.wording import plus_minus
 
     shown = new_table("step", "gamma", "+-", "peak", "by drive", "n", "double", "mean ms", "motion", title=title)
     notes = []

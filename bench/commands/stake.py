@@ -12,7 +12,7 @@ from bench.terminal.console import new_table, print_lines, print_table, write_js
 
 if TYPE_CHECKING:
     from analysis.explore.stake import Outcome
-    from daq.setup.stake import Stake
+    from daq.setup.setup import Stake
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
 
     Exits 0 whether it is met or not, 2 when the call was wrong or the run is of another rig.
     """
-    from bench.jobs.stakes import amended, outcome_of, read_stake
+    from bench.jobs.blocks import amended, outcome_of, read_stake
 
     check_outputs(File("--json", json, JSON), inputs=[stake, recording], overwrite=overwrite)
     staked, text = read_stake(stake)

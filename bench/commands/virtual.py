@@ -34,7 +34,7 @@ def command(
     import time
 
     from bench.profiles.find import find_scenario, load
-    from bench.terminal.signals import stop_on_signals
+    from bench.terminal.run_console import stop_on_signals
     from rig.backends.kinds.soundcard import card_options
     from rig.sim.scenario import Scenario, load_scenario
     from rig.virtual.jack import JackPlant, PlantLog, jack_server

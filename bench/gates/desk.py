@@ -13,24 +13,21 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from bench.gates.inputs import GATES, Inputs, inputs_of
-from bench.gates.state import Message, Result, State, load_state, now, save_state
+from bench.gates.state import GATES, Inputs, Message, Result, State, inputs_of, load_state, now, save_state
 from bench.gates.view import scales_of, view_of
 from bench.gates.work import KINDS, Job, row_of, work
 from bench.live.pages import Desk
 from bench.live.processes import asked_of
 from bench.live.watched_run import SILENT_S
-from bench.profiles.edit import with_values
-from bench.profiles.fields import value_of
-from bench.profiles.find import scenario_names
-from bench.profiles.new import profile_in, with_preset
-from bench.profiles.plan import refuse_forbidden
-from bench.terminal.signals import spawned
+from bench.profiles.edit import value_of, with_values
+from bench.profiles.find import refuse_forbidden, scenario_names
+from bench.profiles.improved import profile_in, with_preset
+from bench.terminal.run_console import spawned
 from bench.web.browsers import Browser
-from daq.files.whole_file import write_whole
+from daq.files.disk import write_whole
 from daq.recording import verify
 from daq.setup.errors import InputError
-from daq.setup.strict_toml import read_toml_text
+from daq.setup.values import read_toml_text
 from rig.profile import Profile, parse_profile
 
 

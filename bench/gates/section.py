@@ -11,11 +11,11 @@ from starlette.routing import Route
 
 from bench.gates.desk import Gates
 from bench.live.pages import desk_of
-from bench.profiles.fields import fields_of
+from bench.profiles.edit import fields_of
 from bench.web.browsers import socket_route
 from bench.web.section import Place, Section, templates_of
 from daq.setup.errors import InputError
-from daq.setup.strict_toml import read_toml_text
+from daq.setup.values import read_toml_text
 
 HERE = Path(__file__).parent
 

@@ -6,11 +6,9 @@ import datetime
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from bench.gates.inputs import GATES, changed, inputs_of
-from bench.gates.state import State
-from bench.profiles.find import scenario_names, shipped_names
-from bench.profiles.new import PRESETS
-from bench.profiles.plan import planned
+from bench.gates.state import GATES, State, changed, inputs_of
+from bench.profiles.find import planned, scenario_names, shipped_names
+from bench.profiles.improved import PRESETS
 from daq.files.json_values import json_object
 from daq.setup.errors import InputError
 from daq.setup.setup import quantities

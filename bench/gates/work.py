@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from bench.terminal.signals import leave_keys_to_the_parent
+from bench.terminal.run_console import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError
 
@@ -114,9 +114,9 @@ def _check(job: Job, ask: Ask, tell: Ask) -> Message:
 def _verdict(job: Job, ask: Ask, tell: Ask) -> Message:
     """`bench close-loop RECORDING --improved PROFILE`."""
     from analysis.loop.close_loop import close_loop
-    from analysis.loop.verdict_json import loop_json
+    from analysis.loop.tables import loop_json
     from analysis.report.narrative import headline
-    from bench.jobs.loops.keep_verdict import keep_verdict
+    from bench.jobs.loops.runs_and_files import keep_verdict
     from bench.profiles.improved import write_improved
 
     if job.recording is None or job.improved is None:

@@ -20,7 +20,7 @@ from analysis.flights.assemble import Flights, flights_of
 from analysis.plate.motion import StepPlate
 from bench.jobs.run_ramp import open_rig, record
 from bench.profiles.edit import write_into
-from bench.profiles.plan import refuse_forbidden
+from bench.profiles.find import refuse_forbidden
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.values import MeasuredValue

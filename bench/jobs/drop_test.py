@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from analysis.drop.film.outcome import Units
     from analysis.drop.load import Known, Path2D
     from analysis.drop.outcome import Outcome
-    from analysis.drop.times.one_ahead import Drop
+    from analysis.drop.times.model_fit import Drop
 
 # what `bench drop` calls each number of a request, the positive ones first, and each of its corrections
 POSITIVE = {
@@ -201,7 +201,7 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
 def draw(done: DropTest, out: Path) -> None:
     """Check pictures of sounds and films, and the fit with its residuals, into the folder ``out``; each is said."""
     from analysis.drop.figures import draw_fit, draw_sound, draw_track
-    from analysis.drop.times.one_ahead import Drop
+    from analysis.drop.times.model_fit import Drop
 
     def target(name: str, what: str) -> Path:
         return out / f"{Path(name).stem}-{what}.png"
@@ -240,7 +240,7 @@ def _from_times(drops: list[Drop], numbers: list[int], request: Request) -> tupl
 def _from_falls(paths: list[Path2D], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Falls without a bounce: the causes, judged on the other drops of each ball."""
     from analysis.drop.curves import falls_plot
-    from analysis.drop.falls.fall import Fall, with_balls
+    from analysis.drop.falls.fit import Fall, with_balls
     from analysis.drop.falls.judge import judge_falls
     from analysis.drop.falls.outcome import of_falls
     from analysis.drop.read.balls import read_balls
@@ -335,7 +335,7 @@ def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str
         Puts a question; None where there is no answer.
     """
     from bench.profiles.edit import declare, with_values
-    from daq.files.whole_file import write_whole
+    from daq.files.disk import write_whole
     from rig.profile import parse_profile
 
     if not outcome.measured:

@@ -25,12 +25,13 @@ from bench.jobs.blocks import (
     by_person,
     forcing_in_words,
     offers,
+    outcome_of,
     run_seconds,
+    staked_block,
     tells,
 )
-from bench.jobs.stakes import outcome_of, staked_block
 from daq.setup.errors import InputError
-from daq.setup.stake import Stake, stake_in
+from daq.setup.setup import Stake, stake_in
 from rig.profile import parse_profile
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.setup.errors import InputError
 from model.bifurcations.continuation import CycleBranch, cycle_branches
-from model.effects.routing import ball_effects
+from model.effects.registry import ball_effects
 from model.orbits.make_ball import make_ball
 from model.tones import Forcing
 from rig.execution.branch_hold import BranchHold, LockedBranch

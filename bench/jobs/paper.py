@@ -14,31 +14,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.flights.assemble import flights_of
-from analysis.flights.compare import compare
-from analysis.flights.first_bifurcation import first_bifurcation
+from analysis.flights.compare import compare, first_bifurcation
 from analysis.flights.table import FlightFlag, write_csv
 from analysis.report.figures import style
 from analysis.report.figures.flights import draw_bifurcations, draw_return_maps
 from analysis.report.figures.measured import Measured
-from analysis.report.figures.predicted import draw_branches, draw_orbit
-from analysis.report.gamma import gamma_scale
+from analysis.report.figures.theory import draw_branches, draw_orbit
+from analysis.report.wording import gamma_scale
 from bench.jobs.run_ramp import record
 from bench.predict.figures import draw_diagram
 from bench.profiles.edit import with_values
-from bench.profiles.find import load
-from bench.profiles.plan import planned, refusal
-from daq.files.whole_file import write_whole
+from bench.profiles.find import load, planned, refusal
+from daq.files.disk import write_whole
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
-from model.effects.routing import Effects
+from model.effects.registry import Effects
 from model.orbits.landing_map import landing_map
 from model.orbits.make_ball import make_ball
 from model.surveys.diagram import adaptive, diagram
 from model.tones import Forcing
 from rig.backends.simulated import SimulatedBackend
-from rig.sim.blind_scenarios import ordinary_instrument
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import Scenario, ordinary_instrument
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

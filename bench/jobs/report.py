@@ -18,12 +18,12 @@ import numpy as np
 
 from analysis.flights.assemble import Flights, flights_of
 from analysis.flights.compare import Comparison
-from bench.jobs.loops.keep_verdict import keep_verdict, verdict_file
+from bench.jobs.loops.runs_and_files import keep_verdict, verdict_file
 from bench.terminal.console import DEFECTS
 from bench.terminal.progress import progress_bar
-from daq.files.whole_file import whole
+from daq.files.disk import whole
 from daq.recording import Recording, open_recording
-from daq.recording.event_changes import BY_HAND, in_words
+from daq.recording.notebook import BY_HAND, in_words
 from daq.recording.verify import verify
 from daq.setup.errors import InputError
 
@@ -74,7 +74,7 @@ def _loop(
 ) -> tuple[ClosedLoop | None, str, str]:
     """The saved answer where it belongs to the recording, else a new one; its source; or why there is none."""
     from analysis.loop.close_loop import close_loop
-    from analysis.loop.storage import load_verdict
+    from analysis.loop.result import load_verdict
 
     saved = verdict_file([recording.path])
     if saved.is_file():

@@ -14,9 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from bench.profiles.find import find_scenario, load
-from bench.terminal.orders import TypedLines
-from bench.terminal.run_display import run_display
-from bench.terminal.signals import stop_on_signals
+from bench.terminal.run_console import TypedLines, run_display, stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import Recording, open_recording
 from daq.recording.writer import RecordingWriter

@@ -1,30 +1,255 @@
-"""The analyst: a niced process that reduces a run while it lasts, and never touches the run.
+"""The analyst: a niced process that reduces a run while it lasts, judges it so far, and never touches the run.
 
+What the page says of models: the diagram of the declared one, and the verdict so far in words.
+The verdict: is it noise, which candidates could already explain it, what will the steps to come tell?
+
+The analyst: a niced process that reduces a run while it lasts, and never touches the run.
 It reads the recording that is being written, as `bench reprocess` does afterwards, and sends what it finds through a
 pipe to the page or the terminal. However far it is behind, what it says at the end is what the closed file holds.
 """
 
 from __future__ import annotations
 
+import cmath
+import contextlib
+import math
 import multiprocessing
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from analysis.flights.assemble import flights_of
+from analysis.flights.classify import classify
+from analysis.flights.table import FlightFlag, Flights
+from analysis.loop.so_far import Promising, judge_so_far
+from analysis.report.wording import gamma_scale
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.uncertainty import uncertainty_at
+from analysis.residuals.observations import Observations, observed
 from bench.live.board import Board, Message
-from bench.live.reduce import ReducedStep, cut_to, reduce_run
-from bench.live.verdict import predicted, verdict_of
-from bench.terminal.signals import leave_keys_to_the_parent, spawned
+from bench.terminal.run_console import leave_keys_to_the_parent, spawned
 from daq.files.seal import Checked
-from daq.recording import open_recording
+from daq.recording import Recording, open_recording
 from daq.recording.opening import open_checked
 from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from kernels.arrays import Floats
+from model.bifurcations.forbidden_zones import forbidden_zones
+from model.effects.registry import Effects, ball_effects, resolve
+from model.orbits.attractor import attractor
+from model.orbits.exact_ball import IdealBall
+from model.orbits.make_ball import make_ball
+from model.surveys.diagram import diagram
+from model.tones import Forcing
 from rig.profile import Profile
+
+PLAIN, DOUBTFUL, POOR = range(3)  # marks of a flight
+_POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
+
+
+@dataclass(frozen=True)
+class ReducedStep:
+    """One step as a page shows it."""
+
+    asked: float
+    gamma: float  # measured on the plate; NaN where it could not be
+    label: str  # class of the motion
+    landing_s: Floats  # of each flight since the step's first sample, (n,)
+    duration_s: Floats  # of each flight, (n,)
+    residual_s: Floats  # landing less its prediction by the declared model, (n,); NaN where not compared
+    noise_s: Floats  # uncertainty of that, (n,)
+    mark: NDArray[np.uint8]  # `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight), (n,)
+    tones: list[dict[str, Any]]  # of each tone: multiple, amplitude and phase (degrees) on the plate and asked for
+
+    def shows(self, other: ReducedStep, within_s: float) -> bool:
+        """Whether another reduction of the step shows the same flights, none moved by more than ``within_s``."""
+        if self.label != other.label or not np.array_equal(self.mark, other.mark):
+            return False
+        columns = ("duration_s", "landing_s", "residual_s")
+        pairs = ((getattr(self, name), getattr(other, name)) for name in columns)
+        return all(np.allclose(x, y, rtol=0.0, atol=within_s, equal_nan=True) for x, y in pairs)
+
+
+def cut_to(recording: Recording, n_samples: int) -> None:
+    """Leave out of an open recording what came after its first ``n_samples``."""
+    recording.n_samples = min(recording.n_samples, n_samples)
+    recording.steps = recording.steps[recording.steps["first_sample"] < recording.n_samples]
+    recording.blocks = recording.blocks[recording.blocks["first_sample"] < recording.n_samples]
+    recording.gaps = recording.gaps[recording.gaps[:, 0] < recording.n_samples]
+
+
+def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[list[ReducedStep], Observations]:
+    """All steps of a run so far, and the observations for its verdict.
+
+    Raises `InputError` where the samples are too few.
+
+    Parameters
+    ----------
+    recording
+        Open: the run's, however long it is yet.
+    played_first
+        By step, the index of its first sample among the played ones, from which phases count; where it is not known,
+        that among the recorded ones.
+    """
+    flights = flights_of(recording)
+    seen = observed(recording, flights, with_mode=False)
+    residual, noise = np.full(len(flights), np.nan), np.full(len(flights), np.nan)
+    if (judged := seen.scored).any():
+        model = ForwardModel(seen, resolve(recording.setup.declared_values()))
+        row = np.minimum(np.searchsorted(flights.landing_s, seen.measured.landing_s - 1e-9), len(flights) - 1)[judged]
+        residual[row] = model.residuals({}).landing_s[judged]
+        noise[row] = uncertainty_at(model, {}).landing_total_s[judged]
+    mark = np.where(flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE), DOUBTFUL, PLAIN)
+    mark = np.where(flights.has(_POOR), POOR, mark).astype(np.uint8)
+    labels, steps = {one.step: one.label for one in classify(flights)}, []
+    for k, row in enumerate(recording.steps):
+        own, plate, first = flights.step == k, flights.plate.steps[k], int(row["first_sample"])
+        steps.append(
+            ReducedStep(
+                asked=float(row["gamma"]),
+                gamma=math.nan if plate is None else plate.gamma,
+                label=labels.get(k, "undecided"),
+                landing_s=flights.landing_s[own] - first / recording.rate_hz,
+                duration_s=flights.duration_s[own],
+                residual_s=residual[own],
+                noise_s=noise[own],
+                mark=mark[own],
+                tones=_tones(flights, k, recording.setup, row, played_first.get(k, first)),
+            )
+        )
+    return steps, seen
+
+
+def _tones(flights: Flights, step: int, setup: Setup, row: np.void, first_played: int) -> list[dict[str, Any]]:
+    """Amplitude and phase of each forcing tone of a step, on the plate and asked for."""
+    plate, rows, gamma = flights.plate.steps[step], [], float(row["gamma"])
+    # the plate's phases count from the first recorded sample, those asked for from the first played one
+    recorded_s = float(flights.plate.true_time_s(row["first_sample"] / setup.sampling.rate_hz))
+    turn = 2.0 * math.pi * setup.forcing.frequency_hz * (recorded_s - first_played / setup.sampling.rate_hz)
+    for multiple, displacement in setup.forcing.displacement_tones():
+        # a_p = -g gamma sum m^2 Re[d exp(i m w t)]
+        target = -setup.g_mps2.value * gamma * multiple * multiple * displacement
+        target_deg = math.degrees(cmath.phase(target)) if target else 0.0
+        found: dict[str, Any] = {"multiple": multiple, "target_mps2": abs(target), "target_deg": target_deg}
+        found |= {"mps2": None, "deg": None}
+        if plate is not None and multiple in plate.multiples:
+            z = plate.acceleration.amplitudes[plate.multiples.index(multiple)] * cmath.exp(1j * multiple * turn)
+            found["mps2"], found["deg"] = float(abs(z)), math.degrees(cmath.phase(z))
+        rows.append(found)
+    return rows
+
+
+def nominal_forcing(setup: Setup) -> Forcing:
+    """The forcing as the profile asks for it, its first tone at phase zero."""
+    multiples, displacements = zip(*setup.forcing.displacement_tones(), strict=True)
+    return Forcing.of_displacements(multiples, np.array(displacements), from_first=True)
+
+
+def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any]]:
+    """Portions of the prediction: lists of gammas as shown, flight times (ms), and zones (gamma, low, high; ms)."""
+    shown = gamma_scale(setup.forcing, setup.forcing.ratio).factor
+    low, high = 0.97 * min(gammas), 1.03 * max(gammas)
+    omega = 2.0 * np.pi * setup.forcing.frequency_hz
+    forcing, declared = nominal_forcing(setup), setup.declared_values()
+    own = ball_effects(declared)
+    ball = make_ball(forcing, own, frequency_hz=setup.forcing.frequency_hz, g_mps2=setup.g_mps2.value)
+    grid = np.linspace(low, high, 480 if isinstance(ball, IdealBall) else 160)
+    zone_grid = np.linspace(low, high, 120)
+    # a little wider than the grid, so that neighbouring bars of a zone overlap
+    half = 0.52 * (zone_grid[1] - zone_grid[0]) * shown
+    # twenty gammas at a time: between two portions the caller looks at the run
+    portions = -(-len(grid) // 20)
+    for k in range(portions):
+        rows = diagram(ball, grid[k::portions])  # every so many-th: the whole range is there at once, coarsely
+        finite = np.isfinite(rows.tau)
+        x = np.repeat(rows.gamma[:, None], rows.tau.shape[1], axis=1)[finite] * shown
+        zones = [
+            [float(gamma * shown), half, float(1e3 * a / omega), float(1e3 * b / omega)]
+            for gamma in zone_grid[k::portions]
+            for a, b in forbidden_zones(forcing, float(gamma))
+            if a > 0.0
+        ]
+        yield {
+            "kind": "model",
+            "gamma": [round(float(v), 5) for v in x],
+            "tau_ms": [round(float(v), 4) for v in 1e3 * rows.tau[finite] / omega],
+            "zones": [[round(v, 5) for v in zone] for zone in zones],
+            "part": (k + 1) / portions,
+        }
+
+
+def verdict_of(seen: Observations, step: int, look: int, upcoming: tuple[float, ...]) -> dict[str, Any]:
+    """The verdict after a step.
+
+    Returns a message: ``within`` noise or not, ``headline``, ``candidates`` and ``lines`` in words, ``floor_us``.
+
+    Parameters
+    ----------
+    seen
+        Observations of the steps that are over.
+    step
+        The last one's number, from 0.
+    look
+        The number of this verdict among those of the run, from 1.
+    upcoming
+        Gammas of the steps to come.
+    """
+    found = judge_so_far(seen, look)
+    out: dict[str, Any] = {"kind": "verdict", "step": step, "within": True, "candidates": []}
+    if found is None:
+        return out | {"headline": "no flights to judge yet", "lines": [], "floor_us": None}
+    sizes = f"landings missed by {found.landing_rms_us:.2g} \u00b5s rms, noise floor {found.floor_us:.2g} \u00b5s"
+    lines = [f"{len(seen.steps)} steps, {found.flights} flights; {sizes}"]
+    out |= {"lines": lines, "floor_us": found.floor_us}
+    if found.within:
+        return out | {"headline": "within noise of the declared model"}
+    lines.append(f"probability of so much by noise: {found.p:.1g}; at this step {found.level:.1g} is asked")
+    if not found.promising:
+        lines.append("no single candidate explains it yet")
+    lines += _next_steps(seen.setup, found.promising, upcoming, step)
+    candidates = [f"{' + '.join(one.names)} (gain {one.gain:.3g} nats)" for one in found.promising]
+    headline = "more than noise: the declared model misses something"
+    return out | {"within": False, "headline": headline, "candidates": candidates}
+
+
+def _next_steps(setup: Setup, promising: tuple[Promising, ...], upcoming: tuple[float, ...], step: int) -> list[str]:
+    """What three of the steps to come will tell of the two best candidates that act on the ball."""
+    balls = []
+    for one in promising:
+        effects = {name: dict(table) for name, table in setup.declared_values().items()}
+        for (name, parameter), value in one.values.items():
+            effects.setdefault(name, {})[parameter] = value  # a candidate at its linearised values
+        if own := ball_effects(effects):
+            balls.append((" + ".join(one.names), own))
+    if len(balls) < 2 or not upcoming:
+        return []
+    (first, own), (second, other) = balls[:2]
+    shown = gamma_scale(setup.forcing, setup.forcing.ratio).factor
+    lines = []
+    for k in sorted({round(k) for k in np.linspace(0, len(upcoming) - 1, 3)}):
+        difference_ms = abs(_mean_ms(setup, own, upcoming[k]) - _mean_ms(setup, other, upcoming[k]))
+        if difference_ms > 0.01:
+            where = f"step {step + 1 + k} (\u0393 {shown * upcoming[k]:.3g})"
+            lines.append(f"{where}: {first} and {second} differ by {difference_ms:.2g} ms of flight")
+    return lines or [f"the steps to come will hardly tell {first} from {second}"]
+
+
+def _mean_ms(setup: Setup, effects: Effects, gamma: float) -> float:
+    """Mean flight time of the motion that a model predicts; NaN where it has none."""
+    with contextlib.suppress(ValueError, ArithmeticError):
+        forcing, hz = nominal_forcing(setup), setup.forcing.frequency_hz
+        tau = attractor(make_ball(forcing, effects, frequency_hz=hz, g_mps2=setup.g_mps2.value), gamma).tau
+        return 1e3 * float(np.mean(tau)) / (2.0 * math.pi * hz) if tau.size else 0.0
+    return math.nan
+
 
 AGAIN_S = 0.4  # least time between two reductions of a growing step
 

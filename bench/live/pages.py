@@ -23,7 +23,7 @@ from bench.live.watched_run import WatchedRun
 from bench.profiles.find import load
 from bench.web.browsers import Browser, Hub, socket_route
 from bench.web.section import Place, Section, templates_of
-from bench.web.watchers import Watchers
+from bench.web.serve import Watchers
 from daq.setup.errors import InputError
 from rig.profile import Profile, load_profile
 

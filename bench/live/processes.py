@@ -17,8 +17,7 @@ from typing import Any
 
 from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.run_side import RunSide
-from bench.terminal.orders import free_keys
-from bench.terminal.signals import leave_keys_to_the_parent, spawned
+from bench.terminal.run_console import free_keys, leave_keys_to_the_parent, spawned
 from bench.web.packages import require_packages
 from daq.setup.errors import InputError
 from rig.execution.operator import StopRequest
@@ -162,7 +161,7 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
 def _drive(checked: Profile, text: str, side: RunSide, scenario: str | None, asked: AskedRun) -> NextSteps | None:
     """One run; the steps that a person chose to follow it, or None."""
     from bench.jobs.run_ramp import make_backend, record
-    from bench.profiles.plan import refuse_forbidden
+    from bench.profiles.find import refuse_forbidden
 
     def check(steps: NextSteps) -> None:
         if steps.ratio not in (None, checked.forcing.ratio):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.live.board import LONGEST_NOTE, Board, Message
-from bench.terminal.orders import steps_from
+from bench.terminal.run_console import steps_from
 from daq.files.json_values import json_object
 from daq.recorder.recorder_process import RecorderProcess
 from daq.setup.clock import SYSTEM, Clock

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.gamma import gamma_scale
+from analysis.report.wording import gamma_scale
 from bench.live.analyst import start_analyst
 from bench.live.board import Board, Message
 from bench.live.scope_data import MOST_BINS_PER_S, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece

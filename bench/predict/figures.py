@@ -18,8 +18,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from analysis.report.figures import style
-from analysis.report.figures.zones_and_branches import draw_unstable, draw_zones, zones_over
-from analysis.report.gamma import GAMMA_LABEL, PEAK_LABEL
+from analysis.report.figures.theory import draw_unstable, draw_zones, zones_over
+from analysis.report.wording import GAMMA_LABEL, PEAK_LABEL
 from bench.predict.request import Request, ball_for
 from daq.setup.errors import InputError
 from kernels.arrays import Integers

@@ -21,7 +21,7 @@ from bench.profiles.find import load, load_measuring
 from bench.terminal.console import CYCLES, print_lines
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from model.effects.routing import Effects, accelerometer_response, ball_effects, plate_gain, shapes_the_plate
+from model.effects.registry import Effects, accelerometer_response, ball_effects, plate_gain, shapes_the_plate
 from model.orbits.attractor import AT_REST, Attractor, attractor
 
 Described = TypeVar("Described", bound=Setup)

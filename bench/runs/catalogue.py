@@ -15,15 +15,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.runs.folder import PLACE, Found, files_below
+from bench.runs.folder import PLACE, Found, files_below, run_of, stated_quantities
 from bench.runs.query import Query, Row
-from bench.runs.rows import run_of, stated_quantities
-from daq.files.disk import Closing
+from daq.files.disk import Closing, write_whole
 from daq.files.json_values import json_values
-from daq.files.whole_file import write_whole
 from daq.recording.header import Header, read_headers
 from daq.recording.notebook import ENDING, Entry, Remarks, change_remarks, notebook, read_remarks, side_file
-from daq.recording.subprocess_reader import in_subprocess
+from daq.recording.opening import in_subprocess
 from daq.setup.errors import InputError
 
 VERSION = 4
@@ -109,7 +107,7 @@ class Catalogue(Closing):
         return len(changed)
 
     def runs(self, query: Query | None = None) -> list[Row]:
-        """Rows of the runs that a query asks for, in its order; see `bench.runs.rows.run_of` for what they hold.
+        """Rows of the runs that a query asks for, in its order; see `bench.runs.folder.run_of` for what they hold.
 
         To that come ``tags``, all ``notes``, ``remarks_problem`` and the latest verdict on the run as ``loop``.
         """
@@ -220,7 +218,7 @@ class Catalogue(Closing):
             yield files[path], entry
         left = [str(path) for path, file in files.items() if file.kind == "loop"]
         while left:  # another process reads them, which may die of one
-            answer = in_subprocess("bench.runs.loop_reader:look", left)
+            answer = in_subprocess("bench.runs.prepare:look", left)
             if not answer.died:
                 yield from ((files[Path(name)], {"loop": loop}) for name, loop in answer.value.items())
                 return

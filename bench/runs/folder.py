@@ -1,16 +1,18 @@
-"""Files below the runs' folder that the catalogue knows: recordings, tags and notes, verdicts."""
+"""Files below the runs' folder that the catalogue knows, and what it holds of a recording."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from bench.jobs.loops.keep_verdict import SAVED
-from daq.recording.notebook import ENDING
+from bench.jobs.loops.runs_and_files import SAVED
+from daq.recording.header import Header, Unread
+from daq.recording.notebook import ENDING, entries_of
 from daq.setup.errors import InputError
 
 PLACE = ".shakerbench"
@@ -74,3 +76,80 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
             except (OSError, RuntimeError):
                 continue  # gone since, or a folder that may not be read
             yield Found(prefix + name, state.st_size, state.st_mtime_ns)
+
+
+def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
+    """The row of a recording, or of a file that should be one and does not read; None where something is not known.
+
+    id, path
+        Short name in addresses, and the file's path below the folder.
+    identity
+        `daq.recording.header.stored_id`.
+    date
+        Start of the run (UTC), or when it was imported.
+    profile, c, frequency_hz
+        Name of the profile, ratio of the tones, frequency of the first.
+    gamma_low, gamma_high, steps
+        Range of the steps' gamma (achieved where it was measured, else commanded), and their number.
+    seconds, rate_hz, n_samples, lost_samples
+        Length without what was lost, samples a second, samples a channel, samples declared as lost.
+    ended, why
+        complete, stopped, failed, incomplete, or damaged where something does not read back; the reason.
+    all_bytes
+        Whether every byte was compared with the checksums, or only tables and indexes.
+    note, notes
+        As `bench ramp` was given it; that one and those typed during the run, a line each.
+    """
+    attrs: Mapping[str, Any] = {} if isinstance(header, Unread) else header.attrs
+    identity = "" if isinstance(header, Unread) else header.identity
+    row: dict[str, Any] = {"id": run_id(path), "path": path, "identity": identity}
+    nothing = (
+        "date", "profile", "c", "frequency_hz", "gamma_low", "gamma_high", "steps", "seconds", "rate_hz", "n_samples",
+        "lost_samples",
+    )  # fmt: skip
+    row |= dict.fromkeys(nothing) | {"steps": 0, "ended": "damaged", "why": "", "all_bytes": False}
+    row |= {"note": str(attrs.get("note") or ""), "notes": "", "simulated": bool(attrs.get("simulated"))}
+    row["backend"] = str(attrs.get("backend") or "")
+    if isinstance(header, Unread):
+        return row | {"why": header.why}
+    forcing = header.setup["forcing"]
+    pairs = zip(header.achieved_gammas, header.gammas, strict=True)
+    gammas = [g for achieved, commanded in pairs if (g := commanded if achieved is None else achieved) is not None]
+    damaged, ended = header.state == "damaged", str(attrs.get("ended", "") or "incomplete")
+    return row | {
+        "date": str(attrs.get("started") or attrs.get("imported_at") or "") or None,
+        "profile": str(header.setup["name"]),
+        "c": header.ratios[0] if len(set(header.ratios)) == 1 else int(forcing["ratio"]),
+        "frequency_hz": float(forcing["frequency_hz"]),
+        "gamma_low": min(gammas, default=None),
+        "gamma_high": max(gammas, default=None),
+        "steps": len(header.gammas),
+        "seconds": header.n_samples / header.rate_hz,
+        "rate_hz": header.rate_hz,
+        "n_samples": header.n_samples,
+        "lost_samples": header.lost_samples,
+        "ended": "damaged" if damaged else "incomplete" if header.state == "incomplete" else ended,
+        "why": "; ".join(header.where) if damaged else str(attrs.get("why") or ""),
+        "all_bytes": header.all_bytes,
+        "notes": "\n".join(one.text for one in entries_of(header)),
+    }
+
+
+def stated_quantities(header: Header) -> list[dict[str, Any]]:
+    """Scales and effects that the profile of a recording states, as `quantity` has them."""
+    from model.effects.registry import unit_of
+
+    setup = header.setup
+    accelerometer, drive = setup["channels"]["accelerometer"], setup["drive"]
+    stated = [("accelerometer.sensitivity", accelerometer["sensitivity"], accelerometer["unit"])]
+    if drive.get("g_per_volt"):
+        stated.append(("drive.g_per_volt", drive["g_per_volt"], "g/V"))
+    for effect, table in (setup.get("declared") or {}).items():
+        stated += [(f"{effect}.{name}", x, unit_of(effect, name)) for name, x in table.items()]
+    found = (quantity(name, x["value"], float(x["uncertainty"]) or None, unit, "profile") for name, x, unit in stated)
+    return [one for one in found if math.isfinite(one["value"])]
+
+
+def quantity(name: str, value: float, sigma: float | None, unit: str, origin: str) -> dict[str, Any]:
+    """A value with its standard deviation (None: unknown) and unit; ``origin``: profile or verdict."""
+    return {"name": name, "value": float(value), "sigma": sigma, "unit": unit, "origin": origin}

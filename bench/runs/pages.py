@@ -21,17 +21,15 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from analysis.loop.verdicts import short_verdict
+from analysis.loop.verdict import short_verdict
 from bench.runs.catalogue import Catalogue
-from bench.runs.events import change_of
 from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
 from bench.runs.query import ENDS, WITH_NONE, Query, Row
-from bench.runs.scope import Scope
+from bench.runs.scope import Scope, change_of
 from bench.web.section import Place, Section, templates_of
 from daq.files.json_values import json_values
-from daq.recording.event_changes import in_words
-from daq.recording.notebook import Remarks, with_note, with_tags
+from daq.recording.notebook import Remarks, in_words, with_note, with_tags
 from daq.setup.errors import InputError
 
 NAME = "runs"
@@ -214,7 +212,7 @@ class Pages:
         return _json({"quantities": self.catalogue.quantities(self._ids(request))})
 
     async def remark(self, request: Request) -> Response:
-        """Tags added or taken away, a note added; or an event changed by hand (`bench.runs.events.change_of`)."""
+        """Tags added or taken away, a note added; or an event changed by hand (`bench.runs.scope.change_of`)."""
         from starlette.concurrency import run_in_threadpool
 
         row, body = self._row(request), await request.body()

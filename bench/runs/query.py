@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from analysis.loop.verdicts import VERDICTS
+from analysis.loop.verdict import VERDICTS
 from daq.setup.errors import InputError
 
 Row = dict[str, Any]

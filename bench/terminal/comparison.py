@@ -8,7 +8,7 @@ from daq.files.json_values import json_object
 
 if TYPE_CHECKING:
     from analysis.flights.compare import Comparison
-    from analysis.report.gamma import GammaScale
+    from analysis.report.wording import GammaScale
 
 BAND = ("low_s", "high_s", "observed", "expected", "p_value")
 

@@ -48,7 +48,7 @@ def write_json(payload: Any, target: str | Path | None) -> bool:
     if target == "-":
         sys.stdout.write(text)
         return False
-    from daq.files.whole_file import write_whole
+    from daq.files.disk import write_whole
 
     try:
         write_whole(Path(target), text)

@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.result import ClosedLoop
-from analysis.loop.verdicts import short_verdict
-from analysis.report.numbers import microseconds, plus_minus
+from analysis.loop.verdict import short_verdict
 from analysis.report.wording import (
     discovered_in_words,
+    microseconds,
     moved_calibrations,
     others_in_words,
+    plus_minus,
     rejected_in_words,
     verdict_line,
     why_this_verdict,

@@ -1,5 +1,6 @@
-"""Who may talk to the desk: a check of every request and websocket before any page sees it.
+"""Who may talk to the desk, and which files a request may name.
 
+Who may talk to the desk: a check of every request and websocket before any page sees it.
 A page of another site must not be able to drive the plate through the operator's browser. So the Host header must
 name this server (an attacker's name that resolves to this machine does not), and a request that changes
 something, or opens a websocket, must come from a page of this server (its Origin). Beyond the own machine a token is
@@ -12,9 +13,11 @@ import hmac
 import ipaddress
 import socket
 from dataclasses import dataclass
+from pathlib import Path
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -179,3 +182,25 @@ def _confined(send: Send, host: str) -> Send:
         await send(message)
 
     return confined
+
+
+def file_inside(folder: Path, name: str) -> Path:
+    """The file ``name`` below ``folder``, links followed.
+
+    Raises `starlette.exceptions.HTTPException` (404) where there is no such file or it lies elsewhere: a request
+    learns nothing of the two.
+
+    ``name`` is a relative path with forward slashes, from a request.
+    """
+    refused = HTTPException(404, "no such file in the runs' folder")
+    parts = name.split("/")
+    if not name or any(part in ("", ".", "..") or "\\" in part or ":" in part or "\0" in part for part in parts):
+        raise refused
+    try:
+        path = folder.joinpath(*parts).resolve(strict=True)
+        is_inside = path.is_relative_to(folder.resolve(strict=True)) and path.is_file()
+    except (OSError, RuntimeError) as error:
+        raise refused from error
+    if not is_inside:
+        raise refused
+    return path

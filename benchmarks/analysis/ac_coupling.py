@@ -15,10 +15,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from analysis.events.ac_coupling import LevelRestorer, measure_coupling
-from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
 from analysis.events.edges import Edges, time_edges
-from analysis.events.levels import measure_levels
-from analysis.signals.stream import PAD, PIECE, Piece
+from analysis.events.levels import CLOSES, DIP, OPENS, CrossingScan, measure_levels
+from analysis.signals import PAD, PIECE, Piece
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
 

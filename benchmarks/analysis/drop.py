@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from analysis.drop.laws.choice import Verdict
+from analysis.drop.laws import Verdict
 from analysis.drop.times.impact_chain import Onsets, drops_of
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.model_selection import Judged, judge
-from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.onsets import sound_onsets
 from analysis.drop.times.outcome import of_times
 from daq.setup.errors import InputError

@@ -28,15 +28,14 @@ from scipy.stats import binom
 from analysis.explore.stake import runner_up
 from analysis.loop.close_loop import judge_loop
 from analysis.thresholds import FROZEN
-from bench.jobs.blocks import Aims, Chosen, Driven, as_driven, by_person, offers, run_seconds
+from bench.jobs.blocks import Aims, Chosen, Driven, as_driven, by_person, offers, outcome_of, run_seconds, staked_block
 from bench.jobs.explore import Drive, Explored, explore
-from bench.jobs.stakes import outcome_of, staked_block
 from benchmarks.plants import other_plant
 from benchmarks.scoring.tables import rate
 from benchmarks.scoring.truth import OTHER_NAMED
 from benchmarks.scoring.version import code_version
-from daq.files.whole_file import Journal
-from daq.setup.stake import stake_in
+from daq.files.disk import Journal
+from daq.setup.setup import stake_in
 from model.surveys.workers import outcomes
 from rig.profile import parse_profile
 from rig.programme.ramp import NextSteps
@@ -55,7 +54,7 @@ def rig(plant: str, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Driv
 def _own(rng: np.random.Generator, nothing: bool, seed: int, folder: Path) -> tuple[str, tuple[str, ...], Drive]:
     """The simulated rig with an effect drawn by chance."""
     from bench.profiles.find import load
-    from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
+    from rig.sim.scenario import left_open, pool, sealed_scenario
 
     checked, text = load("simulated")
     count, allowed = 0 if nothing else 1, left_open(checked.setup())

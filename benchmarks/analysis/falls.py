@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from analysis.drop.falls.fall import Fall
-from analysis.drop.falls.fit import AIR_KG_PER_M3, Setting
+from analysis.drop.falls.fit import AIR_KG_PER_M3, Fall, Setting
 from analysis.drop.falls.judge import Judged, judge_falls
 from bench.jobs.drop_test import Request, measure
 from kernels.arrays import Floats

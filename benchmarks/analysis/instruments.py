@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Job, Values, jobs, recorded
 from benchmarks.scoring.tables import rate
 from benchmarks.scoring.version import code_version
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from kernels.arrays import Bools, Floats
 from model.surveys.workers import outcomes
 

@@ -36,7 +36,7 @@ from benchmarks.scoring.tables import rate
 from benchmarks.scoring.trial import Job, other, own
 from benchmarks.scoring.truth import expected_covariate
 from benchmarks.scoring.version import code_version
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from kernels.arrays import Floats
 from model.effects.registry import effect, resolve
 

@@ -21,7 +21,7 @@ import psutil  # type: ignore[import-untyped]
 
 import shakerbench as sb
 from bench.batch import PARTS, Batch, Row, examine, run_batch
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 
 RAMP = {"ramp.gamma": [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0], "ramp.settle_cycles": 6, "ramp.hold_cycles": 12}
 

@@ -28,7 +28,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench.profiles.fields import fields_of
+from bench.profiles.edit import fields_of
 
 GONE = re.compile(r"WebSocket connection to .* failed|net::ERR_(CONNECTION|EMPTY_RESPONSE|SOCKET)")
 PATIENCE_MS = 600_000

@@ -16,8 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from bench.jobs.run_ramp import make_backend, record
-from bench.live.reduce import cut_to, reduce_run
-from bench.live.verdict import verdict_of
+from bench.live.analyst import cut_to, reduce_run, verdict_of
 from bench.profiles.find import load
 from daq.recording import open_recording
 

@@ -24,7 +24,7 @@ def drawn(recording: Path, verdict: Path) -> None:
     import bench.commands.demo  # noqa: F401 - what a demo has loaded by then is loaded before the clock starts
     from analysis.flights.assemble import flights_of
     from analysis.flights.compare import compare
-    from analysis.loop.storage import load_verdict
+    from analysis.loop.result import load_verdict
     from bench.jobs.report import draw
     from daq.recording import open_recording
 
@@ -53,7 +53,7 @@ def main() -> None:
         drawn(given.recording, given.verdict)
         return
     from analysis.loop.close_loop import close_loop
-    from analysis.loop.storage import save_verdict
+    from analysis.loop.result import save_verdict
 
     trees = {"now": Path(__file__).resolve().parents[2]}
     if given.against is not None:

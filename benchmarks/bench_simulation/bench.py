@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.live.board import Board
 from bench.live.run_side import RunSide
-from bench.terminal.signals import stop_on_signals
+from bench.terminal.run_console import stop_on_signals
 from benchmarks.bench_simulation.cards import make_card
 from benchmarks.bench_simulation.devices import Ledger, PlainDevice, Plate
 from benchmarks.bench_simulation.disk import Disk, Refusal

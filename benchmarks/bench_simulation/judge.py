@@ -20,8 +20,8 @@ from benchmarks.bench_simulation.world import Stuck
 from benchmarks.forked import in_copy
 from daq.files.tables import BlockFlag
 from daq.recording import VerifyReport, open_recording, verify
+from daq.recording.opening import read_here
 from daq.recording.recover import recover
-from daq.recording.subprocess_reader import read_here
 from daq.recording.verify import report_of
 from daq.setup.errors import InputError
 

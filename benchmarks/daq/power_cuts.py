@@ -36,8 +36,7 @@ import numpy as np
 
 from benchmarks.daq.kill import SETUP, content
 from benchmarks.daq.torn_writes import Write, apply, lose_power, parts_of
-from daq.files.frames.frame_marks import MAGIC, read_marks
-from daq.files.frames.marked_frames import MarkedFrames
+from daq.files.frames.marked_frames import MAGIC, MarkedFrames, read_marks
 from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover
 from daq.recording.writer import RecordingWriter

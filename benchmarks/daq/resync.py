@@ -22,8 +22,8 @@ import numpy as np
 from benchmarks.daq.flips import compare, content, make
 from benchmarks.forked import in_copy
 from daq.recording import open_recording, verify
+from daq.recording.opening import read_here
 from daq.recording.recover import recover
-from daq.recording.subprocess_reader import read_here
 from daq.setup.errors import InputError
 
 PATTERNS = {"a run": 0, "pages": 4096, "sectors": 512}  # bytes that are zeroed together; 0: all at once

@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-import daq.clocks.lag
+import daq.clocks.loss_search
 import daq.clocks.sample_loss
-from daq.clocks.lag import LagFit, PlayedBuffer
-from daq.clocks.loss_search import InThread
+from daq.clocks.loss_search import InThread, LagFit, PlayedBuffer
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block, BlockFlag
 
@@ -86,7 +85,11 @@ def counted(counter: Counter) -> Iterator[None]:
     wrap(PlayedBuffer, "add", lambda played, drive_v: 2 * len(drive_v))
     wrap(LossDetector, "_volts", lambda finder: 4 * finder._n_waiting)  # concatenated, its mean, spread and extremes
     wrap(LossDetector, "_settled", lambda finder, *found, **flag: finder._n_waiting + 2 * finder._chunk)
-    wrap(daq.clocks.lag, "candidates", lambda played, heard, first, low, high, gain: 60 * (high - low + len(heard)))
+    wrap(
+        daq.clocks.loss_search,
+        "candidates",
+        lambda played, heard, first, low, high, gain: 60 * (high - low + len(heard)),
+    )
     try:
         yield
     finally:

@@ -29,7 +29,7 @@ from benchmarks.scoring.paired import compare
 from benchmarks.scoring.tables import show
 from benchmarks.scoring.trial import Job, conditions, run
 from benchmarks.scoring.version import code_version
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from model.surveys.workers import outcomes
 
 TELL_EVERY = 50  # trials

@@ -57,7 +57,7 @@ class Job:
 def run(job: Job) -> dict[str, Any]:
     """Make the recording, close the loop on it, then open the seal."""
     from analysis.loop.close_loop import fit_loop
-    from analysis.loop.verdict_json import loop_json
+    from analysis.loop.tables import loop_json
     from analysis.residuals.prediction_errors import scored_rows
     from model.effects.registry import effect
 
@@ -213,7 +213,7 @@ def own(job: Job, folder: Path) -> Path:
     """A ramp on the simulated rig, as `bench ramp` drives it."""
     from bench.jobs.run_ramp import make_backend, record
     from bench.profiles.find import load
-    from rig.sim.blind_scenarios import sealed_scenario
+    from rig.sim.scenario import sealed_scenario
 
     rng = np.random.default_rng(job.seed)
     strength = "weak" if job.kind == "weak" else "strong"

@@ -2,7 +2,7 @@
 
 Nothing is resampled. The drive is looped back into the device. A start marker assigns once, without ambiguity, played
 samples to frames; from there the looped-back drive is compared with the played one, window by window
-(`daq.clocks.lag.lag_at`). Raw readings are stored, and the map fitted to them carries its uncertainty.
+(`daq.clocks.loss_search.lag_at`). Raw readings are stored, and the map fitted to them carries its uncertainty.
 
 The place of frame ``m`` among the played samples is ``m + s(m)``. Its lag ``s`` is an integrated random walk: the rate
 of a quartz wanders with its temperature. Kalman filter forwards, Rauch-Tung-Striebel smoother backwards (AIAA J. 3,
@@ -16,7 +16,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.clocks.lag import LATENCY, PlayedBuffer, lag_at, sliding_products
+from daq.clocks.loss_search import LATENCY, PlayedBuffer, lag_at, sliding_products
 from daq.clocks.sample_loss import SMALLEST_MISFIT
 from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit

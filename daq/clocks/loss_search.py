@@ -1,5 +1,11 @@
-"""Searches for latency and losses, run at once or in a thread of their own.
+"""Searches for latency and losses: the lag of the looped-back drive, at once or in a thread of its own.
 
+Lag of the looped-back drive behind the played samples, to thousandths of a sample.
+The recorded loop-back is ``r[m] = a d(m + s) + b`` with ``d`` the played samples. Its lag ``s`` is minus the latency
+plus everything lost so far. Expanding ``d`` about a whole number of samples makes the fit linear in ``a``, ``a ds`` and
+``b``; ten sums over the samples are all it needs, so a piece may come block by block.
+
+Searches for latency and losses, run at once or in a thread of their own.
 A question holds copies of all it needs, and its answer depends on nothing else: so it does not matter when the answer
 comes. With a device the search runs in a thread, with a simulated rig at once.
 """
@@ -11,9 +17,194 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.clocks.lag import LARGEST, LATENCY, Stretch, candidates, lag_at
 from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Floats
+
+LARGEST = 20_000  # most samples lost at once that are searched for
+LATENCY = 20_000  # longest latency of the loop-back, samples
+UNSOLVABLE = 1e-12  # part of a column's square sum below which its remainder is rounding
+
+
+@dataclass(frozen=True)
+class Lag:
+    """Place of a recorded piece among the played samples."""
+
+    samples: float
+    sigma: float  # standard deviation; infinite where the drive does not determine it
+    rms_v: float  # root mean square residual of the fit
+    gain: float  # recorded volts a played volt
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Played samples ``held`` (n,) from index ``first`` on."""
+
+    first: int
+    held: Floats
+
+    @property
+    def stop(self) -> int:
+        """Index after the last sample."""
+        return self.first + len(self.held)
+
+    def piece(self, start: int, stop: int) -> Floats:
+        """Samples ``start .. stop``; beyond what is held the nearest is repeated."""
+        if self.first <= start and stop <= self.stop:
+            return self.held[start - self.first : stop - self.first]
+        index = np.clip(np.arange(start - self.first, stop - self.first), 0, len(self.held) - 1)
+        return self.held[index]
+
+
+class PlayedBuffer:
+    """The last played samples, by their index since the start; zero before it.
+
+    ``keep`` samples stay, `LATENCY` at least.
+    """
+
+    def __init__(self, keep: int) -> None:
+        self._ring = np.zeros(max(keep, LATENCY))
+        self.stop = 0
+
+    @property
+    def first(self) -> int:
+        """Index of the first sample that is left."""
+        return max(self.stop - len(self._ring), -LATENCY)
+
+    def add(self, drive_v: Floats) -> None:
+        """Append samples handed to the device."""
+        n = len(self._ring)
+        drive_v = drive_v[-n:]
+        place = (self.stop + max(len(drive_v) - n, 0)) % n
+        ahead = min(len(drive_v), n - place)
+        self._ring[place : place + ahead] = drive_v[:ahead]
+        self._ring[: len(drive_v) - ahead] = drive_v[ahead:]
+        self.stop += len(drive_v)
+
+    def piece(self, start: int, stop: int) -> Floats:
+        """Samples ``start .. stop``; beyond what is left the nearest is repeated."""
+        low, high = (min(max(k, self.first), self.stop) for k in (start, stop))
+        n = len(self._ring)
+        place = low % n
+        ahead = min(high - low, n - place)
+        inside = np.concatenate([self._ring[place : place + ahead], self._ring[: high - low - ahead]])
+        if high - low == stop - start:
+            return inside
+        return Stretch(low, inside if len(inside) else self._ring[[(low - 1) % n]]).piece(start, stop)
+
+    def stretch(self, start: int, stop: int) -> Stretch:
+        """A copy of samples ``start .. stop``, as far as they are left."""
+        low = min(max(start, self.first), self.stop - 1)
+        return Stretch(low, self.piece(low, min(max(stop, low + 1), self.stop)))
+
+
+class LagFit:
+    """The fit of a piece that comes block by block, about one whole lag."""
+
+    def __init__(self, guess: int) -> None:
+        self.guess = guess
+        self._sums = np.zeros((4, 4))
+
+    def add(self, played: PlayedBuffer | Stretch, heard: Floats, first: int) -> None:
+        """Take in ``heard`` (n,), whose first frame is number ``first``."""
+        around = played.piece(first + self.guess - 1, first + self.guess + len(heard) + 1)
+        rows = np.empty((4, len(heard)))
+        rows[0] = around[1:-1]
+        np.subtract(around[2:], around[:-2], out=rows[1])
+        rows[1] *= 0.5
+        rows[2] = 1.0
+        rows[3] = heard
+        self._sums += rows @ rows.T
+
+    @property
+    def drive_v(self) -> float:
+        """Standard deviation of the played drive."""
+        n = max(float(self._sums[2, 2]), 1.0)
+        return float(np.sqrt(max(self._sums[0, 0] / n - (self._sums[0, 2] / n) ** 2, 0.0)))
+
+    def solve(self) -> Lag:
+        """The lag by all samples added."""
+        sums = self._sums
+        n = sums[2, 2]
+        means = sums[2] / max(n, 1.0)  # rows are drive, its slope, one, loop-back
+        moments = sums - n * np.outer(means, means)
+        (dd, ds, _, dh), (_, ss, _, sh) = moments[0], moments[1]
+        hh = max(float(moments[3, 3]), 0.0)
+        unknown = Lag(float(self.guess), np.inf, float(np.sqrt(hh / max(n, 1.0))), 0.0)
+        if n < 4 or dd <= UNSOLVABLE * sums[0, 0]:
+            return unknown
+        # normal equations of gain and gain * shift, the mean taken out: two unknowns, solved by elimination
+        slope = ss - ds * ds / dd  # of which the drive itself is no part
+        if slope <= UNSOLVABLE * sums[1, 1]:
+            return unknown
+        turned = (sh - ds * dh / dd) / slope
+        gain = (dh - ds * turned) / dd
+        if gain == 0.0:
+            return unknown
+        rms_v = float(np.sqrt(max(hh - gain * dh - turned * sh, 0.0) / (n - 3)))
+        sigma = rms_v / (abs(gain) * float(np.sqrt(slope)))
+        return Lag(self.guess + float(turned / gain), sigma, rms_v, float(gain))
+
+
+def lag_at(played: PlayedBuffer | Stretch, heard: Floats, first: int, guess: int, iterations: int = 4) -> Lag:
+    """Lag of ``heard`` (its first frame is number ``first``) near ``guess``."""
+    best = Lag(float(guess), np.inf, float(np.std(heard)), 0.0)
+    for _ in range(iterations):
+        fit = LagFit(guess)
+        fit.add(played, heard, first)
+        found = fit.solve()
+        if not np.isfinite(found.sigma):
+            return best
+        best = found
+        if abs(best.samples - guess) <= 1.0 or abs(best.samples - guess) > LARGEST:
+            return best
+        guess = round(best.samples)
+    return best
+
+
+def sliding_products(window: Floats, piece: Floats) -> Floats:
+    """Products of ``piece`` (n,) with each stretch of ``window`` (m,), shape (m - n + 1,), by Fourier transforms.
+
+    That is `scipy.signal.correlate`, whose package takes seconds to import.
+    """
+    size = 1 << (len(window) - 1).bit_length()
+    spectrum = np.fft.rfft(window, size) * np.conj(np.fft.rfft(piece, size))
+    return np.asarray(np.fft.irfft(spectrum, size)[: len(window) - len(piece) + 1])
+
+
+def candidates(
+    played: PlayedBuffer | Stretch, heard: Floats, first: int, low: int, high: int, gain: float
+) -> list[Lag]:
+    """Lags between ``low`` and ``high`` at which ``heard`` fits about as well as at the best of them.
+
+    ``gain`` is that of the loop-back, where known; 0 lets it be anything positive.
+    """
+    high = min(high, played.stop - first - len(heard))  # later samples were not played yet
+    if high < low:
+        return []
+    window = played.piece(first + low, first + high + len(heard))
+    centred = heard - heard.mean()
+    n = len(heard)
+    cross = sliding_products(window, centred)
+    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (window, window**2))
+    # misfit of every whole lag at once: with a known gain, or with the best positive one
+    energy = squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n
+    if gain:
+        misfit = centred @ centred - 2.0 * gain * cross + gain**2 * energy
+    else:
+        misfit = centred @ centred - np.maximum(cross, 0.0) ** 2 / np.maximum(energy, 1e-12 * (energy.max() + 1e-300))
+    inner = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
+    order = inner[np.argsort(misfit[inner])][:24]
+    fits = [lag_at(played, heard, first, low + int(k)) for k in order]
+    fits = [f for f in fits if np.isfinite(f.sigma) and f.gain > 0]
+    if not fits:
+        return []
+    tolerance = 1.5 * min(f.rms_v for f in fits)
+    unique: dict[int, Lag] = {}  # several places of little misfit may lead to one lag
+    for f in fits:
+        if f.rms_v <= tolerance and (not gain or abs(f.gain / gain - 1.0) < 0.1):
+            unique.setdefault(round(f.samples), f)
+    return list(unique.values())
+
 
 SURE_SAMPLES = 0.05  # a lag known less well than this decides nothing
 CLOCK_SLACK = 0.02  # seconds by which a block's clock may be late without meaning anything

@@ -15,18 +15,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.clocks.lag import LARGEST, LATENCY, LagFit, PlayedBuffer, lag_at
 from daq.clocks.loss_search import (
     CLOCK_SLACK,
+    LARGEST,
+    LATENCY,
     LIKE_NOISE,
     MISFIT,
     NOTHING,
     SURE_SAMPLES,
     AtOnce,
     Found,
+    LagFit,
+    PlayedBuffer,
     Question,
     WhichLatency,
     WhichLoss,
+    lag_at,
 )
 from daq.files.tables import Block, BlockFlag
 from kernels.arrays import Floats

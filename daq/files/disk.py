@@ -1,18 +1,36 @@
-"""A file for HDF5 to write to, on a disk that may refuse; and what closes itself at the end of a ``with`` block.
+"""Files on a disk that may refuse: HDF5 and its claims, and files that a kill cannot tear.
 
+A file for HDF5 to write to, on a disk that may refuse; and what closes itself at the end of a ``with`` block.
 HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What the disk does not
 take stays in memory, and the writer asks for the refusal.
+
+Files that a kill cannot tear: written whole or not at all, or grown line by line.
+A file that is written gets another name in the same folder, reaches the disk, and is renamed in one step: a process
+that is killed half-way leaves the old file as it was, and at most a ``.part``. A journal has one JSON object a line,
+on the disk before the next one is begun; a last line that was cut off is left out.
+
+Claims of an HDF5 file on its own size and content, bounded before any of it is read.
+Nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
 """
 
 from __future__ import annotations
 
+import errno
 import io
+import json
 import mmap
-from collections.abc import Iterable, Iterator
+import os
+import re
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+
+import h5py
+
+from daq.setup.errors import InputError
 
 
 class Closing:
@@ -158,3 +176,187 @@ def disk_file(path: Path) -> Iterator[DiskFile]:
     finally:
         disk.close()
     disk.check()
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Name of a file to write, which takes the place of ``path`` when the block ends well and is removed otherwise.
+
+    The mode of a file that is replaced stays; a symbolic link stays one, and what it leads to is replaced. A device or
+    a pipe is written to directly.
+
+    Raises `OSError` when the disk refuses; ``path`` is then as it was.
+    """
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    target = path.resolve() if path.is_symlink() else path
+    part = target.with_name(f"{target.name}.part")
+    try:
+        yield part
+        if target.exists():
+            shutil.copymode(target, part)
+        sync(part)
+        part.replace(target)
+        sync_folder(target.parent)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write ``text`` as UTF-8 into ``path``, whole or not at all (raises OSError)."""
+    with whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def sync(path: Path) -> None:
+    """Ask the operating system to put the file on the disk."""
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(folder: Path) -> None:
+    """Ask the operating system to put the names in a folder on the disk: a file's own sync does not promise its name.
+
+    POSIX only: Windows syncs no folder, and its file systems log changes of names.
+    """
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a file system that knows no sync of folders, as some of networks
+            raise
+    finally:
+        os.close(descriptor)
+
+
+Row = dict[str, Any]
+
+
+class Journal:
+    """Rows by key in a file that only grows; of rows with one key the last counts.
+
+    ``path`` is its file, made by the first row; ``rows`` are those so far, by key. Raises `InputError` where the file
+    holds something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: dict[str, Row] = {}
+        self._is_new = not path.exists()
+        text = b"" if self._is_new else path.read_bytes()
+        lines = text.split(b"\n")
+        for number, line in enumerate(lines[:-1], start=1):
+            if not line.strip():
+                continue
+            try:
+                entry = json.loads(line)
+                self.rows[str(entry["key"])] = dict(entry["row"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise InputError(
+                    f"{path}, line {number}: wanted a result written by this program ({error}); name another file, or "
+                    "remove the line"
+                ) from error
+        self._torn = bool(lines[-1])
+        self._whole_bytes = len(text) - len(lines[-1])
+
+    def add(self, key: str, row: Row) -> None:
+        """Add a row; it is on the disk when this returns (raises OSError)."""
+        line = json.dumps({"key": key, "row": row}, allow_nan=False)
+        if self._torn:
+            os.truncate(self.path, self._whole_bytes)
+            self._torn = False
+        with self.path.open("ab") as stream:
+            stream.write(line.encode() + b"\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        if self._is_new:
+            sync_folder(self.path.parent)
+            self._is_new = False
+        self.rows[key] = row
+
+
+_HDF5 = re.compile(r"(?:Unable to|Can't|Couldn't) .*?\((.*)\)", re.DOTALL)
+_PLAIN = {
+    "truncated": "the file is shorter than it says: it was cut off, or not copied to its end",
+    "signature not found": "it does not begin as one",
+    "fletcher32": "stored numbers differ from what was written",
+    "filter": "stored numbers differ from what was written",
+}
+MOST_OBJECTS = 64  # at the root of a recording, and in one of its groups
+LONGEST_CHUNK_BYTES = 64 << 20
+
+
+def in_words(error: Exception) -> str:
+    """What went wrong, in plain words where HDF5 says it in its own; those stay in the error's cause."""
+    found = _HDF5.search(str(error))
+    if found is None:
+        return str(error)
+    said = found[1].lower()
+    return next((words for key, words in _PLAIN.items() if key in said), "its tables or indexes are damaged")
+
+
+def objects_of(group: Any, path: Path) -> list[str]:
+    """Names in a group of a recording (raises InputError where they are too many to be one's)."""
+    if len(group) > MOST_OBJECTS:
+        raise InputError(f"{path}: damaged: {group.name} holds {len(group)} objects; wanted {MOST_OBJECTS} at most")
+    return list(group)
+
+
+def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
+    """A dataset of a recording, which holds numbers or short texts, in this file, and no more than the file can hold.
+
+    Raises
+    ------
+    InputError
+        When it does not.
+    KeyError
+        When there is none of that name.
+    """
+    where = f"{path}: {group.name.rstrip('/')}/{name}"
+    if group.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
+        raise InputError(f"{where}: damaged: is a link to another place; a recording holds all of itself")
+    dataset = group[name]
+    if not isinstance(dataset, h5py.Dataset) or dataset.ndim != dimensions:
+        raise InputError(f"{where}: damaged: wanted a table of {dimensions} dimension(s)")
+    if dataset.is_virtual or dataset.external:
+        raise InputError(f"{where}: damaged: its numbers lie in another file; a recording holds all of itself")
+    dtype = dataset.dtype
+    if dtype.kind not in "iufVS" or dtype.hasobject or dtype.itemsize > 1024:
+        raise InputError(f"{where}: damaged: wanted numbers or short texts, found {dtype}")
+    return dataset
+
+
+def refuse_claims(dataset: Any, path: Path, *, streamed: bool) -> None:
+    """Refuse a dataset that says it holds more than is stored; ``streamed``: it is read in pieces.
+
+    Raises `InputError`, naming what it claims.
+    """
+    itemsize, chunks = dataset.dtype.itemsize, dataset.chunks
+    where, n_bytes, size = f"{path}: {dataset.name}", dataset.size * itemsize, path.stat().st_size
+    if chunks is not None:
+        per_chunk = itemsize
+        for length in chunks:
+            per_chunk *= length
+        if per_chunk > LONGEST_CHUNK_BYTES:
+            raise InputError(f"{where}: damaged: has pieces of {per_chunk} bytes; wanted {LONGEST_CHUNK_BYTES} at most")
+        held = dataset.id.get_num_chunks() * per_chunk
+        if n_bytes > held:
+            raise InputError(f"{where}: damaged: claims {n_bytes} bytes; {held} are stored")
+    # a small table may be packed tighter than the file is long
+    if n_bytes > max(size, 1 << 20) and not (streamed and chunks is not None):
+        raise InputError(f"{where}: damaged: claims {n_bytes} bytes in a file of {size}")
+
+
+def refuse_columns(file: Any, names: Sequence[str], path: Path) -> None:
+    """Refuse channels that are not columns of numbers stored in this file, in pieces (raises InputError, KeyError)."""
+    if len(names) > MOST_OBJECTS:
+        raise InputError(f"{path}: damaged: names {len(names)} channels; a recording has {MOST_OBJECTS} at most")
+    for name in names:
+        refuse_claims(dataset_of(file, name, path), path, streamed=True)

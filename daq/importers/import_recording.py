@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.registry import KINDS
-from daq.files.column_writer import ColumnWriter
+from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
-from daq.importers.achieved import achieved_gamma
 from daq.importers.formats.columns import (
     ACCELERATION_UNITS,
     SET_ROLES,
@@ -33,8 +32,9 @@ from daq.importers.formats.columns import (
     reasons,
 )
 from daq.importers.intake import Intake, Progress, Scratch, take_in
-from daq.importers.lost_rows import lost_rows
 from daq.importers.plausibility import (
+    achieved_gamma,
+    lost_rows,
     range_warnings,
     rate_warnings,
     refuse_mixed_rates,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.column_writer import ColumnWriter
+from daq.files.column_file import ColumnWriter
 from daq.files.disk import Closing, refusal
 from daq.importers.formats.columns import TIME_UNITS_S, Column, Piece, Source
 from daq.importers.timebase import quantum_of, to_nanoseconds

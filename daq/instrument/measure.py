@@ -10,8 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.continuity import ContinuityChannel
-from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
-from daq.instrument.saturation import NO_ENDS, STANDS, Ends, common_ends, share_at_an_end
+from daq.instrument.channel_limits import (
+    NO_ENDS,
+    STANDS,
+    Ends,
+    NoiseSpectrum,
+    common_ends,
+    measure_noise,
+    share_at_an_end,
+)
 from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import Setup
 from daq.steps.forcing_detection import Read, gamma_of

@@ -2,7 +2,7 @@
 
 A recording is never overwritten and never half-written. While the run lasts the file holds raw frames that survive a
 kill (`daq.files.frames.frame_writer`); `RecordingWriter.close` writes the column file next to it
-(`daq.files.column_writer`), checks it, and renames it into place. `open_recording` reads both alike. The layout is in
+(`daq.files.column_file`), checks it, and renames it into place. `open_recording` reads both alike. The layout is in
 docs/reference/recording-format.md.
 """
 

@@ -20,9 +20,8 @@ from daq.files.column_file import CHUNK_SAMPLES, FORMAT
 from daq.files.seal import Checked, check, check_tables, read_seal
 from daq.files.tables import crc32, notes_of_rows
 from daq.recording import open_recording
-from daq.recording.opening import SIGNATURE, differing_blocks, open_checked, open_file, unsealed
+from daq.recording.opening import SIGNATURE, Tell, differing_blocks, in_subprocess, open_checked, open_file, unsealed
 from daq.recording.reader import Recording, attributes_intact
-from daq.recording.subprocess_reader import Tell, in_subprocess
 from daq.recording.verify import report_of
 from daq.setup.errors import InputError
 

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.column_file import CHUNK_SAMPLES
-from daq.files.column_writer import ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.files.tables import Block
 from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.setup.errors import InputError

@@ -15,9 +15,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import TABLES, read_table
-from daq.files.disk import Closing
+from daq.files.disk import Closing, in_words, refuse_columns
 from daq.files.frames.frame_file import FRAMES, FrameFile
 from daq.files.frames.marked_frames import MarkedFrames
 from daq.files.seal import text_crc

@@ -15,9 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.claims import in_words, refuse_columns
 from daq.files.column_file import CHUNK_SAMPLES, TABLES, read_table
-from daq.files.disk import mapped
+from daq.files.disk import in_words, mapped, refuse_columns
 from daq.files.frames.frame_file import (
     FRAME_SIDE,
     FRAME_STEPS,
@@ -30,9 +29,17 @@ from daq.files.frames.frame_file import (
 from daq.files.frames.marked_frames import MarkedFrames, has_marks
 from daq.files.seal import Checked, check, once_per_state
 from daq.files.tables import SIDE_TABLES, STEP_DTYPE, crc32, joined
-from daq.recording.opening import UNCHECKED, differing_blocks, open_checked, open_file, require_hdf5, unsealed
+from daq.recording.opening import (
+    UNCHECKED,
+    Tell,
+    differing_blocks,
+    in_subprocess,
+    open_checked,
+    open_file,
+    require_hdf5,
+    unsealed,
+)
 from daq.recording.reader import ALL, Recording, attributes_intact
-from daq.recording.subprocess_reader import Tell, in_subprocess
 from daq.setup.errors import InputError
 
 

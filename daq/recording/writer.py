@@ -16,8 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION
-from daq.files.column_writer import PIECE_CHUNKS, ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
 from daq.files.disk import Closing
 from daq.files.frames.frame_writer import FrameWriter
 from daq.files.seal import Checked

@@ -16,7 +16,7 @@ import numpy as np
 
 from kernels.errors import InputError
 from model.orbits.attractor import AT_REST, Attractor, Ball, State, attractor, doubling_near
-from model.orbits.integrated_ball import IntegratedBall
+from model.orbits.make_ball import IntegratedBall
 
 STEPS = 600  # of a sweep
 LONGEST = 32  # flights of the longest cycle looked for

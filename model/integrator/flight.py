@@ -7,9 +7,20 @@ forces and friction add. Impacts and standstills are found on Hermite polynomial
 from __future__ import annotations
 
 from kernels.arrays import Floats
-from model.integrator.hooks import dry_friction, force, gravity, takeoff_threshold
 from model.integrator.plate import STEPS_PER_PERIOD, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
-from model.integrator.records import Law, Mode, Plate, Start, StepEnds, compiled, inlined
+from model.integrator.problem import (
+    Law,
+    Mode,
+    Plate,
+    Start,
+    StepEnds,
+    compiled,
+    dry_friction,
+    force,
+    gravity,
+    inlined,
+    takeoff_threshold,
+)
 
 WAIT_PARTS = 3  # parts of a step at which a ball at rest is looked at: thresholds are passed for short moments
 LONGEST_PERIODS = 60.0

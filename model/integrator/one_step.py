@@ -12,21 +12,29 @@ import model.tones
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import row
 from model.integrator import predict
-from model.integrator.hooks import plate_mode
 from model.integrator.plate import loaded
 from model.integrator.problem import (
+    EVENT_DTYPE,
+    PREDICTION_DTYPE,
+    Acting,
     ContinuousProbe,
     Detection,
+    Law,
     Measured,
+    Mode,
+    Plate,
     PlateSteps,
+    Probe,
     Projected,
+    Steps,
     ToneProbe,
+    Visibility,
     active,
     columns_of,
     for_kernel,
+    plate_mode,
     tones_for_kernel,
 )
-from model.integrator.records import EVENT_DTYPE, PREDICTION_DTYPE, Acting, Law, Mode, Plate, Probe, Steps, Visibility
 
 MODE = ("q", "qd", "after_q", "after_qd")
 OF_KERNEL = ("takeoff_s", "landing_s", "opening_s", "hidden", "kind", "launch_mps", "impact_mps", "ambiguity_s")

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from kernels.arrays import Floats
-from model.integrator.hooks import plate_mode, rebound
-from model.integrator.records import Mode, Plate, Probe, compiled, inlined
+from model.integrator.problem import Mode, Plate, Probe, compiled, inlined, plate_mode, rebound
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
 SHORT_TURN = 0.3  # rad: the next terms of the series in `_short_turn` are below 1e-16

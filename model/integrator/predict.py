@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from kernels.arrays import Floats
 from model.integrator.flight import LONGEST_PERIODS, flight
-from model.integrator.hooks import plate_mode, rebound
 from model.integrator.plate import (
     between_steps,
     corrected,
@@ -19,7 +18,7 @@ from model.integrator.plate import (
     strike,
     with_state,
 )
-from model.integrator.records import (
+from model.integrator.problem import (
     Acting,
     Chain,
     Event,
@@ -32,6 +31,8 @@ from model.integrator.records import (
     Visibility,
     compiled,
     inlined,
+    plate_mode,
+    rebound,
 )
 from model.integrator.takeoff import PASSABLE_S, launch_of, next_flight, thrown_before, weak_rebounds
 

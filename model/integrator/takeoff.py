@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, narrowed, pull, pull_of, wait
-from model.integrator.hooks import dry_friction, gravity, rebound, takeoff_threshold
 from model.integrator.plate import (
     STEPS_PER_PERIOD,
     loaded,
@@ -19,7 +18,18 @@ from model.integrator.plate import (
     turned,
     with_state,
 )
-from model.integrator.records import Flight, Law, Plate, Visibility, compiled, inlined
+from model.integrator.problem import (
+    Flight,
+    Law,
+    Plate,
+    Visibility,
+    compiled,
+    dry_friction,
+    gravity,
+    inlined,
+    rebound,
+    takeoff_threshold,
+)
 
 MOST_BOUNCES = 400
 MOST_RESTITUTION = 0.999

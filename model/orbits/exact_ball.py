@@ -19,7 +19,7 @@ from kernels.errors import InputError
 from model.flight import windows
 from model.flight.branches import TWO_PI
 from model.flight.numerics import EdgeTables, FrictionRestitution
-from model.flight.precision import check_gamma, lengthened
+from model.flight.windows import check_gamma, lengthened
 from model.orbits.attractor import LockedCycle, Path, State, locked_cycle
 from model.orbits.cycles import CHATTERS, CODE_SIZE, FRICTION, IDEAL, SMALL, Cycles, Flown, room_for
 from model.tones import Forcing

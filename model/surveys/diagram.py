@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from kernels.arrays import Bools, Floats
 from kernels.errors import InputError
 from model.flight import windows
-from model.flight.precision import check_gamma, lengthened
+from model.flight.windows import check_gamma, lengthened
 from model.orbits.attractor import AT_REST, MAX_FLIGHTS, Attractor, Ball, attractor, sweep
 from model.orbits.cycles import FLIGHTS, PERIOD, RESETS
 from model.orbits.exact_ball import FrictionBall, IdealBall

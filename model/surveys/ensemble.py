@@ -21,7 +21,7 @@ import numpy as np
 from kernels.arrays import Bools, Floats
 from kernels.errors import InputError
 from model.effects.registry import resolve
-from model.flight.precision import MOST_WINDOWS, largest_gamma
+from model.flight.windows import MOST_WINDOWS, largest_gamma
 from model.orbits.attractor import Ball, attractor
 from model.orbits.make_ball import EXACT, law_of, make_ball
 from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
@@ -29,7 +29,7 @@ from model.surveys.workers import outcomes
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
 CHUNK = 4000  # points: a fraction of a second of an exact ball
-USUAL_WINDOWS = 1000  # of a flight, in parts of `model.flight.precision.MOST_WINDOWS`: full chunks up to there
+USUAL_WINDOWS = 1000  # of a flight, in parts of `model.flight.windows.MOST_WINDOWS`: full chunks up to there
 MOST_POINTS = 100_000_000
 """Points of a job: half a kilobyte each."""
 

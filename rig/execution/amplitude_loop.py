@@ -13,10 +13,9 @@ import numpy as np
 
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes
-from rig.execution.tone_meter import ENOUGH_WINDOWS, Amplitudes, MeterBlock, ToneMeter, mean_of
+from rig.execution.plate_monitor import ENOUGH_WINDOWS, Amplitudes, MeterBlock, ToneMeter, mean_of
 from rig.profile import ControlTable, Profile
-from rig.programme.forcing import PhaseClock, drive_amplitudes
-from rig.programme.ramp import fade_cycles
+from rig.programme.ramp import PhaseClock, drive_amplitudes, fade_cycles
 from rig.programme.sequencer import Sequencer, State
 
 LARGEST_CORRECTION = 2.0  # factor by which one correction may change a tone

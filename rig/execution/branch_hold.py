@@ -22,9 +22,9 @@ import numpy as np
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats
 from rig.execution.landing_timer import LandingTimer
-from rig.execution.tone_meter import MeterBlock
+from rig.execution.plate_monitor import MeterBlock
 from rig.profile import BranchTable, Profile
-from rig.programme.forcing import PhaseClock, drive_amplitudes
+from rig.programme.ramp import PhaseClock, drive_amplitudes
 from rig.programme.sequencer import MOVING, Sequencer, State
 
 

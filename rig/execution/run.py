@@ -26,8 +26,7 @@ from rig.execution.branch_hold import BranchHold
 from rig.execution.interlock import Interlock
 from rig.execution.loss_account import ClockLog, LossAccount
 from rig.execution.operator import RunSummary, Status, StopRequest
-from rig.execution.plate_monitor import Motion, MotionWatch
-from rig.execution.tone_meter import MeterBlock, ToneMeter
+from rig.execution.plate_monitor import MeterBlock, Motion, MotionWatch, ToneMeter
 from rig.profile import Profile
 from rig.programme.ramp import Step, plan
 from rig.programme.sequencer import LONGEST_PAUSE_S, MOVING, STILL, Sequencer, State, Stop, change_rows, largest_block

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from daq.files.tables import DRIVE_DTYPE
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
-from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, stop_fade_samples, synthesise
-from rig.programme.ramp import Programme, Step
+from rig.programme.ramp import Fade, PhaseClock, Programme, Step, drive_amplitudes, stop_fade_samples, synthesise
 
 BLOCKS_PER_CYCLE = 4
 LONGEST_PAUSE_S = 600.0  # an unattended plate must not shake for ever
@@ -90,7 +89,7 @@ class Sequencer:
     setup
         Forcing and drive scale.
     amplitudes
-        Complex drive volts of each tone for a gamma; `rig.programme.forcing.drive_amplitudes` where nothing better is
+        Complex drive volts of each tone for a gamma; `rig.programme.ramp.drive_amplitudes` where nothing better is
         known.
     controlled
         Whether a step settles until `settled` is called, instead of for its planned cycles.

@@ -1,7 +1,12 @@
-"""Scenario files: what the simulated rig hides, read strictly, and known outside only by a hash.
+"""What the simulated rig hides: scenario files, and scenarios drawn by chance for scoring.
 
+Scenario files: what the simulated rig hides, read strictly, and known outside only by a hash.
 The hash covers the canonical content and a nonce, so it cannot be found by trying likely
 contents; nothing else of a scenario leaves this package.
+
+Sealed scenarios for scoring: effects drawn by chance, at a stated strength, unknown to whoever analyses the run.
+All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
+truth can be stored elsewhere and opened after the verdict is written. Decision 272.
 """
 
 from __future__ import annotations
@@ -10,15 +15,17 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 
 from daq.setup.errors import InputError
-from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, parameter_dtype
+from daq.setup.setup import Setup
+from rig.sim.catalogue import BEYOND, EFFECTS, NAMED, RIG_DEFAULTS, EffectEntry, parameter_dtype
 from rig.sim.instrument import ANALOGUE
 
 DRIFT = "parameter_drift"
@@ -171,3 +178,141 @@ def load_scenario(path: Path) -> Scenario:
         return Scenario(str(raw.get("name", path.stem)), effects, tables["rig"], drift, str(raw.get("nonce", "")))
     except ValueError as error:
         raise InputError(f"{path}: {error}; see docs/reference/scenarios.md for the names") from error
+
+
+Strength = Literal["weak", "medium", "strong"]
+
+STRENGTHS: dict[str, tuple[float, float]] = {"weak": (1.0, 3.0), "medium": (3.0, 5.0), "strong": (5.0, 100.0)}
+"""Typical residual in units of the noise floor, and least size in units of what a calibration leaves open."""
+
+NUISANCES = ("contact_gap", "contact_closure")
+"""Effects of the contact circuit only: never the one to be found, but may be added."""
+
+INVISIBLE = ("clock_error", "restitution_scatter")
+"""Where drive and recording share one clock, the motion keeps its phases and only the table's ringing changes pitch. A
+rebound that scatters needs one to scatter about."""
+
+
+def pool(kind: Literal["named", "beyond", "covariate"]) -> tuple[str, ...]:
+    """Names to draw from: the agreed ones, those beyond them, or of these the smooth terms of one covariate."""
+    if kind == "named":
+        return tuple(entry.name for entry in NAMED if entry.name not in NUISANCES + INVISIBLE)
+    return tuple(entry.name for entry in BEYOND if kind == "beyond" or entry.covariate)
+
+
+def left_open(setup: Setup) -> dict[tuple[str, str], float]:
+    """Size of each effect that the stated uncertainties of a rig's calibrations allow, by effect and parameter.
+
+    Gravity enters only through gamma, so it is no better known than the scales of acceleration.
+    """
+    drive, sensitivity = setup.drive, setup.channels.accelerometer.sensitivity
+    reads = sensitivity.uncertainty / abs(sensitivity.value)
+    out = {("accelerometer_gain", "relative"): reads, ("local_gravity", "relative"): reads}
+    if drive.g_per_volt is not None:
+        out["drive_gain", "relative"] = drive.g_per_volt.uncertainty / abs(drive.g_per_volt.value)
+        lag_s = np.radians(drive.phase_deg.uncertainty) / (2.0 * np.pi * setup.forcing.frequency_hz)
+        out["phase_lag", "time_constant_s"] = float(lag_s)
+    return out
+
+
+def sealed_scenario(
+    rng: np.random.Generator,
+    names: Sequence[str],
+    *,
+    strength: Strength = "strong",
+    count: int = 1,
+    allowed: Mapping[tuple[str, str], float] = MappingProxyType({}),
+    drift: bool = False,
+    nuisances: bool = False,
+) -> Scenario:
+    """Draw what a rig hides; raises `ValueError` where more effects are asked for than named.
+
+    The nonce is fresh.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    names : sequence of str
+        Effects to draw from, without repetition; see `pool`.
+    strength : {"weak", "medium", "strong"}
+        Size of each effect: its typical residual over the noise floor, by `STRENGTHS`.
+    count : int
+        How many effects (2 for a pair, 0 for a clean rig).
+    allowed : mapping
+        Uncertainties of the rig's calibrations, by effect and parameter, from `left_open`: what they allow is no
+        effect yet, so one that looks like a calibration has at least as many of them as its strength has noise floors.
+    drift : bool
+        Let the first effect's size drift by half to all of itself in a minute.
+    nuisances : bool
+        Add a contact gap of 0.05 to 0.5 micrometres and contact bounce of up to 0.5 ms.
+    """
+    if not 0 <= count <= len(names):
+        raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")
+    chosen = [str(name) for name in rng.permutation(np.array(list(names), dtype=object))[:count]]
+    effects = {name: _draw(rng, EFFECTS[name], strength, allowed) for name in chosen}
+    rates: dict[str, float] = {}
+    if drift and chosen:
+        for parameter in EFFECTS[chosen[0]].parameters:
+            if parameter.scales:
+                change = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 1.0))
+                rates[f"{chosen[0]}.{parameter.name}"] = change * effects[chosen[0]][parameter.name]
+    rig: dict[str, float] = {}
+    if nuisances:
+        effects |= {"contact_gap": {"gap_m": float(rng.uniform(5e-8, 5e-7))}}
+        rig["bounce_s"] = float(rng.uniform(0.0, 5e-4))
+    return Scenario("sealed", effects, rig, rates, rng.bytes(16).hex())
+
+
+def ordinary_instrument(rng: np.random.Generator) -> dict[str, float]:
+    """Draw an instrument as a laboratory has it, whose parts stay within what a profile states of its channels.
+
+    Returns keys of a scenario's ``[rig]``.
+    """
+    return {
+        "low_pass_hz": float(np.exp(rng.uniform(np.log(4e3), np.log(9e3)))),
+        "low_pass_poles": float(rng.choice((1, 2, 4))),
+        "flicker_v": float(np.exp(rng.uniform(np.log(3e-5), np.log(2e-4)))),
+        "bias_v": float(rng.uniform(-3e-4, 3e-4)),
+        "mains_v": float(rng.uniform(0.0, 3e-4)),
+        "mains_odd": 0.5,
+        "between_channels_s": float(rng.uniform(0.0, 5e-6)),
+        "bounce_s": float(rng.uniform(0.0, 5e-4)),
+        "film_v": float(rng.uniform(0.0, 0.1)),
+        "cross_axis": float(rng.uniform(0.0, 5e-3)),
+        "sensor_clip_g": float(np.exp(rng.uniform(np.log(5.0), np.log(20.0)))),
+    }
+
+
+def instrument_in_words(rig: Mapping[str, float]) -> str:
+    """What `ordinary_instrument` has drawn, for a person."""
+    return (
+        f"accelerometer behind a low-pass of {rig['low_pass_hz'] / 1e3:.1f} kHz (order {rig['low_pass_poles']:.0f}), "
+        f"1/f noise of {1e3 * rig['flicker_v']:.2f} mV an octave, bias {1e3 * rig['bias_v']:.2f} mV, mains "
+        f"{1e3 * rig['mains_v']:.2f} mV, cross-axis {100.0 * rig['cross_axis']:.2f} %, range "
+        f"{rig['sensor_clip_g']:.1f} g; channels {1e6 * rig['between_channels_s']:.1f} us late each; a contact that "
+        f"chatters for up to {1e3 * rig['bounce_s']:.2f} ms, with a film of {rig['film_v']:.2f} V"
+    )
+
+
+def _draw(
+    rng: np.random.Generator, entry: EffectEntry, strength: Strength, allowed: Mapping[tuple[str, str], float]
+) -> dict[str, float]:
+    """Values of one effect: shapes from their ranges, sizes scaled to the strength but never above the strong range."""
+    low, high = STRENGTHS[strength]
+    # strengths are meant against a noise floor of 10 us of landing time
+    target_us = 10.0 * float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    share = min(0.01 * target_us / entry.unit_us, 1.0)
+    values: dict[str, float] = {}
+    for parameter in entry.parameters:
+        if not parameter.scales:
+            values[parameter.name] = float(rng.uniform(*parameter.strong))
+            continue
+        middle = 0.5 * sum(parameter.strong)
+        size = max(share * middle * rng.uniform(0.8, 1.25), low * allowed.get((entry.name, parameter.name), 0.0))
+        if parameter.low < 0.0 and rng.random() < 0.5:
+            size = -size
+        values[parameter.name] = float(np.clip(size, parameter.low, parameter.high))
+    # most rods rub alike up and down
+    if entry.name == "coulomb_friction" and rng.random() < 0.7:
+        values["mu_down"] = values["mu_up"]
+    return values

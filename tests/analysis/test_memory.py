@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from analysis.memory import Memory
+from analysis.computing import Memory
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import EXCESSES_S, excess_noise, log_odds, robust_loss
 from analysis.residuals.noise.uncertainty import uncertainty_at

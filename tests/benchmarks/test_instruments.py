@@ -10,7 +10,7 @@ from benchmarks.analysis import chains, instruments
 from benchmarks.analysis.chains import CHAINS, HIDDEN, Chain, Job, jobs
 from benchmarks.plants.handed_over import Afterwards
 from benchmarks.plants.third_instrument import CARDS
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 
 
 def test_the_plan_holds_every_chain_with_every_hidden_cause():

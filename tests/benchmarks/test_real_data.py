@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.falls.fall import Fall
+from analysis.drop.falls.fit import Fall
 from bench.jobs.drop_test import Request
 from benchmarks.real_data import flown_rms, row, rows_of, smoothed_speed, sweep
 

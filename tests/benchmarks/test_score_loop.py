@@ -9,7 +9,7 @@ from benchmarks.scoring.breakdown import by_condition, by_effect
 from benchmarks.scoring.design import jobs
 from benchmarks.scoring.tables import rate, show
 from benchmarks.scoring.trial import conditions
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from model.surveys.workers import Outcome, WorkerDied
 
 

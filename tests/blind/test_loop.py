@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from analysis.loop.close_loop import close_loop, judge_loop
-from analysis.loop.verdict_json import loop_json
+from analysis.loop.tables import loop_json
 from benchmarks.analysis.shaker_parts import recorded
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported

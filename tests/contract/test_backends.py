@@ -23,7 +23,7 @@ from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
 from rig.sim.scenario import Scenario
-from rig.virtual.serial_device import SerialDevice
+from rig.virtual.serial import SerialDevice
 from tests.fakes.faults import FaultyBackend
 from tests.fakes.nidaqmx_bench import Bench
 from tests.fakes.serial_loopback import WiredCard, WiredPort

@@ -150,7 +150,7 @@ def test_wrong_views_are_refused(tmp_path: Path) -> None:
 
 def test_imported_volts_with_samples_that_are_no_numbers(tmp_path: Path) -> None:
     """Floats keep their type, and a NaN among them hides none of its neighbours."""
-    from daq.files.column_writer import ColumnWriter
+    from daq.files.column_file import ColumnWriter
     from daq.recording.writer import root_attributes
 
     setup = Setup.model_validate(SETUP)

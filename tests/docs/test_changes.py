@@ -19,7 +19,7 @@ THIRD = """
 from types import SimpleNamespace
 from analysis.plate.step_state import multiples_of
 from daq.setup.setup import Drive, Forcing
-from rig.programme.forcing import drive_amplitudes
+from rig.programme.ramp import drive_amplitudes
 forcing = Forcing(frequency_hz=25.0, ratio=2, third={"ratio": 7, "amplitude": 0.5, "phase_deg": 40.0})
 setup = SimpleNamespace(forcing=forcing, drive=Drive(g_per_volt=2.0))
 print(*(m for m, _ in forcing.displacement_tones()))

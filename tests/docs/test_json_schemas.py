@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import shakerbench as sb
 from bench.cli import COMMANDS, app
-from bench.jobs.stakes import stake_toml
+from bench.jobs.blocks import stake_toml
 from tests.bench.jobs.test_stakes import a_stake
 
 ROOT = Path(__file__).parents[2]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
-from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, stop_fade_samples, synthesise
+from rig.programme.ramp import Fade, PhaseClock, drive_amplitudes, stop_fade_samples, synthesise
 
 
 def fades_of_changes(setup: Setup, rows: NDArray[np.void]) -> list[Fade]:

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from kernels import folder, machine_code, njit, store
-from kernels.fingerprint import fingerprint, fingerprint_of_sources, without_text
+from kernels.folder import fingerprint, fingerprint_of_sources, without_text
 
 ROOT = Path(__file__).resolve().parents[2]
 CALLER = """

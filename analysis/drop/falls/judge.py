@@ -9,10 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from analysis.drop.falls.fall import Fall, axis_of
-from analysis.drop.falls.fit import AXIS, OWN_AXIS, FallFit, Noise, Setting, Sizes, Values, fit_falls, heights_m
-from analysis.drop.laws.bounce_law import BounceModel
-from analysis.drop.laws.choice import Candidate, Verdict, choose, worth_of
+from analysis.drop.falls.fit import (
+    AXIS,
+    OWN_AXIS,
+    Fall,
+    FallFit,
+    Noise,
+    Setting,
+    Sizes,
+    Values,
+    axis_of,
+    fit_falls,
+    heights_m,
+)
+from analysis.drop.laws import BounceModel, Candidate, Verdict, choose, worth_of
 from analysis.drop.outcome import Interval, around
 from analysis.drop.thresholds import LARGEST_MISFIT, LEVEL_SIGMAS
 from analysis.statistics import mad_sigma

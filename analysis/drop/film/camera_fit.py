@@ -14,11 +14,9 @@ import numpy as np
 from scipy import optimize, stats
 
 from analysis.drop import lack_of_fit
-from analysis.drop.film.flights import Clip, Flight, flights_of
+from analysis.drop.film.track import Clip, Flight, flights_of
 from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
-from analysis.drop.laws.bounce_law import OF_PATHS, BounceModel
-from analysis.drop.laws.choice import Candidate, worth_of
-from analysis.drop.laws.flight_law import FlightLaw
+from analysis.drop.laws import OF_PATHS, BounceModel, Candidate, FlightLaw, worth_of
 from analysis.drop.thresholds import LARGEST_SCATTER, LEVEL_SIGMAS
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers

@@ -15,7 +15,7 @@ import numpy as np
 from analysis.drop import lack_of_fit, outcome, thresholds
 from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.film.trajectory import SHAPES
-from analysis.drop.laws.choice import Verdict, choose, gain_of
+from analysis.drop.laws import Verdict, choose, gain_of
 from daq.setup.errors import InputError
 
 _SIGNS = (("up", 1.0), ("down", -1.0))  # of friction, against gravity

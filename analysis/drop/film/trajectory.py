@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from analysis.drop.film.flights import Flight, jitter
-from analysis.drop.laws.flight_law import FlightLaw
+from analysis.drop.film.track import Flight, jitter
+from analysis.drop.laws import FlightLaw
 from analysis.statistics import mad_sigma
 from kernels.arrays import Floats
 

@@ -8,10 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop import lack_of_fit
-from analysis.drop.laws.bounce_law import BOUNDS, CONSTANT, FRICTION, MODELS
-from analysis.drop.laws.choice import Candidate, Verdict, choose, stable_choice
-from analysis.drop.times.model_fit import Fit, converge, fit, linearised, sensitivities, usable_rows, wider
-from analysis.drop.times.one_ahead import Drop, Rows, noise_of, predict_s
+from analysis.drop.laws import BOUNDS, CONSTANT, FRICTION, MODELS, Candidate, Verdict, choose, stable_choice
+from analysis.drop.times.model_fit import (
+    Drop,
+    Fit,
+    Rows,
+    converge,
+    fit,
+    linearised,
+    noise_of,
+    predict_s,
+    sensitivities,
+    usable_rows,
+    wider,
+)
 from kernels.arrays import Bools, Floats
 
 ANY_DRAG = (0.0, np.inf)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from analysis.drop import outcome
-from analysis.drop.laws.bounce_law import BOUNDS
-from analysis.drop.laws.choice import Verdict, gain_of
+from analysis.drop.laws import BOUNDS, Verdict, gain_of
 from analysis.drop.thresholds import CONTRADICTION_SIGMAS, LEVEL_SIGMAS
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.model_selection import Judged
-from analysis.drop.times.one_ahead import Drop
 
 _USUAL_JITTER_S = 5e-4  # of a phone, a microphone or a contact, with the size of the ball's dent
 _DRAWS = 1000

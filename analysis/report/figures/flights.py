@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.flights.compare import Comparison
-from analysis.flights.first_bifurcation import ball_on
+from analysis.flights.compare import Comparison, ball_on
 from analysis.flights.table import FlightFlag, Flights
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
 from analysis.report.figures.measured import Measured
-from analysis.report.figures.zones_and_branches import draw_unstable, draw_zones, zones_over
-from analysis.report.gamma import gamma_scale
+from analysis.report.figures.theory import draw_unstable, draw_zones, zones_over
+from analysis.report.wording import gamma_scale
 from analysis.residuals.held import held_steps
 from daq.recording import Recording
 from daq.setup.setup import Setup
-from model.effects.routing import Effects, ball_effects
+from model.effects.registry import Effects, ball_effects
 from model.orbits.attractor import attractor
 from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import diagram

@@ -1,5 +1,10 @@
-"""Figures of the closed loop: landing errors step by step, candidates, a discovered term; and the table of all.
+"""Figures of the closed loop: landing errors, candidates, a discovered term, residuals against covariates.
 
+Figures of the residuals against covariates: landings, take-offs and plate data, before and after.
+Before and after stand one above the other on one horizontal axis, each on a linear scale of its own. The noise floor
+is a grey band; a line connects the medians of bins.
+
+Figures of the closed loop: landing errors step by step, candidates, a discovered term; and the table of all.
 Before is the pale colour and after the dark one, in the same units on the same axis; the noise floor is drawn wherever
 an error is. Decision 316.
 """
@@ -7,12 +12,12 @@ an error is. Decision 316.
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.loop.result import ClosedLoop
-from analysis.report.figures.residuals import draw_landings, draw_plate_residuals, draw_takeoffs, sides
+from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.figures.style import (
     AFTER,
     BAND,
@@ -23,16 +28,160 @@ from analysis.report.figures.style import (
     NEUTRAL,
     PLATE,
     Figure,
+    clipped_dots,
     plain_decades,
 )
-from analysis.report.gamma import gamma_scale
 from analysis.report.narrative import gains
-from analysis.report.wording import plain
+from analysis.report.wording import gamma_scale, plain
+from analysis.residuals.covariates import COVARIATES
+from analysis.residuals.plate_data.plate_observables import GAIN, KINDS, PHASE
 from analysis.statistics import mad_sigma
-from kernels.arrays import Floats
+from kernels.arrays import Bools, Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
+
+
+LANDINGS = (
+    "gamma", "flight_s", "height_m", "takeoff_phase_rad", "launch_mps", "plate_speed_at_takeoff_mps",
+    "impact_mps", "previous_flight_s", "time_in_run_s",
+)  # fmt: skip
+TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
+COLUMNS = 3  # of panels
+PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
+
+
+def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
+    """Label, predictions and colour of each model to show: before and after, or only the declared one."""
+    if not loop.selection.names:
+        return [("declared model", loop.flights.after, AFTER)]
+    return [("before", loop.flights.before, BEFORE), ("after", loop.flights.after, AFTER)]
+
+
+def draw_landings(loop: ClosedLoop, figure: Canvas) -> None:
+    """Landing residuals, before and after, against nine covariates."""
+    rows, floor = loop.flights.scored, loop.errors.landing_floor_us
+    _draw(loop, figure, "landing", LANDINGS, rows, lambda p: p.landing_residual_s, floor)
+
+
+def draw_takeoffs(loop: ClosedLoop, figure: Canvas) -> None:
+    """Take-off residuals, before and after, against six covariates; nothing where no take-off was seen."""
+    rows, floor = loop.flights.from_rest, loop.errors.takeoff_floor_us
+    _draw(loop, figure, "take-off", TAKEOFFS, rows, lambda p: p.takeoff_residual_s, floor)
+
+
+def _draw(
+    loop: ClosedLoop,
+    figure: Canvas,
+    event: str,
+    against: tuple[str, ...],
+    rows: Bools,
+    residual_of: Callable[[Predictions], Floats],
+    floor_us: float,
+) -> None:
+    """Blocks of three covariates: the row of residuals before over the row after (one where nothing was added)."""
+    x = loop.flights.covariates
+    shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
+    if rows.any():
+        # a covariate that spreads by less than 1e-6 of itself counts as constant
+        against = tuple(c for c in against if np.nanstd(x[c][rows]) > 1e-6 * np.nanmax(np.abs(x[c][rows]), initial=0.0))
+    if not rows.any() or not against:
+        return
+    shown_sides = sides(loop)
+    blocks = -(-len(against) // COLUMNS)
+    figure.set_size_inches(9.6, 1.75 * blocks * len(shown_sides) + 0.9)
+    axes = figure.subplots(blocks * len(shown_sides), COLUMNS, sharey="row", squeeze=False)
+    for i, covariate in enumerate(against):
+        about = COVARIATES[covariate]
+        values = (shown.factor if covariate == "gamma" else about.scale) * x[covariate][rows]
+        column = axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]
+        for ax, (side, predicted, colour) in zip(column, shown_sides, strict=True):
+            _panel(ax, values, 1e6 * residual_of(predicted)[rows], np.flatnonzero(rows), colour, floor_us)
+            if i % COLUMNS == 0:
+                ax.set_ylabel(f"{side}, µs", color=colour)
+        for ax in column[:-1]:
+            ax.sharex(column[-1])
+            ax.tick_params(labelbottom=False)
+        column[-1].locator_params(axis="x", nbins=5)  # labels as 0.0015 stand side by side
+        name = shown.symbol if covariate == "gamma" else about.words
+        column[-1].set_xlabel(f"{name}, {about.unit}" if about.unit else name)
+    for i in range(len(against), COLUMNS * blocks):
+        for ax in axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]:
+            ax.set_axis_off()
+    axes[0, 0].set_title(f"{event}: measured minus predicted", loc="left", fontsize=10)
+
+
+def _panel(ax: Any, x: Floats, residual_us: Floats, flights: Integers, colour: str, floor_us: float) -> None:
+    """One covariate: residuals (triangles: beyond the axis), medians of equal shares, the noise floor."""
+    known = np.isfinite(x) & np.isfinite(residual_us)
+    x, y = x[known], residual_us[known]
+    if not len(x):
+        return
+    floor = floor_us if np.isfinite(floor_us) else 0.0
+    # 95 % of the residuals within the axes, and four noise floors; the others are triangles at the edge
+    limit = 1.15 * max(float(np.percentile(np.abs(y), 95.0)), 4.0 * floor, 1e-3)
+    ax.axhspan(-floor, floor, color=FLOOR, alpha=0.35, lw=0)
+    ax.axhline(0.0, color=FLOOR, lw=0.6)
+    beyond = clipped_dots(ax, x, y, limit, flights[known], color=colour)
+    if beyond:
+        place = {"xycoords": "axes fraction", "ha": "right", "bbox": PAPER}
+        ax.annotate(f"{beyond} beyond", (0.98, 0.04), fontsize=6.5, color=colour, **place)
+    middle, median = medians(x, y)
+    ax.plot(middle, np.clip(median, -limit, limit), "-", lw=1.1, color="black", alpha=0.75)
+    ax.set_ylim(-limit, limit)
+
+
+def medians(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Medians of ``x`` and ``y`` in 12 bins of about equal count, ordered; bins of one value are one point."""
+    cuts = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 13)))
+    place = np.clip(np.searchsorted(cuts, x, side="right") - 1, 0, max(len(cuts) - 2, 0))
+    chosen = [place == k for k in range(max(len(cuts) - 1, 1)) if np.sum(place == k) >= 4]
+    middle = np.array([np.median(x[c]) for c in chosen])
+    return middle, np.array([np.median(y[c]) for c in chosen])
+
+
+def draw_plate_residuals(loop: ClosedLoop, figure: Canvas) -> None:
+    """The plate against the drive: gain and phase over gamma, and every datum in standard deviations."""
+    data = loop.plate
+    if not len(data):
+        return
+    figure.set_size_inches(9.6, 3.2)
+    axes = figure.subplots(1, 3, width_ratios=(1, 1, 1.25))
+    scale = gamma_scale(loop.setup.forcing, loop.steps.ratio)
+    gamma = scale.factor * loop.steps.gamma[data.step]
+    models = [(data.before, BEFORE, "o", "before"), (data.after, AFTER, ".", "after")]
+    if not loop.selection.names:
+        models = [(data.after, AFTER, ".", "declared model")]
+    shown = ((GAIN, 100.0, "plate over drive, gain, %"), (PHASE, 180.0 / np.pi, "phase, degrees"))
+    for ax, (kind, per, quantity) in zip(axes, shown, strict=False):
+        rows = data.kind == kind
+        for residual, colour, mark, side in models:
+            y, error = per * residual[rows], per * data.sigma[rows]
+            ax.errorbar(gamma[rows], y, error, fmt=mark, ms=4, mfc="none", lw=0.8, color=colour, label=side)
+        ax.axhline(0.0, color=FLOOR, lw=0.6)
+        ax.set(xlabel=scale.symbol, ylabel=quantity)
+        if not rows.any():
+            ax.text(0.5, 0.5, "the drive's scale is not known", ha="center", transform=ax.transAxes, fontsize=8)
+    _plate_in_sigmas(axes[2], loop, [(residual, colour) for residual, colour, *_ in models])
+    axes[0].legend(frameon=False, fontsize=8)
+
+
+def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Floats, str]]) -> None:
+    """Every plate datum in standard deviations, one row for each kind."""
+    data = loop.plate
+    present = [k for k in range(len(KINDS)) if np.any(data.kind == k)]
+    for residual, colour in models:
+        for at, kind in enumerate(present):
+            z = (residual / data.sigma)[data.kind == kind]
+            height = at if len(models) == 1 else at + (0.16 if colour == AFTER else -0.16)
+            ax.plot(z, np.full(len(z), height), "|", ms=7, color=colour)
+    ax.axvspan(-2.0, 2.0, color=FLOOR, alpha=0.35, lw=0)
+    largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, _ in models)
+    ax.set_xscale("symlog", linthresh=4.0)
+    ticks = [t for t in (-1000, -100, -10, -2, 0, 2, 10, 100, 1000) if abs(t) <= max(largest, 2.0)]
+    ax.set_xticks(ticks, [str(t).replace("-", "−") for t in ticks])
+    ax.set_yticks(range(len(present)), [KINDS[k] for k in present])
+    ax.set_xlabel("each datum, in sigmas")
 
 
 def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:

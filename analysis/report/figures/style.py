@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from daq.files.whole_file import whole
+from daq.files.disk import whole
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats, Integers

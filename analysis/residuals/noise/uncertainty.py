@@ -26,9 +26,8 @@ from analysis.residuals.forward_model import ForwardModel, Inputs
 from analysis.residuals.values import Values
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import offsets
-from model.integrator.hooks import plate_mode
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Measured, PlateSteps, active, columns_of
+from model.integrator.problem import Measured, PlateSteps, active, columns_of, plate_mode
 
 Kicks = tuple[tuple[float, float], ...]
 

@@ -14,7 +14,8 @@ from typing import Any, Self
 import numpy as np
 
 from analysis.linear_algebra import solve
-from analysis.plate.fit_mask import (
+from analysis.plate.motion import StepPlate
+from analysis.plate.step_state import (
     FitIntervals,
     in_both_senses,
     mean_phasor,
@@ -23,8 +24,6 @@ from analysis.plate.fit_mask import (
     signed_frequencies,
     two_sided,
 )
-from analysis.plate.motion import StepPlate
-from analysis.residuals.plate_data.amplitudes import LEAST, PARTS, RIDGE, TINY, Amplitudes
 from analysis.residuals.plate_data.plate_observables import (
     GAIN,
     HUM,
@@ -35,6 +34,7 @@ from analysis.residuals.plate_data.plate_observables import (
     THIRD,
     PlateData,
 )
+from analysis.residuals.plate_data.slow_motion import LEAST, PARTS, RIDGE, TINY, Amplitudes
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import PlateSteps
 

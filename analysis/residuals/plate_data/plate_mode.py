@@ -14,8 +14,8 @@ from typing import Self
 import numpy as np
 from scipy.special import spherical_jn
 
-from analysis.plate.fit_mask import FitIntervals, in_both_senses, signed_frequencies, solved
 from analysis.plate.ringing.mode_motion import ModeMotion
+from analysis.plate.step_state import FitIntervals, in_both_senses, signed_frequencies, solved
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_observables import (
     GAIN,

@@ -1,4 +1,4 @@
 """Jobs around a closed loop: runs judged together or chosen one after another, what a loop found stored or compared.
 
-`keep_verdict` has the file of a loop, which catalogue and reports read; `drawing` is the process that draws one.
+`runs_and_files` has the file of a loop, which catalogue and reports read; `drawing` is the process that draws one.
 """

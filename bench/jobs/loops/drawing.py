@@ -1,7 +1,7 @@
 """Report of a closed loop, or pictures of runs judged together, drawn by a process of its own.
 
-``python -m bench.jobs.loops.drawing`` reads from standard input what `bench.jobs.loops.keep_verdict.drawn` pickled, and
-prints the path of what it wrote, or, with exit status 2, why it could not be written. Decision 446.
+``python -m bench.jobs.loops.drawing`` reads from standard input what `bench.jobs.loops.runs_and_files.drawn` pickled,
+and prints the path of what it wrote, or, with exit status 2, why it could not be written. Decision 446.
 """
 
 from __future__ import annotations

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.claims import dataset_of, refuse_claims
-from daq.files.disk import PatchedFile
+from daq.files.disk import PatchedFile, dataset_of, refuse_claims
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError

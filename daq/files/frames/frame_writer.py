@@ -22,6 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.files.disk import sync_folder
 from daq.files.frames.frame_file import (
     FRAME_BLOCKS,
     FRAME_END,
@@ -33,10 +34,9 @@ from daq.files.frames.frame_file import (
     sealed_dtype,
     sealed_rows,
 )
-from daq.files.frames.frame_marks import MarkLog, running_crcs
+from daq.files.frames.marked_frames import MarkLog, running_crcs
 from daq.files.seal import text_crc
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, Block, step_row
-from daq.files.whole_file import sync_folder
 from daq.setup.errors import InputError
 
 _END_BYTES = 4096

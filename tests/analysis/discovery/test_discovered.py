@@ -11,9 +11,8 @@ import pytest
 from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.descent import StackedResiduals
 from analysis.discovery.discover import discover
-from analysis.discovery.penalised_fit import best_start, fit_in_flight
+from analysis.discovery.fit import StackedResiduals, best_start, fit_in_flight
 from analysis.discovery.search import SCREENING_TAILS, TermSearch
 from analysis.discovery.terms import IN_FLIGHT, Curve, basis_of, event_term, knots_of, ranges_of
 from analysis.residuals.forward_model import ForwardModel

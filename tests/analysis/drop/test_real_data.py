@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from analysis.drop.film.camera_fit import fit_camera
-from analysis.drop.laws.choice import Verdict
+from analysis.drop.laws import Verdict
 from analysis.drop.load import Path2D, load_all
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.model_selection import Judged, judge
-from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.outcome import of_times
 
 G = 9.80665

@@ -10,11 +10,10 @@ import pytest
 from scipy.signal import lfilter
 
 from analysis.events.ac_coupling import USUAL_CORNER_HZ, Coupling, LevelRestorer, measure_coupling
-from analysis.events.crossings import CLOSES, OPENS, Crossings, CrossingScan
 from analysis.events.edges import time_edges
-from analysis.events.levels import Levels
+from analysis.events.levels import CLOSES, OPENS, Crossings, CrossingScan, Levels
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.signals.stream import PAD, Piece
+from analysis.signals import PAD, Piece
 from daq.files.tables import Block
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter

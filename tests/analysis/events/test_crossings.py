@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
-from analysis.events.levels import Levels
-from analysis.signals.search import AT_ONCE
+from analysis.events.levels import CLOSES, DIP, OPENS, CrossingScan, Levels
+from analysis.signals import AT_ONCE
 
 N = 3 * AT_ONCE
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
 from analysis.events.edges import time_edges
-from analysis.events.levels import Levels, measure_levels
+from analysis.events.levels import CLOSES, DIP, OPENS, CrossingScan, Levels, measure_levels
 
 RATE = 20000.0
 

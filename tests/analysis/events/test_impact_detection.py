@@ -7,8 +7,8 @@ import pytest
 
 from analysis.events.impact_detection import ImpactScan, _match
 from analysis.events.impact_template import LEAD, ImpactTemplate, echo_samples, template_from_snippets
-from analysis.signals.stream import PAD
-from daq.instrument.noise_spectrum import NoiseSpectrum
+from analysis.signals import PAD
+from daq.instrument.channel_limits import NoiseSpectrum
 
 RATE_HZ = 20000.0
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, ringing_part, template_from_snippets
-from daq.instrument.noise_spectrum import NoiseSpectrum
+from daq.instrument.channel_limits import NoiseSpectrum
 
 RATE_HZ = 20_000.0
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.events.crossings import CrossingScan
 from analysis.events.edges import time_edges
-from analysis.events.levels import measure_levels
-from analysis.signals.stream import PAD
+from analysis.events.levels import CrossingScan, measure_levels
+from analysis.signals import PAD
 
 RATE_HZ, FINE, DELAY = 20000.0, 16, 32
 

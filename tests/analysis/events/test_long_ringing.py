@@ -9,7 +9,7 @@ from analysis.events.impact_template import FINE, LEAD, ringing_part, template_f
 from analysis.events.template_estimate import _all_snippets, _begun, _Found, _prediction, _snippets
 from analysis.flights.assemble import flights_of
 from analysis.flights.scan import survey
-from daq.instrument.noise_spectrum import NoiseSpectrum
+from daq.instrument.channel_limits import NoiseSpectrum
 from daq.recording import open_recording
 from tests.analysis.conftest import Maker
 

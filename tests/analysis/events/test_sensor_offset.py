@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.events.crossings import CLOSES
 from analysis.events.edges import Edges
 from analysis.events.impact_detection import Impacts
+from analysis.events.levels import CLOSES
 from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts, common_offset
 
 SAMPLING_S = 5e-5

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from analysis.events.crossings import CLOSES, DIP, OPENS, CrossingScan
 from analysis.events.edges import time_edges
 from analysis.events.impact_detection import NO_IMPACTS
-from analysis.events.levels import measure_levels
+from analysis.events.levels import CLOSES, DIP, OPENS, CrossingScan, measure_levels
 from analysis.events.short_contacts import refine_short_contacts
 
 TAU_S, NOISE_V = 1e-4, 0.01

@@ -10,7 +10,7 @@ import pytest
 
 from analysis.attribution.candidates import Prior, scale_of
 from analysis.attribution.fit import Fitter
-from analysis.explore.second_order import (
+from analysis.explore.explanations import (
     adjusted_gradient_and_information,
     gradient_and_information,
     secants_at,

@@ -11,9 +11,8 @@ import pytest
 from analysis.flights.assemble import FlightFlag, Flights, flights_of
 from analysis.residuals.observations import observed
 from daq.recording import open_recording
-from daq.recording.event_changes import made_now
 from daq.recording.header import stored_id
-from daq.recording.notebook import change_remarks, side_file, with_event
+from daq.recording.notebook import change_remarks, made_now, side_file, with_event
 from daq.setup.errors import InputError
 
 

@@ -10,11 +10,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from analysis.flights.assemble import flights_of
-from analysis.flights.compare import compare, seen_open
-from analysis.flights.first_bifurcation import first_bifurcation
+from analysis.flights.compare import compare, first_bifurcation, seen_open
 from daq.recording import open_recording
 from daq.setup.errors import InputError
-from model.effects.routing import accelerometer_response, ball_effects, plate_gain, shapes_the_plate
+from model.effects.registry import accelerometer_response, ball_effects, plate_gain, shapes_the_plate
 
 
 def test_each_effect_acts_in_one_place() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.flights.denied_impacts import denied
+from analysis.flights.events_corrected import denied
 from kernels.arrays import Floats
 
 G, OMEGA, GAMMA = 9.81, 2.0 * np.pi * 27.3, 1.6

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.joint.constancy import constancy, one_run_alone
+from analysis.joint.population import constancy, one_run_alone
 
 
 def test_constants_pass_and_what_differs_does_not():

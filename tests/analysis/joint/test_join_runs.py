@@ -15,7 +15,7 @@ from analysis.loop.close_loop import close_loop
 from analysis.thresholds import FROZEN
 from bench.cli import app
 from benchmarks.analysis.joint import short_runs
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from daq.setup.errors import InputError
 
 BELOW = {"viscous_damping.rate_per_s": 0.1}  # one such run's detection limit of 0.15 /s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.joint.outcome import days_since_first
+from analysis.joint.choice import days_since_first
 
 
 @pytest.mark.parametrize(

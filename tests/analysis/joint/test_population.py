@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.joint.population import Prior, Quadratic, each_on_its_own, fit_population
+from analysis.joint.population import Priors, Quadratic, each_on_its_own, fit_population
 
 Q, SHARED = 3, 2
 
@@ -47,7 +47,7 @@ def test_the_combination_is_the_joint_least_squares_fit(seed, runs, size):
     spread = size * (0.5 + rng.random(Q))
     shared = rng.standard_normal(SHARED)
     made = [linear_run(rng, spread * rng.standard_normal(Q), shared) for _ in range(runs)]
-    prior = Prior(np.r_[rng.standard_normal(Q), 0.0, 0.0], np.r_[np.full(Q, 2.0), 0.0, 0.0])
+    prior = Priors(np.r_[rng.standard_normal(Q), 0.0, 0.0], np.r_[np.full(Q, 2.0), 0.0, 0.0])
     free = np.arange(Q + SHARED)
     quadratics = [run for run, _, _ in made]
     found = fit_population(quadratics, np.zeros(Q + SHARED), spread, prior, free, fixed_spread=True)
@@ -62,7 +62,7 @@ def test_the_spread_from_run_to_run_is_found():
     rng = np.random.default_rng(3)
     spread, mean = np.array([1.0, 0.0, 0.0]), np.array([0.3, -0.2, 0.1])
     made = [linear_run(rng, mean + spread * rng.standard_normal(Q), np.array([0.5, -0.5])) for _ in range(40)]
-    prior = Prior(np.zeros(Q + SHARED), np.r_[np.ones(Q), np.zeros(SHARED)])
+    prior = Priors(np.zeros(Q + SHARED), np.r_[np.ones(Q), np.zeros(SHARED)])
     found = fit_population([run for run, _, _ in made], np.zeros(Q + SHARED), np.ones(Q), prior, np.arange(Q + SHARED))
     assert found.spread[0] == pytest.approx(1.0, rel=0.35)
     assert np.all(found.spread[1:] < 0.15)
@@ -72,7 +72,7 @@ def test_the_spread_from_run_to_run_is_found():
 def test_runs_that_tell_little_do_not_widen_a_spread():
     """Of a calibration that each run knows to ten times its stated width, noise between runs is no spread."""
     rng, known = np.random.default_rng(5), np.diag([0.01, 1e4])
-    prior, free = Prior(np.zeros(2), np.array([1.0, 0.0])), np.arange(2)
+    prior, free = Priors(np.zeros(2), np.array([1.0, 0.0])), np.arange(2)
     for _ in range(20):
         noise = [np.sqrt(np.diag(known)) * rng.standard_normal(2) for _ in range(10)]
         runs = [Quadratic(np.zeros(2), score, known) for score in noise]
@@ -83,7 +83,7 @@ def test_a_spread_changes_the_weights_of_runs():
     """Where calibrations differ, a shared parameter that they can imitate is known less well than if they were one."""
     information = np.array([[100.0, 99.0], [99.0, 100.0]])
     runs = [Quadratic(np.zeros(2), np.zeros(2), information) for _ in range(10)]
-    prior = Prior(np.zeros(2), np.array([1e8, 0.0]))
+    prior = Priors(np.zeros(2), np.array([1e8, 0.0]))
     one, own = (
         fit_population(runs, np.zeros(2), np.array([s]), prior, np.arange(2), fixed_spread=True).sigma(1)
         for s in (0.0, 1.0)
@@ -97,7 +97,7 @@ def test_a_run_alone_has_its_own_value():
     truth = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     made = [linear_run(rng, c, np.zeros(SHARED), n=2000) for c in truth]
     runs = [run for run, _, _ in made]
-    prior = Prior(np.zeros(Q + SHARED), np.r_[np.ones(Q), np.zeros(SHARED)])
+    prior = Priors(np.zeros(Q + SHARED), np.r_[np.ones(Q), np.zeros(SHARED)])
     found = fit_population(runs, np.zeros(Q + SHARED), np.ones(Q), prior, np.arange(Q + SHARED))
     values, sigmas = each_on_its_own(runs, found, 0)
     assert np.all(np.abs(values - truth[:, 0]) < 4.0 * sigmas)

@@ -8,7 +8,7 @@ import pytest
 from analysis.attribution.candidates import priors_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Refits
-from analysis.joint.systematics import NAMES, UNIT_S, Systematics
+from analysis.joint.summary import NAMES, UNIT_S, Systematics
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import observations_from

@@ -2,7 +2,7 @@
 
 import pytest
 
-from analysis.joint.constancy import Constancy, OneRun
+from analysis.joint.population import Constancy, OneRun
 from analysis.joint.result import JointVerdict, OverRuns, RunOutcome, joint_json
 from bench.terminal.loop_display import show_runs
 

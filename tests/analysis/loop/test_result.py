@@ -17,14 +17,13 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.choice import LogScoreDifference
 from analysis.discovery.discover import Band, Discovery
 from analysis.loop.close_loop import close_loop
-from analysis.loop.result import ClosedLoop
-from analysis.loop.storage import load_verdict, save_verdict
-from analysis.loop.verdict_json import loop_json
+from analysis.loop.result import ClosedLoop, load_verdict, save_verdict
+from analysis.loop.tables import loop_json
 from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS
 from analysis.residuals.covariates import Covariate
 from analysis.thresholds import Thresholds
-from bench.jobs.loops.keep_verdict import drawn
+from bench.jobs.loops.runs_and_files import drawn
 from daq.setup.errors import InputError
 from tests.loops import changed
 

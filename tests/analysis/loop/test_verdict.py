@@ -10,9 +10,8 @@ import pytest
 
 from analysis.attribution.hypothesis import Rejected
 from analysis.loop.result import FittedParameter
-from analysis.loop.tables import added_effects
+from analysis.loop.tables import added_effects, rejected_json
 from analysis.loop.verdict import confirmed_on_reserve, verdict_of
-from analysis.loop.verdict_json import rejected_json
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import FROZEN

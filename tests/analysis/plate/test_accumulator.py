@@ -11,7 +11,7 @@ from analysis.flights.scan import plate_of
 from analysis.plate.accumulator import PlatePiece, StepAccumulator, _classify, block_width
 from analysis.plate.step_state import CONTACT, FLIGHT, N_MASK_LEVELS, NEITHER, Span, StepState
 from daq.files.tables import Block
-from daq.instrument.saturation import NO_ENDS
+from daq.instrument.channel_limits import NO_ENDS
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.plate.contact_flight_fit import ContactFlightFit
+from analysis.plate.motion import ContactFlightFit
 from daq.lock_in import LockIn
 
 RATE_HZ, TONES_HZ, NOISE = 1000.0, np.array([25.0, 50.0, 75.0]), 0.5

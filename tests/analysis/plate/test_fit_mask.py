@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.plate.fit_mask import FitIntervals, shifted_down, signed_frequencies
+from analysis.plate.step_state import FitIntervals, shifted_down, signed_frequencies
 
 
 def test_intervals_hold_every_kept_block_once() -> None:

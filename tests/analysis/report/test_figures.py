@@ -21,8 +21,8 @@ from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
 from analysis.report.figures import style
 from analysis.report.figures.style import HARMONICS, clipped_dots, plain_decades, plain_number
-from analysis.report.figures.zones_and_branches import zones_over
-from analysis.report.gamma import gamma_scale
+from analysis.report.figures.theory import zones_over
+from analysis.report.wording import gamma_scale
 from daq.setup.setup import Forcing
 
 

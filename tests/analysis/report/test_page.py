@@ -18,9 +18,8 @@ from analysis.discovery.symbolic import FORMS
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import reasoning
-from analysis.report.numbers import interval
 from analysis.report.page import write_report
-from analysis.report.wording import VERDICTS, verdict_line
+from analysis.report.wording import VERDICTS, interval, verdict_line
 from bench.cli import app
 from daq.recording import open_recording
 from tests.loops import changed, found_by
@@ -46,7 +45,7 @@ def test_exit_status_is_zero_whatever_the_verdict(
     """The command leaves with 0 for each verdict, and standard output carries the JSON and nothing else."""
     loop = dataclasses.replace(closed_loop, verdict=verdict)
     monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: (loop, None))
-    monkeypatch.setattr("bench.profiles.next_run.possible_runs", lambda *a: [])
+    monkeypatch.setattr("bench.profiles.improved.possible_runs", lambda *a: [])
     result = CliRunner().invoke(app, ["close-loop", str(recording), "--json", "-"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["verdict"] == verdict
@@ -178,8 +177,8 @@ def test_the_verdict_survives_a_failing_output(
         raise InputError("the disk is full")
 
     monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: (closed_loop, None))
-    monkeypatch.setattr("bench.profiles.next_run.possible_runs", lambda *a: [])
-    monkeypatch.setattr("bench.jobs.loops.keep_verdict.drawn", fails)
+    monkeypatch.setattr("bench.profiles.improved.possible_runs", lambda *a: [])
+    monkeypatch.setattr("bench.jobs.loops.runs_and_files.drawn", fails)
     verdict, better = tmp_path / "verdict.json", tmp_path / "better.toml"
     call = ["close-loop", str(recording), "--report", str(tmp_path / "report"), "--json", str(verdict)]
     result = CliRunner().invoke(app, [*call, "--improved", str(better)])

@@ -21,17 +21,15 @@ from typer.testing import CliRunner
 import bench.jobs.report
 from analysis.flights.assemble import flights_of
 from analysis.flights.table import FlightFlag, Flights
-from analysis.loop.result import ClosedLoop, Source
-from analysis.loop.storage import save_verdict
+from analysis.loop.result import ClosedLoop, Source, save_verdict
 from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
 from analysis.report.figures.flights import draw_bifurcations
 from analysis.report.figures.measured import Measured
 from analysis.report.figures.measured import measured as as_shown
 from analysis.report.figures.style import name_flights
-from analysis.report.interactive import MOST_HOVER_POINTS, inline_figure
 from analysis.report.narrative import headline
-from analysis.report.run_page import section_of, write_page
+from analysis.report.run_page import MOST_HOVER_POINTS, inline_figure, section_of, write_page
 from bench.cli import app
 from bench.jobs.report import not_of
 from daq.recording import Recording, open_recording

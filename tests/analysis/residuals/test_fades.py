@@ -11,8 +11,8 @@ import pytest
 import shakerbench as sb
 from analysis.flights.assemble import flights_of
 from analysis.plate.ringing.modes import Identified
-from analysis.residuals.fades import Fades, with_pushes
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.held import Fades, with_pushes
 from analysis.residuals.observations import Observations, observations_from
 from daq.recording import Recording, open_recording
 from model.integrator.problem import Measured

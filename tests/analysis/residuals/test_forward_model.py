@@ -14,7 +14,7 @@ from analysis.residuals.noise.uncertainty import kicks_of, uncertainty_at
 from analysis.residuals.noise.whitening import Whitener, step_losses
 from analysis.residuals.values import TREND
 from analysis.thresholds import SHARED_S
-from model.effects.routing import accelerometer_response
+from model.effects.registry import accelerometer_response
 
 FRICTION = {("coulomb_friction", "mu_up"): 0.15, ("coulomb_friction", "mu_down"): 0.15}
 CLOSES_LATE = ("contact_closure", "late_s")

@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import bilinear, lfilter
 
 from analysis.flights.scan import plate_of, scan
-from analysis.signals.high_pass import HighPass
-from analysis.signals.stream import PAD, PIECE, Piece
+from analysis.signals import PAD, PIECE, HighPass, Piece
 from daq.recording import open_recording
 from kernels.arrays import Floats
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.flights.plausibility import plausibility_warnings
+from analysis.flights.compare import plausibility_warnings
 from analysis.residuals.observations import observed
 from analysis.statistics import nearest
 from daq.files.tables import Block
-from daq.instrument.saturation import NO_ENDS, common_ends, share_at_an_end
+from daq.instrument.channel_limits import NO_ENDS, common_ends, share_at_an_end
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 

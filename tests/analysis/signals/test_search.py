@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.signals.search import AT_ONCE, first_beyond
+from analysis.signals import AT_ONCE, first_beyond
 
 
 @pytest.mark.parametrize("above", [True, False])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.signals.stream import block_means
+from analysis.signals import block_means
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 7, 8, 20, 33, 100])

@@ -15,14 +15,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
 
-from bench.agent.arming import FILE, arm, take
-from bench.agent.door import LONGEST_S, Door
+from bench.agent.door import FILE, LONGEST_S, Door, arm, take
 from bench.agent.section import section
-from bench.profiles.find import find_profile, load
-from bench.profiles.plan import planned
+from bench.profiles.find import find_profile, load, planned
 from bench.web.access import Access
-from bench.web.application import make_app
 from bench.web.section import Place
+from bench.web.serve import make_app
 from daq.setup.errors import InputError
 
 
@@ -149,7 +147,7 @@ def test_calls_at_the_same_time_share_neither_profile_nor_permission(
         take(folder, "profile", "card")
         return {"profile": "card"}
 
-    monkeypatch.setattr("bench.agent.arming.armed", first)
+    monkeypatch.setattr("bench.agent.door.armed", first)
     with pytest.raises(InputError, match="no person has armed it"):
         take(tmp_path, "profile", "card")
 

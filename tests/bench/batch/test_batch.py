@@ -9,9 +9,8 @@ from typer.testing import CliRunner
 import shakerbench as sb
 from bench.batch import Batch, find_recordings, run_batch, write_table
 from bench.cli import app
-from daq.files.whole_file import Journal
-from daq.recording.event_changes import made_now
-from daq.recording.notebook import change_remarks, with_event
+from daq.files.disk import Journal
+from daq.recording.notebook import change_remarks, made_now, with_event
 from daq.setup.errors import InputError
 
 PARTS = ("reprocess", "compare")

@@ -6,7 +6,7 @@ import pytest
 
 import shakerbench as sb
 from bench.batch import PARTS, Batch, run_batch, write_table
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 
 RECORDINGS = 2
 SMALL = {"ramp.gamma": [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0], "ramp.settle_cycles": 6, "ramp.hold_cycles": 12}

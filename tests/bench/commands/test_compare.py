@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from analysis.flights.classify import StepClass
-from analysis.flights.compare import Comparison, StepComparison
-from analysis.flights.first_bifurcation import FirstBifurcation
-from analysis.report.gamma import gamma_scale
+from analysis.flights.compare import Comparison, FirstBifurcation, StepComparison
+from analysis.report.wording import gamma_scale
 from bench.commands import compare
 from bench.terminal.comparison import sentences
 from daq.setup.setup import Forcing

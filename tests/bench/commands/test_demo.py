@@ -11,7 +11,7 @@ from analysis.loop.result import ClosedLoop
 from bench.cli import app
 from bench.commands import demo
 from bench.profiles.find import load
-from rig.sim.blind_scenarios import left_open, pool, sealed_scenario
+from rig.sim.scenario import left_open, pool, sealed_scenario
 from tests.loops import changed
 
 

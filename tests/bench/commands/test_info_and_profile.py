@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from bench.cli import app
 from bench.profiles.find import load, shipped_folder
-from bench.profiles.new import OF_A_CARD, UNKNOWN_ZERO
+from bench.profiles.improved import OF_A_CARD, UNKNOWN_ZERO
 
 ROOT = Path(__file__).parents[3]
 

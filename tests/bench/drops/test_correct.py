@@ -11,8 +11,8 @@ from scipy.io import wavfile
 
 from analysis.drop.corrections import NOTHING
 from analysis.drop.load import Known
-from bench.drops.correct import moved, saved_request, side_file
-from bench.drops.page_data import refusal_of
+from bench.drops.desk import moved, saved_request, side_file
+from bench.drops.worker import refusal_of
 from bench.jobs.drop_test import Request
 from daq.setup.errors import InputError
 

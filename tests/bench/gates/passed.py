@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bench.gates.inputs import GATES, inputs_of
-from bench.gates.state import Result, State, save_state
+from bench.gates.state import GATES, Result, State, inputs_of, save_state
 from bench.profiles.find import load, shipped_folder
 
 DEVICE = {"name": "the simulated rig"}

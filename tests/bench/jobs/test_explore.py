@@ -19,9 +19,8 @@ from bench.jobs.blocks import Chosen as Block
 from bench.jobs.explore import _can_be_shown, _held, _in_vain, _next, _not_shown, explore
 from bench.jobs.run_ramp import make_backend
 from bench.profiles.edit import with_values
-from bench.profiles.find import load
-from bench.profiles.plan import planned
-from bench.terminal.orders import obey
+from bench.profiles.find import load, planned
+from bench.terminal.run_console import obey
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
@@ -180,7 +179,7 @@ class Typist:
         self.lines, self.block, self.seen = dict(lines), 0, []
 
     def obeyed(self, request, progress):
-        """As `bench.terminal.orders.TypedLines.obeyed`."""
+        """As `bench.terminal.run_console.TypedLines.obeyed`."""
         self.block += 1
 
         def after_block(status):

@@ -12,16 +12,14 @@ from typer.testing import CliRunner
 import shakerbench as sb
 from analysis.explore.stake import Outcome, StepMet, held_against, staked, steps_of, with_outcome
 from analysis.loop.close_loop import fit_loop
-from analysis.loop.result import ClosedLoop
-from analysis.loop.storage import load_verdict
+from analysis.loop.result import ClosedLoop, load_verdict
 from analysis.residuals.observations import observations_from
 from bench.cli import app
-from bench.jobs.blocks import Aims, Chosen, by_person, offers
-from bench.jobs.stakes import outcome_of, read_stake, stake_toml
+from bench.jobs.blocks import Aims, Chosen, by_person, offers, outcome_of, read_stake, stake_toml
 from bench.profiles.edit import with_values
 from bench.profiles.find import load
 from daq.setup.errors import InputError
-from daq.setup.stake import Stake, stake_in
+from daq.setup.setup import Stake, stake_in
 from rig.profile import parse_profile
 from rig.programme.ramp import NextSteps
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from bench.profiles.edit import with_values
-from bench.profiles.fields import fields_of, value_of
+from bench.profiles.edit import fields_of, value_of, with_values
 from bench.profiles.find import load, shipped_names
-from bench.profiles.new import PRESETS, new_profile, with_preset
+from bench.profiles.improved import PRESETS, new_profile, with_preset
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
 

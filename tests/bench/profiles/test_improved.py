@@ -10,7 +10,7 @@ import pytest
 from analysis.attribution.choice import LogScoreDifference
 from analysis.discovery.discover import Band, Discovery
 from analysis.loop.result import ClosedLoop, FittedParameter
-from analysis.loop.verdicts import Verdict
+from analysis.loop.verdict import Verdict
 from analysis.residuals.covariates import Covariate
 from bench.profiles.find import load
 from bench.profiles.improved import write_improved

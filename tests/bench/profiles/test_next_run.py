@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from analysis.loop.design import Design
-from bench.profiles.next_run import profile_of
+from bench.profiles.improved import profile_of
 from daq.setup.errors import InputError
 from rig.profile import parse_profile
 

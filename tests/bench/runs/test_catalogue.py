@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from analysis.loop.result import ClosedLoop
-from analysis.loop.storage import save_verdict
-from bench.jobs.loops.keep_verdict import keep_verdict
+from analysis.loop.result import ClosedLoop, save_verdict
+from bench.jobs.loops.runs_and_files import keep_verdict
 from bench.runs import catalogue as catalogue_module
 from bench.runs.catalogue import VERSION, Catalogue
 from bench.runs.query import Query

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from bench.runs.events import on_recording, on_scope
 from bench.runs.folder import run_id
 from bench.runs.pages import section
 from bench.runs.prepare import Workshop, make_flights
+from bench.runs.scope import on_recording, on_scope
 from bench.web.access import Access
-from bench.web.application import make_app
 from bench.web.section import Place
+from bench.web.serve import make_app
 from daq.recording.notebook import read_remarks, side_file
 from tests.bench.runs.test_pages import OWN, ready
 

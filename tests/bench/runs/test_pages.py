@@ -13,8 +13,8 @@ from starlette.testclient import TestClient
 from bench.runs.folder import run_id
 from bench.runs.pages import section
 from bench.web.access import Access
-from bench.web.application import make_app
 from bench.web.section import Place
+from bench.web.serve import make_app
 from tests.bench.runs.recordings import record
 
 OWN = "http://127.0.0.1:8625"

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from bench.terminal.orders import TypedLines, obey, steps_from
+from bench.terminal.run_console import TypedLines, obey, steps_from
 from daq.setup.errors import InputError
 from rig.execution.operator import StopRequest
 from rig.programme.ramp import NextSteps

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.profiles.find import load
-from bench.terminal.run_display import health_line, limits_line, run_display, step_line
+from bench.terminal.run_console import health_line, limits_line, run_display, step_line
 from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.operator import Status

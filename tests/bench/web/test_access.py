@@ -13,11 +13,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from bench.web.access import Access
-from bench.web.application import make_app
-from bench.web.folder import file_inside
+from bench.web.access import Access, file_inside
 from bench.web.section import FRAME, Section, templates_of
-from bench.web.serve import bind
+from bench.web.serve import bind, make_app
 from daq.setup.errors import InputError
 
 OWN = "http://127.0.0.1:8625"

@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 
 from bench.live.pages import Desk
 from bench.web.access import COOKIE, Access
-from bench.web.watchers import MOST_PER_S, Slow
+from bench.web.serve import MOST_PER_S, Slow
 from daq.setup.clock import Clock
 
 ADDRESS = "http://192.0.2.7:9000"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.clocks.lag import sliding_products
+from daq.clocks.loss_search import sliding_products
 
 
 @pytest.mark.parametrize(("m", "n"), [(40, 7), (64, 64), (129, 1), (1000, 333)])

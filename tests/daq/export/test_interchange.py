@@ -235,7 +235,7 @@ def test_noise_is_no_file_of_theirs(tmp_path: Path, name: str, start: bytes) -> 
 @pytest.mark.parametrize("kind", KINDS)
 def test_memory_does_not_grow_with_the_length(tmp_path: Path, kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     """Four times the samples take no more memory to write, once both are many pieces long."""
-    monkeypatch.setattr("daq.export.formats.CHUNK_SAMPLES", 8192)
+    monkeypatch.setattr("daq.export.export.CHUNK_SAMPLES", 8192)
     peaks = []
     for i, n in enumerate((100_000, 100_000, 400_000)):  # the first one pays for imports
         with record(tmp_path / f"r{i}.h5", 0, n) as recording:

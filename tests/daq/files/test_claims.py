@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.files.claims import in_words
+from daq.files.disk import in_words
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.files.column_file import CHUNK_SAMPLES
-from daq.files.column_writer import ColumnWriter
+from daq.files.column_file import CHUNK_SAMPLES, ColumnWriter
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
 from daq.setup.setup import Setup
 
@@ -49,7 +48,7 @@ def test_a_reader_of_the_growing_file_is_waited_for(
         return rename(path, target)
 
     monkeypatch.setattr(Path, "replace", refused)
-    monkeypatch.setattr("daq.files.column_writer.sys.platform", "win32")
+    monkeypatch.setattr("daq.files.column_file.sys.platform", "win32")
     writer.rename()
     assert len(tries) == 3 and [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 

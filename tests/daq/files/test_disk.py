@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.files.column_writer import ColumnWriter
+from daq.files.column_file import ColumnWriter
 from daq.files.disk import DiskFile
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE
 from daq.setup.setup import Setup

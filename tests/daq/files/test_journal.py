@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.files.whole_file import Journal
+from daq.files.disk import Journal
 from daq.setup.errors import InputError
 
 

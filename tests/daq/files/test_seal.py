@@ -16,13 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.daq import hostile_recordings
-from daq.files.frames.frame_marks import MAGIC
+from daq.files.frames.marked_frames import MAGIC
 from daq.files.seal import FOOTER, Seal, mended, read_seal, text_crc
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Holes
 from daq.recording import CHANNELS, Block, open_recording, verify
+from daq.recording.opening import in_subprocess
 from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.recording.recover import recover
-from daq.recording.subprocess_reader import in_subprocess
 from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup

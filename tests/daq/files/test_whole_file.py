@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.files.whole_file import whole, write_whole
+from daq.files.disk import whole, write_whole
 from daq.recording import CHANNELS, Block
 from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
@@ -54,7 +54,7 @@ def test_a_pipe_is_written_to_directly() -> None:
     """A device or a pipe is no file to replace."""
     lines = (
         "import pathlib",
-        "from daq.files.whole_file import write_whole",
+        "from daq.files.disk import write_whole",
         "write_whole(pathlib.Path('/dev/stdout'), 'hello')",
     )
     script = "; ".join(lines)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
-from daq.importers.achieved import achieved_gamma
+from daq.importers.plausibility import achieved_gamma
 from daq.steps.find_steps import find_steps
 from daq.steps.forcing_detection import Signal
 from rig.profile import parse_profile

@@ -19,8 +19,7 @@ from daq.recording import open_recording
 from daq.recording.header import refuse_repeated
 from daq.setup.errors import InputError
 from daq.setup.setup import Forcing, Setup
-from daq.setup.strict_toml import load_toml
-from daq.setup.values import Frozen
+from daq.setup.values import Frozen, load_toml
 from kernels.arrays import Floats
 
 RATE_HZ = 2000.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz, lfilter
 
-from daq.instrument.noise_spectrum import NoiseSpectrum, measure_noise
+from daq.instrument.channel_limits import NoiseSpectrum, measure_noise
 
 RATE_HZ = 20000.0
 FILTER = butter(2, 3000.0, fs=RATE_HZ)

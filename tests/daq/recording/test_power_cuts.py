@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.daq import power_cuts
-from daq.files.whole_file import Journal, write_whole
+from daq.files.disk import Journal, write_whole
 from daq.recording import CHANNELS, Block
 from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.daq import resync
 from daq.files.frames.frame_file import as_if_ended
-from daq.files.frames.frame_marks import MAGIC
+from daq.files.frames.marked_frames import MAGIC
 from daq.files.seal import Seal, read_seal
 from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.recover import recover

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.files.frames.frame_file import FRAME_STEPS, as_if_ended
-from daq.files.frames.frame_marks import MAGIC
+from daq.files.frames.marked_frames import MAGIC
 from daq.recording import CHANNELS, Block, verify
 from daq.recording.recover import recover
 from daq.recording.writer import RecordingWriter

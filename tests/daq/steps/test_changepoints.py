@@ -6,7 +6,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from daq.steps.changepoints import SegmentCosts, segments
+from daq.steps.tone_tracking import SegmentCosts, segments
 
 PENALTY = 6.0
 

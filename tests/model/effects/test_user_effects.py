@@ -25,7 +25,7 @@ EFFECT = Effect(name="{name}", summary="a breeze", reference="a fan",
 def {hook}({arguments}):
     return {factor} * p[k]
 """
-TRIAL = "from model.effects.registry import row; from model.integrator.hooks import force; "
+TRIAL = "from model.effects.registry import row; from model.integrator.problem import force; "
 TRIAL += "print(force(0.0, 0.0, 0.0, 0.0, row({'breeze': {'push': 0.5}}, 9.8)))"
 Keep = Callable[..., Path]
 

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.model.first_landing import FlightFlag, first_landing, take_off_phases
 from model.bifurcations.events import bifurcations
-from model.flight.precision import PROVEN_PHASE, largest_gamma
+from model.flight.windows import PROVEN_PHASE, largest_gamma
 from model.orbits.attractor import attractor
 from model.orbits.exact_ball import IdealBall
 from model.orbits.make_ball import make_ball

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.integrator.flight import crossing, first_standstill, first_touch, hermite5, standstill
-from model.integrator.records import StepEnds
+from model.integrator.problem import StepEnds
 
 
 def _falling(rng: np.random.Generator) -> StepEnds:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.integrator.plate import SHORT_TURN, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
-from model.integrator.records import Mode
+from model.integrator.problem import Mode
 
 TONES = np.array([[160.0, 8.0, -3.0], [200.0, 0.0, 0.0], [320.0, 1.0, 2.0], [314.0, -0.2, 0.1]])
 MODE = Mode(2e-5, -3e-3, 60.0, 0.08)

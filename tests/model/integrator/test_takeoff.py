@@ -8,8 +8,7 @@ import pytest
 from model.integrator.flight import flight
 from model.integrator.one_step import law_of
 from model.integrator.plate import step_length
-from model.integrator.problem import tones_for_kernel
-from model.integrator.records import Mode, Plate
+from model.integrator.problem import Mode, Plate, tones_for_kernel
 from model.integrator.takeoff import launch_of
 from model.tones import Plate as Motion
 

@@ -14,7 +14,7 @@ import tty
 import numpy as np
 
 from rig.sim.scenario import Scenario
-from rig.virtual.serial_device import SerialDevice
+from rig.virtual.serial import SerialDevice
 
 
 def main() -> None:

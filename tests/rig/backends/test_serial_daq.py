@@ -27,7 +27,7 @@ from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
 from rig.sim.scenario import Scenario
-from rig.virtual.serial_device import SerialDevice
+from rig.virtual.serial import SerialDevice
 from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE = 20000.0

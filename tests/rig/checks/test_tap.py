@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.checks.tap import mode_of_tap
+from rig.checks.check import mode_of_tap
 
 RATE_HZ = 20_000.0
 

@@ -16,8 +16,8 @@ from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.amplitude_loop import achieved_gamma, target_acceleration
 from rig.execution.operator import RunSummary
+from rig.execution.plate_monitor import Amplitudes, MeterBlock, ToneMeter
 from rig.execution.run import run_ramp
-from rig.execution.tone_meter import Amplitudes, MeterBlock, ToneMeter
 from rig.profile import ControlTable, Profile
 from rig.sim.scenario import Scenario
 from tests.fakes.commanded_drive import commanded, fades_of_changes

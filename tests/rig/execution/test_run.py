@@ -8,8 +8,8 @@ import pytest
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from rig.execution.operator import StopRequest
+from rig.execution.plate_monitor import ToneMeter
 from rig.execution.run import run_ramp
-from rig.execution.tone_meter import ToneMeter
 from rig.programme.ramp import plan
 from rig.programme.sequencer import State, Stop
 from tests.fakes.commanded_drive import commanded, fades_of_changes, fades_of_steps

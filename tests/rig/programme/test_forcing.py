@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.programme.forcing import Fade, PhaseClock, drive_amplitudes, synthesise
+from rig.programme.ramp import Fade, PhaseClock, drive_amplitudes, synthesise
 
 DECIMAL_HZ = st.decimals(min_value="0.5", max_value="400", places=4)
 RATES_HZ = st.sampled_from([8000.0, 20000.0, 44100.0, 48000.0, 200000.0, 51200.5])

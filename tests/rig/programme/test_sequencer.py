@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from daq.files.tables import STEP_DTYPE
 from rig.profile import Profile
-from rig.programme.forcing import stop_fade_samples
-from rig.programme.ramp import plan
+from rig.programme.ramp import plan, stop_fade_samples
 from rig.programme.sequencer import (
     BLOCKS_PER_CYCLE,
     TRANSITIONS,

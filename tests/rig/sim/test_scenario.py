@@ -9,9 +9,8 @@ import pytest
 
 from daq.setup.errors import InputError
 from rig.profile import load_setup
-from rig.sim.blind_scenarios import STRENGTHS, left_open, pool, sealed_scenario
 from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
-from rig.sim.scenario import Scenario, load_scenario
+from rig.sim.scenario import STRENGTHS, Scenario, left_open, load_scenario, pool, sealed_scenario
 
 PROFILE = Path(__file__).parents[3] / "rig_profiles" / "simulated.toml"
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.falls.fall import Axis, Fall, fallen_m, is_fall, with_balls
-from analysis.drop.falls.fit import Setting, heights_m
+from analysis.drop.falls.fit import Axis, Fall, Setting, fallen_m, heights_m, is_fall, with_balls
 from analysis.drop.falls.judge import judge_falls
 from analysis.drop.falls.outcome import of_falls
 from analysis.drop.load import load_all

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.drop.corrections import NOTHING, Corrections
-from analysis.drop.film.flights import Clip, flights_of, near_impacts
+from analysis.drop.film.track import Clip, flights_of, near_impacts
 from analysis.drop.load import Known, Path2D, load_all
 
 G, E = 9.80665, 0.8

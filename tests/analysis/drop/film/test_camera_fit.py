@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from analysis.drop.film.camera_fit import CameraFit, fit_camera
-from analysis.drop.film.flights import Clip
-from analysis.drop.film.linking import ball_of
 from analysis.drop.film.outcome import Units, of_camera
+from analysis.drop.film.track import Clip, ball_of
 from analysis.drop.film.tracking import track_film
 from analysis.drop.film.video import open_film
-from analysis.drop.laws.choice import choose
+from analysis.drop.laws import choose
 from daq.setup.errors import InputError
 
 SCALE_M = 1.5e-4

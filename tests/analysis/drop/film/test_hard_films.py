@@ -10,9 +10,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from analysis.drop.corrections import Corrections
 from analysis.drop.film.camera_fit import CameraFit, fit_camera
-from analysis.drop.film.flights import Clip
-from analysis.drop.film.linking import ball_of
 from analysis.drop.film.outcome import Units, judge_camera, of_camera, refuse_other_motion
+from analysis.drop.film.track import Clip, ball_of
 from analysis.drop.film.tracking import track_film
 from analysis.drop.outcome import Outcome
 from daq.setup.errors import InputError

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.drop.film.camera_fit import fit_camera
-from analysis.drop.film.flights import Clip
 from analysis.drop.film.outcome import Units, of_camera
+from analysis.drop.film.track import Clip
 from analysis.drop.outcome import Outcome
 from daq.setup.errors import InputError
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.drop.film.flights import Clip, Flight
-from analysis.drop.film.stabilise import stabilised
+from analysis.drop.film.background import stabilised
+from analysis.drop.film.track import Clip, Flight
 from analysis.drop.film.video import open_film
 from analysis.drop.lack_of_fit import of_camera, of_floor
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.drop.laws.flight_law import FlightLaw
+from analysis.drop.laws import FlightLaw
 
 LAWS = [FlightLaw(9.81), FlightLaw(9.81, 0.3), FlightLaw(9.81, 0.0, 0.14), FlightLaw(9.81, 0.2, 0.5)]
 

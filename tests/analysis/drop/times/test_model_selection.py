@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.drop.times.impact_chain import drops_of
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.model_selection import judge
-from analysis.drop.times.one_ahead import Drop
 from analysis.drop.times.outcome import of_times
 
 G = 9.80665

@@ -8,7 +8,7 @@ import pytest
 
 from analysis.drop.load import load_all
 from analysis.drop.times.impact_chain import drops_of, unheard
-from analysis.drop.times.one_ahead import Drop
+from analysis.drop.times.model_fit import Drop
 from analysis.drop.times.onsets import sound_onsets
 from daq.files.tables import Block
 from daq.recording.writer import RecordingWriter

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.plate.ringing.ball_push import Push, ball_push
-from analysis.plate.ringing.mode_motion import KICK_MPS, KICK_PART, ModeMotion, PushedPlate
+from analysis.plate.ringing.mode_motion import KICK_MPS, KICK_PART, ModeMotion, Push, PushedPlate, ball_push
 from analysis.residuals.plate_data.plate_mode import BlockIntegrals
 
 HZ, DAMPING, RATIO, BLOCK_S = 6.0, 0.05, 0.1, 1e-3

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
-from analysis.plate.ringing.in_blocks import over_noise
 from analysis.plate.ringing.mode_motion import answer
 from analysis.plate.ringing.modes import Identified, identified_mode
-from analysis.plate.ringing.regression import PlateMode, Regression
+from analysis.plate.ringing.regression import PlateMode, Regression, over_noise
 from benchmarks.analysis import shaker_parts
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.plate.ringing.ball_push import Push
-from analysis.plate.ringing.mode_motion import PushedPlate
+from analysis.plate.ringing.mode_motion import Push, PushedPlate
+from analysis.plate.ringing.modes import parts_of_drive, ringing_in_words
 from analysis.plate.ringing.regression import PlateMode
-from analysis.plate.ringing.true_to_drive import parts_of_drive, ringing_in_words
 
 
 def _struck(mass_ratio: float) -> PlateMode:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.plate.fit_mask import FitIntervals
+from analysis.plate.step_state import FitIntervals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.observations import Observations, observations_from

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.plate.fit_mask import FitIntervals
+from analysis.plate.step_state import FitIntervals
 from analysis.residuals.plate_data.plate_mode import IntervalSums, Ringing, driven
 from analysis.residuals.plate_data.plate_observables import GAIN, GATE, MODULATION, OFFSET, PHASE, SECOND, PlateData
 from kernels.arrays import Floats

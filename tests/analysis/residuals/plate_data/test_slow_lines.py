@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.residuals.plate_data.slow_lines import clustered, other_lines_radps
+from analysis.residuals.plate_data.slow_motion import clustered, other_lines_radps
 from model.integrator.problem import PlateSteps
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-import bench.profiles.next_run
+import bench.profiles.improved
 from analysis.loop.design import Design, Ranked
 from analysis.loop.result import ClosedLoop
-from bench.jobs.loops import adaptive_runs
+from bench.jobs.loops import runs_and_files
 
 
 class Simulated:
@@ -27,10 +27,10 @@ def test_a_failed_run_keeps_the_verdict_before_it(closed_loop: ClosedLoop, monke
     ranked = Ranked(Design("ratio_2", "c = 2", 2, (0.3, 0.5)), 90.0, ("restitution",))
 
     monkeypatch.setattr("daq.recording.open_recording", lambda path: Simulated())
-    monkeypatch.setattr(adaptive_runs, "fit_loop", lambda *a, **k: (closed_loop, None))
-    monkeypatch.setattr(bench.profiles.next_run, "possible_runs", lambda *a: [ranked])
-    monkeypatch.setattr(bench.profiles.next_run, "profile_of", lambda text, design: text)
-    monkeypatch.setattr(bench.profiles.next_run, "profile_text", lambda path: "name = 'next'")
-    found, _, made, failure = adaptive_runs.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
+    monkeypatch.setattr(runs_and_files, "fit_loop", lambda *a, **k: (closed_loop, None))
+    monkeypatch.setattr(bench.profiles.improved, "possible_runs", lambda *a: [ranked])
+    monkeypatch.setattr(bench.profiles.improved, "profile_of", lambda text, design: text)
+    monkeypatch.setattr(bench.profiles.improved, "profile_text", lambda path: "name = 'next'")
+    found, _, made, failure = runs_and_files.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
     assert found is closed_loop and made == [Path("run.h5")]
     assert "next_run.toml" in failure and "ramp" in failure

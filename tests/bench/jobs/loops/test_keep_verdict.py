@@ -9,11 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from analysis.loop import close_loop
-from analysis.loop.result import ClosedLoop
-from analysis.loop.storage import load_verdict
+from analysis.loop.result import ClosedLoop, load_verdict
 from bench.batch import examine
 from bench.cli import app
-from bench.jobs.loops.keep_verdict import drawn, keep_verdict, verdict_file
+from bench.jobs.loops.runs_and_files import drawn, keep_verdict, verdict_file
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import record
 

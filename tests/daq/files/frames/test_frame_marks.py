@@ -6,7 +6,7 @@ import zlib
 
 import numpy as np
 
-from daq.files.frames.frame_marks import MarkLog, piece_rows, read_marks, running_crcs
+from daq.files.frames.marked_frames import MarkLog, piece_rows, read_marks, running_crcs
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, step_row
 
 CODES = np.random.default_rng(1).integers(-999, 999, (1000, 3), np.int16)

@@ -1,0 +1,335 @@
+"""Fits of missing terms to residuals: the solver of curves and formulas, and penalised splines.
+
+Gauss-Newton on the robust loss of stacked residuals of take-offs and landings: the solver of curves and formulas.
+`scipy.optimize.least_squares` cannot do it: the widths of the residuals are found anew in each pass, from a quantile
+that falls from pass to pass, so that a fit that begins among other events is drawn to the right ones; and slopes, each
+a prediction of all flights, are taken anew only after a step that gained much. Decision 369.
+
+Penalised splines of missing terms, fitted to one-step-ahead residuals by Gauss-Newton.
+A term with one value for each flight is screened on a table of predictions at constant values: a flight's residual
+depends only on its own value, so that every covariate can use the same table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from scipy.special import ndtri
+
+from analysis.discovery.terms import (
+    EVENT_GRIDS,
+    FIRST_KNOTS,
+    AugmentedModel,
+    Curve,
+    Term,
+    basis_of,
+    event_term,
+    hat_functions,
+)
+from analysis.linear_algebra import lstsq, pinv
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.noise_model import excess_noise, log_odds, robust_loss, robust_weight
+from analysis.residuals.noise.uncertainty import uncertainty_at
+from analysis.residuals.values import Values
+from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
+from kernels.arrays import Bools, Floats, Integers
+
+
+@dataclass(frozen=True)
+class StackedResiduals:
+    """Openings, then landings, of the judged flights: arrays (k,)."""
+
+    event: Integers  # the flight
+    first: Bools  # True for openings
+    sigma_s: Floats  # uncertainty without excess
+    period_s: Floats  # of the forcing
+    train: Bools  # True where a fit may look
+
+    @classmethod
+    def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
+        """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,)."""
+        observations, u = model.observations, uncertainty_at(model, values)
+        opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(observations.scored)
+        event = np.concatenate([opening, landing])
+        step = observations.measured.step[event]
+        sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
+        return cls(
+            event, np.arange(len(event)) < len(opening), sigma, observations.steps.plate.period_s[step], train[step]
+        )
+
+    def landings(self) -> StackedResiduals:
+        """Only the landings: unlike openings they do not depend on the contact's gap, which a wrong model bends."""
+        return StackedResiduals(**{name: values[~self.first] for name, values in vars(self).items()})
+
+    def without(self, rows: Bools) -> StackedResiduals:
+        """The same with a fit that may not look at ``rows`` (k,)."""
+        return replace(self, train=self.train & ~rows)
+
+    def residuals(self, model: ForwardModel, values: Values) -> Floats:
+        """Residuals of this stack at ``values``, clipped at `FARTHEST_PERIODS`."""
+        p, measured = model.predict(values), model.observations.measured
+        return self.cut(measured.opening_s - p.opening_s, measured.landing_s - p.landing_s)
+
+    def widths(self, r: Floats, tail: float = 0.5) -> Floats:
+        """Uncertainty with an excess of each channel that fits the residual at the quantile ``tail``."""
+        out = np.empty_like(r)
+        for rows in (self.first, ~self.first):
+            look = rows & self.train
+            size = float(np.quantile(np.abs(r[look]), tail) / ndtri(0.5 + 0.5 * tail)) if look.any() else 0.0
+            usual = float(np.median(self.sigma_s[look])) if look.any() else 0.0
+            out[rows] = np.hypot(self.sigma_s[rows], max(np.sqrt(max(size**2 - usual**2, 0.0)), LEAST_EXCESS_S))
+        return out
+
+    def by_step(self, r: Floats, step: Integers, m: int) -> Floats:
+        """Loss of each of ``m`` steps, each excess at its best on the steps of the fit; ``step`` by flight."""
+        out = np.zeros(m)
+        for rows in (self.first, ~self.first):
+            look = rows & self.train
+            if look.any():
+                excess = excess_noise(r[look], self.sigma_s[look], self.period_s[look])[0]
+                total = np.hypot(self.sigma_s[rows], excess)
+                loss = robust_loss(r[rows] / total, log_odds(total, self.period_s[rows])) + np.log(total)
+                out += np.bincount(step[self.event[rows]], loss, minlength=m)
+        return out
+
+    def cut(self, opening_s: Floats, landing_s: Floats) -> Floats:
+        """Residuals of this stack, from those of all flights (n,), cut at the farthest."""
+        both = np.where(self.first, opening_s[self.event], landing_s[self.event])
+        cap = FARTHEST_PERIODS * self.period_s
+        return np.asarray(np.clip(np.where(np.isfinite(both), both, cap), -cap, cap))
+
+    def scatter(self, r: Floats) -> float:
+        """Root mean square of the trained landings over their uncertainty, each at most 6 and with at least 1 us."""
+        rows = ~self.first & self.train
+        return float(np.sqrt(np.mean(np.clip(r[rows] / np.hypot(self.sigma_s[rows], 1e-6), -6.0, 6.0) ** 2)))
+
+    def loss(self, r: Floats) -> float:
+        """Loss of what is trained on, each channel's excess at its best."""
+        total = 0.0
+        for rows in (self.first & self.train, ~self.first & self.train):
+            total += excess_noise(r[rows], self.sigma_s[rows], self.period_s[rows])[1]
+        return total
+
+
+X = TypeVar("X")
+Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) that it is taken of
+
+
+@dataclass(frozen=True)
+class Problem(Generic[X]):
+    """What is fitted: a point of some kind with p parameters, and k stacked residuals."""
+
+    residuals: Callable[[X], Floats]  # at a point, (k,)
+    slopes: Callable[[X, Floats], Floats]  # from the point and its residuals to the derivatives there, (k, p)
+    moved: Callable[[X, Floats], X]  # the point after a step (p,), within its bounds
+    penalty: Callable[[X], Penalty] | None = None  # a quadratic form of the parameters; none where not given
+
+    def loss(self, x: X, stack: StackedResiduals, r: Floats, width: Floats) -> float:
+        """Robust loss of the training steps at fixed widths, with the penalty."""
+        data = float(np.sum(robust_loss(r / width, log_odds(width, stack.period_s))[stack.train]))
+        if self.penalty is None:
+            return data
+        form, values = self.penalty(x)
+        return data + 0.5 * float(values @ form @ values)
+
+
+def normal_equations(
+    stack: StackedResiduals, r: Floats, slopes: Floats, tail: float = 0.5, penalty: Penalty | None = None
+) -> tuple[Floats, Floats]:
+    """Normal equations of a weighted step, (p, p) and (p,), with widths by the quantile ``tail`` of the residuals."""
+    width = stack.widths(r, tail)
+    z, j = r / width, slopes / width[:, None]
+    weight = np.where(stack.train, robust_weight(z, log_odds(width, stack.period_s)), 0.0)
+    normal, push = (j * weight[:, None]).T @ j, -(j.T @ (weight * z))
+    return (normal, push) if penalty is None else (normal + penalty[0], push - penalty[0] @ penalty[1])
+
+
+def newton_step(
+    stack: StackedResiduals, r: Floats, slopes: Floats, tail: float = 0.5, penalty: Penalty | None = None
+) -> Floats:
+    """Step (p,) that lowers the penalised robust loss, to second order."""
+    normal, push = normal_equations(stack, r, slopes, tail, penalty)
+    normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(push))
+    return np.asarray(lstsq(normal, push, rcond=1e-10)[0])
+
+
+def descend(
+    problem: Problem[X], start: X, stack: StackedResiduals, tails: Sequence[float], far_nats: float = 0.0
+) -> tuple[X, Floats]:
+    """The fitted point and its residuals.
+
+    Parameters
+    ----------
+    problem, start, stack
+    tails
+        Quantiles of the residuals that set the robust width, a pass each. The fit ends early where a step with slopes
+        of its own point gains nothing and the quantile stays the same.
+    far_nats
+        Gain of a step after which slopes are taken anew.
+    """
+    x, r = start, problem.residuals(start)
+    slopes, here, gained = np.zeros((0, 0)), False, np.inf
+    for i, tail in enumerate(tails):
+        if not here and gained > far_nats:
+            slopes, here = problem.slopes(x, r), True
+        own = here  # whether the slopes are those of this point
+        step = newton_step(stack, r, slopes, tail, None if problem.penalty is None else problem.penalty(x))
+        width = stack.widths(r, tail)
+        now, gained = problem.loss(x, stack, r, width), 0.0
+        # a step that does not lower the loss is halved up to three times
+        for half in range(4):
+            trial = problem.moved(x, 0.5**half * step)
+            r_trial = problem.residuals(trial)
+            gained = now - problem.loss(trial, stack, r_trial, width)
+            if gained > 0.0:
+                x, r, here = trial, r_trial, False
+                break
+        # a step that gains less than 0.2 nats ends the fit
+        if gained < 0.2:
+            if own and set(tails[i:]) == {tail}:
+                break
+            gained = np.inf
+    return x, r
+
+
+TAILS = (0.9, 0.8, 0.65)  # quantiles of the residuals that set the robust width in the first passes
+SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # the same in the last passes: the median
+START_SIZES: dict[str, Floats] = {
+    "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
+    "friction": np.geomspace(0.005, 2.0, 6),
+    "restitution": np.geomspace(0.03, 0.9, 6),
+}
+
+
+@dataclass(frozen=True)
+class ScreenedTerm:
+    """A curve and its loss on the steps of the fit."""
+
+    curve: Curve
+    loss: float
+
+
+def residual_table(model: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Floats:
+    """Residuals (g, k) at each constant value of ``EVENT_GRIDS[name]``."""
+    n = len(model.observations)
+    one, term = np.ones((n, 1)), event_term(name, "")
+    still = np.zeros(n)
+    rows = [
+        stack.residuals(AugmentedModel(model, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
+        for x in EVENT_GRIDS[name]
+    ]
+    return np.array(rows)
+
+
+def best_constant(table: Floats, stack: StackedResiduals, name: str) -> tuple[float, float]:
+    """Best constant value and its loss."""
+    losses = [stack.loss(r) for r in table]
+    best = int(np.argmin(losses))
+    return float(EVENT_GRIDS[name][best]), losses[best]
+
+
+def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floats, knots: Floats) -> ScreenedTerm:
+    """Spline of one covariate on the table: the best value near each knot, then Gauss-Newton.
+
+    ``table`` and ``stack`` are of `residual_table`; ``x`` are the covariate's values (n,), and at ``knots`` the spline
+    bends.
+    """
+    grid = EVENT_GRIDS[term.name]
+    basis = basis_of(x, knots)
+    near = hat_functions(x, knots)[stack.event]
+    values = np.full(len(knots), best_constant(table, stack, term.name)[0])
+    weights = near * stack.train[:, None]
+    for tail in TAILS:
+        r, _ = _interpolated(table, grid, near @ values)
+        width = stack.widths(r, tail)
+        # near each knot the constant value that fits the events there best: a start for every value, without a slope
+        by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
+        values = grid[np.argmin(by_value, axis=0)]
+    rows = basis[stack.event]
+    problem = Problem[Curve](
+        lambda c: _interpolated(table, grid, c.table[stack.event])[0],
+        lambda c, _: _interpolated(table, grid, c.table[stack.event])[1][:, None] * rows,
+        _moved,
+        penalty_of_curve,
+    )
+    curve, r = descend(problem, Curve(term, knots, values, basis), stack, (*TAILS[1:], *SHARP))
+    return ScreenedTerm(curve, stack.loss(r))
+
+
+def _interpolated(table: Floats, grid: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Residuals at each event's own value, linearly interpolated, and their slope."""
+    i = np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2)
+    k = np.arange(table.shape[1])
+    slope = (table[i + 1, k] - table[i, k]) / (grid[i + 1] - grid[i])
+    return table[i, k] + slope * (value - grid[i]), slope
+
+
+def _moved(curve: Curve, step: Floats) -> Curve:
+    return curve.moved(curve.values + step)
+
+
+def penalty_of_curve(curve: Curve) -> Penalty:
+    """Penalty of bending, weighted for a curve of this spread; with more knots than usual each may bend less."""
+    values, least = curve.values, 10.0 * curve.term.nudge
+    rough = curve.roughness * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
+    size = max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)
+    return curve.penalty / (rough * size) ** 2, values
+
+
+def best_start(model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
+    """``curve`` or a plain shape of some size in its place, whichever predicts best.
+
+    A strong term sends flights to other landings than a weak one, so that a descent from zero ends in a local minimum.
+    The shapes are constant, proportional to the covariate, to its square, and falling linearly to zero.
+    """
+    x = curve.knots / float(np.max(np.abs(curve.knots)))
+    falls = (curve.knots[-1] - curve.knots) / (curve.knots[-1] - curve.knots[0])
+    unit = model.gravity if curve.term.against_motion else 1.0
+    sizes = unit * START_SIZES[curve.term.name]
+    shapes = (np.ones_like(x), x, x * np.abs(x), falls)
+    starts = [curve, *(curve.moved(size * shape) for shape in shapes for size in sizes)]
+    losses = [stack.loss(stack.residuals(AugmentedModel(model, [c], dwell_s), values)) for c in starts]
+    return starts[int(np.argmin(losses))]
+
+
+def fit_in_flight(
+    model: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Floats, tails: Sequence[float]
+) -> ScreenedTerm:
+    """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew after a step of large gain."""
+    problem = Problem[Curve](
+        lambda c: stack.residuals(AugmentedModel(model, [c], dwell_s), values),
+        lambda c, r: jacobian_of(model, values, stack, c, dwell_s, r),
+        _moved,
+        penalty_of_curve,
+    )
+    # after a gain of five nats the slopes of the start no longer hold
+    curve, r = descend(problem, start, stack, tails, 5.0)
+    return ScreenedTerm(curve, stack.loss(r))
+
+
+def jacobian_of(
+    model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats, r: Floats
+) -> Floats:
+    """Derivatives of the stacked residuals by the curve's values, (k, knots): one prediction if each flight has one."""
+    nudge = curve.term.nudge
+    if curve.term.columns:
+        moved = replace(curve, values=curve.values + nudge)
+        # each flight has one value, so one prediction with all moved gives every derivative by the chain rule
+        along = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
+        return np.asarray(along[:, None] * curve.basis[stack.event])
+    out = np.empty((len(r), len(curve.values)))
+    for i in range(len(curve.values)):
+        values_moved = curve.values.copy()
+        values_moved[i] += nudge
+        moved = replace(curve, values=values_moved)
+        out[:, i] = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
+    return out
+
+
+def covariance_of(curve: Curve, stack: StackedResiduals, r: Floats, jacobian: Floats) -> Floats:
+    """Covariance of the curve's values at its knots, (k, k)."""
+    normal, _ = normal_equations(stack, r, jacobian, penalty=penalty_of_curve(curve))
+    return np.asarray(pinv(normal, rcond=1e-14))

@@ -1,1 +1,0 @@
-"""Laws of one flight and of one bounce, in closed form."""

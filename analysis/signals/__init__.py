@@ -1,4 +1,0 @@
-"""Recordings as pieces of volts in bounded memory.
-
-Other rooms take `stream`.
-"""

@@ -1,0 +1,248 @@
+"""What a channel can show: its noise spectrum, and its ends, at which readings stand.
+
+Noise of a channel as a spectrum, measured where nothing happens: the one measure of noise, of import and analysis.
+A sensor, its amplifier and its converter colour the noise: a low-pass takes its upper part, semiconductors add 1/f.
+What detects impacts must know the noise at the frequencies of an impact. Decisions 295 and 433.
+
+A reading that stands at its largest or smallest value: sensor or converter are at their end.
+The tones of motion that is cut off are too small, and no fit can tell. Impacts that are cut off do no harm to a tone,
+but they are not the waveform that other impacts have. Decision 310.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_toeplitz, toeplitz
+from scipy.signal import lfilter
+
+from kernels import njit
+from kernels.arrays import Bools, Floats
+
+FRAME = 128  # samples of a periodogram
+FEWEST_FRAMES = 8  # periodograms from which a spectrum is measured
+QUIET_SHARE = 0.25  # quantile of the periodograms that the first estimate takes: most may hold an impact
+PLATEAU_HZ = (150.0, 600.0)  # where the density at low frequencies is taken
+OCTAVE = 1.1  # ratio of the ends of the band over which a spectrum is smoothed where its bandwidth is sought
+PREDICTED_FROM = 16  # samples from which the next one is predicted
+
+
+@dataclass(frozen=True)
+class NoiseSpectrum:
+    """Power spectral density of a channel's noise, one-sided."""
+
+    rate_hz: float  # sampling rate of the values that were measured
+    # V^2/Hz at the frequencies ``k * rate_hz / frame``, of frames of `FRAME` samples where nothing else is
+    # asked for
+    density_v2phz: Floats
+
+    @classmethod
+    def white(cls, rms_v: float, rate_hz: float) -> NoiseSpectrum:
+        """Of equal density at all frequencies."""
+        return cls(rate_hz, np.full(FRAME // 2 + 1, 2.0 * rms_v**2 / rate_hz))
+
+    @property
+    def frequencies_hz(self) -> Floats:
+        """Frequencies of the densities."""
+        return np.linspace(0.0, 0.5 * self.rate_hz, self.density_v2phz.size)
+
+    @property
+    def rms_v(self) -> float:
+        """Standard deviation over all frequencies from 500 Hz on, the density there taken below."""
+        density, step_hz = self.density_v2phz, float(self.frequencies_hz[1])
+        # below, a recording holds the motion of the plate as well
+        first = min(int(np.ceil(500.0 / step_hz)), density.size - 2)
+        level = np.where(np.arange(density.size) < first, density[first], density)
+        return float(np.sqrt((level.sum() - 0.5 * (level[0] + level[-1])) * step_hz))
+
+    @property
+    def slow_v2phz(self) -> float:
+        """Density at the lowest frequencies that a frame resolves well."""
+        hz = self.frequencies_hz
+        low = (hz >= max(min(PLATEAU_HZ[0], 0.5 * hz[-1]), hz[1])) & (hz <= max(PLATEAU_HZ[1], hz[3]))
+        return float(np.mean(self.density_v2phz[low]))
+
+    @property
+    def bandwidth_hz(self) -> float | None:
+        """Frequency at which the density has fallen by half for good; None where it is flat, or falls as 1/f does."""
+        hz, power = self.frequencies_hz, self.density_v2phz
+        smooth = np.array([power[(hz >= f / OCTAVE) & (hz <= f * OCTAVE)].mean() for f in hz[1:-1]])
+        above = np.flatnonzero(smooth > 0.5 * self.slow_v2phz)
+        edge = int(above[-1]) + 1 if len(above) else 0
+        if edge >= len(smooth):
+            return None
+        far = min(4 * (edge + 1) - 1, len(smooth) - 1)
+        # a filter's noise falls faster than with the power 1.3 of the frequency, 1/f noise slower
+        falls = smooth[far] / smooth[edge] < (hz[1:-1][far] / hz[1:-1][edge]) ** -1.3
+        return float(hz[1:-1][edge]) if falls else None
+
+    def autocovariance(self, count: int) -> Floats:
+        """Autocovariance in V^2 at lags of 0 to ``count - 1`` samples, at most ``FRAME // 2`` of them."""
+        # where the density is below a hundredth of the largest no waveform is known well enough to count on
+        trusted = np.maximum(self.density_v2phz, 0.01 * self.density_v2phz[1:].max())
+        return np.asarray(np.fft.irfft(0.5 * trusted)[:count] * self.rate_hz)
+
+    def whitener(self, length: int) -> Floats:
+        """Lower triangle, shape (length, length), that makes ``length`` samples of noise white, of unit variance."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(toeplitz(self.autocovariance(length)))))
+
+    def innovations(self, volts: Floats) -> Floats:
+        """What the `PREDICTED_FROM` samples before do not predict, in its standard deviations, shape of ``volts``."""
+        r = self.autocovariance(PREDICTED_FROM + 1)
+        weights = solve_toeplitz(r[:-1], r[1:])
+        return np.asarray(lfilter(np.append(1.0, -weights), [1.0], volts) / np.sqrt(r[0] - weights @ r[1:]))
+
+
+def measure_noise(
+    volts: Sequence[Floats], usable: Sequence[Bools], rate_hz: float, frame: int = FRAME
+) -> NoiseSpectrum | None:
+    """Spectrum of the noise from the frames in which nothing but noise is.
+
+    None where too few samples are usable, or the channel stands still.
+
+    Parameters
+    ----------
+    volts
+        Pieces of a channel less what it shows: of the accelerometer less the plate's motion.
+    usable
+        Samples of each piece that count: where the motion is known, and no impact has been found.
+    rate_hz
+        Sampling rate.
+    frame
+        Samples of a periodogram: more show lower frequencies.
+    """
+    rows = []
+    for own, good in zip(volts, usable, strict=True):
+        begins = np.arange(0, own.size - frame + 1, frame // 2)
+        counts = np.concatenate([[0], np.cumsum(good)])
+        whole = begins[counts[begins + frame] - counts[begins] == frame]
+        # of a long recording some 1024 frames, evenly
+        rows.append(own[whole[:: len(whole) * len(volts) // 1024 + 1, None] + np.arange(frame)])
+    frames = np.concatenate([np.zeros((0, frame)), *rows])
+    if len(frames) < FEWEST_FRAMES:
+        return None
+    ramp, taper = np.linspace(-1.0, 1.0, frame), np.hanning(frame + 1)[:-1]
+    frames -= frames.mean(axis=1, keepdims=True)
+    frames -= np.outer(frames @ ramp / (ramp @ ramp), ramp)
+    power = np.abs(np.fft.rfft(frames * taper)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
+    density = np.quantile(power, QUIET_SHARE, axis=0) / -np.log1p(-QUIET_SHARE)
+    # left out is a frame whose mean power is four standard deviations too high: the taper correlates neighbouring
+    # frequencies, so that one is 1.3 over the root of their number
+    most = 1.0 + 4.0 * 1.3 / np.sqrt(power.shape[1])
+    # the density decides which frames are quiet, and they give the density: four turns settle it
+    for _ in range(4):
+        if not density.min() > 0.0:
+            return None
+        quiet = np.mean(power / density, axis=1) < most
+        if np.count_nonzero(quiet) < FEWEST_FRAMES:
+            break
+        density = power[quiet].mean(axis=0)
+    density[0] = density[1]  # taken out with the mean
+    return NoiseSpectrum(rate_hz, density)
+
+
+STANDS = 0.02  # share of the samples at an end from which it saturates: a sine cut off there has lost 0.2 % of its peak
+STANDS_S = 1e-3  # time at an end from which it is the motion that stands there: a table's ringing turns sooner
+CROWDED = 3.0  # times as many in the outermost band as in the next one; where a sine turns there are 2.4 times as many
+
+Ends = tuple[float, float]
+NO_ENDS: Ends = (-math.inf, math.inf)
+
+
+def ends_of(values: npt.NDArray[Any]) -> Ends:
+    """Reading at or below which, and the one at or above which, the sensor is at its end; infinite where it is not.
+
+    Noise behind the sensor spreads its end over a band: the outermost part of the readings' (n,) range is compared with
+    the next one, for parts of several sizes.
+    """
+    x = np.asarray(values, dtype=np.float64)
+    in_order = np.sort(values[:4096]).astype(np.float64)  # whole codes are sorted several times faster
+    steps = np.diff(in_order)
+    least = 2.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
+    least = least if least < math.inf else 0.0
+    # noise may spread an end over so many parts of the range
+    widths = [max(float(np.ptp(x)) / part, least) for part in (200.0, 100.0, 50.0, 25.0)]
+    return -_end(-x, widths), _end(x, widths)
+
+
+def _end(x: Floats, widths: list[float]) -> float:
+    """Reading from which on the upper end is reached."""
+    top = float(x.max())
+    near = x[x > top - 2.0 * widths[-1]]
+    for width in widths:
+        at = near[near > top - width]
+        next_to = np.count_nonzero(near > top - 2.0 * width) - at.size
+        # four sigma of the counts: the readings crowd at an end
+        if at.size - CROWDED * next_to > 4.0 * math.sqrt(at.size + CROWDED**2 * next_to):
+            level = float(np.median(at))
+            # readings within four standard deviations of the noise about an end are at the end
+            return level - 4.0 * 1.4826 * float(np.median(at[at >= level] - level))
+    return math.inf
+
+
+def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
+    """Ends that some stretches of a sensor's readings, (n,) each, show, and beyond which no other one reads.
+
+    Each stretch holds one motion: together, where weaker ones turn, there are as many readings as at an end. Impacts
+    that are all alike have their peaks in as narrow a band, but do not stay there.
+    """
+    pairs, ends = [ends_of(x) for x in stretches], []
+    for side, sign in enumerate((-1.0, 1.0)):
+        tops = [float(np.max(sign * x)) for x in stretches]
+        found = [sign * pair[side] for pair in pairs]
+        held = [
+            end for end, top, x in zip(found, tops, stretches, strict=True)
+            # a reading far beyond, in another stretch, shows that this was a turning point of the motion, no end
+            if max(tops) <= top + 0.5 * (top - end) and _stay(sign * x >= end) > max(1e-4 * rate_hz, 2.0)
+        ]  # fmt: skip
+        ends.append(sign * min(held, default=math.inf))
+    return ends[0], ends[1]
+
+
+def _stay(at_end: Bools) -> float:
+    """Mean length of the unbroken runs of readings at an end."""
+    runs = int(np.count_nonzero(at_end[1:] & ~at_end[:-1]))
+    return np.count_nonzero(at_end) / max(runs, 1)
+
+
+def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None = None) -> float:
+    """Share of ``values`` (n,) in stretches of `STANDS_S` or more at an end: of the motion, not only of impacts.
+
+    ``ends`` are those of the same sensor in readings that go farther; None: of these values.
+    """
+    low, high = ends_of(values) if ends is None else ends
+    return float(_standing(values, low, high, max(int(STANDS_S * rate_hz), 1))) / len(values)
+
+
+def blocks_at_an_end(values: npt.NDArray[Any], width: int, skip: int, ends: Ends) -> Bools:
+    """Which blocks of ``width`` values after the first ``skip`` hold one at an end, or are next to one that does."""
+    out = np.zeros(max(len(values) - skip, 0) // width, dtype=np.bool_)
+    _reach(values, width, skip, *ends, out)
+    return out
+
+
+@njit()
+def _reach(values, width, skip, low, high, out):  # type: ignore[no-untyped-def]
+    """Mark each block that holds a value at or below ``low``, or at or above ``high``, and its neighbours."""
+    for i in range(skip, skip + out.shape[0] * width):
+        if values[i] <= low or values[i] >= high:
+            block = (i - skip) // width
+            out[max(block - 1, 0) : block + 2] = True
+
+
+@njit()
+def _standing(values, low, high, least):  # type: ignore[no-untyped-def]
+    """Values in unbroken stretches of ``least`` or more at or below ``low``, or at or above ``high``."""
+    total = length = side = 0
+    for i in range(values.shape[0] + 1):
+        now = 0 if i == values.shape[0] else int(values[i] >= high) - int(values[i] <= low)
+        if now != side:
+            total += length if side != 0 and length >= least else 0
+            side, length = now, 0
+        length += 1
+    return total
