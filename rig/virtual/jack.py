@@ -128,16 +128,13 @@ class JackPlant(PlantClient):
         self._names = [ports.get(number, "") for number in range(1, max(ports) + 1)]
         self._outs = [self._client.outports.register(name or f"unused_{k}") for k, name in enumerate(self._names)]
         self._output = HighPass(profile.drive.highpass_hz, self._plant.rate_hz)
-        self._inputs = {name: self._input(name) for name in self._plant.channels}
-
-    def _input(self, name: str) -> tuple[HighPass, float]:
-        """What the card's input does to a channel: its high-pass, and volts to full scale."""
-        channel = getattr(self._profile.channels, name)
-        if channel is None:
-            return HighPass(None, 1.0), 0.0
         # the virtual card's AC-coupled inputs pass nothing below 5 Hz
-        corner_hz = 5.0 if channel.coupling == "ac" else None
-        return HighPass(corner_hz, self._plant.rate_hz), self._plant.channel_scales[name] / channel.range_v
+        self._inputs: dict[str, tuple[HighPass, float]] = {}  # high-pass of each channel, and volts to full scale
+        for name in self._plant.channels:
+            channel = getattr(profile.channels, name)
+            corner_hz = 5.0 if channel is not None and channel.coupling == "ac" else None
+            scale = 0.0 if channel is None else self._plant.channel_scales[name] / channel.range_v
+            self._inputs[name] = HighPass(corner_hz, self._plant.rate_hz), scale
 
     def _move(self, drive_v: Floats, frame: int | None) -> None:
         codes = self._plant.exchange(self._output(drive_v))

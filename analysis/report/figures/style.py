@@ -109,13 +109,19 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], N
             draw(figure)
             if not figure.axes:
                 return
-            _add_badge(figure, badge)
+            height = figure.get_figheight()
+            colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE
+            box = {"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"}
+            at: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 8, "color": "white", "weight": "bold"}
+            # a file may be called $x$
+            text = figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)
+            text.set_in_layout(False)
             for ax in figure.axes:  # a spine would ask for all ticks of its axis again, and they point inwards
                 for spine in ax.spines.values():
                     spine.set_in_layout(False)
             # an engine that the figure owned would place the axes again for each file
             # the badge takes 0.36 inches above the axes, texts of axes 0.07
-            below = (0.0, 0.0, 1.0, 1.0 - 0.36 / figure.get_figheight())
+            below = (0.0, 0.0, 1.0, 1.0 - 0.36 / height)
             ConstrainedLayoutEngine(h_pad=0.07, rect=below).execute(figure)
             files = {}
             for form, options in FORMATS.items():
@@ -132,16 +138,6 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], N
                 part.write_bytes(content)
     except OSError as error:
         raise InputError(f"{folder}: cannot write {name} ({error}); name a folder you can write to") from error
-
-
-def _add_badge(figure: Canvas, badge: str) -> None:
-    """Write the badge in the upper right corner, and keep the axes below it."""
-    height = figure.get_figheight()
-    colour = SIMULATED_BADGE if badge.startswith("SIMULATED") else REAL_BADGE
-    box = {"boxstyle": "round,pad=0.3", "facecolor": colour, "edgecolor": "none"}
-    at: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 8, "color": "white", "weight": "bold"}
-    text = figure.text(0.993, 1.0 - 0.07 / height, badge, bbox=box, parse_math=False, **at)  # a file may be called $x$
-    text.set_in_layout(False)
 
 
 def plain_decades(axis: Any) -> None:
