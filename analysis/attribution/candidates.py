@@ -12,8 +12,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.observations import Observations
+from analysis.residuals.plate_data.plate_observables import SECOND, share_of_first
 from analysis.residuals.values import TREND, ParameterId
 from daq.setup.setup import Setup
 from model.effects.registry import Effect, Parameter, effect, registry, trend_name
@@ -166,9 +169,31 @@ def _starts(
     if mode is not None and not mode.sure and seen != grids:  # another minimum may be the right one
         points += itertools.product(*grids)
     starts = [dict(zip(keys, point, strict=True)) for point in points]
+    bends = [k for k, q in zip(keys, parameters, strict=True) if q.hint == "second_harmonic"]
+    sign = _sign_of_second_harmonic(observations, *bends[0]) if bends else 0.0
+    if sign:
+        return [point for point in starts if point[bends[0]] * sign > 0.0]
     if not any(q.is_shape for q in parameters):
         starts.insert(0, {k: q.null_value for k, q in zip(keys, parameters, strict=True)})
     return starts
+
+
+def _sign_of_second_harmonic(observations: Observations, name: str, parameter: str) -> float:
+    """Sign of a parameter that makes the second harmonic, by the phase of the measured one; 0 where no step shows it.
+
+    Plate data hold squares of harmonics, in which both signs look alike. Where a harmonic falls on a forcing tone, its
+    gain and phase tell the sign.
+    """
+    data, plate = observations.plate, observations.steps.plate
+    rows = data.rows_of(SECOND)
+    omega, tones = plate.omega_radps[data.step[rows]], plate.acceleration_mps2[data.step[rows]]
+    at = [np.argmin(np.abs(omega - data.omega_radps[rows, None] / part), axis=1) for part in (2.0, 1.0)]
+    first, second = (np.take_along_axis(tones, k[:, None], axis=1)[:, 0] for k in at)
+    made = {**effect(name).effect.null_values, parameter: 1.0}
+    hook = effect(name).hooks["harmonics"]
+    expected = hook(made, data.multiple[rows], data.others[rows], data.shares[rows], np.ones(len(rows)))
+    # noise of a harmonic over the first tone is smaller the larger that is
+    return float(np.sign(np.sum(data.scale[rows] ** 2 * (np.conj(expected) * share_of_first(first, second, 2)).real)))
 
 
 def trends_of(free: Sequence[ParameterId]) -> list[Candidate]:

@@ -89,7 +89,7 @@ ORDINARY_LAG: Mapping[tuple[str, str], tuple[float, float]] = {("accelerometer_l
 """Lag of an accelerometer of which nothing is known, mean and standard deviation: low-passes of 2 to 20 kHz."""
 
 Stated = Literal["", "drive.g_per_volt", "drive.phase_deg", "accelerometer.sensitivity", "g_mps2"]
-Hint = Literal["", "slow_line_hz", "modulation_depth", "modulation_hz"]
+Hint = Literal["", "slow_line_hz", "modulation_depth", "modulation_hz", "second_harmonic"]
 Term = Literal["", "force", "friction", "threshold", "restitution"]
 
 
@@ -110,8 +110,8 @@ class Parameter:
     start_grid
         Values to try before a local fit, where the effect switches modes or repeats.
     hint
-        What the data suggest to start from: slow lines of the plate (added to ``start_grid``), or the depth and
-        frequency of a modulation (in place of it).
+        What the data suggest to start from: slow lines of the plate (added to ``start_grid``), the depth and frequency
+        of a modulation (in place of it), or the sign that the phase of the measured second harmonic has.
     coarse_grid, coarse_step
         For a number that switches the ball's behaviour: values over its whole range, and first step of the search.
     calibration

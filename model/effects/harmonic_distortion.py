@@ -33,7 +33,10 @@ EFFECT = Effect(
             "phase_rad", "rad", -np.pi, np.pi, 0.5, start_grid=(-0.5 * np.pi, 0.0, 0.5 * np.pi, np.pi), is_shape=True,
             meaning="of the harmonic that falls on a further forcing tone, against that tone",
         ),
-        Parameter("quadratic_per_g", "1/g", -1.0, 1.0, 0.005, start_grid=BENDS, meaning="of acceleration squared"),
+        Parameter(
+            "quadratic_per_g", "1/g", -1.0, 1.0, 0.005, start_grid=BENDS, hint="second_harmonic",
+            meaning="of acceleration squared",
+        ),
         Parameter("cubic_per_g2", "1/g^2", -1.0, 1.0, 0.005, start_grid=BENDS, meaning="of acceleration cubed"),
     ),
     variants=(("second", "third"), ("quadratic_per_g", "cubic_per_g2"), ("second", "third", "phase_rad")),

@@ -15,9 +15,11 @@ from analysis.attribution.fit import HELD, Fitter
 from analysis.plate.ringing.modes import Identified
 from analysis.plate.ringing.regression import PlateMode
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.plate_data.plate_observables import SECOND
 from analysis.residuals.values import TREND, ParameterId
 
 RATIO, HZ, DAMPING = keys = tuple(("table_resonance", q) for q in ("mass_ratio", "frequency_hz", "damping"))
+BEND = ("harmonic_distortion", "quadratic_per_g")
 
 
 def start(loss: float, hz: float, ratio: float = 0.02) -> tuple[float, dict[ParameterId, float]]:
@@ -116,3 +118,28 @@ def test_what_an_earlier_selection_has_seen_starts_there_only(fly_ramp: Callable
     unseen = {c.free: c.starts for c in candidates_of(model) if c.free != (corner,)}
     assert starts.pop((corner,)) == ({corner: 2.9},)
     assert starts == unseen
+
+
+@pytest.mark.parametrize("ratio", [1, 3])
+@pytest.mark.parametrize("bend_per_g", [0.02, -0.02])
+def test_a_bend_begins_with_the_sign_that_its_second_harmonic_has(
+    fly_ramp: Callable[..., ForwardModel], ratio: int, bend_per_g: float
+) -> None:
+    """Squares of harmonics do not tell a bend's sign: the phase of the second one does, with any second tone."""
+    observations = fly_ramp({}, 0, gammas=(0.4, 0.8)).observations
+    steps, data = observations.steps, observations.plate
+    x = 2.0 * np.pi * np.arange(64) / 64
+    wave_g = np.cos(x + 0.7) + (np.cos(ratio * x - 1.1) if ratio > 1 else 0.0)  # any phases
+    tones = 2.0 * np.fft.rfft(wave_g + bend_per_g * wave_g**2)[1:9] / 64
+    omega_radps = 2.0 * np.pi * 25.0 * np.arange(1.0, 9.0)
+    plate = replace(steps.plate, omega_radps=omega_radps[None, :], acceleration_mps2=9.81 * tones[None, :])
+    share = 1j * np.exp(-1.1j) / (1j * np.exp(0.7j)) ** ratio
+    second = replace(
+        data.among(np.arange(1)), kind=np.array([SECOND]), step=np.zeros(1, np.int64), multiple=np.array([2]),
+        omega_radps=omega_radps[1:2], accel_g=np.ones(1), scale=np.array([9.81]),
+        others=np.array([[ratio]]), shares=np.array([[share]]),
+    )  # fmt: skip
+    bent = replace(observations, steps=replace(steps, plate=plate), plate=second)
+    model = ForwardModel(bent, {})
+    starts = [c.starts for c in candidates_of(model) if BEND in c.free]
+    assert starts and all(start[BEND] * bend_per_g > 0.0 for start in starts[0])
