@@ -16,14 +16,16 @@ from analysis.events.edges import Edges
 from analysis.events.impact_detection import ONSET_S, Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
 from analysis.events.levels import CLOSES
+from analysis.plate.motion import PlateMotion
 from analysis.statistics import mad_sigma, nearest
-from kernels.arrays import Floats
+from kernels.arrays import Floats, Integers
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
 SHORTEST_S = 2e-3  # flight at whose end an impact is its own
 SMALL_OFFSET_S = 1e-4  # offset below which a chatter cannot be the cause
 MAX_SPREAD_S = 4e-5  # largest spread of the landings about their common offset
 CORE_SPREADS = 5.0  # distance from the centre within which landings are averaged
+MOTION_S = 3e-4  # within which an impact is marked as late as motion is shown
 LEAST_LATE_S = 1e-5  # delay of closings from which openings may have another
 
 
@@ -32,7 +34,7 @@ class SensorOffset:
     """Accelerometer times relative to contact edges, on landings that both detect."""
 
     # accelerometer minus electrical edge, negative for a late contact circuit; 0 where the landings do not agree on one
-    # (a ball that chatters before the circuit stays closed)
+    # (a ball that chatters before the circuit stays closed), or what take-offs tell of motion
     offset_s: float
     uncertainty_s: float  # its standard error; infinite there
     pairs: int  # landings used
@@ -61,6 +63,7 @@ def calibrate(
     sampling_s: float,
     elsewhere: SensorOffset | None = None,
     repeated_s: float = 0.0,
+    motion_late_s: float = math.nan,
 ) -> tuple[Impacts, SensorOffset]:
     """Impacts on the time axis of the contact edges, and the offset between the sensors.
 
@@ -81,11 +84,18 @@ def calibrate(
         What other recordings of the rig show, taken where these landings show none.
     repeated_s : float
         By how much landings of the contact circuit scatter from cycle to cycle, beyond their uncertainties.
+    motion_late_s : float
+        What take-offs tell (`motion_late`), NaN where they do not. A single impact near there is then a landing's own;
+        where these do not agree, all impacts are taken to be so late, as a converter's filter delays them.
     """
+    known = math.isfinite(motion_late_s)
+    if known and elsewhere is None and abs(motion_late_s) > MOTION_S:
+        elsewhere = SensorOffset(motion_late_s, np.inf, 0)
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return _not_shown(impacts, elsewhere)
-    d, own, strength = _differences(impacts, takeoff_s, landing_s, landing_sigma_s)
+    delay_s, reach_s = (motion_late_s, MOTION_S) if known else (_delay_s(impacts.time_s, landing_s), REACH_S)
+    d, own, strength = _differences(impacts, takeoff_s, landing_s, landing_sigma_s, delay_s, reach_s)
     # of two landings no half is closer together than the other: neither offset nor spread is known
     if d.size < 3:
         return _not_shown(impacts, elsewhere)
@@ -112,10 +122,9 @@ def calibrate(
 
 
 def _differences(
-    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats
+    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, delay_s: float, reach_s: float
 ) -> tuple[Floats, Floats, Floats]:
     """Impact minus edge of flights that end with a single impact, its uncertainty, and the impact's strength, (m,)."""
-    delay_s = _delay_s(impacts.time_s, landing_s)
     begin = np.searchsorted(impacts.time_s, takeoff_s + delay_s - REACH_S + SHORTEST_MASK_S)
     end = np.searchsorted(impacts.time_s, landing_s + delay_s + REACH_S)
     # of a shorter flight the impact before it may be the only one that is heard
@@ -123,7 +132,7 @@ def _differences(
     partner = begin[lone]
     d = impacts.time_s[partner] - landing_s[lone]
     own = np.hypot(impacts.uncertainty_s[partner], landing_sigma_s[lone])
-    near = np.abs(d - delay_s) < REACH_S
+    near = np.abs(d - delay_s) < reach_s
     return d[near], own[near], impacts.strength[partner][near]
 
 
@@ -141,7 +150,37 @@ def _not_shown(impacts: Impacts, elsewhere: SensorOffset | None) -> tuple[Impact
     if elsewhere is None:
         return _with_bias(impacts, 1.0, impacts.onset_s), SensorOffset(0.0, np.inf, 0)
     moved = replace(impacts, time_s=impacts.time_s - elsewhere.offset_s)
-    return _with_bias(moved, 1.0, elsewhere.uncertainty_s), elsewhere
+    known = math.isfinite(elsewhere.uncertainty_s)
+    return _with_bias(moved, 1.0, elsewhere.uncertainty_s if known else impacts.onset_s), elsewhere
+
+
+def motion_late(plate: PlateMotion, takeoff_s: Floats, landing_s: Floats, step: Integers) -> float:
+    """By how much later than the take-offs the accelerometer shows the motion, s; NaN where they do not tell.
+
+    A ball at rest leaves at one acceleration of the plate, whatever the amplitude and whatever holds it back: at the
+    right delay its take-offs lie together, elsewhere the steps part. ``step`` of each flight (n,), -1 for none.
+    """
+    rested = takeoff_s - np.append(np.nan, landing_s[:-1]) > 3e-3
+    rests = np.flatnonzero(rested & np.isfinite(plate.forcing_tones(step)[0][0]))
+    rests = rests[:: 1 + rests.size // 1000]
+    # in one step all leave at one phase, which tells nothing
+    if rests.size < 20 or np.unique(step[rests]).size < 4:
+        return math.nan
+    omega, z = plate.forcing_tones(step[rests])
+    z = z * np.exp(1j * omega * plate.true_time_s(takeoff_s[rests]))
+
+    def spread(late_s: Floats) -> Floats:
+        """Of the acceleration, over its slope: where that turns, all amplitudes would seem to agree."""
+        shown = z[:, None] * np.exp(1j * omega[:, None] * late_s[:, None])
+        low, high = np.quantile(shown.real.sum(axis=0), [0.16, 0.84], axis=1)
+        slope = np.median(np.abs((1j * omega[:, None] * shown).real.sum(axis=0)), axis=1)
+        return np.asarray((high - low) / np.maximum(slope, 1e-9))
+
+    coarse = np.linspace(-7e-3, 7e-3, 57)
+    near = coarse[np.argmin(spread(coarse))] + np.linspace(-2.5e-4, 2.5e-4, 21)
+    best = near[np.argmin(spread(near))]
+    here, aside = spread(np.array([best])), spread(best + np.array([-MOTION_S, MOTION_S]))
+    return float(best) if here[0] < 0.25 * aside.min() else math.nan
 
 
 def common_offset(offsets: Sequence[SensorOffset]) -> SensorOffset | None:

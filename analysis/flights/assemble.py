@@ -15,7 +15,7 @@ from analysis.events.edge_jitter import Scatter
 from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
 from analysis.events.levels import CLOSES, DIP, OPENS
-from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts
+from analysis.events.sensor_offset import MOTION_S, SensorOffset, calibrate, combine_with_impacts, motion_late
 from analysis.events.short_contacts import refine_short_contacts
 from analysis.flights.events_corrected import changed_edges, changed_impacts, given_by_hand, undenied
 from analysis.flights.scan import Progress, Scan, scan
@@ -121,6 +121,11 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
         own = takeoff[whole], landing[whole], landing_sigma[whole]
         repeated_s, rest = _repeated_s(found, *own, rate_hz), (closing.tau_uncertainty_s, 1.0 / rate_hz)
         impacts, offset = calibrate(found.impacts, *own, *rest, found.elsewhere, repeated_s)
+        if not np.isfinite(offset.uncertainty_s) or offset.offset_s < -MOTION_S:
+            step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
+            late_s = motion_late(found.plate, takeoff, landing, np.where(unsteady | flags, -1, step))
+            if late_s > offset.offset_s + MOTION_S:  # a high-pass shows motion early, and impacts not
+                impacts, offset = calibrate(found.impacts, *own, *rest, found.elsewhere, repeated_s, late_s)
     edges = refine_short_contacts(edges, found.crossings, levels, (opening, closing), impacts, rate_hz)
     if offset is not None and np.isfinite(offset.uncertainty_s):
         edges = combine_with_impacts(edges, impacts, offset)

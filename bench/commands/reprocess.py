@@ -146,4 +146,8 @@ def _print(title: str, table: Flights, classes: tuple[StepClass, ...]) -> None:
             f"the accelerometer shows a landing {plus_minus(1e6 * late.offset_s, 1e6 * late.uncertainty_s)} us "
             f"after the contact circuit does ({late.pairs} landings)"
         )
+    elif late.offset_s:
+        notes.append(
+            f"the take-offs show motion {1e3 * late.offset_s:.2f} ms late in the accelerometer: so are impacts taken"
+        )
     print_lines(GAMMA, *notes)

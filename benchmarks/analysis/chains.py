@@ -22,7 +22,7 @@ from rig.sim.scenario import Scenario
 Values = dict[str, dict[str, float]]
 
 LAG, HIGH_PASS, PICKUP, OFFSET = "accelerometer_lag", "accelerometer_high_pass", "mains_pickup", "accelerometer_offset"
-LATENCY = "contact_latency"
+LATENCY, CROSS_AXIS = "contact_latency", "accelerometer_cross_axis"
 GAMMAS = {1: (0.5, 2.6), 2: (0.2, 1.5), 3: (0.1, 0.8)}
 STEPS, CYCLES = 22, 20
 HIDDEN: dict[str, Mapping[str, tuple[float, float]]] = {
@@ -97,7 +97,7 @@ CHAINS: dict[str, Chain] = {
     "mains with odd harmonics, 10 mV": Chain({"mains_v": 0.01, "mains_odd": 1.0}, causes=(PICKUP,)),
     "mount rings at 4 kHz": Chain({"mount_hz": 4e3}),
     "sensitivity falls from 3 kHz": Chain({"mount_hz": 3e3, "mount_damping": 1.0}, causes=(LAG,)),
-    "cross-axis 5 %": Chain({"cross_axis": 0.05}),
+    "cross-axis 5 %": Chain({"cross_axis": 0.05}, causes=(CROSS_AXIS, HIGH_PASS)),
     "sensor ends at 6 g": Chain({"sensor_clip_g": 6.0}),
     "sensor ends at 4 g": Chain({"sensor_clip_g": 4.0}),
     "impacts are pulses": Chain({"pulse": 1}),

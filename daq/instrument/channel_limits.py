@@ -167,7 +167,8 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     least = least if least < math.inf else 0.0
     # noise may spread an end over so many parts of the range
     widths = [max(float(np.ptp(x)) / part, least) for part in (200.0, 100.0, 50.0, 25.0)]
-    return -_end(-x, widths), _end(x, widths)
+    # the half of a step below an end is the end too, whatever rounding the reading has gone through
+    return -_end(-x, widths) + 0.25 * least, _end(x, widths) - 0.25 * least
 
 
 def _end(x: Floats, widths: list[float]) -> float:

@@ -10,7 +10,8 @@ import pytest
 from analysis.events.edges import Edges
 from analysis.events.impact_detection import Impacts
 from analysis.events.levels import CLOSES
-from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts, common_offset
+from analysis.events.sensor_offset import SensorOffset, calibrate, combine_with_impacts, common_offset, motion_late
+from analysis.plate.motion import PlateMotion
 
 SAMPLING_S = 5e-5
 ROUNDING_S = SAMPLING_S / np.sqrt(12.0)
@@ -148,3 +149,38 @@ def test_edges_may_be_uneven_where_closings_jitter_or_come_late() -> None:
     unknown = SensorOffset(0.0, np.inf, 0)
     assert unknown.uneven_edges(sharp=True)
     assert not unknown.uneven_edges(sharp=False)
+
+
+def takeoffs(late_s: float, gammas: list[float], rng: np.random.Generator) -> tuple[PlateMotion, list[np.ndarray]]:
+    """A plate that is shown late, and take-offs from it, landings and steps of a ball that friction of .1 g holds."""
+    omega, g, tones, times, steps = 2.0 * np.pi * 25.0, 9.80665, [], [], []
+    for k, gamma in enumerate(gammas):
+        # the plate's acceleration is gamma g sin(omega t): the ball leaves at -1.1 g
+        at = (np.pi + np.arcsin(1.1 / gamma)) / omega + 0.04 * np.arange(10) + k
+        times.append(at + 2e-6 * rng.standard_normal(10))
+        steps.append(np.full(10, k))
+        tones.append(-1j * gamma * g * np.exp(-1j * omega * late_s))
+    plate = object.__new__(PlateMotion)
+    forcing = np.full((1, len(tones)), omega), np.array([tones])
+    plate.__dict__.update(_forcing=forcing, gaps=np.zeros((0, 2), np.int64), rate_hz=2e4, steps=(None,) * len(tones))
+    takeoff = np.concatenate(times)
+    return plate, [takeoff, takeoff + 0.02, np.concatenate(steps)]
+
+
+def test_takeoffs_tell_by_how_much_motion_is_shown_late() -> None:
+    """1.6 ms of a converter's filter, with a friction that nobody knows; one amplitude does not tell it."""
+    plate, flights = takeoffs(1.6e-3, [1.2, 1.5, 1.8, 2.2], np.random.default_rng(5))
+    assert motion_late(plate, *flights) == pytest.approx(1.6e-3, abs=3e-5)
+    plate, flights = takeoffs(1.6e-3, [1.5, 1.5, 1.5, 1.5], np.random.default_rng(5))
+    assert np.isnan(motion_late(plate, *flights))
+
+
+def test_impacts_are_late_as_motion_is_where_no_closing_has_one() -> None:
+    """A ball that bounces closes the circuit after impacts too weak to be heard: what motion shows is taken."""
+    rng = np.random.default_rng(6)
+    closed_s = 0.05 * np.arange(1, 101) + 1e-3 * rng.random(100)
+    impacts = Impacts(closed_s - rng.uniform(1e-3, 4e-3, 100) + 1.6e-3, np.full(100, 1e-6), np.full(100, 9.0))
+    rest = closed_s - 0.02, closed_s, np.full(100, 5e-6), 0.0, SAMPLING_S
+    moved, offset = calibrate(impacts, *rest, motion_late_s=1.6e-3)
+    assert offset == SensorOffset(1.6e-3, np.inf, 0)
+    np.testing.assert_allclose(moved.time_s, impacts.time_s - 1.6e-3)

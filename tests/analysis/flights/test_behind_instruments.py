@@ -80,6 +80,14 @@ def test_an_instrument_neither_hides_flights_nor_makes_them(
     assert flights.has(FlightFlag.ACCELEROMETER).sum() > 20
 
 
+def test_where_a_ball_bounces_take_offs_tell_the_delay(make) -> None:
+    """Behind a converter that delays the accelerometer alone, the circuit closes after bounces that nobody hears."""
+    made = {"gammas": np.linspace(0.7, 1.4, 8), "effects": {"restitution": {"e0": 0.16}}, "ratio": 2}
+    truth = np.asarray(make(**made, truth=True).landing_s)
+    found = landings(read(make(**made, rig={"fir_samples": 32.0, "fir_accelerometer_only": 1.0}).path))
+    assert len(found) > 200 and strangers(found, truth) == []
+
+
 def test_a_recording_that_others_resampled_holds_the_same_flights(
     make, true_landings: np.ndarray, plain_landings: np.ndarray, tmp_path: Path
 ) -> None:

@@ -57,6 +57,17 @@ def test_impacts_alone_at_the_end_are_no_motion_that_is_cut_off() -> None:
     assert share_at_an_end(shown, RATE_HZ) == 0.0
 
 
+@pytest.mark.parametrize("offset_v", [0.00155, -0.3])
+def test_an_end_is_known_again_when_units_have_changed(offset_v: float) -> None:
+    """A range without noise behind it, cut off at .4 V and read as volts of four bytes: the same share as codes."""
+    codes = 0.4 * 838860.0 * np.clip(1.1 * np.sin(2.0 * np.pi * 25.37 / RATE_HZ * np.arange(N)), -1.0, 1.0)
+    volts = (np.rint(codes) / 838860.0 + offset_v).astype(np.float32)
+    ends = [(end - offset_v) / 0.0102 for end in common_ends([volts], RATE_HZ)]
+    shown = (volts - np.float32(offset_v)) / np.float32(0.0102)
+    beyond = np.mean(np.abs(codes) >= 0.4 * 838860.0 - 1.0)
+    assert share_at_an_end(shown, RATE_HZ, (ends[0], ends[1])) == pytest.approx(beyond, abs=0.01)
+
+
 @pytest.mark.parametrize("end_g", [4.0, 6.0])
 def test_a_sensor_at_its_end_makes_no_flights(make, end_g: float) -> None:
     """Impacts that ring beyond the end of the sensor, and motion beyond it: each landing found is one."""
