@@ -52,6 +52,16 @@ solveh_banded = _checked(scipy.linalg.solveh_banded)
 svd = _checked(np.linalg.svd)
 
 
+def scaled_inverse(normal: Floats) -> Floats:
+    """Inverse of normal equations, their unknowns in units of what each is known to alone.
+
+    In others, what is known a million times worse than another one would be cut off as if it were known for certain.
+    """
+    known = np.sqrt(np.diagonal(normal))
+    units = np.divide(1.0, known, out=np.ones_like(known), where=known > 0.0)
+    return np.asarray(pinv(normal * np.outer(units, units), rcond=1e-14) * np.outer(units, units))
+
+
 def bounded_step(normal: Floats, gradient: Floats, below: Floats, above: Floats, rcond: float | None = None) -> Floats:
     """Minimum of the quadratic model within ``below <= step <= above``, which hold 0, (p,), by an active set.
 

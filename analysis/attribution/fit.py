@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from analysis.attribution.candidates import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
-from analysis.linear_algebra import NotFiniteError, bounded_step, pinv
+from analysis.linear_algebra import NotFiniteError, bounded_step, scaled_inverse
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import robust_loss, robust_weight
 from analysis.residuals.noise.whitening import Whitener, step_losses
@@ -323,8 +323,7 @@ class Fitted:
 
     def covariance(self) -> Floats:
         """Of all coordinates."""
-        normal, _ = self.normal(self.state.mask)
-        return np.asarray(pinv(normal, rcond=1e-14))
+        return scaled_inverse(self.normal(self.state.mask)[0])
 
     def covariance_of(self, slopes: Floats) -> Floats:
         """Of further parameters, fitted with all coordinates, from their slopes of the bare residuals: (rows, p)."""
@@ -333,7 +332,7 @@ class Fitted:
         weight = np.where(self.state.mask, robust_weight(whitener.white_all(self.raw), whitener.odds), 0.0)
         normal = (jacobian * weight[:, None]).T @ jacobian
         normal[p:, p:] += np.diag(self.state.inverse**2)
-        return np.asarray(pinv(normal, rcond=1e-14))[:p, :p]
+        return scaled_inverse(normal)[:p, :p]
 
     @functools.cached_property
     def _variances(self) -> Floats:

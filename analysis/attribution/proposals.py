@@ -55,6 +55,13 @@ def _beyond(case: Candidate, fuller: Candidate) -> tuple[ParameterId, ...]:
     return extra if any(not parameter_of(k).is_shape for k in extra) else ()
 
 
+def _within(values: Mapping[ParameterId, float], case: Candidate, fuller: Candidate) -> Point:
+    """The values of a special case by the names of the fuller form; its further parameters as they are."""
+    own = _names_in(case, fuller)
+    parts = {t: [values[k] for k, v in own.items() if v == t] for t in own.values()}
+    return {k: v for k, v in values.items() if k not in own} | {t: float(np.mean(x)) for t, x in parts.items()}
+
+
 class Proposals:
     """Fits of candidates on top of the best hypothesis so far.
 
@@ -110,7 +117,12 @@ class Proposals:
                 fitted = one(candidate)
                 return None if fitted is None else followed((candidate, fitted, self._gained(best, fitted)), enough)
             tried(candidate)
-            return attempted((*best.candidates, candidate), self._extended, min(cases, key=self._loss), candidate)
+
+            # one of another name may have no place here: a pull of any height is none of a magnet's range
+            def loss(x: Hypothesis) -> float:
+                return self.refits.profile_loss(best.whitener, _within(x.fitted.values, x.candidates[-1], candidate))
+
+            return attempted((*best.candidates, candidate), self._extended, min(cases, key=loss), candidate)
 
         plain = [c for c in options if not any(_beyond(case, c) for case in options)]
         with ThreadPoolExecutor(THREADS) as pool:
@@ -159,9 +171,7 @@ class Proposals:
         chosen = (*others, Candidate(candidate.names, tuple(k for k in candidate.free if k not in taken)))
         free = tuple(k for c in chosen for k in c.free)
         begun = min(led, key=lambda pair: pair[0])[1] if led else case.fitted.values
-        start = {k: v for k, v in begun.items() if k not in own}
-        for target in dict.fromkeys(own.values()):
-            start[target] = float(np.mean([begun[k] for k, v in own.items() if v == target]))
+        start = _within(begun, special, candidate)
         known = {k: x for k, x in case.fitted.slopes.items() if k in self.fitter.priors and k not in free}
         fitted = self.fitter.fit(case.whitener, free, start, known)
         return self.refits.scored(chosen, self.refits.reweighted(fitted))

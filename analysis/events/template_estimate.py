@@ -36,6 +36,7 @@ from analysis.signals import Piece
 from analysis.statistics import CORE, core_sigma
 from daq.instrument.channel_limits import STANDS, NoiseSpectrum, measure_noise, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
+from daq.setup.setup import Forcing
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
@@ -78,8 +79,7 @@ def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Part of a step in a piece: its first sample, its place there, the normal equations of all its samples, and which
-    of their tones are always fitted."""
+    """Part of a step in a piece: first sample, place there, normal equations of all, tones that are always fitted."""
 
     start: int
     own: slice
@@ -98,27 +98,26 @@ class _Found(NamedTuple):
 
 
 def estimate_template(
-    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, gaps: Integers | None = None
+    pieces: list[Piece], steps: npt.NDArray[np.void], rate_hz: float, forcing: Forcing, gaps: Integers | None = None
 ) -> tuple[NoiseSpectrum | None, ImpactTemplate | None]:
     """Noise of the accelerometer and impact template from a few pieces of a recording.
 
     Parameters
     ----------
-    pieces
-        With channel ``accelerometer``.
+    pieces, rate_hz
+        With channel ``accelerometer``; their sampling rate.
     steps : STEP_DTYPE array
         Frequencies filled in.
-    rate_hz
-        Sampling rate.
+    forcing
+        The recording's: all its tones are motion.
     gaps : int array, shape (k, 2)
         Sample before which samples were lost, and how many: the motion's phase jumps there.
 
     Returns
     -------
-    NoiseSpectrum or None
-        Of means over `thinning` samples; None where the pieces are too short, or the channel stands still.
-    ImpactTemplate or None
-        None where the accelerometer shows no impacts.
+    NoiseSpectrum or None, ImpactTemplate or None
+        Noise of means over `thinning` samples, None where pieces are too short or the channel stands still; no template
+        where the accelerometer shows no impacts.
     """
     width = thinning(rate_hz)
     if width > 1:
@@ -127,7 +126,7 @@ def estimate_template(
     tones_hz = np.unique(np.concatenate([steps["frequency_hz"], steps["frequency_hz"] * steps["ratio"]]))
     # the filter is made blind to four of the recording's frequencies: others lie between them
     few = tones_hz[np.unique(np.linspace(0, tones_hz.size - 1, 4).astype(int))]
-    stretches = [_stretches(piece, steps, rate_hz) for piece in pieces]
+    stretches = [_stretches(piece, steps, rate_hz, forcing) for piece in pieces]
     nothing = [np.zeros(0) for _ in pieces]
     still = [_without_motion(*own, rate_hz) for own in zip(pieces, pieces, stretches, nothing, strict=True)]
     noise = _noise(still, nothing, rate_hz, 0)
@@ -145,7 +144,7 @@ def estimate_template(
         detectors = [_detector(piece, template, rate_hz) for piece in pieces]
         found = [_again(own, piece.pad, rate_hz) for own, piece in zip(detectors, pieces, strict=True)]
         if turn < N_ALIGNMENTS - 1:
-            still, clean = _taken_away(pieces, detectors, found, steps, rate_hz)
+            still, clean = _taken_away(pieces, detectors, found, steps, rate_hz, forcing)
         if turn == 0:
             noise = _noise(still, [own.places for own in found], rate_hz, template.fine.size // FINE) or noise
     if template is None:
@@ -159,11 +158,12 @@ def _taken_away(
     found: list[_Found],
     steps: npt.NDArray[np.void],
     rate_hz: float,
+    forcing: Forcing,
 ) -> tuple[list[tuple[Floats, Bools]], list[tuple[Floats, Bools]]]:
     """The pieces without motion, and without the impacts found as well."""
     # what still rings after the mask would bend the tones
     without = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
-    stretches = [_stretches(piece, steps, rate_hz) for piece in without]
+    stretches = [_stretches(piece, steps, rate_hz, forcing) for piece in without]
     places = [own.places for own in found]
     still = [_without_motion(*own, rate_hz) for own in zip(pieces, without, stretches, places, strict=True)]
     clean = [
@@ -331,7 +331,7 @@ def _snippets(
     return rows[usable], fractions[usable]
 
 
-def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> list[_Stretch]:
+def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float, forcing: Forcing) -> list[_Stretch]:
     """The parts of steps in a piece that are long enough to fit their motion."""
     volts = piece.channels["accelerometer"].astype(np.float64)
     ends, found = steps["first_sample"] + steps["n_samples"], []
@@ -343,12 +343,12 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float) -> lis
         own = slice(start - piece.first + piece.pad, stop - piece.first + piece.pad)
         if share_at_an_end(volts[own], rate_hz) > STANDS:
             continue  # the edges of what is cut off would look like impacts
-        first, ratio = float(row["frequency_hz"]), int(row["ratio"])
-        tones_hz = first * np.array(multiples_of((1, ratio)))
+        first, driven = float(row["frequency_hz"]), forcing.multiples_at(int(row["ratio"]))
+        tones_hz = first * np.array(multiples_of(driven))
         tones_hz = np.append(tones_hz, separable_lines(MAINS_HZ, tones_hz, (stop - start) / rate_hz))
         every = LockIn(rate_hz, tones_hz)
         every.add(volts[own], start)
-        found.append(_Stretch(start, own, every, np.isin(tones_hz, first * np.unique([1, 2, 3, ratio]))))
+        found.append(_Stretch(start, own, every, np.isin(tones_hz, first * np.unique([1, 2, 3, *driven]))))
     return found
 
 

@@ -122,7 +122,7 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     for piece in looked:
         if (high_pass := high_pass_of(recording, high_pass_hz)) is not None:
             high_pass.undo(piece)
-    noise, template = estimate_template(looked, steps, recording.rate_hz, recording.gaps)
+    noise, template = estimate_template(looked, steps, recording.rate_hz, recording.setup.forcing, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
         return Survey(None, noise, template, ends_v=ends_v)

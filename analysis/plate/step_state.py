@@ -8,6 +8,7 @@ either.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -188,8 +189,10 @@ N_BLOCK_CLASSES = 3 * N_MASK_LEVELS
 
 
 def multiples_of(forcing: tuple[int, ...]) -> tuple[int, ...]:
-    """Multiples that are fitted to a ``forcing`` of some: the first tone's to `HARMONICS`, those of others to 3."""
-    return tuple(sorted(set(range(1, HARMONICS + 1)) | {m * k for m in forcing for k in (1, 2, 3)}))
+    """Multiples that are fitted to a ``forcing`` of some: those to `HARMONICS`, and what its squares and cubes hold."""
+    turns = {0, *forcing, *(-m for m in forcing)}  # sums of three: a bend of the plate mixes its tones
+    products = {abs(a + b + c) for a, b, c in itertools.combinations_with_replacement(turns, 3)} - {0}
+    return tuple(sorted(set(range(1, HARMONICS + 1)) | products))
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from model.integrator.problem import Measured, PlateSteps
 NOT_EVENTS = FlightFlag.FALSE
 NOT_SCORED = FlightFlag.FALSE | FlightFlag.GAP | FlightFlag.SETTLING | FlightFlag.CUT
 MISLEADING = FlightFlag.GAP | FlightFlag.CUT
-MAX_TONES = 8
+MAX_TONES = 10
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def _tones(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     ratios, often = Counter(tuple(round(f / h.tones_hz[0], 2) for f in h.tones_hz) for h in seen.holds).most_common(1)[
         0
     ]
-    wanted = [m for m, z in forcing.displacement_tones() if abs(z) > 1e-12]
+    wanted = sorted(m for m, z in forcing.displacement_tones() if abs(z) > 1e-12)
     # beyond a ratio of 4 the first tone is too weak next to the second to be found
     if often < 0.7 * len(seen.holds) or ratios == tuple(m / wanted[0] for m in wanted) or wanted[-1] > 4:
         return

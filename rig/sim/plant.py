@@ -42,7 +42,13 @@ def _amplifier(s: Any, p: Any, volts: float) -> float:
     if p.amplitude_modulation_depth != 0.0:
         out *= 1.0 + p.amplitude_modulation_depth * math.sin(2.0 * math.pi * p.amplitude_modulation_frequency_hz * t)
     out += p.harmonic_distortion_second_per_v * (volts * volts - s.mean_square_v2)
-    out += p.harmonic_distortion_third_per_v2 * volts * volts * volts
+    if p.harmonic_distortion_third_per_v2 != 0.0:
+        # tones of which two make up a third (w + 2 w = 3 w) have a mean cube, and no table a mean acceleration
+        cube = volts * volts * volts
+        s.mean_cube_1 += (cube - s.mean_cube_1) * rate
+        s.mean_cube_2 += (s.mean_cube_1 - s.mean_cube_2) * rate
+        s.mean_cube_v3 += (s.mean_cube_2 - s.mean_cube_v3) * rate
+        out += p.harmonic_distortion_third_per_v2 * (cube - s.mean_cube_v3)
     return float(min(max(out, -p.clip_v), p.clip_v))
 
 

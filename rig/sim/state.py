@@ -41,6 +41,9 @@ _FLOATS = (
     "plate_end_mps",  # driven plate velocity, leaky, at both ends of the interval
     "mean_square_1",
     "mean_square_v2",
+    "mean_cube_1",
+    "mean_cube_2",
+    "mean_cube_v3",
     "lagged_v",
     "last_v",
     "shaker_x",

@@ -43,3 +43,12 @@ def test_the_loop_solves_no_equations_elsewhere() -> None:
     root = Path(analysis.__file__).parent
     found = [p for p in root.rglob("*.py") if direct.search(p.read_text(encoding="utf-8"))]
     assert {p.relative_to(root).parts[0] for p in found} <= set(BESIDE)
+
+
+def test_what_is_known_far_worse_than_another_unknown_is_not_known_for_certain() -> None:
+    """The inverse of normal equations whose diagonal spans twenty powers of ten is the one by hand, in each entry."""
+    units = np.array([1e-10, 1.0])
+    normal = np.array([[2.0, 1.0], [1.0, 2.0]]) / np.outer(units, units)
+    by_hand = np.array([[2.0, -1.0], [-1.0, 2.0]]) / 3.0 * np.outer(units, units)
+    np.testing.assert_allclose(linear_algebra.scaled_inverse(normal), by_hand, rtol=1e-9)
+    assert linear_algebra.scaled_inverse(np.diag([4.0, 0.0]))[0, 0] == 0.25

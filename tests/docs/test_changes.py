@@ -76,7 +76,8 @@ def test_the_how_to_for_a_tone_drives_and_measures_it(tmp_path: Path) -> None:
     multiples, volts, fitted, of_another_c = run_in(tmp_path, THIRD)
     assert multiples == [1.0, 2.0, 7.0]
     assert all(abs(v - m * m * b / 2.0) < 1e-12 for v, m, b in zip(volts, multiples, (1.0, 1.0, 0.5), strict=True))
-    assert fitted == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 14.0, 21.0]
+    # sums of three of 1, 2 and 7: what a bent drive makes of them
+    assert fitted == [*map(float, range(1, 17)), 21.0]
     assert of_another_c == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 

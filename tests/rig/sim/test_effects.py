@@ -87,6 +87,15 @@ def test_distortion_makes_the_textbook_harmonics() -> None:
     assert abs(x.mean()) < 2e-4
 
 
+def test_a_bent_drive_of_three_tones_leaves_the_table_without_a_mean_acceleration() -> None:
+    """The cube of tones at w, 2 w and 3 w has a mean, .0072 g here, which no suspension would let the plate follow."""
+    bent = Scenario("bent", {"harmonic_distortion": {"third_per_v2": 0.2}}, QUIET)
+    plant = Plant(bent, RATE_HZ, np.random.default_rng(0))
+    drive_v = 0.2 * np.minimum(T, 1.0) * sum(np.cos(k * OMEGA * T) for k in (1, 2, 3))
+    felt = plant.exchange(drive_v)[LATE, 1] * plant.channel_scales["accelerometer"] / 0.1
+    assert abs(felt.mean()) < 2e-4
+
+
 def test_hum_and_modulation_stand_where_they_should() -> None:
     """Hum at 50 Hz; modulation's sidebands at half the depth."""
     hum = plate_g({"mains_hum": {"amplitude_g": 0.05, "frequency_hz": 50.0}}, 0.3)
