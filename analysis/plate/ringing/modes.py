@@ -18,21 +18,13 @@ import numpy as np
 
 from analysis.linear_algebra import NotFiniteError, lstsq, solve
 from analysis.plate.motion import StepPlate
-from analysis.plate.ringing.mode_motion import Push, PushedPlate, answer, ball_push, filled_after_impacts
-from analysis.plate.ringing.regression import (
-    CLUSTER_S,
-    HUM_HZ,
-    LEAD_S,
-    SURE_NATS,
-    PlateMode,
-    Regression,
-    drive_regressors,
-    unmasked,
-    volts_in_blocks,
-)
+from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
+from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
+from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of
+from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
 from analysis.signals import restored
 from daq.recording import Recording
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Bools, Complexes, Floats
 
 RATE_HZ = 1000.0  # of the block means: far above any mode that a ball shakes
 ROUNDS = 15  # until mode, the accelerometer's zero and what impacts hide agree
@@ -108,8 +100,10 @@ def identified_mode(
     mode = None if found is None else seen.judged(found, forcing_hz)
     if mode is None or found is None or not mode.sure:
         return Identified(mode)
+    if seen.left_nats(found) > SURE_NATS and (both := record.second(seen, begun, found, forces, forcing_hz)):
+        seen, found, mode = both
     pushed = whole.pushed(seen, found)
-    return Identified(replace(mode, pushed=pushed, second=seen.without(found).second(forcing_hz)), pushed=(pushed,))
+    return Identified(replace(mode, pushed=pushed), pushed=(pushed,))
 
 
 @dataclass(frozen=True)
@@ -124,6 +118,7 @@ class _Recorded:
     takeoff_s: Floats
     landing_s: Floats
     gravity_mps2: float
+    tones_hz: tuple[float, ...]
 
     @classmethod
     def of(
@@ -143,6 +138,7 @@ class _Recorded:
         return cls(
             acceleration, *drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed],
             landing_s[landed], recording.setup.g_mps2.value,
+            tuple(recording.setup.forcing.frequency_hz * k for k in recording.setup.forcing.multiples),
         )  # fmt: skip
 
     def last(self, skipped: int) -> _Recorded:
@@ -150,7 +146,7 @@ class _Recorded:
         inside, shift_s = self.takeoff_s > skipped * self.block_s, skipped * self.block_s
         return _Recorded(
             self.acceleration[skipped:], self.linear[skipped:], self.forces, self.known[skipped:], self.block_s,
-            self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2,
+            self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2, self.tones_hz,
         )  # fmt: skip
 
     def without(self, first: int, stop: int) -> _Recorded:
@@ -181,6 +177,23 @@ class _Recorded:
         # what impacts hide, once known, has raised a gain by 4 parts in 10, never to twice
         return max(seen.gained(x), driven.gained(x)) > 0.5 * SURE_NATS
 
+    def second(
+        self, seen: Regression, begun: Sequence[int], found: Floats, forces: int, forcing_hz: float
+    ) -> tuple[Regression, Floats, PlateMode] | None:
+        """Two modes in place of one, and the first with the second in it; None where both are not sure."""
+        # a tenth of what one mode leaves: less may be what no mode explains
+        one_mps2 = float(np.std(seen.remainder(found)))
+        start = replace(seen, phases=False).followed([seen.beside(found)])
+        if np.std(seen.remainder(start)) > 0.9 * one_mps2:
+            return None
+        both, x = self.settled(begun, start, forces)
+        if x is None:
+            return None
+        first, second = (both.judged(x, forcing_hz, which) for which in (0, 1))
+        if not (first and second and first.sure and second.remainder_mps2 < 0.9 * one_mps2):
+            return None
+        return both, x, replace(first, second=replace(second, before_mps2=one_mps2))
+
     def settled(self, begun: Sequence[int], found: Floats | None, forces: int) -> tuple[Regression, Floats | None]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.
 
@@ -205,35 +218,61 @@ class _Recorded:
             if fresh and rounds == 0 and seen.quiet:
                 return seen, None
             again = fresh and rounds == 1  # the first search did not know what is hidden
-            x = seen.searched() if found is None or again else seen.followed([found])
-            sizes = seen.sizes(seen.columns(*np.exp(x)))
-            mode = seen.answers(*np.exp(x)) @ sizes
+            # of two modes far from their place, phases would explain whatever is there
+            followed = replace(seen, phases=rounds > 0).followed
+            x = seen.searched() if found is None or again else followed([found])
+            sizes = seen.sizes(seen.columns(x), len(x) // 2)
+            mode, ratio = seen.answers(x) @ sizes, seen.ratios(x, sizes)[1]
             driven, hum = drive_part(acceleration - mode)
-            acceleration = np.where(known, acceleration, driven + mode - sizes[0] * impulses)
-            settled = not again and found is not None and bool(np.max(np.abs(x - found)) < SETTLED)
+            acceleration = np.where(known, acceleration, driven + mode - ratio * impulses)
+            settled = (
+                not again
+                and found is not None
+                and bool(np.max(np.abs(x - found)) < SETTLED * (1 if len(x) == 2 else 10))
+            )
             settled = settled or (fresh and rounds == 0 and not forces and not self.promises(seen, x))
-            found, ratio = x, float(sizes[0])
+            found = x
             if settled:
                 break
         return seen, x
 
     def pushed(self, seen: Regression, x: Floats) -> PushedPlate:
         """What the ball did to the plate of the whole recording, of which ``seen`` is the end."""
-        skipped, sizes = len(self.known) - len(seen.known), seen.sizes(seen.columns(*np.exp(x)))
-        mode = seen.answers(*np.exp(x)) @ sizes
-        left = (self.acceleration[skipped:] - mode)[seen.known]
+        skipped, k, forces = len(self.known) - len(seen.known), len(x) // 2, len(seen.shaken) - 1
+        sizes, modes = seen.sizes(seen.columns(x), k), np.exp(x).reshape(-1, 2)
+        left = (self.acceleration[skipped:] - seen.answers(x) @ sizes)[seen.known]
         driven, hum = self.made(np.asarray(lstsq(self.linear[skipped:][seen.known], left)[0], dtype=np.float64))
-        last = len(seen.shaken)
-        driven += sizes[1:last] @ answer(self.linear[:, : last - 1].T, self.block_s, *np.exp(x))
+        of_forces, (ratios, jump) = sizes[2 * k - 1 :][: k * forces].reshape(k, forces), seen.ratios(x, sizes)
+        after_changes: list[Complexes] = []
+        for mode, own in zip(modes, of_forces, strict=True) if forces else ():
+            force = self.linear[:, :forces] @ own
+            rings = ringing_after_changes(force, self.block_s, self.tones_hz, *mode)
+            turn = turn_of(*mode)
+            # what is gone within a cycle of the drive is over with the change itself, where flights are not compared
+            rings = rings * (-turn.real < self.tones_hz[0])
+            lagging_mps = rings.real + turn.real / turn.imag * rings.imag
+            driven += answer(force, self.block_s, *mode) - np.diff(lagging_mps) / self.block_s
+            after_changes.append(rings)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
-        known, before = (*(float(v) for v in np.exp(x)), float(sizes[0])), None
+        (hz, damping, ratio), *others = zip(*modes.T.tolist(), ratios.tolist(), strict=True)
+        before = None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
         last_s, longest_s = float(self.landing_s[-1]), float(np.max(self.landing_s - self.takeoff_s))
         until_s = last_s if len(self.known) * self.block_s < last_s + longest_s else math.inf
-        rest = (self.acceleration - driven, self.known, float(np.std(seen.remainder(x))), until_s, torn_s)
+        left_mps2, phase = float(np.std(seen.remainder(x))), ratio / ratio.real
+        rest = (
+            self.acceleration - driven,
+            self.known,
+            left_mps2,
+            until_s,
+            torn_s,
+            phase,
+            tuple(others),
+            tuple(after_changes),
+        )
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
-            plate = PushedPlate(self.push(acceleration, hum, before, known[2]), *rest)
-            acceleration = driven + plate.moved(*known).gained_mps / self.block_s
+            plate = PushedPlate(self.push(acceleration, hum, before, jump), *rest)
+            acceleration = driven + plate.moved(hz, damping, ratio.real).gained_mps / self.block_s
             # what the ball's weight lacks in the mean would lift the plate, and every flight with it
             if before and abs(float(np.mean(plate.push.impacts_mps2 - before.impacts_mps2))) < AGREED_MPS2:
                 break
@@ -268,7 +307,10 @@ def parts_of_drive(mode: PlateMode, span_s: Floats, drive_mps: Floats, factors: 
     if mode.pushed is None:
         return np.full(len(drive_mps), np.nan)
     # another plate would not have answered as this one did, so that nothing of that corrects its kicks
-    push = mode.pushed if np.all(factors == 1.0) else replace(mode.pushed, known=np.zeros_like(mode.pushed.known))
+    others = tuple((f * factors[0], min(d * factors[1], 0.9), m * factors[2]) for f, d, m in mode.pushed.others)
+    push = replace(mode.pushed, others=others)
+    if not np.all(factors == 1.0):
+        push = replace(push, known=np.zeros_like(push.known), after_changes=())
     hz, damping, mass_ratio = np.array([mode.frequency_hz, mode.damping, mode.mass_ratio]) * factors
     motion, block_s = push.moved(float(hz), min(float(damping), 0.9), float(mass_ratio)), push.push.block_s
     speeds = [np.std(motion.state(np.arange(begin, end, block_s))[:, 1]) for begin, end in span_s]
@@ -294,7 +336,13 @@ def ringing_in_words(mode: PlateMode, gamma: Floats, span_s: Floats, drive_mps: 
     if (more := mode.second) is not None:
         words = (
             f"one mode does not suffice, of the {more.before_mps2:.2g} m/s^2 that it leaves one of "
-            f"{more.frequency_hz:.2g} Hz explains all but {more.remainder_mps2:.2g}; {words}"
+            f"{more.frequency_hz:.3g} Hz (damping {more.damping:.2g}, {100.0 * more.mass_ratio:.2g} %) explains all "
+            f"but {more.remainder_mps2:.2g}; {words}"
+        )
+    if mode.remainder_mps2 > 1.2 * mode.noise_mps2:
+        words = (
+            f"{words}; {mode.remainder_mps2:.2g} m/s^2 are left where noise is {mode.noise_mps2:.2g}, most of it at "
+            f"{mode.left_hz:.2g} Hz"
         )
     if first == len(part):
         return f"{words}, nowhere lastingly above {100.0 * UNTRUE:g} %"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.plate.ringing.mode_motion import ball_push, filled_after_impacts
+from analysis.plate.ringing.ball_push import ball_push, filled_after_impacts
 from kernels.arrays import Floats
 
 G, BLOCK_S = 9.80665, 5e-4

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.plate.ringing.mode_motion import KICK_MPS, KICK_PART, ModeMotion, Push, PushedPlate, ball_push
+from analysis.plate.ringing.ball_push import Push, ball_push
+from analysis.plate.ringing.mode_motion import (
+    KICK_MPS,
+    KICK_PART,
+    ModeMotion,
+    PushedPlate,
+    ringing_after_changes,
+    turn_of,
+)
 from analysis.residuals.plate_data.plate_mode import BlockIntegrals
 
 HZ, DAMPING, RATIO, BLOCK_S = 6.0, 0.05, 0.1, 1e-3
@@ -132,3 +140,24 @@ def test_a_modes_part_of_a_tone_is_right_though_the_contacts_push_changes_within
         parts = BlockIntegrals.of(spans_s, block_s, np.array([0.0, w, 3.0 * w]), n).of_motion(motion)
         found.append(parts / parts[:, :1])
     np.testing.assert_allclose(found[0], found[1], atol=1e-3)
+
+
+def test_where_the_drives_level_changes_a_mode_rings_on_by_itself() -> None:
+    """In steady tones nothing is left but its own decay, to the end of the recording."""
+    time_s = (np.arange(4000) + 0.5) * BLOCK_S
+    level = 0.8 + 0.5 * np.tanh((time_s - 0.2) / 0.02) + 0.3 * np.tanh((time_s - 1.5) / 0.02)
+    ringing = ringing_after_changes(level * np.sin(160.0 * time_s), BLOCK_S, [80.0 / np.pi], HZ, DAMPING)
+    after = ringing[1650:]
+    free = after[0] * np.exp(turn_of(HZ, DAMPING) * BLOCK_S * np.arange(len(after)))
+    assert np.max(np.abs(after - free)) < 0.02 * abs(after[0])
+    assert abs(after[0]) > 10.0 * np.max(np.abs(ringing[-200:]))
+
+
+def test_a_second_mode_beside_the_first_is_that_of_its_own_push() -> None:
+    """States and speeds add, and each answers in its phase."""
+    one, other = (HZ, DAMPING, RATIO), (9.0, 0.1, 0.05 + 0.02j)
+    pushed, at = replace(_pushed(), phase=1.0 - 0.1j, others=(other,)), np.linspace(0.01, 0.39, 77)
+    both, alone = pushed.moved(*one), replace(pushed, others=()).moved(*one)
+    beside = replace(_pushed(), phase=other[2] / other[2].real).moved(other[0], other[1], other[2].real)
+    np.testing.assert_allclose(both.state(at), alone.state(at) + beside.state(at), atol=1e-12)
+    np.testing.assert_allclose(both.gained_mps, alone.gained_mps + beside.gained_mps, atol=1e-12)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.plate.ringing.mode_motion import Push, PushedPlate
+from analysis.plate.ringing.ball_push import Push
+from analysis.plate.ringing.mode_motion import PushedPlate
 from analysis.plate.ringing.modes import parts_of_drive, ringing_in_words
 from analysis.plate.ringing.regression import PlateMode
 
@@ -46,6 +47,10 @@ def test_a_second_mode_is_said_with_what_it_explains_of_the_first_ones_remainder
     second = PlateMode(12.0, 0.03, 0.01, np.eye(3), 0.1, 0.25, 1e3)
     words = ringing_in_words(replace(_struck(0.01), second=second), GAMMA, SPAN_S, DRIVE_MPS)
     assert words.startswith(
-        "one mode does not suffice, of the 0.25 m/s^2 that it leaves one of 12 Hz explains all but 0.1"
+        "one mode does not suffice, of the 0.25 m/s^2 that it leaves one of 12 Hz (damping 0.03, 1 %) explains all but"
     )
-    assert "rings at 8 Hz under the ball (7.96 Hz with the ball on it" in words
+    assert "rings at 8 Hz under the ball (7.96 Hz with the ball on it" in words and "are left" not in words
+    left = replace(_struck(0.01), noise_mps2=0.05, left_hz=11.0)
+    assert "0.1 m/s^2 are left where noise is 0.05, most of it at 11 Hz" in ringing_in_words(
+        left, GAMMA, SPAN_S, DRIVE_MPS
+    )
