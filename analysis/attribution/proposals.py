@@ -83,10 +83,8 @@ class Proposals:
 
         Parameters
         ----------
-        best
-            The hypothesis that is added to.
-        options
-            Candidates.
+        best, options
+            The hypothesis that is added to, and candidates.
         progress
             Called with a candidate's name and the fraction of the round that is done.
         """
@@ -117,12 +115,10 @@ class Proposals:
                 fitted = one(candidate)
                 return None if fitted is None else followed((candidate, fitted, self._gained(best, fitted)), enough)
             tried(candidate)
-
             # one of another name may have no place here: a pull of any height is none of a magnet's range
-            def loss(x: Hypothesis) -> float:
-                return self.refits.profile_loss(best.whitener, _within(x.fitted.values, x.candidates[-1], candidate))
-
-            return attempted((*best.candidates, candidate), self._extended, min(cases, key=loss), candidate)
+            begun = [_within(x.fitted.values, x.candidates[-1], candidate) for x in cases]
+            least = int(np.argmin([self.refits.profile_loss(best.whitener, values) for values in begun]))
+            return attempted((*best.candidates, candidate), self._extended, cases[least], candidate)
 
         plain = [c for c in options if not any(_beyond(case, c) for case in options)]
         with ThreadPoolExecutor(THREADS) as pool:
@@ -134,8 +130,7 @@ class Proposals:
             most = max((self._gained(best, x.fitted) for x in found), default=0.0)
             enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
             found += [x for x in pool.map(lambda x: followed(x, enough), begun[1:]) if x is not None]
-            rest = [c for c in options if c not in plain]
-            found += [x for x in list(pool.map(fuller, rest)) if x is not None]
+            found += [x for x in list(pool.map(fuller, [c for c in options if c not in plain])) if x is not None]
             gains = any(self._loss(best) - self._loss(x) > self.limits.next_effect_nats for x in found)
             if gains or best.noise_like(self.limits.noise_like_ratio):
                 return found + self._drifting(best, found, pool)

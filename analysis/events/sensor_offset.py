@@ -67,8 +67,7 @@ def calibrate(
 ) -> tuple[Impacts, SensorOffset]:
     """Impacts on the time axis of the contact edges, and the offset between the sensors.
 
-    Flights with a single impact, within `REACH_S` of the edge, are used. They must agree with each other, as the
-    offset of an instrument is the same for all.
+    Flights with a single impact within `REACH_S` of the edge are used; they must agree: an instrument has one offset.
 
     Parameters
     ----------
@@ -76,26 +75,22 @@ def calibrate(
         On the accelerometer's time axis.
     takeoff_s, landing_s, landing_sigma_s : arrays, shape (n,)
         Flights by the contact circuit.
-    edge_bias_s : float
-        Error that all edges may share.
-    sampling_s : float
-        Interval between the samples of the recording.
+    edge_bias_s, sampling_s : float
+        Error that all edges may share; interval between the samples of the recording.
     elsewhere : SensorOffset, optional
         What other recordings of the rig show, taken where these landings show none.
     repeated_s : float
         By how much landings of the contact circuit scatter from cycle to cycle, beyond their uncertainties.
     motion_late_s : float
-        What take-offs tell (`motion_late`), NaN where they do not. A single impact near there is then a landing's own;
-        where these do not agree, all impacts are taken to be so late, as a converter's filter delays them.
+        What take-offs tell (`motion_late`), NaN for nothing: a single impact near there is a landing's own; where these
+        do not agree, all are so late, as a converter's filter delays them.
     """
-    known = math.isfinite(motion_late_s)
-    if known and elsewhere is None and abs(motion_late_s) > MOTION_S:
+    if elsewhere is None and abs(motion_late_s) > MOTION_S:
         elsewhere = SensorOffset(motion_late_s, np.inf, 0)
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
     if landing_s.size == 0 or impacts.time_s.size == 0:
         return _not_shown(impacts, elsewhere)
-    delay_s, reach_s = (motion_late_s, MOTION_S) if known else (_delay_s(impacts.time_s, landing_s), REACH_S)
-    d, own, strength = _differences(impacts, takeoff_s, landing_s, landing_sigma_s, delay_s, reach_s)
+    d, own, strength = _differences(impacts, takeoff_s, landing_s, landing_sigma_s, motion_late_s)
     # of two landings no half is closer together than the other: neither offset nor spread is known
     if d.size < 3:
         return _not_shown(impacts, elsewhere)
@@ -108,8 +103,8 @@ def calibrate(
         return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
     # no contact jitters by more than the sensors differ, nor than landings that repeat
-    scatter = mad_sigma(d[core] - np.median(d[core]))
-    jitter = min(repeated_s, math.sqrt(max(scatter**2 - float(np.median(own)) ** 2, 0.0)))
+    scatter2 = mad_sigma(d[core] - np.median(d[core])) ** 2 - float(np.median(own)) ** 2
+    jitter = min(repeated_s, math.sqrt(max(scatter2, 0.0)))
     motion = math.sqrt(repeated_s**2 - jitter**2)
     jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0  # less than its edges err by is chance
     own = np.hypot(own, jitter)
@@ -122,9 +117,12 @@ def calibrate(
 
 
 def _differences(
-    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, delay_s: float, reach_s: float
+    impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, motion_late_s: float
 ) -> tuple[Floats, Floats, Floats]:
     """Impact minus edge of flights that end with a single impact, its uncertainty, and the impact's strength, (m,)."""
+    delay_s, reach_s = motion_late_s, MOTION_S
+    if math.isnan(motion_late_s):
+        delay_s, reach_s = _delay_s(impacts.time_s, landing_s), REACH_S
     begin = np.searchsorted(impacts.time_s, takeoff_s + delay_s - REACH_S + SHORTEST_MASK_S)
     end = np.searchsorted(impacts.time_s, landing_s + delay_s + REACH_S)
     # of a shorter flight the impact before it may be the only one that is heard

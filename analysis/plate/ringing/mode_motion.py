@@ -83,24 +83,21 @@ class PushedPlate:
     after_changes: tuple[Complexes, ...] = ()  # of each mode, `ringing_after_changes` of the drive, (1 + n,)
 
     def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
-        """The motion of a mode under this push, kicks corrected by the acceleration between them, others beside it."""
-        modes = (frequency_hz, damping, mass_ratio * self.phase), *self.others
-        motions = [self._under_push(*mode) for mode in modes]
+        """The motion of a mode under this push, its kicks corrected by the acceleration; and further modes."""
+        push, motions = self.push, list[ModeMotion]()
+        time_s, kicks = np.append(0.0, push.impact_s), np.append(0.0, push.impulse_mps).astype(np.complex128)
+        for hz, own_damping, ratio in ((frequency_hz, damping, mass_ratio * self.phase), *self.others):
+            turn = turn_of(hz, own_damping)
+            rest = -np.conj(turn) * push.contact_mps2[0] / abs(turn) ** 2  # at rest under the first push
+            steps = np.append(rest, np.expm1(turn * push.block_s) / turn * push.contact_mps2)
+            pressed = np.asarray(lfilter([1.0], [1.0, -np.exp(turn * push.block_s)], steps))
+            motions.append(ModeMotion(turn, push, complex(ratio), pressed, time_s, kicks))
         for i, ringing in enumerate(self.after_changes):
             motions[i] = replace(motions[i], pressed=motions[i].pressed + ringing / motions[i].mass_ratio)
         for i, motion in enumerate(motions if self.known.any() else ()):
-            rest = sum((m.gained_mps for m in motions if m is not motion), np.zeros(len(self.known)))
-            motions[i] = replace(motion, kicks=motion.kicks + self._correction(motion, rest / self.push.block_s))
+            others = sum((m.gained_mps for m in motions if m is not motion), np.zeros(len(self.known)))
+            motions[i] = replace(motion, kicks=motion.kicks + self._correction(motion, others / push.block_s))
         return replace(motions[0], others=tuple(motions[1:]))
-
-    def _under_push(self, frequency_hz: float, damping: float, mass_ratio: complex) -> ModeMotion:
-        """The motion of a mode by itself."""
-        turn, push = turn_of(frequency_hz, damping), self.push
-        factor = np.expm1(turn * push.block_s) / turn
-        rest = -np.conj(turn) * push.contact_mps2[0] / abs(turn) ** 2  # at rest under the first push
-        pressed = lfilter([1.0], [1.0, -np.exp(turn * push.block_s)], np.append(rest, factor * push.contact_mps2))
-        time_s, kicks = np.append(0.0, push.impact_s), np.append(0.0, push.impulse_mps).astype(np.complex128)
-        return ModeMotion(turn, push, complex(mass_ratio), np.asarray(pressed), time_s, kicks)
 
     def error_mps(self, frequency_hz: float, damping: float, mass_ratio: float) -> float:
         """Standard deviation of a mode's speed as `moved`, and of its displacement times the angular frequency.

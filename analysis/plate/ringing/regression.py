@@ -258,11 +258,8 @@ class Regression:
         blurred = np.square([RESOLVED * damping, RESOLVED, (RESOLVED_RATIO + RESOLVED * damping) * ratio])
         covariance = (robust * over + white + np.diag(blurred)) * np.outer(to_own, to_own)
         found = PlateMode(frequency, damping, ratio, covariance, rms[0], rms[1], gain)
-        return replace(found, noise_mps2=rms[0] / math.sqrt(over), left_hz=self._left_hz(left))
-
-    def _left_hz(self, left: Floats) -> float:
-        """The frequency where most of what is left lies, to 1 Hz."""
         series = np.zeros(len(self.known))
         series[self.known] = left
-        power, width = np.abs(np.fft.rfft(series)) ** 2, max(round(len(series) * self.block_s), 1)
-        return float(np.argmax(np.convolve(power, np.ones(width), "same")) / (len(series) * self.block_s))
+        power, width = np.abs(np.fft.rfft(series)) ** 2, max(round(len(series) * self.block_s), 1)  # of 1 Hz
+        left_hz = float(np.argmax(np.convolve(power, np.ones(width), "same")) / (len(series) * self.block_s))
+        return replace(found, noise_mps2=rms[0] / math.sqrt(over), left_hz=left_hz)
