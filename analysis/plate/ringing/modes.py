@@ -1,6 +1,5 @@
-"""Modes of the plate found in a recording, and up to which gamma the plate is true to its drive.
+"""Ringing plate modes identified from recorded volts, and up to which gamma the plate is true to its drive.
 
-Identification of a ringing plate mode from recorded volts: what the ball does to the plate, and the answer to it.
 No flight is predicted. Per ball mass, the ball pushes the plate by ``-(g + a)`` while it lies on it, with the measured
 acceleration ``a`` of the plate, and by an impulse ``-J`` at each landing; see `ball_push`. The accelerometer shows the
 drive times a gain, and a mode's answer ``q''`` of ``q'' + 2 damping w q' + w^2 q = mass_ratio * push``. Gain and mass
@@ -13,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -181,9 +181,11 @@ class _Recorded:
         self, seen: Regression, begun: Sequence[int], found: Floats, forces: int, forcing_hz: float
     ) -> tuple[Regression, Floats, PlateMode] | None:
         """Two modes in place of one, and the first with the second in it; None where both are not sure."""
+        if (another := seen.with_another(found)) is None:
+            return None
         # a tenth of what one mode leaves: less may be what no mode explains
         one_mps2 = float(np.std(seen.remainder(found)))
-        start = replace(seen, phases=False).followed([seen.beside(found)])
+        start = replace(seen, phases=False).followed([another])
         if np.std(seen.remainder(start)) > 0.9 * one_mps2:
             return None
         both, x = self.settled(begun, start, forces)
@@ -255,23 +257,17 @@ class _Recorded:
             after_changes.append(rings)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
         (hz, damping, ratio), *others = zip(*modes.T.tolist(), ratios.tolist(), strict=True)
-        before = None
+        before: Push | None = None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
         last_s, longest_s = float(self.landing_s[-1]), float(np.max(self.landing_s - self.takeoff_s))
         until_s = last_s if len(self.known) * self.block_s < last_s + longest_s else math.inf
         left_mps2, phase = float(np.std(seen.remainder(x))), ratio / ratio.real
-        rest = (
-            self.acceleration - driven,
-            self.known,
-            left_mps2,
-            until_s,
-            torn_s,
-            phase,
-            tuple(others),
-            tuple(after_changes),
-        )
+        pushed_by = partial(
+            PushedPlate, answer_mps2=self.acceleration - driven, known=self.known, noise_mps2=left_mps2,
+            until_s=until_s, torn_s=torn_s, phase=phase, others=tuple(others), after_changes=tuple(after_changes),
+        )  # fmt: skip
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
-            plate = PushedPlate(self.push(acceleration, hum, before, jump), *rest)
+            plate = pushed_by(self.push(acceleration, hum, before, jump))
             acceleration = driven + plate.moved(hz, damping, ratio.real).gained_mps / self.block_s
             # what the ball's weight lacks in the mean would lift the plate, and every flight with it
             if before and abs(float(np.mean(plate.push.impacts_mps2 - before.impacts_mps2))) < AGREED_MPS2:

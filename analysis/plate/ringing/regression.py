@@ -1,4 +1,4 @@
-"""A plate mode by regression: gain and mass ratio are linear, frequency and damping are searched.
+"""A plate mode, or two, by regression: gain and mass ratio are linear, frequency and damping are searched.
 
 References
 ----------
@@ -169,14 +169,15 @@ class Regression:
         ahead, behind = ([self.columns(x + d * e) @ sizes for e in np.eye(len(x))] for d in (h, -h))
         return np.asarray((np.array(ahead) - np.array(behind)).T / (2.0 * h))
 
-    def beside(self, x: Floats) -> Floats:
-        """A mode, and the one elsewhere that answers best what it, or small changes of it, leave."""
+    def with_another(self, x: Floats) -> Floats | None:
+        """A mode, and the one elsewhere that answers best what it, or small changes of it, leave; None for none."""
         known = np.column_stack([self.columns(x), self.slopes(x)])
         own = np.linalg.qr(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300))[0]
         left = self.left - own @ (own.T @ self.left)
         looked = replace(self, left=left, basis=np.hstack([self.basis, own])).looked
         # nearer than that, two modes are one
-        return np.append(x, next(y for _, y in looked if abs(y[0] - x[0]) > 2.0 * math.log(GRID)))
+        others = [y for gain, y in looked if gain > 0.0 and abs(y[0] - x[0]) > 2.0 * math.log(GRID)]
+        return np.append(x, others[0]) if others else None
 
     def searched(self) -> Floats:
         """Logarithms of frequency and damping of the best mode of all."""

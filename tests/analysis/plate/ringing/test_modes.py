@@ -195,7 +195,7 @@ def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() 
     for acceleration, is_mode in ((one, False), (one + 0.01 * answer(push, 1e-3, 12.0, 0.03), True)):
         seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
         one = seen.searched()
-        x = seen.followed([seen.beside(one)])
+        x = seen.followed([seen.with_another(one)])
         assert (np.std(seen.remainder(x)) < 0.9 * np.std(seen.remainder(one))) == is_mode
     first, second = (seen.judged(x, 25.0, which) for which in (0, 1))
     assert first is not None and second is not None and second.sure
@@ -226,3 +226,11 @@ def test_of_several_minima_one_at_a_bound_is_left_for_one_in_range() -> None:
     seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
     starts = [np.log([0.36, 0.4]), np.log([2.1, 0.05])]
     assert np.exp(seen.followed(starts)[0]) == pytest.approx(2.0, rel=0.05)
+
+
+def test_where_nothing_is_left_no_second_mode_begins() -> None:
+    """A plate that stands still has no mode elsewhere that would answer what a first one leaves."""
+    n, rng = 4000, np.random.default_rng(3)
+    basis = np.linalg.qr(np.ones((n, 1)))[0]
+    still = Regression.of(np.zeros(n), basis, rng.normal(size=(1, n)), np.ones(n, dtype=np.bool_), 1e-3, [0])
+    assert still.with_another(np.log([5.0, 0.1])) is None
