@@ -148,6 +148,7 @@ def _print(title: str, table: Flights, classes: tuple[StepClass, ...]) -> None:
         )
     elif late.offset_s:
         notes.append(
-            f"the take-offs show motion {1e3 * late.offset_s:.2f} ms late in the accelerometer: so are impacts taken"
+            f"by the take-offs the accelerometer shows motion {1e3 * late.offset_s:.2f} ms late; "
+            "impacts are taken to be as late"
         )
     print_lines(GAMMA, *notes)

@@ -18,33 +18,18 @@ EFFECT = Effect(
     summary="the accelerometer feels a sideways mode of the table",
     parameters=(
         Parameter(
-            "lead_s",
-            "s",
-            -1e-3,
-            1e-3,
-            1e-5,
-            start_grid=(-3e-5, 3e-5),
+            "lead_s", "s", -1e-3, 1e-3, 1e-5, start_grid=(-3e-5, 3e-5),
             meaning="lead of slow motion; negative where the mode is felt upside down",
         ),
         Parameter(
-            "frequency_hz",
-            "Hz",
-            20.0,
-            500.0,
-            20.0,
-            null_value=90.0,
-            start_grid=(70.0, 150.0),
-            is_shape=True,
+            "frequency_hz", "Hz", 20.0, 500.0, 20.0, null_value=90.0, start_grid=(70.0, 150.0), is_shape=True,
             meaning="of the sideways mode",
         ),
     ),
-    confused_with={
-        "accelerometer_high_pass": "runs at several frequencies",
-        "contact_latency": "runs at several frequencies",
-    },
+    confused_with=dict.fromkeys(("accelerometer_high_pass", "contact_latency"), "runs at several frequencies"),
     hides=ORDINARY_LAG,
     reference="transverse sensitivity of accelerometers (some per cent), rocking modes of tables",
-)
+)  # fmt: skip
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:
