@@ -1,10 +1,8 @@
-"""Recordings as pieces of volts in bounded memory, and what is done to signals piece by piece.
+"""Recordings read piece by piece, as float32 volts, in bounded memory; the search for samples that matter; a high-pass.
 
-Recordings read piece by piece, as float32 volts, in bounded memory.
 Pieces carry neighbouring samples on both sides for detectors that need the surroundings of an event.
 
-A coupling's high-pass in the accelerometer, undone where impacts are found and taken away, then put back.
-Behind a high-pass of corner ``f`` an impact whose acceleration has the integral ``J`` leaves a tail
+Behind a coupling's high-pass of corner ``f`` an impact whose acceleration has the integral ``J`` leaves a tail
 ``-2 pi f J exp(-2 pi f t)``, which outlasts any mask. Restored, it ends with the impact: what is taken away then is the
 whole impact, and the high-pass that is put back makes no tail of it. Tones and noise come out as they were recorded.
 """

@@ -1,11 +1,11 @@
-"""The folder of compiled kernels, and the hash by which a kernel is found in it.
+"""The folder of compiled kernels, one for each set of versions, and the hash by which a kernel is found in it.
 
-The folder of compiled kernels: one for each set of versions, in the user's own cache.
-Where that cannot be written (no home, a read-only system) a temporary folder serves, and one line says so.
+It lies in the user's own cache. Where that cannot be written (no home, a read-only system) a temporary folder serves,
+and one line says so.
 
-The hash of a kernel: its bytecode, its constants and options, and those of every kernel it calls.
-numba compiles the values of global names into the machine code, so they belong to the hash as the bytecode does. Files
-and line numbers do not: a comment, a docstring or a moved function changes nothing.
+The hash is that of bytecode, constants and options, and of every kernel that is called: numba compiles the values of
+global names into the machine code. Files and line numbers do not count: a comment, a docstring or a moved function
+changes nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
 """Attribution: which effects of the library are missing, by stepwise selection on held-out steps.
 
-Other rooms take `selection`, `hypothesis`, `candidates`, `comparison`, `fit`, `priors` and `coarse_search`.
+Other rooms take `selection`, `hypothesis`, `candidates`, `choice`, `chance`, `fit` and `coarse_search`.
 """

@@ -1,4 +1,4 @@
 """Missing terms as smooth curves of one covariate, found where no named effect suffices.
 
-Other rooms take `discover`, and for its sentence `describe`.
+Other rooms take `discover`, `terms` and `symbolic`.
 """

@@ -1,11 +1,10 @@
 """Fits of missing terms to residuals: the solver of curves and formulas, and penalised splines.
 
-Gauss-Newton on the robust loss of stacked residuals of take-offs and landings: the solver of curves and formulas.
+The solver is Gauss-Newton on the robust loss of stacked residuals of take-offs and landings.
 `scipy.optimize.least_squares` cannot do it: the widths of the residuals are found anew in each pass, from a quantile
 that falls from pass to pass, so that a fit that begins among other events is drawn to the right ones; and slopes, each
 a prediction of all flights, are taken anew only after a step that gained much. Decision 369.
 
-Penalised splines of missing terms, fitted to one-step-ahead residuals by Gauss-Newton.
 A term with one value for each flight is screened on a table of predictions at constant values: a flight's residual
 depends only on its own value, so that every covariate can use the same table.
 """

@@ -1,17 +1,16 @@
 """Laws of a flight and of a bounce, and the choice among nested models.
 
-One flight above a floor at rest, in closed form: gravity, Coulomb friction, quadratic air drag.
-Every relation is exact (no time stepping). Going up the ball is slowed by ``g (1 + f)`` plus
-``k v^2``; coming down it is driven by ``g (1 - f)`` less ``k v^2`` (Rayleigh drag; Coulomb 1785). All functions are
-vectorised, work in any consistent units, and go over into the parabola as ``f`` and ``k`` go to zero. Decision 12.
+A flight above a floor at rest has gravity, Coulomb friction and quadratic air drag in closed form; no time is stepped.
+Going up the ball is slowed by ``g (1 + f)`` plus ``k v^2``; coming down it is driven by ``g (1 - f)`` less ``k v^2``
+(Rayleigh drag; Coulomb 1785). All functions are vectorised, work in any consistent units, and go over into the parabola
+as ``f`` and ``k`` go to zero. Decision 12.
 
-Candidate models of a drop: how long the next flight should last, given the one before.
-One bounce ahead. Each prediction starts from the measured flight before it, so an irregular bounce
-spoils one residual and not the rest. Names are those of the effect library: `restitution` (constant or falling with
-the impact speed, ``e = e0 - e1 u``), `quadratic_drag`, `coulomb_friction`.
+A bounce says how long the next flight should last, given the one before. Each prediction starts from the measured
+flight before it, so an irregular bounce spoils one residual and not the rest. Names are those of the effect library:
+`restitution` (constant or falling with the impact speed, ``e = e0 - e1 u``), `quadratic_drag`, `coulomb_friction`.
 
-Choice among nested models by held-out log likelihood: the simplest that is not beaten, and those tied with it.
-Decisions 121 and 313.
+Models are chosen by held-out log likelihood: the simplest that is not beaten, and those tied with it. Decisions 121 and
+313.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Levels, noise and rise time of the contact circuit, and the crossings of its voltage between the levels.
 
-Levels, noise and rise time of the contact circuit, measured on its voltage.
 What other modules count in samples suits an edge of a few samples; `Levels.stretch` says how many times as long an edge
-is, so that a slow edge is read alike at every sampling rate.
+is, so that a slow edge is read alike at every sampling rate. Crossings go through a hysteresis, and keep the samples
+around each.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
-"""Explanations of what was recorded so far, and the log likelihood to second order that they are compared by.
+"""Explanations of what was recorded so far, each with its probability and the size that it would have.
 
-A log likelihood to second order about a point: finite differences of whitened residuals, robust weights kept.
-Explanations of a run in progress and summaries of many runs are both made of it.
-
-Explanations of what was recorded so far, each with its probability and the size that it would have.
 Every candidate of the library is one effect more than the best set found; its size has a normal prior as wide as the
-size at which it would matter. Around the best fit everything is linear, so probability and size follow from one set of
-derivatives. What is fitted with a size goes with it: an explanation contradicts no recording that is there already.
+size at which it would matter. The log likelihood is taken to second order about the best fit (finite differences of
+whitened residuals, robust weights fixed), so that probability and size follow from one set of derivatives; summaries of
+many runs are made of it as well. What is fitted with a size goes with it: an explanation contradicts no recording that
+is there already.
 
 References
 ----------

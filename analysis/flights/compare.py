@@ -1,8 +1,8 @@
-"""Comparison of a recording with the model, step by step; the first bifurcation; warnings about the recording.
+"""Comparison of a recording with the model: ideal plus declared effects, step by step, and the first bifurcation.
 
-Comparison of a recording with the model: ideal plus declared effects, step by step, and the first bifurcation.
 The model flies over the measured plate, and its state is carried from step to step as on the bench. Where the
-accelerometer shows no impacts, the model's flights are passed through the contact circuit's limits too.
+accelerometer shows no impacts, the model's flights are passed through the contact circuit's limits too. Warnings about
+the recording itself are here as well: doubtful instruments, uneven times, events changed by hand.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
 """Events that the table of flights takes otherwise than found: impacts denied by the contact circuit, changes by hand.
 
-Impacts in the accelerometer that the contact circuit denies: it reads open, and the ball was high above the plate.
-A knock on the bench, a glitch of the converter or what a template leaves of a table's ringing looks like an impact. The
-flight around it decides: what turns a ball that is high above the plate is strong; and no ball leaves more slowly than
-the plate, as it must have done before a knock in mid-flight. What friction does to a flight stays below what is taken
-for a contradiction. Decisions 296 and 554.
+An impact is denied where the circuit reads open and the ball was high above the plate: a knock on the bench, a glitch
+of the converter or what a template leaves of a table's ringing looks like one. The flight around it decides: what turns
+a ball that is high above the plate is strong; and no ball leaves more slowly than the plate, as it must have done
+before a knock in mid-flight. What friction does to a flight stays below what is taken for a contradiction. Decisions
+296 and 554.
 
-Contact edges and impacts as a person corrected them.
-A change names an event by its time; the nearest one of its kind is meant. After it the contact circuit still opens and
-closes by turns: of edges that follow one of their own kind the first counts. So a landing that is removed joins
-two flights into one, unless the accelerometer shows its impact, which then splits them; a take-off that is removed
-takes its flight away. Without a contact circuit there are no flights, and changes have no effect.
+A change by hand names an event by its time; the nearest one of its kind is meant. After it the contact circuit still
+opens and closes by turns: of edges that follow one of their own kind the first counts. So a landing that is removed
+joins two flights into one, unless the accelerometer shows its impact, which then splits them; a take-off that is
+removed takes its flight away. Without a contact circuit there are no flights, and changes have no effect.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Choice among candidates over runs, and the joint verdict from the last pass.
 
-Choice among candidates over runs: gain, what the best of all gains by chance, and gain on runs left out.
-The run is the replicate: null draws give the scores of whole runs random signs, and each run is predicted by the fit of
-all others.
+A candidate is judged by its gain, by what the best of all gains by chance, and by its gain on runs left out. The run is
+the replicate: null draws give the scores of whole runs random signs, and each run is predicted by the fit of all
+others.
 """
 
 from __future__ import annotations

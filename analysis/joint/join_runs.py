@@ -109,7 +109,7 @@ class _Passes:
             with open_recording(path) as opened:
                 each.append(priors_of(opened.setup))
         found = common_priors(each)
-        found.pop(("contact_closure", "late_s"), None)  # all runs share it: the first of `systematics.NAMES`
+        found.pop(("contact_closure", "late_s"), None)  # all runs share it: the first of `summary.NAMES`
         return found
 
     def at(self, point: Point, candidates: bool) -> list[RunSummary]:

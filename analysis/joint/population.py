@@ -1,13 +1,11 @@
 """Parameters over runs: those that all share, by hierarchical least squares, and whether one is constant.
 
-Hierarchical least squares: parameters that all runs share, and calibrations of each run about a common mean.
 Each run is a quadratic form in its own calibrations and the shared parameters. A run's calibrations are normal about
 the means of the population, with one spread a calibration; means, shared parameters and spreads follow from all runs.
 Where runs tell little of a calibration, its spread is no more than what is stated of it: spreads have a half-normal
 prior of that width.
 
-Constancy of a parameter over runs: chi-square of its values, its trend with the date, and whether only one run
-shows it.
+A parameter is constant by the chi-square of its values, its trend with the date, and whether only one run shows it.
 
 References
 ----------

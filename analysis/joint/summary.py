@@ -1,16 +1,16 @@
-"""One run in a small table, its systematic errors, and the tables of all runs in one set of coordinates.
+"""One run in a small table: what its recording tells about calibrations and candidates; tables of all runs aligned.
 
-Systematic errors that all runs of a rig share, as nuisances with a prior: how the contact's edges are dated.
-An estimator of edges errs alike in every run, by its threshold, the sampling, or the edges that it does not see. Ten
+A recording is read, reduced, fitted for its own calibrations, linearised there to second order and let go; only the
+summary stays. Summaries of all runs are brought to one set of coordinates.
+
+Systematic errors that all runs of a rig share, how the contact's edges are dated, are nuisances with a prior: an
+estimator of edges errs alike in every run, by its threshold, the sampling, or the edges that it does not detect. Ten
 runs average noise, and not this. So each run's summary has derivatives to these errors too, and one value of each,
 common to all runs, is fitted with every candidate: only what such an error cannot imitate can be named.
 
 What delays both edges alike is a calibration of each run, `contact_latency`. Openings may be off against closings. A
 contact from which the ball leaves at once is seen only where noise or sampling has made it longer, so its closing is
 dated too early: by up to half of its length, and by no more than an edge's own uncertainty. Decision 158.
-
-One run in a small table: what its recording tells about calibrations and about every candidate, to second order.
-A recording is read, reduced, fitted for its own calibrations, linearised there and let go; only the summary stays.
 """
 
 from __future__ import annotations

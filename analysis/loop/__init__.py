@@ -1,4 +1,4 @@
 """The closed loop: from recordings to a verdict with everything it rests on, and the run to make next.
 
-Other rooms take `close_loop`, `result`, `storage`, `verdict`, `verdict_json` and `design`.
+Other rooms take `close_loop`, `result`, `verdict`, `tables` and `design`.
 """

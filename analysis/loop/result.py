@@ -1,12 +1,11 @@
-"""Result of a closed loop, and its file.
+"""Result of a closed loop: numbers, arrays and names, with no fit and no model behind them; and its file.
 
-Result of a closed loop: numbers, arrays and names, with no fit and no model behind them.
 The report, its figures, the sentences, the JSON and the improved profile are functions of this value only, but for the
 first bifurcations in a report. Decision 123.
 
-Closed loops on disk: one HDF5 file, the arrays as datasets and everything else as one JSON text.
-One file cannot lose its other half as JSON with an NPZ can, and HDF5 is the format of the recordings. A loaded result
-equals the saved one: floats are written with all their digits, and the types of the result say how to read each value.
+The file is HDF5, the format of the recordings, with the arrays as datasets and everything else as one JSON text: one
+file cannot lose its other half as JSON with an NPZ can. A loaded result equals the saved one: floats are written with
+all their digits, and the types of the result say how to read each value.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""Tables of a closed loop, and its JSON for programs.
+"""Tables of a closed loop (steps, flights, plate data, parameters with intervals), and its JSON, null for what is not.
 
-Tables of a closed loop: steps, flights and plate data, measured and predicted; fitted parameters with intervals.
 Calibrations are free in every fit, within their stated uncertainty, so that no effect is named for what they explain.
 """
 

@@ -1,6 +1,5 @@
 """The verdict of a closed loop: its words, and the tests that it rests on.
 
-The verdict of a closed loop, and the tests that it rests on.
 "Explained" needs a named cause, a remainder that is noise, and held-out events missed by noise only. Decision 65.
 """
 

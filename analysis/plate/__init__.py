@@ -1,4 +1,4 @@
 """Accelerometer and drive to the plate's motion in each step, with covariance.
 
-Other rooms take `accumulator`, `motion`, `fit_mask`, `mains_lines`, and `multiples_of` of `step_state`.
+Other rooms take `accumulator`, `motion`, `mains_lines` and `step_state`.
 """

@@ -1,11 +1,8 @@
-"""The plate's motion in each step as measured, and the fit that separates contact and flight.
+"""The plate's motion in each step as measured: tones with their covariance, windows, slow motion, phase.
 
-Joint tone fit with separate contact and flight amplitudes: the ball's weight on the table changes the tones.
-Contact has an extra amplitude of each forcing tone and an extra offset; the harmonics are common to both. The fit is
-solved on request.
-
-Measured plate motion as a value: tones of every step with their covariance, windows, slow motion, phase.
-Phases refer to sample 0 of the recording; positive is up.
+Phases refer to sample 0 of the recording; positive is up. The ball's weight on the table changes the tones: a joint fit
+has an extra amplitude of each forcing tone and an extra offset in contact, with harmonics common to contact and flight.
+It is solved on request.
 """
 
 from __future__ import annotations

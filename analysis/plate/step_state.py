@@ -1,9 +1,8 @@
 """State of one step's fit while the recording streams by, and the samples that the fit leaves out.
 
-Unmasked time intervals of each step, projections of a motion onto the fitted tones over them, and phasors.
-A tone is a pair of complex exponentials ``exp(i w t)`` and ``exp(-i w t)``; their sums over intervals, shifts and
-amplitude modulations are closed forms. Predictions use the same intervals as the fits, so masked samples never enter
-either.
+A tone is a pair of complex exponentials ``exp(i w t)`` and ``exp(-i w t)``; their sums over unmasked intervals, shifts
+and amplitude modulations are closed forms. Predictions use the same intervals as the fits, so masked samples never
+enter either.
 """
 
 from __future__ import annotations

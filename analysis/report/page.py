@@ -1,9 +1,5 @@
-"""Pages of a report, and their tables that say where the data come from.
+"""Pages of a report, the page of a closed loop, and tables that say where the data come from.
 
-Tables of a report that say where its data come from: the file, the rig, and how old each calibration was.
-Rows of plain text; the page escapes them.
-
-The pages of a report, and the page of a closed loop with its figures and its JSON.
 Templates hold the words, in `templates/`; they are filled with values of the result, and every text is escaped.
 """
 
@@ -195,7 +191,7 @@ class Drawn:
     remark: str = ""  # what follows the caption; else empty
     key: str = ""  # its name in the page
     flights: str = ""  # that of the table of flights behind its points
-    points: Mapping[str, str] | None = None  # see `interactive.packed`; None in a figure that the pointer does not know
+    points: Mapping[str, str] | None = None  # see `run_page.packed`; None in a figure that the pointer does not know
 
     @property
     def caption(self) -> str:

@@ -1,12 +1,8 @@
-"""The report of recordings as one page, and its figures that answer the mouse.
+"""The report of recordings: one page that needs nothing but itself, for the screen and for paper.
 
-Figures as inline SVG, and the flights behind their points, for a page that needs nothing but itself.
-A figure names the flights behind its points (`name_flights`). The page's script finds the point nearest to the pointer;
-paper shows the same vectors.
-
-The report of recordings: one page that needs nothing but itself, for the screen and for paper.
 A section a recording: verdict, figures, steps, residuals, and where the data come from; several recordings are compared
-in a table.
+in a table. Figures are inline SVG that names the flights behind its points (`name_flights`): the page's script finds
+the point nearest to the pointer; paper shows the same vectors.
 """
 
 from __future__ import annotations

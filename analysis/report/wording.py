@@ -1,8 +1,7 @@
-"""Words and numbers of a verdict, as pages, figures and terminal show them.
+"""Words and numbers of a verdict, as pages, figures and terminal show them: one form for every kind of number.
 
-The measure of forcing on every axis and page: gamma, or at c = 1 gamma_peak, with its definition.
 Everything is computed in ``gamma = A w^2 / g`` of one tone. At c = 1 both tones are one sine, and the paper's
-experimental axis is its peak acceleration, ``gamma_peak``: a constant multiple of gamma.
+experimental axis is its peak acceleration, ``gamma_peak``: a constant multiple of gamma. Axes and pages show that.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
 """Steps whose drive is not steady: a ball held on the locked cycle, and fades from step to step.
 
-Steps in which a ball was held on the locked cycle: the drive of each flight, and the cycle as measured.
 A hold's tones are measured as means over the step. The drive is corrected at every launch, as the recording says: what
 one flight's drive was more than the mean, and how much earlier, is the ratio of its own amplitude to that of the step.
 
@@ -8,8 +7,8 @@ With the phase ``P`` of a launch and ``P'`` of the landing after it, both by the
 ``P' = p* + mu (P - p*) + b e``, where ``e`` is the part by which the drive was greater: the slope over the launches is
 the multiplier, whatever corrected the drive, and no model enters. Kicks at random make ``P`` vary by itself.
 
-The plate while the drive fades from step to step: between the motions of both steps, as the drive's weight has it.
-A plate mode rings on from step to step. Flights in the fade strike it, too: how hard depends on the plate's motion.
+In a fade the plate moves between the motions of both steps, as the drive's weight has it. A plate mode rings on from
+step to step. Flights in the fade strike it, too: how hard depends on the plate's motion.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
 """The agent's door: plan, check, ramp, explore, close the loop, read the catalogue; and a person's leave for one run.
 
-Arming: a person allows one run of one profile on real hardware, for some minutes.
-The desk's page writes the file; an agent's call takes it away before anything moves. It guards against an agent that
-goes too far by mistake, not against a program that writes files on this machine.
-
-The agent's door: plan, check, ramp, explore, close the loop, read the catalogue.
 Each tool is a `bench` command or calls the function behind one, so that an agent meets the same limits as a person. An
 agent names profiles, scenarios and recordings of the runs' folder, or shipped ones; it may change the keys of [ramp]
-and [forcing] only. The simulated rig is free; anything else needs a person who arms it (`bench.agent.door`).
+and [forcing] only. The simulated rig is free; for anything else a person arms one run of one profile, for some minutes.
+
+The desk's page writes the file that arms; an agent's call takes it away before anything moves. It guards against an
+agent that goes too far by mistake, not against a program that writes files on this machine.
 """
 
 from __future__ import annotations

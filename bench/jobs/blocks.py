@@ -1,7 +1,7 @@
-"""Blocks of steps that a rig drives one after another, and the stakes that a verdict puts on one.
+"""Blocks of steps that a rig drives one after another (how one ended, which may be driven), and a verdict's stakes.
 
-Blocks of steps that a rig drives one after another: what one is, how it ended, and which may be driven.
-A block is a short ramp of its own, within the same limits as any other.
+A block is a short ramp of its own, within the same limits as any other. A stake is written as a profile that can be
+driven, and read again with the run that it was staked on.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """The analyst: a niced process that reduces a run while it lasts, judges it so far, and never touches the run.
 
-What the page says of models: the diagram of the declared one, and the verdict so far in words.
-The verdict: is it noise, which candidates could already explain it, what will the steps to come tell?
-
-The analyst: a niced process that reduces a run while it lasts, and never touches the run.
 It reads the recording that is being written, as `bench reprocess` does afterwards, and sends what it finds through a
-pipe to the page or the terminal. However far it is behind, what it says at the end is what the closed file holds.
+pipe to the page or the terminal. However far it is behind, what it says at the end is what the closed file holds. The
+verdict so far: is it noise, which candidates could already explain it, what will the steps to come tell?
 """
 
 from __future__ import annotations

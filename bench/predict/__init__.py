@@ -1,4 +1,4 @@
 """The parts of `bench predict`: one orbit, bifurcations, diagrams, a profile's ramp, and their figures.
 
-Other packages take `request`, `bifurcations`, `profile_ramp`.
+Other packages take `request`, `answer`, `profile_ramp` and `figures`.
 """

@@ -1,6 +1,5 @@
-"""Profiles as text: every key and its value, and edits in place.
+"""Profiles as text: every key as the schema describes it, and edits in place.
 
-Edits of a profile's TOML text: values set in place, measured quantities, declared effects.
 Only the values named change; comments, order and everything else of the text stay as they are.
 """
 

@@ -1,6 +1,5 @@
-"""Profiles by path or name, and the programme of a profile's ramp.
+"""Find a rig profile or a scenario by its path or shipped name; the programme of a profile's ramp and its limits.
 
-Find a rig profile or a scenario by its path, or by the name under which it is shipped.
 A path wins over a name; a name that is not found is answered with those that are.
 """
 

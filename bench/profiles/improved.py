@@ -1,11 +1,9 @@
-"""Profiles from others: the improved model, the next run, a new one from a shipped one.
+"""Profiles made from others: the improved model, the next run, a new one from a shipped one.
 
-The improved model as a profile: what was found is declared, with value, uncertainty and the recording it is from.
-Every line of the recording's profile stays. What is not believed, belongs to one run or has no name is not declared:
-it stands in comments at the end.
-
-The profile of the next run: the recording's own, with another ratio, other gammas or another order of steps.
-The result is parsed and checked against the rig's limits; a design that a limit forbids is passed over.
+The improved profile declares what was found, with value, uncertainty and the recording it is from, and every line of
+the recording's profile stays. What is not believed, belongs to one run or has no name is not declared: it stands in
+comments at the end. The next run has another ratio, other gammas or another order of steps; it is parsed and checked
+against the rig's limits, and a design that a limit forbids is passed over.
 """
 
 from __future__ import annotations

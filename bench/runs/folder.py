@@ -1,4 +1,4 @@
-"""Files below the runs' folder that the catalogue knows, and what it holds of a recording."""
+"""Files below the runs' folder that the catalogue knows, and what it holds of a recording and its calibrations."""
 
 from __future__ import annotations
 

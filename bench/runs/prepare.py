@@ -1,12 +1,8 @@
 """Data of a run's page: saved closed loops, extremes for its scope, flights for its diagram; cached on disk.
 
-What saved closed loops say, for the catalogue and as evidence on a run's page.
-`look` is the body of the process that reads them for the catalogue: what it needs is imported before its time is
-counted. The evidence (rivals, steps, residuals, the two edges of each flight) stands in the file; nothing is computed
-anew. Decision 496.
-
-Data of a run's page that take time to make: extremes for its scope, flights for its diagram; cached on disk.
-Made by a process of its own, so that the pages answer meanwhile.
+Made by a process of its own, so that the pages answer meanwhile. `look` is the body of the process that reads closed
+loops for the catalogue: what it needs is imported before its time is counted. The evidence (rivals, steps, residuals,
+the two edges of each flight) stands in the file; nothing is computed anew. Decision 496.
 """
 
 from __future__ import annotations

@@ -1,17 +1,16 @@
 r"""A run at the terminal: its display, the signals that stop it, and orders typed while it is driven.
 
-The display during a ramp: three lines on standard error, drawn a few times a second.
-A narrow terminal has one line a figure. The screen is fed once a block and only draws; nothing waits for it, and no
-stop goes through it. A terminal that is gone (closed, or a dropped connection) costs the run nothing, as standard error
-is a stream that may go away (`bench.terminal.streams.SafeStream`).
+The display is drawn a few times a second: three lines on standard error, a narrow terminal has one line a figure. It is
+fed once a block and only draws; nothing waits for it, and no stop goes through it. A terminal that is gone (closed, or
+a dropped connection) costs the run nothing, as standard error is a stream that may go away
+(`bench.terminal.streams.SafeStream`).
 
-Ctrl-C, Ctrl-\, SIGTERM and a closed terminal (SIGHUP) as requests to stop a run softly.
-The first signal ramps down, the second sets the drive to zero at once; the former handlers are restored.
-A closing terminal may send SIGHUP several times: which never makes a soft stop a hard one.
+Ctrl-C, Ctrl-\, SIGTERM and a closed terminal (SIGHUP) ask for a soft stop: the first ramps down, the second sets the
+drive to zero at once; the former handlers are restored. A closing terminal may send SIGHUP several times: which never
+makes a soft stop a hard one.
 
-Orders typed while the rig is driven: hold, go on, other steps, stop.
-One thread reads the terminal for the whole call; a run takes what came after each of its blocks, and never waits. The
-same words are answers where the call does ask.
+Orders are hold, go on, other steps, stop. One thread reads the terminal for the whole call; a run takes what came after
+each of its blocks, and never waits. The same words are answers where the call does ask.
 """
 
 from __future__ import annotations

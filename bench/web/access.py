@@ -1,10 +1,9 @@
-"""Who may talk to the desk, and which files a request may name.
+"""Who may talk to the desk, checked at every request and websocket before any page; and which files one may name.
 
-Who may talk to the desk: a check of every request and websocket before any page sees it.
 A page of another site must not be able to drive the plate through the operator's browser. So the Host header must
 name this server (an attacker's name that resolves to this machine does not), and a request that changes
 something, or opens a websocket, must come from a page of this server (its Origin). Beyond the own machine a token is
-needed too.
+needed too. Files are those below the runs' folder, and no other.
 """
 
 from __future__ import annotations

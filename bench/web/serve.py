@@ -1,4 +1,7 @@
-"""The desk's server: its application, the socket and loop that serve it, and a second server for watchers by link."""
+"""The desk's server: its application, a socket bound before anything is promised, and the loop that serves it.
+
+Watchers by link have a server of their own with one page and nothing that changes anything. Off unless asked for.
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Searches for latency and losses: the lag of the looped-back drive, at once or in a thread of its own.
+"""Searches for latency and losses: the lag of the looped-back drive behind the played samples.
 
-Lag of the looped-back drive behind the played samples, to thousandths of a sample.
 The recorded loop-back is ``r[m] = a d(m + s) + b`` with ``d`` the played samples. Its lag ``s`` is minus the latency
 plus everything lost so far. Expanding ``d`` about a whole number of samples makes the fit linear in ``a``, ``a ds`` and
-``b``; ten sums over the samples are all it needs, so a piece may come block by block.
+``b``; ten sums over the samples are all it needs, so a piece may come block by block, and the lag is known to
+thousandths of a sample.
 
-Searches for latency and losses, run at once or in a thread of their own.
 A question holds copies of all it needs, and its answer depends on nothing else: so it does not matter when the answer
 comes. With a device the search runs in a thread, with a simulated rig at once.
 """

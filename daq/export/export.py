@@ -1,6 +1,8 @@
-"""Export of recordings to the formats that others read.
+"""Export of recordings: tables, arrays, HDF5 with gzip, and the formats of other fields.
 
-Recordings in the formats of other programs, written piece by piece for any length, and what every file holds.
+The files read back to the same numbers (`bench import` of the CSV gives the same codes when divided by their scale),
+appear under their names only when they are whole, and are written piece by piece for any length.
+
 Parquet holds volts in row groups; NetCDF the codes with the scale that its readers apply, along an unlimited dimension.
 MATLAB (7.3) is HDF5 with MATLAB's header and class names: ``time_s`` and one column in volts a channel are vectors
 (n, 1), ``steps`` is a structure of vectors. TDMS of LabVIEW and DIAdem holds codes with their linear scale, a segment
@@ -8,10 +10,6 @@ for each piece of time; waveform properties say the rate, and where samples were
 ``time_s`` says every time. The universal file format holds data set 58 in its binary form, a set for each channel and
 each unbroken piece of time; the header's numbers have six digits, so the exact rate, time and count stand in its text
 lines, where `bench import` finds them.
-
-Write a recording for other programs: tables, arrays, HDF5 with gzip, and the formats of other fields.
-The files read back to the same numbers (`bench import` of the CSV gives the same codes when divided by their scale),
-and appear under their names only when they are whole.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""The column file, and its writing.
+"""The column file: what a recording is once it is closed. One HDF5 dataset a channel, compressed and checksummed.
 
-The column file: what a recording is once it is closed. One HDF5 dataset a channel, compressed and checksummed.
-Here are its format and the reading of its tables; `daq.files.column_file` writes it. Layout in
-docs/reference/recording-format.md.
-
-The writer of column files: under another name, whole, checked, and only then renamed.
-A reader never meets half of a file. What was written is read back and compared at once, while it is in the cache; at
-the end every stored byte must still be what was compared.
+Layout in docs/reference/recording-format.md. It is written under another name, whole, checked, and only then renamed: a
+reader never meets half of a file. What was written is read back and compared at once, while it is in the cache; at the
+end every stored byte must still be what was compared.
 """
 
 from __future__ import annotations

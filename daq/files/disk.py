@@ -1,16 +1,12 @@
-"""Files on a disk that may refuse: HDF5 and its claims, and files that a kill cannot tear.
+"""Files on a disk that may refuse: HDF5, its claims on its own size, and files that a kill cannot tear.
 
-A file for HDF5 to write to, on a disk that may refuse; and what closes itself at the end of a ``with`` block.
 HDF5 never meets a refusal, because it crashes when it closes a file that could not be written. What the disk does not
-take stays in memory, and the writer asks for the refusal.
+take stays in memory, and the writer asks for the refusal. Claims of an HDF5 file are bounded before any of it is read:
+nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
 
-Files that a kill cannot tear: written whole or not at all, or grown line by line.
-A file that is written gets another name in the same folder, reaches the disk, and is renamed in one step: a process
-that is killed half-way leaves the old file as it was, and at most a ``.part``. A journal has one JSON object a line,
-on the disk before the next one is begun; a last line that was cut off is left out.
-
-Claims of an HDF5 file on its own size and content, bounded before any of it is read.
-Nothing is followed out of the file, and no claim beyond what the file can hold takes memory.
+A file that is written whole gets another name in the same folder, reaches the disk, and is renamed in one step: a
+process that is killed half-way leaves the old file as it was, and at most a ``.part``. A journal has one JSON object a
+line, on the disk before the next one is begun; a last line that was cut off is left out.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Whether imported data can be what their profile says: channels, forcing as achieved, rows that are lost.
+"""Whether imported data can be what their profile says: rates, channels, gamma as achieved, rows that are missing.
 
-Plausibility of an import: remarks on what is odd, and refusals of sample rates that no recording can have.
 A remark states a finding and its meaning; it changes nothing. A file is refused where going on would give wrong numbers
 without a word. What contradicts the profile is a doubt (`daq.instrument`). Decision 113.
 
-Gamma at the plate over a step's hold, without what impacts add to the accelerometer.
-An impact and its ringing fall on the same phase of every cycle, so that a fit through them is wrong by up to half a
-percent. They are masked: after every closing of the contact circuit, and wherever the accelerometer is far from the
-motion (a contact may be shorter than a sample). What remains is fitted as in the run and in the analysis. A table that
-rings for longer than any mask bends such a fit far more than the impacts bend one of all samples, which is then taken.
+Gamma at the plate is measured over a step's hold, without what impacts add to the accelerometer. An impact and its
+ringing fall on the same phase of every cycle, so that a fit through them is wrong by up to half a percent. They are
+masked: after every closing of the contact circuit, and wherever the accelerometer is far from the motion (a contact may
+be shorter than a sample). What remains is fitted as in the run and in the analysis. A table that rings for longer than
+any mask bends such a fit far more than the impacts bend one of all samples, which is then taken.
 """
 
 from __future__ import annotations

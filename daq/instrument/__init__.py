@@ -1,4 +1,4 @@
 """Properties of a recording's instruments, measured from it, and contradictions to its profile.
 
-Other rooms take `instrument_of` and `refuse_doubtful` (`stored.py`), and `examine` (`measure.py`).
+Other rooms take `stored`, `measure` and `channel_limits`.
 """

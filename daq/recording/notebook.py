@@ -1,12 +1,8 @@
-"""The notebook of a recording: notes, tags, and events changed by hand.
+"""The notebook of a recording: notes from before, during and after the run, tags, and events changed by hand.
 
-Events that a person corrected: contact edges and impacts that were moved, removed or added by hand.
-They stand in the side file of the recording's tags and notes, in the order in which they were made; the recording
+Notes made until the run was over stand in the recording. Later ones, tags and changed events (contact edges and impacts
+moved, removed or added, in the order in which that was done) stand in a small file next to it, so that the recording
 stays as it was sealed. Whatever finds flights reads them (`analysis.flights.assemble.flights_of`).
-
-The notebook of a recording: notes from before, during and after the run, tags, and events changed by hand.
-Notes made until the run was over stand in the recording. Later ones, tags and changed events stand in a small file next
-to it, so that the recording stays as it was sealed.
 """
 
 from __future__ import annotations

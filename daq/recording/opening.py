@@ -1,12 +1,8 @@
-"""The file of a recording opened: damaged bytes put right or left out, or read by another process.
+"""Open the HDF5 file of a recording, its damaged bytes put right or left out.
 
-Open the HDF5 file of a recording, its damaged bytes put right or left out.
-The bytes of a file were compared before (`daq.files.seal`), or another process has read them
-(`daq.recording.verify`).
-
-Call of a function in a process of its own, which is ended when it hangs.
-HDF5 loops, crashes or asks for all memory where a file's own tables are damaged. A file without checksums is first read
-in a process that may do so.
+The bytes of a file were compared before (`daq.files.seal`). HDF5 loops, crashes or asks for all memory where a file's
+own tables are damaged: a file without checksums is first read in a process that may do so, and is ended when it
+hangs.
 """
 
 from __future__ import annotations

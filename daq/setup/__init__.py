@@ -1,4 +1,4 @@
 """Setup of a measurement: channels, scales, forcing; strict TOML; the age of calibrations.
 
-Other rooms take `setup`, `errors`, `strict_toml`, `provenance`.
+Other rooms take `setup`, `values`, `errors`, `clock`, `provenance`.
 """

@@ -1,12 +1,11 @@
-"""x
+"""Setup of a measurement: channels, scales, coupling, ball, declared effects, local g, calibrations' ages; its stake.
 
-Setup of a measurement: channels, scales, coupling, ball, declared effects, local g, and the age of its calibrations.
 Stored, resolved, in every recording, so that the analysis needs no rig. Every number that scales a measurement is a
 `Quantity` that can carry its uncertainty, date and source; nothing is guessed. A calibration that is missing or expired
 is a warning that changes nothing: a recording is judged by the day it was made, a run by today.
 
-The table ``[stake]`` of a profile: what a named cause predicts of its ramp, written before that is run.
-A recording holds its profile's text, so that a run that was staked on carries its own prediction.
+The table ``[stake]`` says what a named cause predicts of the ramp, written before that is run: as a recording holds its
+profile's text, a run that was staked on carries its own prediction.
 """
 
 from __future__ import annotations

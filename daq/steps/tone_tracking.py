@@ -1,12 +1,9 @@
-"""Tones of a drive followed through a recording, and the places where they change.
+"""Follow a forcing's tones cycle by cycle, and cut where they change.
 
-Change points of a noisy sequence's level: penalised least squares, solved exactly.
-The partition minimises the squared deviations from each part's mean, in units of their standard deviations, plus a
-penalty for each part (optimal partitioning: Jackson et al., IEEE Signal Process. Lett. 12 (2005) 105).
-
-Follow a forcing's tones cycle by cycle, and cut where they change.
 Cycles are compared by joint least-squares fits of the tones to each, so neither the sampling's phase nor a constant nor
-the other tone leaks in.
+the other tone leaks in. A cut minimises the squared deviations from each part's mean, in units of their standard
+deviations, plus a penalty for each part (optimal partitioning: Jackson et al., IEEE Signal Process. Lett. 12 (2005)
+105).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
 """Where the motion changes as gamma grows.
 
-Other rooms take `find`, `events`, `sweep`, `forbidden_zones`, `cycle_branches`.
+Other rooms take `events`, `sweep`, `continuation`, `forbidden_zones`.
 """

@@ -1,12 +1,11 @@
-"""The library of effects, and where declared effects act.
+"""The library of effects: the files of this folder, of installed packages and of the user, and their parameters' row.
 
-The library of effects: the files of this folder, of installed packages and of the user, and their parameters' row.
 Effects are read once and checked as they are read: a file that would be an effect without effect is refused.
 Decision 2.
 
-Declared effects by where they act: on the ball, between drive and plate, or in what the instruments show.
-Each acts once. Who flies over a plate that was measured leaves the drive's effects out, because
-they are in the measurement; who starts from what was asked of the drive applies them first.
+A declared effect acts on the ball, between drive and plate, or in what the instruments show, and each acts once. Who
+flies over a plate that was measured leaves the drive's effects out, because they are in the measurement; who starts
+from what was asked of the drive applies them first.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
 """One flight, exactly: proofs and closed forms.
 
-Other rooms take `windows`, `branches`, `numerics`, `precision`.
+Other rooms take `windows`, `branches`, `numerics`.
 """

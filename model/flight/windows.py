@@ -1,6 +1,5 @@
 """Where the plate throws a ball at rest, and up to which amplitude double precision proves a landing.
 
-How large an amplitude may be for double precision to prove where a ball lands.
 A flight from rest lasts at most ``T = 2 gamma N`` (in 1/w), ``N = sum n_j b_j``, because the plate throws no faster
 than ``gamma N``. Its height is computed with an error of at most `ROUNDING` times the sizes of its terms,
 ``gamma N T + T^2 = 6 (gamma N)^2``. Divided by an impact speed of ``gamma N`` that leaves the landing phase uncertain

@@ -1,12 +1,11 @@
-"""What predictions are made from: plate, flights, errors; the records that kernels take, and the hooks of all effects.
+"""What one-event predictions are made from: plate, flights, errors; the records that kernels take; the effects' hooks.
 
-What one-event predictions are made from: plate, flights, errors; and the records that kernels take.
-Records that the integrator's kernels take; named tuples, which numba passes as it passes their fields.
-Reading an array out of a record counts a reference: what runs at every step takes the arrays themselves.
+Records are named tuples, which numba passes as it passes their fields. Reading an array out of a record counts a
+reference: what runs at every step takes the arrays themselves.
 
-The hooks of all effects, each kind summed into one compiled function: an effect costs a file and no edit here.
-The functions are written as one source from the effects found in `model.effects`, and compiled at their first call; an
-effect whose parameters are absent costs next to nothing. Decision 2.
+The hooks of all effects, each kind summed, are written as one source from the effects found in `model.effects`, and
+compiled at their first call: an effect costs a file and no edit here, and one whose parameters are absent costs next to
+nothing. Decision 2.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """The fastest ball that knows every effect asked for, and the integrated one, which knows all.
 
-The ball with any set of effects, flown by the integrator.
-SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
+The integrated ball is SI inside, dimensionless outside. The integration has a tolerance, so an orbit is closed where
 the take-off phase from rest repeats within `REPEATS`, not exactly.
 """
 

@@ -1,6 +1,5 @@
 """Checks before a run: a chirp, a quiet tone, a short flight, a tap; and a verdict on each against the profile.
 
-Checks before a run: a chirp, a quiet tone, a short flight, and a verdict on each against the profile.
 Nothing is driven that the profile's limits forbid, and the drive fades in and out. What cannot be judged is reported
 as such; every bad verdict carries a remedy.
 """

@@ -1,8 +1,8 @@
 """The plate by the accelerometer while a run lasts: its motion, its tones, and the samples that impacts spoil.
 
-The plate by the accelerometer while a run lasts: its motion, and the samples that impacts spoil.
-Impacts ring far above the forcing and are not the plate's motion. They are filtered out of the
-peaks, and the samples they spoil are marked, so that no limit trips on them and no tone is measured through them.
+Impacts ring far above the forcing and are not the plate's motion. They are filtered out of the peaks, and the samples
+they spoil are marked, so that no limit trips on them and no tone is measured through them. Tones are complex
+amplitudes, window by window. Decision 52.
 """
 
 from __future__ import annotations

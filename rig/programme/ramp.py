@@ -1,14 +1,12 @@
-"""The amplitude programme of a ramp, and its forcing as drive samples.
+"""The amplitude programme as a value, every step printable and storable before anything moves; its drive samples.
 
-The forcing as drive samples: every sample is a function of its index only, whatever block it falls in.
-Phase is counted in whole numbers. With the forcing at ``num / den`` turns a sample (an exact
-fraction), the phase of sample n is ``(n * num) mod den``: nothing accumulates, so nothing drifts. The sine is a
-polynomial of additions and multiplications, so the same samples come out bit for bit on every IEEE machine.
-Decision 26.
+Seconds are derived from whole samples. A step begins at the first sample of a cycle of the first tone; it fades from
+the step before within the slew limit, settles, and holds.
 
-The amplitude programme as a value: every step, printable and storable before anything moves.
-Seconds are derived from whole samples. A step begins at the first sample of a cycle of the first
-tone; it fades from the step before within the slew limit, settles, and holds.
+A drive sample is a function of its index only, whatever block it falls in. Phase is counted in whole numbers. With the
+forcing at ``num / den`` turns a sample (an exact fraction), the phase of sample n is ``(n * num) mod den``: nothing
+accumulates, so nothing drifts. The sine is a polynomial of additions and multiplications, so the same samples come out
+bit for bit on every IEEE machine. Decision 26.
 """
 
 from __future__ import annotations

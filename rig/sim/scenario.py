@@ -1,11 +1,8 @@
-"""What the simulated rig hides: scenario files, and scenarios drawn by chance for scoring.
+"""What the simulated rig hides: scenario files, read strictly, and scenarios drawn by chance for scoring.
 
-Scenario files: what the simulated rig hides, read strictly, and known outside only by a hash.
-The hash covers the canonical content and a nonce, so it cannot be found by trying likely
-contents; nothing else of a scenario leaves this package.
-
-Sealed scenarios for scoring: effects drawn by chance, at a stated strength, unknown to whoever analyses the run.
-All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
+A scenario is known outside only by a hash of its canonical content and a nonce, so that it cannot be found by trying
+likely contents; nothing else of it leaves this package. A sealed one has effects drawn at a stated strength, unknown to
+whoever analyses the run. All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
 truth can be stored elsewhere and opened after the verdict is written. Decision 272.
 """
 

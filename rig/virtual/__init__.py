@@ -1,4 +1,4 @@
 """The simulated plant behind real drivers, in a process of its own.
 
-Other rooms take `jack`, `serial`, `serial_device`.
+Other rooms take `jack`, `serial`.
 """

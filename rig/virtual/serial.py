@@ -1,12 +1,9 @@
-"""The plant behind two drivers: a JACK client for the drive, a serial device with a clock of its own for the frames.
+"""The plant behind two drivers: the drive comes by JACK, frames leave by a pseudo-terminal, on a clock of their own.
 
-A simulated rig that samples by a clock of its own and sends serial frames, as a microcontroller would.
-It knows the drive as a voltage in time and nothing else. What it converts at its own instants lies
-between the samples that were played; a cubic through the four around an instant gives it to a few parts in a million.
-
-The plant behind two drivers: the drive comes by JACK, frames leave by a pseudo-terminal, on a clock of their own.
-Between the sound card's clock and the device's there is nothing but the drive's voltage. POSIX
-only it has pseudo-terminals: elsewhere this is refused.
+The simulated device samples by its own clock and sends serial frames, as a microcontroller would. It knows the drive as
+a voltage in time and nothing else. What it converts at its own instants lies between the samples that were played; a
+cubic through the four around an instant gives it to a few parts in a million. POSIX only has pseudo-terminals:
+elsewhere this is refused.
 """
 
 from __future__ import annotations

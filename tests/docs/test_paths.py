@@ -42,3 +42,15 @@ def test_paths_and_modules_in_documents_exist() -> None:
     named = [(page, w) for page, w in words if w not in OTHERS | made and (PATH.fullmatch(w) or MODULE.fullmatch(w))]
     assert len(named) > 100
     assert not sorted((page, word) for page, word in named if not _is_there(word))
+
+
+def test_rooms_name_the_files_that_they_have() -> None:
+    """Where a room says what others take of it, each name is a file or a folder in it."""
+    gone = []
+    for room in (p for folder in FOLDERS.split("|") for p in (ROOT / folder).rglob("__init__.py")):
+        text = room.read_text(encoding="utf-8")
+        taken = re.search(r"Other (?:rooms|packages) take (.*?)\.(?:\n|\")", text, re.DOTALL)
+        for name in re.findall(r"`(\w+)`", taken[1]) if taken else ():
+            if not ((room.parent / f"{name}.py").exists() or (room.parent / name).is_dir()):
+                gone.append(f"{room}: {name}")
+    assert not gone

@@ -1,8 +1,8 @@
-"""What of a film stands still: frames brought onto the first, and the background free of the ball.
+"""What of a film stands still: frames of a camera held in the hand brought onto the first, and the background.
 
-Films of a camera held in the hand: the shift of each frame by least squares (Lucas and Kanade 1981).
-The whole picture is moved onto the first frame. Every pixel counts by its gradient, so the edge of a floor is enough
-along the fall; pixels that something moved over count for nothing (Tukey's biweight).
+The shift of each frame is found by least squares (Lucas and Kanade 1981): the whole picture is moved onto the first
+frame. Every pixel counts by its gradient, so the edge of a floor is enough along the fall; pixels that something moved
+over count for nothing (Tukey's biweight). The background is free of the ball that lingers in it.
 """
 
 from __future__ import annotations

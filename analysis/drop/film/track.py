@@ -1,11 +1,9 @@
 """The track of the ball from points in frames, and the flights that it is cut into.
 
-From points in frames to the track of the ball.
 The ball is what falls. Points are linked from frame to frame afresh (a tracker's own numbering changes when it loses
 the ball); among the tracks the one whose motion is free flight under one common acceleration is the ball, however long
 the others are. Two such tracks at once are an error, not a choice.
 
-A tracked ball cut into flights: the fall, and the flight after each impact.
 A flight is what lies between two impacts and has enough samples to be a curve; everything else (hand, rest, bounces of
 a few frames) is left out and not guessed at.
 """

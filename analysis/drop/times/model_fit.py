@@ -1,13 +1,11 @@
 """Fit of the models of impact times, one impact ahead, and the covariance of their residuals.
 
-Data of the models of impact times, and the covariance of their residuals.
 An impact time has two errors. The detector's jitter moves a boundary that two flights share, so neighbouring
 residuals are correlated; and every bounce has a restitution a little its own. Drops are independent. Arrays are
 padded to the longest drop, so that all drops are whitened in one batch.
 
-Fit of the candidate models to the impact times of one drop or many, together.
-Generalised least squares with the covariance of `one_ahead`, whose widths come from the data (with a prior that
-prevents each from vanishing); intervals are the wider of that fit's and a bootstrap's.
+Drops are fitted together by generalised least squares with that covariance, whose widths come from the data (with a
+prior that prevents each from vanishing); intervals are the wider of that fit's and a bootstrap's.
 """
 
 from __future__ import annotations

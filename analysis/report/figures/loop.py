@@ -1,12 +1,8 @@
-"""Figures of the closed loop: landing errors, candidates, a discovered term, residuals against covariates.
+"""Figures of the closed loop: landing errors, candidates, a discovered term, residuals; and the table of all.
 
-Figures of the residuals against covariates: landings, take-offs and plate data, before and after.
-Before and after stand one above the other on one horizontal axis, each on a linear scale of its own. The noise floor
-is a grey band; a line connects the medians of bins.
-
-Figures of the closed loop: landing errors step by step, candidates, a discovered term; and the table of all.
 Before is the pale colour and after the dark one, in the same units on the same axis; the noise floor is drawn wherever
-an error is. Decision 316.
+an error is. Decision 316. Residuals against a covariate stand one above the other, each on a linear scale of its own;
+a line connects the medians of bins.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The table of the figures of a recording, and the figure of its plate.
+"""The table of the figures of a recording, which `bench report` and `bench reprocess --figures` draw. Decision 316.
 
-Figure of the plate: its transfer function, lag and harmonics step by step, and one period of its acceleration.
-The transfer function is shown relative to its median, so that ``g_per_volt`` need not be known.
+The figure of its plate: transfer function, lag and harmonics step by step, and one period of its acceleration. The
+transfer function is shown relative to its median, so that ``g_per_volt`` need not be known.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Figures of what theory says: forbidden zones, unstable cycles, the plate under a ball, branches of the landing map.
 
-What theory adds to a bifurcation diagram: forbidden zones as areas, unstable cycles as lines.
-Each zone is followed from gamma to gamma by what it overlaps.
-Unstable cycles are what no ramp shows, and what a ball can be held on.
+Each zone is followed from gamma to gamma by what it overlaps. Unstable cycles are what no ramp shows, and what a ball
+can be held on.
 """
 
 from __future__ import annotations

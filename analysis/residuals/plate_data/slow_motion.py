@@ -1,7 +1,7 @@
 """The plate's slow motion: the forcing's amplitude, and lines that are no multiple of it.
 
-Spectral lines of the plate that are no multiple of the forcing: where a table resonance may be, and what hums.
-A line counts as the table's own where several steps show it.
+A modulation of the amplitude, within steps and between them, is found by least squares, with its frequency. A line
+counts as the table's own where several steps show it; others hum.
 """
 
 from __future__ import annotations

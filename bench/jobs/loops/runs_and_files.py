@@ -1,8 +1,11 @@
 """Jobs around a closed loop: what it found stored as files; runs judged together, or chosen one after another.
 
-Sequential design on the simulated rig: run, analyse, choose the next run, until one hypothesis stands.
-The analysis reads only recordings; what the rig hides stays in the scenario file, which only the process that makes a
-run (`bench ramp`) reads. Decision 448.
+A recording's closed loop is `RUN.loop` in its folder, which report and catalogue read. Decision 292. A discovered term
+becomes the file of an effect, and the loop is closed again with it in the library.
+
+Runs are chosen one after another on the simulated rig (run, analyse, choose) until one hypothesis stands. The analysis
+reads only recordings; what the rig hides stays in the scenario file, which only the process that makes a run
+(`bench ramp`) reads. Decision 448.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
-"""Marked frames, and the marks.
+"""Marks between the frames of a run, and the reader that finds its samples by them when HDF5's own tables are gone.
 
-Marks between the frames of a run: what finds its samples again when HDF5's own tables are gone.
-A mark is a page of `frame_marks` in the frames file. It is written once and never changed, begins with `MAGIC`, and
-carries its own CRC-32, the root attributes, where the last chunks of frames lie in the file, and the rows of all tables
-since the mark before last. So each row stands in two marks, which are a chunk of frames away from each other. A reader
-finds marks by their magic in any file, whatever is left of the rest. Decision 467.
+A mark is a page of the data set `frame_marks` in the frames file. It is written once and never changed, begins with
+`MAGIC`, and carries its own CRC-32, the root attributes, where the last chunks of frames lie in the file, and the rows
+of all tables since the mark before last. So each row stands in two marks, which are a chunk of frames away from each
+other. A reader finds marks by their magic in any file, whatever is left of the rest. Decision 467.
 
-Reader of a frames file by its marks, without HDF5: for one whose tables or indexes are damaged.
 Every piece of frames (some hundred bytes) is compared with its checksum; what does not fit is left out.
 """
 
