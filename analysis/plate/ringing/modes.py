@@ -216,7 +216,7 @@ class _Recorded:
             push = self.push(acceleration, hum, push, ratio)
             impulses = push.impacts_mps2
             shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, :forces].T])
-            seen = Regression.of(acceleration, basis, shaken, known, self.block_s, begun)
+            seen = Regression.of(acceleration, basis, shaken, push.contact_mps2, known, self.block_s, begun)
             if fresh and rounds == 0 and seen.quiet:
                 return seen, None
             again = fresh and rounds == 1  # the first search did not know what is hidden

@@ -78,6 +78,7 @@ class Regression:
     left: Floats
     basis: Floats  # orthonormal, (k, l)
     shaken: Floats  # by the push and by what may be forces, (1 + l, n)
+    carried: Floats  # what the ball that lies on the plate does to one without springs, in the known blocks
     known: Bools
     block_s: float
     cluster: Integers
@@ -86,12 +87,12 @@ class Regression:
 
     @classmethod
     def of(
-        cls, acceleration: Floats, basis: Floats, shaken: Floats, known: Bools, block_s: float,
+        cls, acceleration: Floats, basis: Floats, shaken: Floats, contact: Floats, known: Bools, block_s: float,
         begun: Sequence[int],
     ) -> Regression:  # fmt: skip
-        seen = acceleration[known]
+        left, carried = (x[known] - basis @ (basis.T @ x[known]) for x in (acceleration, contact))
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
-        return cls(seen - basis @ (basis.T @ seen), basis, shaken, known, block_s, cluster, tuple(begun))
+        return cls(left, basis, shaken, carried, known, block_s, cluster, tuple(begun))
 
     def answers(self, x: Floats) -> Floats:
         """Answers of each of k modes to the push, in a phase of their own, of each to l forces, how they ring on."""
@@ -143,10 +144,11 @@ class Regression:
         before, after = (float(np.sum((self.left - c @ self.sizes(c)) ** 2)) for c in (fewer, columns))
         return 0.5 * (before / after - 1.0) * len(self.left) > SURE_NATS
 
-    def _unpushed(self, columns: Floats, which: int = 0) -> Floats:
-        """What is left without the push on one mode."""
-        fewer = np.delete(columns, which, axis=1)
-        return np.asarray(self.left - fewer @ lstsq(fewer, self.left)[0])
+    def _unpushed(self, columns: Floats, which: int = 0, instead: Floats | float = 0.0) -> Floats:
+        """What is left without the push on one mode, or with something else in its place."""
+        other = columns.copy()
+        other[:, which] = instead
+        return np.asarray(self.left - other @ lstsq(other, self.left)[0])
 
     def gained(self, x: Floats) -> float:
         """By how much the push raises the likelihood of white noise, nats."""
@@ -234,6 +236,8 @@ class Regression:
         frequency, damping = (float(v) for v in np.exp(x[2 * which :][:2]))
         sizes = self.sizes(columns, modes)
         ratio, left, before = float(sizes[which]), self.left - columns @ sizes, self._unpushed(columns, which)
+        # far below all that shakes it a mode answers as a mass does: what a mass's load explains as well shows none
+        loaded = self._unpushed(columns, which, self.carried)
         jacobian = np.column_stack([self.slopes(x), columns])
         # columns of one size: frequency, damping and free states differ by many powers of ten
         norms = np.linalg.norm(jacobian, axis=0)
@@ -250,10 +254,12 @@ class Regression:
         to_own = np.array([frequency, damping, 1.0])
         # of a correlated remainder fewer values are independent, by the ratio of both variances
         correlated = max(float(robust[2, 2] / white[2, 2]), 1.0)
-        gain = 0.5 * (float(before @ before) / float(left @ left) - 1.0) * len(left) / correlated
+        gain, over_load = (
+            0.5 * (float(x @ x) / float(left @ left) - 1.0) * len(left) / correlated for x in (before, loaded)
+        )
         at_bound = not 1.02 * LEAST_DAMPING < damping < 0.98 * MOST_DAMPING
         bound = at_bound or (damping > STRONG_DAMPING and frequency > forcing_hz)
-        if ratio <= 0.0 or gain < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
+        if ratio <= 0.0 or min(gain, over_load) < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
             return None
         rms, over = [float(np.sqrt(np.mean(v**2))) for v in (left, before)], over_noise(left, self.known)
         blurred = np.square([RESOLVED * damping, RESOLVED, (RESOLVED_RATIO + RESOLVED * damping) * ratio])

@@ -20,6 +20,7 @@ from benchmarks.plants.handed_over import imported
 from benchmarks.plants.instrument import Instrument
 from benchmarks.plants.shaker import BALL_KG, Shaker
 from daq.recording import open_recording
+from tests.analysis.conftest import Maker
 
 FRICTION = (("coulomb_friction.mu", 0.05),)
 
@@ -183,8 +184,15 @@ def test_a_mode_at_the_least_damping_is_none() -> None:
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     for damping, is_mode in ((1e-3, False), (0.01, True)):
         acceleration = 0.1 * answer(push, 1e-3, 5.0, damping) + 0.01 * rng.standard_normal(n)
-        seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
+        seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], 0.0 * push, known, 1e-3, [0])
         assert (seen.judged(np.log([5.0, damping]), 25.0) is not None) == is_mode
+
+
+def test_a_plate_without_springs_that_carries_the_ball_has_no_mode(make: Maker) -> None:
+    """A mode of 1 Hz would describe what the ball's mass does to the plate as well; it is not named for that."""
+    effects = {"mass_loading": {"mass_ratio": 0.02}}
+    recording = make(np.linspace(0.5, 2.6, 14).tolist(), hold=20, effects=effects)
+    assert _identified(recording.path) == Identified()
 
 
 def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() -> None:
@@ -193,7 +201,7 @@ def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() 
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     one = 0.1 * answer(push, 1e-3, 5.0, 0.05) + 0.01 * rng.standard_normal(n)
     for acceleration, is_mode in ((one, False), (one + 0.01 * answer(push, 1e-3, 12.0, 0.03), True)):
-        seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
+        seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], 0.0 * push, known, 1e-3, [0])
         one = seen.searched()
         x = seen.followed([seen.with_another(one)])
         assert (np.std(seen.remainder(x)) < 0.9 * np.std(seen.remainder(one))) == is_mode
@@ -223,7 +231,7 @@ def test_of_several_minima_one_at_a_bound_is_left_for_one_in_range() -> None:
     push, known = 10.0 * rng.standard_normal(n), np.ones(n, dtype=np.bool_)
     wander = answer(np.cumsum(rng.standard_normal(n)), 1e-3, 0.2, 0.5)
     acceleration = 0.05 * answer(push, 1e-3, 2.0, 0.05) + 0.5 * wander / np.std(wander)
-    seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], known, 1e-3, [0])
+    seen = Regression.of(acceleration, np.zeros((n, 1)), push[None], 0.0 * push, known, 1e-3, [0])
     starts = [np.log([0.36, 0.4]), np.log([2.1, 0.05])]
     assert np.exp(seen.followed(starts)[0]) == pytest.approx(2.0, rel=0.05)
 
@@ -232,5 +240,7 @@ def test_where_nothing_is_left_no_second_mode_begins() -> None:
     """A plate that stands still has no mode elsewhere that would answer what a first one leaves."""
     n, rng = 4000, np.random.default_rng(3)
     basis = np.linalg.qr(np.ones((n, 1)))[0]
-    still = Regression.of(np.zeros(n), basis, rng.normal(size=(1, n)), np.ones(n, dtype=np.bool_), 1e-3, [0])
+    still = Regression.of(
+        np.zeros(n), basis, rng.normal(size=(1, n)), np.zeros(n), np.ones(n, dtype=np.bool_), 1e-3, [0]
+    )
     assert still.with_another(np.log([5.0, 0.1])) is None
