@@ -255,12 +255,14 @@ class Pruning:
     def __init__(self, refits: Refits, judge: Judge) -> None:
         self.refits, self.judge, self.limits = refits, judge, judge.limits
 
-    def without_idle(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
-        """The hypothesis without an earlier effect that the later ones have made idle; ``rounds`` gets a line."""
-        # the last one has just been accepted
-        for candidate in best.candidates[:-1]:
+    def without_idle(self, best: Hypothesis, among: Sequence[Candidate], rounds: list[str]) -> Hypothesis:
+        """The hypothesis without one ``among`` its effects that the others have made idle; ``rounds`` gets a line."""
+        for candidate in among:
             rest = tuple(c for c in best.candidates if c is not candidate)
-            x = self.refits.attempted(rest, self._without, best, candidate, rest)
+            start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
+            free = tuple(k for c in rest for k in c.free)
+            # to the end: a fit that had stopped short would let any effect look needed
+            x = self.refits.attempted(rest, self.refits.converged, rest, best.whitener, free, start)
             if x is None:
                 continue
             needed = self.judge.gain(x, best).exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
@@ -268,12 +270,6 @@ class Pruning:
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
         return best
-
-    def _without(self, best: Hypothesis, candidate: Candidate, rest: tuple[Candidate, ...]) -> Hypothesis:
-        """The hypothesis refitted with the ``rest`` of its candidates, without one."""
-        start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
-        free = tuple(k for c in rest for k in c.free)
-        return self.refits.scored(rest, self.refits.fitter.fit(best.whitener, free, start))
 
     def without_null(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
         """The hypothesis without candidates whose parameters' intervals hold, in the end, their null values."""

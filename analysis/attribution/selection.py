@@ -186,7 +186,7 @@ class StepwiseSelection:
             near[accepted.candidates[-1].names[0]] = [
                 x for x in found if self.judge.gain(best, x).gain > NEAR_CAUSE * gain.gain
             ]
-            kept = self.pruning.without_idle(accepted, rounds)
+            kept = self.pruning.without_idle(accepted, accepted.candidates[:-1], rounds)
             # a step back changes what the round's other hypotheses were added to: they are no rivals any more
             rivals = found if kept is accepted else []
             if kept is accepted:  # a cause and its drift are confirmed one by one
@@ -280,7 +280,8 @@ class StepwiseSelection:
         """The simplest form of a hypothesis that does as well, and its rivals, when all causes are named.
 
         While a cause is missing, it may hide what a fuller form has beyond its special case. The last effect goes where
-        its gain is small and the simpler form fails the tests: it was another form that had passed them.
+        its gain is small and the simpler form fails the tests: it was another form that had passed them. An effect that
+        only the fuller form needed goes, too.
         """
         kept = self.pruning.simplified(best, self.library, rounds)
         if last is None or kept is best:
@@ -293,7 +294,8 @@ class StepwiseSelection:
         ):
             rounds.append(f"step back: that simpler form is refused ({why})")
             return last.before, last.rivals
-        return self.refits.again(kept), []
+        kept = self.refits.again(kept)
+        return self.pruning.without_idle(kept, kept.candidates if len(kept.names) > 1 else (), rounds), []
 
     def _exchanged(
         self, best: Hypothesis, rounds: list[str], near: Mapping[str, Sequence[Hypothesis]]

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from analysis.attribution.candidates import Candidate, candidates_of
+from analysis.attribution.chance import ChanceGains
 from analysis.attribution.choice import LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.selection import SelectionResult, StepwiseSelection, remaining_candidates
+from analysis.attribution.selection import SelectionResult, StepwiseSelection, _Round, remaining_candidates
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId
@@ -203,7 +204,7 @@ def test_a_simpler_form_is_tried_when_all_causes_are_named(
         return next((x for x in found if x.names == in_turn[: len(best.names) + 1] != best.names), None)
 
     monkeypatch.setattr(selection.judge, "choose", chosen)
-    monkeypatch.setattr(selection.pruning, "without_idle", lambda x, _: x)
+    monkeypatch.setattr(selection.pruning, "without_idle", lambda x, *_: x)
     monkeypatch.setattr(selection.pruning, "simplified", lambda x, *_: seen.append(x.names) or x)
     nothing = selection.declared()
     selection._followed(nothing, [added(selection, selection.library[0])])
@@ -225,8 +226,29 @@ def test_an_idle_companion_is_left_out_again(selection_of: Callable[..., Stepwis
     free, start = (*drag.free, *friction.free), {**drag.starts[0], **friction.starts[0]}
     both = selection.refits.converged((drag, friction), Whitener.of(selection.model, start), free, start)
     rounds: list[str] = []
-    assert selection.pruning.without_idle(both, rounds).names == ("coulomb_friction",)
+    assert selection.pruning.without_idle(both, both.candidates, rounds).names == ("coulomb_friction",)
     assert rounds == ["step back: quadratic_drag is no longer needed"]
+
+
+def test_a_cause_that_only_a_fuller_form_needed_goes_with_it(selection_of: Callable[..., StepwiseSelection]) -> None:
+    """A magnet of long range with a gravity is a spring: once that is found, no gravity is named."""
+    spring, magnet, reach = (("position_force", q) for q in ("spring_per_s2", "magnet_mps2", "range_m"))
+    gravity = ("local_gravity", "excess_mps2")
+    selection = selection_of({spring: 40.0}, 4)
+    both = (
+        Candidate(("position_force",), (magnet, reach), ({magnet: -1.5, reach: 0.035},)),
+        Candidate(("local_gravity",), (gravity,), ({gravity: 1.5},)),
+    )
+    start = {magnet: -1.5, reach: 0.035, gravity: 1.5}
+    best = selection.refits.converged(both, Whitener.of(selection.model, start), (magnet, reach, gravity), start)
+    last = _Round(best, [], LogScoreDifference(1e3, 1.0, 1e3, 1.0), 1, ChanceGains(best, [], np.random.default_rng(1)))
+    rounds: list[str] = []
+    kept, _ = selection._simplest(best, [], last, rounds)
+    assert kept.free == (spring,)
+    assert rounds == [
+        "step back: a simpler position_force does as well",
+        "step back: local_gravity is no longer needed",
+    ]
 
 
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Callable[..., StepwiseSelection]) -> None:
