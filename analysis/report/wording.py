@@ -176,10 +176,13 @@ def moved_calibrations(loop: ClosedLoop) -> list[str]:
 
 
 def what_is_left(loop: ClosedLoop) -> str:
-    """The remainder in words: like noise, or, where it is certain and small enough to pass, by its size."""
+    """The remainder in words: like noise, or hardly, or, where it is certain and small enough to pass, by its size."""
     left = loop.remainder
-    if left.p_lack_of_fit >= loop.limits.lack_p:
+    if left.p_lack_of_fit >= loop.limits.law_p:
         return f"what is left looks like noise ({probability(left.p_lack_of_fit)})"
+    if left.p_lack_of_fit >= loop.limits.lack_p:
+        beyond = f"more than noise would be p < {loop.limits.lack_p:g}"
+        return f"what is left is hardly noise, but let pass ({probability(left.p_lack_of_fit)}; {beyond})"
     passed = f"times the noise, no more than is let pass ({loop.limits.lack_ratio:g})"
     if left.ratio > loop.limits.lack_ratio:
         like_noise = f"take-offs look like noise ({probability(left.p_takeoffs)})"

@@ -21,6 +21,7 @@ def left(p, ratio, **more):
 def test_a_certain_remainder_is_not_called_noise():
     """With p below the threshold the size is told; only what may be noise is said to look like it."""
     assert what_is_left(left(0.3, 1.0)) == "what is left looks like noise (p = 0.3)"
+    assert "hardly noise, but let pass (p = 0.00027" in what_is_left(left(2.7e-4, 1.0))
     certain = what_is_left(left(1e-12, 1.1))
     assert "noise (p" not in certain and "1.10 times the noise" in certain
     each = what_is_left(left(1e-12, 1.3, landing_ratio=0.97, p_takeoffs=0.02))
