@@ -191,7 +191,10 @@ def one_ahead(
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, (passed, reach), predicted)
-        several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < PASSABLE_S
+        near = PASSABLE_S
+        if bounces and predicted.hidden > 0.0 and predicted.kind == 1.0:  # an unseen bounce began it
+            near, passed = min(near, 0.1 * (landing - event.opening)), passed + 1
+        several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < near
         hit = _impact(event, v0, hit, several, ratio != 0.0 and not measured, predicted)
         predicted.launch_mps, predicted.impact_mps = v0, hit
         flying = with_state(bare, q, qd)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from model.effects.harmonic_distortion import harmonics
 from model.effects.registry import effect, row
 from model.integrator.one_step import law_of, one_ahead, simulate
-from model.integrator.problem import Measured, PlateSteps
+from model.integrator.problem import Detection, Measured, PlateSteps
 from model.tones import Plate
 
 G_MPS2 = 9.80665
@@ -288,3 +288,24 @@ def test_harmonics_of_a_bent_amplifier_are_those_of_trigonometry():
     assert found == pytest.approx([0.0, 0.02j, 0.01])
     found = harmonics(p, k, np.tile([2, 3], (3, 1)), np.tile([1.0, 1j], (3, 1)), one)
     assert found == pytest.approx([0.0, 0.02j, -0.01])  # each against the tone on which it falls
+
+
+def test_a_flight_after_a_bounce_that_no_circuit_showed_ends_as_it_was_flown():
+    """A bounce that the contact closed over leaves the next landing as slow as it was: the plate threw no ball there."""
+    steps = steps_of(1.07 * G_MPS2)
+    plate = Plate(steps.omega_radps[0], steps.acceleration_mps2[0])
+    effects = {"restitution": {"e0": 0.28}}
+    flown = simulate(effects, plate, g_mps2=G_MPS2, period_s=PERIOD_S, flights=600)
+    lasts = flown.landing_s - flown.takeoff_s
+    follows = np.append(False, np.abs(flown.takeoff_s[1:] - flown.landing_s[:-1]) < 1e-9)
+    unseen = [i for i in range(6, 590) if 3e-4 < lasts[i] < 2e-3 < lasts[i - 1] and follows[i : i + 2].all()]
+    unseen = [i for i in unseen if lasts[i + 1] < 1.5e-3]
+    assert unseen
+    for i in unseen:
+        kept = np.delete(np.arange(i - 5, i + 2), 5)
+        first, n = np.arange(len(kept)) == 0, len(kept)
+        opening = flown.takeoff_s[kept] + np.where(kept == i + 1, 0.5 * lasts[i + 1], 0.0)
+        left_at_once = follows[kept] & (kept != i + 1)
+        seen = Measured(opening, flown.landing_s[kept], left_at_once, ~first, np.zeros(n, np.int64), ~first)
+        found = one_ahead(seen, steps, row(effects, G_MPS2), Detection(closure_s=5e-4))
+        assert found.impact_mps[-1] == pytest.approx(flown.impact_mps[i + 1], rel=0.05, abs=1e-4)
