@@ -30,6 +30,11 @@ class Memory:
                 return self._make(key, make)
             others.wait()  # it may fail, or be forgotten again
 
+    def holds(self, key: Hashable) -> bool:
+        """Whether there is a result stored under ``key``."""
+        with self._lock:
+            return key in self._results
+
     def _make(self, key: Hashable, make: Callable[[], _T]) -> _T:
         """Make the result and store it; whoever waits for it goes on, even if it could not be made."""
         try:

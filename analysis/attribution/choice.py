@@ -259,10 +259,7 @@ class Pruning:
         """The hypothesis without one ``among`` its effects that the others have made idle; ``rounds`` gets a line."""
         for candidate in among:
             rest = tuple(c for c in best.candidates if c is not candidate)
-            start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
-            free = tuple(k for c in rest for k in c.free)
-            # to the end: a fit that had stopped short would let any effect look needed
-            x = self.refits.attempted(rest, self.refits.converged, rest, best.whitener, free, start)
+            x = self.refits.attempted(rest, self._without, best, candidate, rest)
             if x is None:
                 continue
             needed = self.judge.gain(x, best).exceeds(self.limits.tie_nats, self.limits.tie_sigmas)
@@ -270,6 +267,16 @@ class Pruning:
                 rounds.append(f"step back: {' + '.join(candidate.names)} is no longer needed")
                 return x
         return best
+
+    def _without(self, best: Hypothesis, candidate: Candidate, rest: tuple[Candidate, ...]) -> Hypothesis | None:
+        """The hypothesis refitted with the ``rest`` of its candidates, without one; None where it is surely needed."""
+        start = {k: v for k, v in best.fitted.values.items() if k not in candidate.free}
+        free = tuple(k for c in rest for k in c.free)
+        # far above that, no weights would let it do as well
+        most = best.fitted.loss + 10.0 * self.limits.found_nats
+        fitted = self.refits.fitter.fit(best.whitener, free, start, most=most)
+        # else to the end: a fit that had stopped short would let any effect look needed
+        return None if fitted.loss > most else self.refits.scored(rest, self.refits.reweighted(fitted))
 
     def without_null(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
         """The hypothesis without candidates whose parameters' intervals hold, in the end, their null values."""

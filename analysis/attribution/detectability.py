@@ -96,7 +96,9 @@ class Detectability:
         fitter, raw, (x, low, high) = self.best.fitter, self.best.raw, self._axis(key)
         there = np.array([x + size if high - x >= x - low else x - size])
         values = {**fitter.values(self.best.keys, beside), **fitter.values((key,), there)}
-        change = of_same_events(self._whitener.stacked(fitter.model.residuals(values)) - raw, self._whitener)
+        wanted = fitter.train[fitter.model.observations.measured.step]  # no other steps count
+        there = self._whitener.stacked(fitter.model.residuals(values, wanted=wanted))
+        change = of_same_events(there - raw, self._whitener)
         return np.asarray(self._whitener.white_slopes(change[:, None], raw)[:, 0])
 
     def _multiple(self, key: ParameterId, others: Bools, slope: Floats, tried: float, reach: float) -> float:

@@ -101,6 +101,7 @@ class Fitter:
         free: Sequence[ParameterId],
         start: Mapping[ParameterId, float],
         slopes: Mapping[ParameterId, Floats] | None = None,
+        most: float = math.inf,
     ) -> Fitted:
         """Levenberg-Marquardt on the robust loss from ``start``.
 
@@ -115,42 +116,42 @@ class Fitter:
         start
             Where to begin; missing ones begin at their prior's mean or null value.
         slopes
-            Known derivatives of the bare residuals: they save predictions where the point has not moved far. Those of
-            free parameters count for the first step only.
+            Known derivatives of the bare residuals near ``start``. Those of free parameters count for one step only.
+        most
+            Loss that is of interest: a fit which would stay above it if it went on gaining as in its last step ends.
         """
         keys = [*free, *(k for k in self.priors if k not in free)]
-        x = np.array(
-            [self.to_x(k, start.get(k, self.priors[k].mean if k in self.priors else null_value_of(k))) for k in keys]
-        )
+        begin = {k: prior.mean for k, prior in self.priors.items()} | dict(start)
+        x = np.array([self.to_x(k, begin.get(k, null_value_of(k))) for k in keys])
         state = _State(self, whitener, keys, *self.prior_rows(keys, frozenset(free)))
-        raw = state.raw(x)
-        loss = state.loss(raw, x)
+        loss = state.loss(raw := state.raw(x), x)
         if not math.isfinite(loss):
             raise NotFiniteError("what it predicts is not finite")
-        bare = np.zeros((len(raw), len(keys)))
-        for j, key in enumerate(keys):
-            if slopes and key in slopes:
-                bare[:, j] = slopes[key]
-            else:
-                state.fill(bare, x, raw, (j,))
-        damping = 1e-3
+        known, damping = slopes or {}, 1e-3
+        bare = np.array([known.get(k, np.zeros(len(raw))) for k in keys]).reshape(len(keys), len(raw)).T.copy()
+        state.fill(bare, x, raw, [j for j, k in enumerate(keys) if k not in known])
         # what was identified hardly moves in its prior: its slopes, which cost most, stay those of the start
         moving = [j for j, key in enumerate(free) if key not in self.identified]
+        own, gained = not known, math.inf  # whether slopes are those of this fit
         for i in range(12):
-            if i > 0:
+            # a step that gains less than a nat leads so near that slopes stay as they are
+            if math.isfinite(gained) and not (own and gained < 1.0):
                 state.fill(bare, x, raw, moving)
+                own = True
             normal, gradient = state.normal(bare, raw, x, state.mask)
             gained = 0.0
             for _ in range(6):
                 trial = x + damped_step(normal, gradient, damping, state.low - x, state.high - x)
-                raw_trial = state.raw(trial)
-                loss_trial = state.loss(raw_trial, trial)
+                # weighted least squares promise about half of what they gain where residuals are large
+                if own and linear_gain(normal, gradient, trial - x) < 0.5 * LEAST_GAIN:
+                    break
+                loss_trial = state.loss(raw_trial := state.raw(trial), trial)
                 if loss_trial < loss:
                     gained = loss - loss_trial
                     x, raw, loss, damping = trial, raw_trial, loss_trial, max(damping * 0.2, 1e-7)
                     break
                 damping *= 8.0
-            if gained < LEAST_GAIN:
+            if gained < LEAST_GAIN or loss - (11 - i) * gained > most:
                 break
         return Fitted(self, state, tuple(free), keys, x, raw, loss, bare)
 
@@ -193,9 +194,9 @@ class _State:
     def __init__(
         self, fitter: Fitter, whitener: Whitener, keys: Sequence[ParameterId], mean: Floats, inverse: Floats
     ) -> None:
-        self.fitter, self.whitener, self.keys = fitter, whitener, list(keys)
-        self.mean, self.inverse = mean, inverse
+        self.fitter, self.whitener, self.keys, self.mean, self.inverse = fitter, whitener, list(keys), mean, inverse
         self.step = np.concatenate([whitener.step, fitter.model.observations.plate.step])
+        self._of_fit = fitter.train[fitter.model.observations.measured.step]  # events: no others count in a fit
         self.mask = fitter.train[self.step]
         self.leaping = np.zeros(len(self.step), dtype=bool)  # flights whose slopes are none, by any parameter
         bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
@@ -229,31 +230,33 @@ class _State:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             if kept:
                 key = (here, self.keys[j], h)
-                bare[:, j] = model.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
+                bare[:, j] = model.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h, None))
             else:
-                bare[:, j] = self._difference(x, raw, j, h)
+                bare[:, j] = self._difference(x, raw, j, h, self._of_fit)
         bare[self.leaping] = 0.0
 
-    def _difference(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
+    def _difference(self, x: Floats, raw: Floats, j: int, h: float, wanted: Bools | None) -> Floats:
         """Slopes of the bare residuals by one coordinate, from a finite difference.
 
         A flight that grazes leaps to another landing within the difference, which would hold the parameter where it is.
         So a flight that says most of a parameter is flown once more: where both differences disagree, no slope counts.
         """
-        slopes, n = self._one_sided(x, raw, j, h), len(self.whitener.step)
+        slopes, n = self._one_sided(x, raw, j, h, wanted), len(self.whitener.step)
         information = self.whitener.white_slopes(slopes[:, None], raw)[:n, 0] ** 2
         heavy = np.flatnonzero(information > HEAVY_SHARE * information.sum())
         if len(heavy):
             other = -h if self.low[j] <= x[j] - h <= self.high[j] else h / 8
-            product, square = self._one_sided(x, raw, j, other)[heavy] * slopes[heavy], slopes[heavy] ** 2
+            product, square = self._one_sided(x, raw, j, other, wanted)[heavy] * slopes[heavy], slopes[heavy] ** 2
             self.leaping[heavy[(product < 0.5 * square) | (product > 2.0 * square)]] = True
         slopes[self.leaping] = 0.0
         return slopes
 
-    def _one_sided(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
+    def _one_sided(self, x: Floats, raw: Floats, j: int, h: float, wanted: Bools | None) -> Floats:
         moved = x.copy()
         moved[j] += h
-        return of_same_events(self.raw(moved) - raw, self.whitener) / h
+        there = self.fitter.model.residuals(self.point(moved), wanted=wanted)
+        change = of_same_events(self.whitener.stacked(there) - raw, self.whitener)
+        return (change if wanted is None else np.where(self.mask, change, 0.0)) / h
 
     def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
@@ -341,8 +344,7 @@ class Fitted:
         Errors that events of a step share and nothing states make each step pull a value its own way (the sandwich of
         White, Econometrica 48, 817 (1980), by steps).
         """
-        covariance, state = self.covariance(), self.state
-        whitener = state.whitener
+        covariance, state, whitener = self.covariance(), self.state, self.state.whitener
         z, jacobian = whitener.white_all(self.raw), whitener.white_slopes(self.bare, self.raw)
         score = (z * robust_weight(z, whitener.odds))[:, None] * jacobian
         steps = np.unique(state.step[state.mask])

@@ -48,7 +48,7 @@ def _names_in(case: Candidate, fuller: Candidate) -> dict[ParameterId, Parameter
     return found if len(found) == len(case.free) and set(found.values()) < set(fuller.free) else {}
 
 
-def _beyond(case: Candidate, fuller: Candidate) -> tuple[ParameterId, ...]:
+def beyond(case: Candidate, fuller: Candidate) -> tuple[ParameterId, ...]:
     """What a fuller form frees beyond a special case; nothing where it is none, or where that has no size."""
     names = _names_in(case, fuller)
     extra = tuple(k for k in fuller.free if k not in names.values()) if names else ()
@@ -110,7 +110,7 @@ class Proposals:
             return attempted(chosen, fit, best, chosen, fitted)
 
         def fuller(candidate: Candidate) -> Hypothesis | None:
-            cases = [x for x in found if x.whitener is not best.whitener and _beyond(x.candidates[-1], candidate)]
+            cases = [x for x in found if x.whitener is not best.whitener and beyond(x.candidates[-1], candidate)]
             if not cases:
                 fitted = one(candidate)
                 return None if fitted is None else followed((candidate, fitted, self._gained(best, fitted)), enough)
@@ -118,9 +118,9 @@ class Proposals:
             # one of another name may have no place here: a pull of any height is none of a magnet's range
             begun = [_within(x.fitted.values, x.candidates[-1], candidate) for x in cases]
             least = int(np.argmin([self.refits.profile_loss(best.whitener, values) for values in begun]))
-            return attempted((*best.candidates, candidate), self._extended, cases[least], candidate)
+            return attempted((*best.candidates, candidate), self.extended, cases[least], candidate)
 
-        plain = [c for c in options if not any(_beyond(case, c) for case in options)]
+        plain = [c for c in options if not any(beyond(case, c) for case in options)]
         with ThreadPoolExecutor(THREADS) as pool:
             soft = [(c, x) for c, x in zip(plain, pool.map(one, plain), strict=True) if x is not None]
             begun = sorted(((c, x, self._gained(best, x)) for c, x in soft), key=lambda x: -x[2])
@@ -154,7 +154,7 @@ class Proposals:
         fits = [self.refits.attempted(chosen, from_start, p) for p in starts[:MOST_SWITCHED]]
         return min((x for x in fits if x is not None), key=self._loss, default=None)
 
-    def _extended(self, case: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+    def extended(self, case: Hypothesis, candidate: Candidate) -> Hypothesis | None:
         """A fuller form, fitted from where its special case stands; None where what it has beyond promises nothing."""
         *others, special = case.candidates
         taken = {k for c in others for k in c.free}

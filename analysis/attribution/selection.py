@@ -20,7 +20,7 @@ from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
 from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected
-from analysis.attribution.proposals import Proposals
+from analysis.attribution.proposals import Proposals, beyond
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, NEAR_CAUSE, Thresholds
@@ -144,8 +144,12 @@ class StepwiseSelection:
         """What recorded volts show without a flight is added first: a cause is then sought over the plate as it is."""
         known = {name for name, _ in self.fitter.identified}
         options = [c for c in self.library if known and set(c.names) <= known]
-        fits = [self.refits.attempted((c,), self.proposals.add, before, c) for c in options]
-        return [x for x in fits if x is not None]
+        found = list[Hypothesis]()
+        for c in sorted(options, key=lambda c: len(c.free)):
+            case = next((x for x in found if beyond(x.candidates[-1], c)), None)
+            fit = self.proposals.add if case is None else self.proposals.extended
+            found += filter(None, [self.refits.attempted((c,), fit, case or before, c)])
+        return found
 
     def _followed(self, before: Hypothesis, found: list[Hypothesis]) -> tuple[SelectionResult, tuple[str, ...]]:
         """The result of the rounds that begin with the choice among ``found``, and the names that were chosen first."""

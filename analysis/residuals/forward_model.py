@@ -219,7 +219,6 @@ class ForwardModel:
     def _calibrated(self, values: Values, tones: Complexes | None) -> tuple[PlateSteps, Floats, Floats, Floats]:
         """The plate as it moved, the contact circuit's height, and delays of openings and landings, (n,) each."""
         ev = self.observations
-        step = ev.measured.step
         loaded = self.per_step(values, "flight_gain")
         z = ev.steps.plate.acceleration_mps2 if tones is None else tones
         if np.any(loaded) and self.loading is not None:  # a flight starts from, and ends at, the plate in contact
@@ -230,7 +229,7 @@ class ForwardModel:
         plate = replace(ev.steps.plate, acceleration_mps2=np.where(np.abs(reading) < 1e6, z / reading, 0.0))
         if (swings := self.modulation_at(values)) is not None:
             plate = swings[0].modulated(plate, *swings[1:])
-        return plate, self.per_step(values, "gap_m")[step], *self.late_s(values)
+        return plate, self.per_step(values, "gap_m")[ev.measured.step], *self.late_s(values)
 
     def late_s(self, values: Values) -> tuple[Floats, Floats]:
         """By how much later than they happened openings and landings were seen, (n,) each."""
@@ -308,10 +307,13 @@ class ForwardModel:
         ev = self.observations
         return Detection(x.gap_m, GLITCH_S, closure_s=ev.circuit.closure_s, weak_mps=ev.weak_mps)
 
-    def predicted(self, values: Values) -> Predicted:
-        """`predict` at ``values``, stored: what touches plate data only needs no new flight."""
+    def predicted(self, values: Values, wanted: Bools | None = None) -> Predicted:
+        """`predict` at ``values``, at least of ``wanted`` (n,) where given; stored: plate data need no new flight."""
         values = self.start(values)
-        return self.memory.recall(("predicted", values.flying), lambda: self.predict(values))
+        key = "predicted", values.flying
+        if wanted is None or self.memory.holds(key):
+            return self.memory.recall(key, lambda: self.predict(values))
+        return self.memory.recall((*key, wanted.tobytes()), lambda: self.predict(values, wanted=wanted))
 
     def modulation_at(self, values: Values) -> tuple[AmplitudeModulation, Floats, float] | None:
         """Modulation of the plate's amplitude as measured, with its depth in each step and its frequency."""
@@ -345,10 +347,10 @@ class ForwardModel:
             moved = self.predict(values, landing_shift_s=own, near=near, wanted=wanted)
             yield moved, tuple((index >= back) & ((index - back) % 3 == colour) for back in range(3))
 
-    def residuals(self, values: Values, rows: Floats | None = None) -> Residuals:
-        """Measured minus predicted at ``values``."""
+    def residuals(self, values: Values, rows: Floats | None = None, wanted: Bools | None = None) -> Residuals:
+        """Measured minus predicted at ``values``; at least of the events ``wanted`` (n,), where given."""
         ev, values = self.observations, self.start(values)
-        p = self.predicted(values) if rows is None else self.predict(values, rows=rows)
+        p = self.predicted(values, wanted) if rows is None else self.predict(values, rows=rows)
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
         if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):

@@ -23,10 +23,11 @@ import numpy as np
 
 from analysis.events.edge_jitter import rounded
 from analysis.residuals.forward_model import ForwardModel, Inputs
+from analysis.residuals.plate_data.measured_mode import MeasuredMode
 from analysis.residuals.values import Values
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import offsets
-from model.integrator.one_step import Predicted, one_ahead
+from model.integrator.one_step import Predicted, driven, one_ahead
 from model.integrator.problem import Measured, PlateSteps, active, columns_of, plate_mode
 
 Kicks = tuple[tuple[float, float], ...]
@@ -86,9 +87,10 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
     if again.any():
         moves = _Moves(model, values, again)
-        # a plate mode rings on from flight to flight, what fades tell with it
-        rings = active(model.inputs(values).rows, "plate_mode")
-        found = moves.one_by_one(tones, kicks) if rings else moves.together(tones)
+        rows = model.inputs(values).rows
+        # a plate mode that is not known as it moved rings on from flight to flight, what fades tell with it
+        chained = active(rows, "plate_mode") and model.measured_mode(rows) is None
+        found = moves.one_by_one(tones, kicks) if chained else moves.together(tones, kicks)
         edges[:, again], changes[:, again], bent[:, again] = found
     times = _from_exact_landings(model, base, edges)
     opening, landing = (
@@ -190,7 +192,7 @@ class _Moves:
     def _events(self, p: Predicted) -> Floats:
         return np.stack([p.opening_s[self.again], p.landing_s[self.again]], axis=1)
 
-    def together(self, changes: list[Complexes]) -> tuple[Floats, Floats, Floats]:
+    def together(self, changes: list[Complexes], kicks: Kicks) -> tuple[Floats, Floats, Floats]:
         """All moves in one prediction, of copies of the flights that the events depend on."""
         n, measured, x = len(self.again), self.model.observations.steps.plate, self.model.inputs(self.values)
         # an effect of the drive may change what is added to a tone
@@ -202,24 +204,38 @@ class _Moves:
             few[:-back] |= self.again[back:]
         index = np.flatnonzero(few)
         z = x.plate.acceleration_mps2
-        plates = [z, *moved, *(2.0 * z - y for y in moved), z, z, z]
+        first, q = 1 + 2 * len(moved), len(moved) + len(kicks)
+        plates = [z, *moved, *(2.0 * z - y for y in moved), *[z] * (2 * len(kicks) + 3)]
         shifts = np.zeros((len(plates), n))
         for colour in range(3):
             shifts[len(plates) - 3 + colour, colour::3] = EDGE_STEP_S
-        found = _copies(self.model, x, plates, shifts, index, self.again)[:, self.again[index]]
-        base, q = found[0], len(moved)
-        at = np.flatnonzero(self.again)
+        if (mode := self.model.measured_mode(x.rows)) is not None:
+            seen = mode.read(self.model.reading(self.values, without="accelerometer_high_pass"))
+            plates = [driven(replace(x.plate, acceleration_mps2=y), seen.mode_amplitudes) for y in plates]
+            state = np.tile(mode.state, (len(plates), 1, 1))
+            for i, kick in enumerate(kicks):
+                state[first + i], state[first + len(kicks) + i] = mode.kicked(kick), mode.kicked((-kick[0], -kick[1]))
+            # its part has been taken out of the tones
+            nothing = np.zeros((len(plates) * len(z), seen.mode_amplitudes.shape[1]), dtype=np.complex128)
+            mode = replace(mode, state=state, mode_amplitudes=nothing)
+        found = _copies(self.model, x, plates, shifts, index, self.again, mode)[:, self.again[index]]
+        base, at = found[0], np.flatnonzero(self.again)
         edges = np.stack([found[1 + 2 * q + (at - back) % 3, np.arange(len(at))] - base for back in (1, 2)])
-        return edge_slope(edges), *_halves(found[1 : 1 + q], found[1 + q : 1 + 2 * q], base)
+        ahead, behind = (
+            np.concatenate([found[1 + i * len(moved) :][: len(moved)], found[first + i * len(kicks) :][: len(kicks)]])
+            for i in (0, 1)
+        )
+        return edge_slope(edges), *_halves(ahead, behind, base)
 
 
 def _copies(
-    model: ForwardModel, x: Inputs, tones: Sequence[Complexes], shift_s: Floats, events: Integers, wanted: Bools
-) -> Floats:
+    model: ForwardModel, x: Inputs, tones: Sequence[Complexes], shift_s: Floats, events: Integers, wanted: Bools,
+    mode: MeasuredMode | None,
+) -> Floats:  # fmt: skip
     """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
 
-    For plates without a mode: nothing rings on from flights that are left out. ``shift_s`` (q, n) is added to
-    landings; only events ``wanted`` (n,) are predicted.
+    ``shift_s`` (q, n) is added to landings; only events ``wanted`` (n,) are predicted. A plate ``mode`` is known as it
+    moved, with states (q, n, 4) and no part in ``tones``: what rings on from flights that are left out is in them.
     """
     q, e, seen, d = len(tones), len(events), model.measured_at(x, wanted), model.detection_at(x)
     m = len(x.plate.period_s)
@@ -237,12 +253,14 @@ def _copies(
         each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
         None if seen.other_step is None else np.where(each(seen.other_step) >= 0, each(seen.other_step) + m * copy, -1),
         perhaps(seen.share), perhaps(seen.gained_mps), perhaps(seen.pressed_mps), perhaps(seen.pressed_at),
+        perhaps(seen.part), perhaps(seen.ahead_s), None if mode is None else mode.state[:, events].reshape(-1, 4),
     )  # fmt: skip
     plate = PlateSteps(
         np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived
     )
     rows = x.rows if x.rows.ndim == 1 else np.tile(x.rows[events], (q, 1))
-    p = one_ahead(measured, plate, rows, replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps)))
+    circuit = replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps))
+    p = one_ahead(measured, plate, rows, circuit, mode=mode)
     return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
 
 

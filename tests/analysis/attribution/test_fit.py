@@ -16,6 +16,7 @@ from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import CALIBRATION_SIGMAS
+from kernels.arrays import Bools
 
 UP, DOWN, RATE = ("coulomb_friction", "mu_up"), ("coulomb_friction", "mu_down"), ("viscous_damping", "rate_per_s")
 TRUTH = {UP: 0.12, DOWN: 0.18}
@@ -160,8 +161,8 @@ def test_a_point_without_a_number_has_no_slope(
     model = fly_ramp({RATE: 0.5}, 2, gammas=(0.5, 0.9, 0.7))
     exact, whitener, calls = model.residuals, Whitener.of(model, {RATE: 0.5}), itertools.count()
 
-    def broken(values: Mapping[ParameterId, float]) -> Residuals:
-        found = exact(values)
+    def broken(values: Mapping[ParameterId, float], wanted: Bools | None = None) -> Residuals:
+        found = exact(values, wanted=wanted)
         lost = next(calls) == 1  # the first point a step away from the start
         return replace(found, plate=np.where(lost & (np.arange(len(found.plate)) == 0), np.nan, found.plate))
 
@@ -180,8 +181,8 @@ def test_a_flight_that_leaps_does_not_hold_a_parameter(
     fitter = Fitter(model, {}, np.ones(3, dtype=bool))
     smooth = fitter.fit(whitener, (RATE,), {RATE: 0.3})
 
-    def leaping(values: Mapping[ParameterId, float]) -> Residuals:
-        found = exact(values)
+    def leaping(values: Mapping[ParameterId, float], wanted: Bools | None = None) -> Residuals:
+        found = exact(values, wanted=wanted)
         beyond = (values[RATE] > 0.3) & (np.arange(len(found.landing_s)) == row)
         return replace(found, landing_s=found.landing_s + 3e-4 * beyond)
 

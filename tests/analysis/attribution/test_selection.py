@@ -435,8 +435,8 @@ def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
     model = fly_ramp({UP: 0.05, DOWN: 0.05}, 0, gammas=GAMMAS)
     residuals = ForwardModel.residuals
 
-    def diverging(self: ForwardModel, values: Any, rows: Any = None) -> Any:
-        r = residuals(self, values, rows)
+    def diverging(self: ForwardModel, values: Any, rows: Any = None, wanted: Any = None) -> Any:
+        r = residuals(self, values, rows, wanted)
         off = any(name == "viscous_damping" and v != 0.0 for (name, _), v in values.items())
         return replace(r, plate=np.full_like(r.plate, np.nan)) if off else r
 
