@@ -204,7 +204,7 @@ class Judge:
 
     def cheapest(self, close: Sequence[Hypothesis]) -> Hypothesis:
         """Of hypotheses that tie with the first one, that of lowest penalised loss."""
-        costs = [x.fitted.prior_penalty + self.limits.tie_nats * len(x.free) for x in close]
+        costs = [x.fitted.prior_penalty + self.limits.tie_nats * x.numbers for x in close]
         return close[penalised_best(close[0].per_step, [x.per_step for x in close], costs, self.train)]
 
     def rejected(

@@ -82,6 +82,18 @@ class Hypothesis:
         return tuple(k for c in self.candidates for k in c.free)
 
     @property
+    def numbers(self) -> int:
+        """How many numbers its effects need: two that are one in the simplest case are one where they may agree."""
+        number, x = len(self.free), self.fitted.x
+        for name, (one, other) in [(n, q) for n in {n for n, _ in self.free} for q in effect(n).effect.tied.values()]:
+            if (name, one) in self.free and (name, other) in self.free:
+                i, j = self.fitted.keys.index((name, one)), self.fitted.keys.index((name, other))
+                covariance = self.fitted.covariance()
+                spread = covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j]
+                number -= bool((x[i] - x[j]) ** 2 < 3.84 * spread)  # by 95 %
+        return number
+
+    @property
     def per_step(self) -> Floats:
         """Held-out loss of all channels, (m,)."""
         return np.asarray(sum(self.losses.values()))

@@ -119,3 +119,16 @@ def test_a_step_of_grazing_flights_does_not_hold_a_fit_that_all_others_lead_on(t
     for key in (UP, DOWN):
         nearer = abs(held.fitted.values[key] - 0.0463) - abs(led.values[key] - 0.0463)
         assert nearer > 2.5 * led.sigma(key)
+
+
+@pytest.mark.parametrize(("mu_down", "numbers"), [(0.05, 1), (0.02, 2)])
+def test_two_frictions_that_may_be_equal_are_one_number(
+    fly_ramp: Callable[..., ForwardModel], mu_down: float, numbers: int
+) -> None:
+    """A friction that is the same both ways is as simple as a gravity, and comes before a magnet with its range."""
+    model = fly_ramp({UP: 0.05, DOWN: mu_down}, 3)
+    train = np.ones(len(model.observations.steps), dtype=bool)
+    fitter = Fitter(model, {}, train)
+    both = (Candidate(("coulomb_friction",), (UP, DOWN)),)
+    fitted = Refits(fitter).converged(both, Whitener.of(model, {}), (UP, DOWN), {UP: 0.04, DOWN: 0.04})
+    assert fitted.numbers == numbers

@@ -291,7 +291,7 @@ def test_harmonics_of_a_bent_amplifier_are_those_of_trigonometry():
 
 
 def test_a_flight_after_a_bounce_that_no_circuit_showed_ends_as_it_was_flown():
-    """A bounce that the contact closed over leaves the next landing as slow as it was: the plate threw no ball there."""
+    """A bounce that the contact closed over leaves the next landing as slow as it was: no plate threw the ball."""
     steps = steps_of(1.07 * G_MPS2)
     plate = Plate(steps.omega_radps[0], steps.acceleration_mps2[0])
     effects = {"restitution": {"e0": 0.28}}
