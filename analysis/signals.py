@@ -19,7 +19,7 @@ from scipy.signal import bilinear, detrend, lfilter
 
 from daq.recording import Recording
 from kernels import njit
-from kernels.arrays import Floats
+from kernels.arrays import Bools, Floats
 
 PIECE = 1 << 17  # samples of a piece
 PAD = 1024  # neighbouring samples on both sides of a piece
@@ -145,6 +145,12 @@ def _means(x, width, skip, out):  # type: ignore[no-untyped-def]
 def _volts(codes, factor, offset, out):  # type: ignore[no-untyped-def]
     for i in range(codes.shape[0]):
         out[i] = codes[i] * factor + offset
+
+
+def near(these: Bools, before: int, after: int) -> Bools:
+    """Which samples (n,) have one of ``these`` up to ``before`` samples after them, or ``after`` samples before."""
+    counts = np.concatenate([np.zeros(after + 1, np.int64), np.cumsum(these), np.full(before, np.count_nonzero(these))])
+    return np.asarray(counts[before + after + 1 :] > counts[: these.size])
 
 
 AT_ONCE = 64  # samples looked at together for whether any of them matters

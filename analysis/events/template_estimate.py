@@ -32,7 +32,7 @@ from analysis.events.impact_template import (
 from analysis.linear_algebra import lstsq
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
-from analysis.signals import Piece
+from analysis.signals import Piece, near
 from analysis.statistics import CORE, core_sigma
 from daq.instrument.channel_limits import STANDS, NoiseSpectrum, measure_noise, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
@@ -228,7 +228,7 @@ def _with_threshold(
     for piece, (_, fitted), own in zip(pieces, still, found, strict=True):
         output = np.correlate(piece.channels["accelerometer"].astype(np.float64), template.taps.astype(np.float64))
         quiet = _quiet(fitted, own.places, template.fine.size // FINE)
-        reached = np.convolve(~quiet, np.ones(LENGTH))[LENGTH - 1 :][: output.size] > 0.5
+        reached = near(~quiet, LENGTH - 1, 0)[: output.size]
         outputs.append(output[~reached])
     scale, threshold = scale_and_threshold(np.concatenate(outputs), rate_hz)
     return replace(
@@ -263,7 +263,7 @@ def _prediction(still: list[tuple[Floats, Bools]]) -> tuple[Floats, list[Floats]
     next do not count.
     """
     lags = np.arange(PREDICTED_FROM + 1)
-    known = [np.convolve(fitted, np.ones(lags.size))[: fitted.size] > PREDICTED_FROM + 0.5 for _, fitted in still]
+    known = [~near(~fitted, 0, PREDICTED_FROM) & (np.arange(fitted.size) >= PREDICTED_FROM) for _, fitted in still]
     rings, every_nth = known, sum(int(own.sum()) for own in known) // 16384 + 1  # so many predictions are enough
     for _ in range(3):
         products = np.zeros((lags.size, lags.size))
@@ -275,8 +275,8 @@ def _prediction(still: list[tuple[Floats, Bools]]) -> tuple[Floats, list[Floats]
         sizes = np.concatenate([error[own] for error, own in zip(errors, known, strict=True)])
         sigma = core_sigma(sizes, float(np.quantile(sizes, CORE))) if sizes.size else 1.0
         left = [np.where(own, error / max(sigma, 1e-300), 0.0) for error, own in zip(errors, known, strict=True)]
-        loud = [np.convolve(own > ONSET_SIGMAS, np.ones(2 * LEAD), mode="same") > 0.5 for own in left]
-        rings = [own & ~near for own, near in zip(known, loud, strict=True)]
+        loud = [near(own > ONSET_SIGMAS, LEAD - 1, LEAD) for own in left]
+        rings = [own & ~ringing for own, ringing in zip(known, loud, strict=True)]
     return -weights[1:], left
 
 

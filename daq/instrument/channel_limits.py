@@ -160,21 +160,32 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     Noise behind the sensor spreads its end over a band: the outermost part of the readings' (n,) range is compared with
     the next one, for parts of several sizes.
     """
-    x = np.asarray(values, dtype=np.float64)
     in_order = np.sort(values[:4096]).astype(np.float64)  # whole codes are sorted several times faster
     steps = np.diff(in_order)
     least = 2.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
     least = least if least < math.inf else 0.0
     # noise may spread an end over so many parts of the range
-    widths = [max(float(np.ptp(x)) / part, least) for part in (200.0, 100.0, 50.0, 25.0)]
+    low, high = float(values.min()), float(values.max())
+    widths = [max((high - low) / part, least) for part in (200.0, 100.0, 50.0, 25.0)]
+    # few readings lie in the outermost bands, and only these are looked at
+    tops = (values[_beyond(values, sign, sign * top - 2.0 * widths[-1])] for sign, top in ((-1.0, low), (1.0, high)))
+    below, above = (sign * x.astype(np.float64) for sign, x in zip((-1.0, 1.0), tops, strict=True))
     # the half of a step below an end is the end too, whatever rounding the reading has gone through
-    return -_end(-x, widths) + 0.25 * least, _end(x, widths) - 0.25 * least
+    return -_end(below, -low, widths) + 0.25 * least, _end(above, high, widths) - 0.25 * least
 
 
-def _end(x: Floats, widths: list[float]) -> float:
-    """Reading from which on the upper end is reached."""
-    top = float(x.max())
-    near = x[x > top - 2.0 * widths[-1]]
+@njit()
+def _beyond(values, sign, bound):  # type: ignore[no-untyped-def]
+    """Places of the values that, times ``sign``, are above a bound."""
+    out, found = np.empty(values.shape[0], dtype=np.int64), 0
+    for i in range(values.shape[0]):
+        out[found] = i
+        found += int(sign * values[i] > bound)
+    return out[:found].copy()
+
+
+def _end(near: Floats, top: float, widths: list[float]) -> float:
+    """Reading from which on the upper end is reached, of those within two of the last width of the top."""
     for width in widths:
         at = near[near > top - width]
         next_to = np.count_nonzero(near > top - 2.0 * width) - at.size
@@ -217,6 +228,8 @@ def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None 
     ``ends`` are those of the same sensor in readings that go farther; None: of these values.
     """
     low, high = ends_of(values) if ends is None else ends
+    if math.isinf(low) and math.isinf(high):
+        return 0.0
     return float(_standing(values, low, high, max(int(STANDS_S * rate_hz), 1))) / len(values)
 
 
