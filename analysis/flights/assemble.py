@@ -87,7 +87,7 @@ def assemble(
     contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]  # since the last true landing
     flags |= _launch_flags(plate, g, takeoff, landing, contact, step, true)
     flags |= _unresolved(strength, flags, report)
-    flags |= _hidden(plate, g, takeoff, landing, contact, step, flags)
+    flags |= _hidden(plate, g, takeoff, landing, contact, step, flags) | _unheard(plate, step, flags)
     return Flights(
         takeoff_s=takeoff,
         landing_s=landing,
@@ -349,6 +349,14 @@ def _hidden(
     # an ideal path that dips below the plate by a tenth of the flight's height hides a landing
     out[index[lowest < -0.1 * np.maximum(highest, 1e-6)]] = int(FlightFlag.UNSURE)
     return out
+
+
+def _unheard(plate: PlateMotion, step: Integers, flags: Integers) -> Integers:
+    """Flag `UNSURE` in steps with landings that only the accelerometer shows, which stands at its end meanwhile."""
+    rows, heard = np.arange(len(plate.steps))[:, None] == step, (flags & FlightFlag.ACCELEROMETER) != 0
+    often = (rows & heard).sum(axis=1) > 0.1 * rows.sum(axis=1)  # more than a chatter or two
+    deaf = [s is not None and s.saturated and often[i] for i, s in enumerate(plate.steps)]
+    return np.where(np.append(deaf, False)[step], int(FlightFlag.UNSURE), 0)
 
 
 @njit(error_model="numpy")

@@ -41,7 +41,8 @@ class FlightFlag(enum.IntFlag):
     CUT = 64
     """Cut by the start, the end or a change of step."""
     UNSURE = 128
-    """A landing may be hidden: the ball should have met the plate in between, or an edge was missed since the last."""
+    """A landing may be hidden: the ball should have met the plate in between, or an edge was missed since the last, or
+    the accelerometer stood at its end where only it shows landings."""
     BY_HAND = 256
     """A boundary stands where a person put it."""
 

@@ -158,7 +158,8 @@ def observed(
     ``high_pass_hz`` as in `analysis.flights.scan.scan`.
     """
     setup = recording.setup
-    fitted = [s for s in flights.plate.steps if s is not None and s.usable]
+    deaf = [i for i, s in enumerate(flights.plate.steps) if s is not None and s.saturated and _unheard(flights, i)]
+    fitted = [s for s in flights.plate.steps if s is not None and s.usable and s.step not in deaf]
     true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     events = true.takeoff_s, true.landing_s, mask_s, corner_of(recording, high_pass_hz)
     plate = identified_mode(recording, *events) if with_mode else Identified()
@@ -187,6 +188,12 @@ def observed(
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
+    if deaf:
+        notes = (
+            *notes,
+            f"step {', '.join(map(str, deaf))} is left out: only the accelerometer shows its landings, and those that "
+            "come while it stands at its end are lost",
+        )
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -206,6 +213,12 @@ def observed(
             closure_s(measured, heard), scatters, heard, offset is not None and offset.uneven_edges(sharp)
         ),
     )
+
+
+def _unheard(flights: Flights, step: int) -> bool:
+    """Whether all flights of a step are unsure, as where a sensor at its end misses landings."""
+    own = flights.step == step
+    return bool(own.any() and flights.has(FlightFlag.UNSURE)[own].all())
 
 
 def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:

@@ -106,6 +106,19 @@ def test_motion_beyond_the_sensors_end_by_some_per_cent_keeps_its_gamma(make) ->
     assert "in step 9, 10, 11:" in warning and "gamma comes from the rest" in warning
 
 
+def test_steps_whose_landings_a_sensor_at_its_end_may_miss_are_left_out(make) -> None:
+    """A ball that bounces closes no circuit: flights of cut off steps are unsure, and no closed loop uses the steps."""
+    gammas, bounces = np.linspace(1.0, 4.9, 12) / 5.0, {"restitution": {"e0": 0.4}}
+    path = make(gammas, ratio=2, hold=20, effects=bounces, rig={"sensor_clip_g": 4.0}).path
+    with open_recording(path) as recording:
+        flights = flights_of(recording)
+        seen = observed(recording, flights)
+    cut_off = [s.step for s in flights.plate.steps if s is not None and s.saturated]
+    assert cut_off and flights.has(FlightFlag.UNSURE)[np.isin(flights.step, cut_off)].all()
+    assert seen.steps.number.tolist() == [k for k in range(12) if k not in cut_off]
+    assert any("only the accelerometer shows its landings" in note for note in seen.notes)
+
+
 def test_steps_of_a_saturated_accelerometer_are_told_and_left_out(make, tmp_path: Path) -> None:
     """A sensor that ends at 1.2 g, and both tones together reach twice gamma: steps beyond are named in a warning, and
     no closed loop uses them."""
