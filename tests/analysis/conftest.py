@@ -46,12 +46,12 @@ class Made:
         return np.column_stack([self.takeoff_s[landed], self.landing_s[after[landed]]])
 
 
-def setup_for(ratio: int = 1) -> Setup:
+def setup_for(ratio: int = 1, frequency_hz: float = FREQUENCY_HZ) -> Setup:
     """The measuring part of the simulated rig."""
     return Setup.model_validate(
         {
             "name": "test",
-            "forcing": {"frequency_hz": FREQUENCY_HZ, "ratio": ratio},
+            "forcing": {"frequency_hz": frequency_hz, "ratio": ratio},
             "drive": {"g_per_volt": G_PER_VOLT},
             "channels": {"accelerometer": {"sensitivity": 0.1, "unit": "V/g", "offset_v": 0.0}},
             "ball": {"mass_kg": 0.2492},
@@ -103,6 +103,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
         gammas: np.ndarray,
         *,
         ratio: int = 1,
+        frequency_hz: float = FREQUENCY_HZ,
         settle: int = 6,
         hold: int = 14,
         truth: bool = False,
@@ -110,7 +111,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
         effects: Mapping[str, Mapping[str, float]] | None = None,
         rig: Mapping[str, float] | None = None,
     ) -> Made:
-        setup = setup_for(ratio)
+        setup = setup_for(ratio, frequency_hz)
         plant = Plant(Scenario("test", dict(effects or {}), dict(rig or {})), RATE_HZ, np.random.default_rng(seed))
         drive, steps = ramp(setup, np.asarray(gammas, dtype=float), settle, hold)
         events: dict[str, list[float]] = {"left_s": [], "landed_s": []}

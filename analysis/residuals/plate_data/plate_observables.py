@@ -235,7 +235,7 @@ def _strongest_mains_hz(fitted: Sequence[StepPlate]) -> float:
     """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one."""
 
     def mean_square(hz: float) -> float:
-        rows = [(s.acceleration, k) for s in fitted for k in _mains_rows(s, hz)]
+        rows = [(s.acceleration, k) for s in fitted for k in (*_mains_rows(s, hz), *_harmonics_there(s, hz))]
         return float(np.mean([abs(f.amplitudes[k] / f.amplitude_sigma()[k]) ** 2 for f, k in rows])) if rows else 0.0
 
     return max(MAINS_HZ, key=mean_square)
@@ -245,6 +245,12 @@ def _mains_rows(s: StepPlate, mains_hz: float) -> list[int]:
     """Rows of a step's fit that hold the line of the mains: one, or none where the forcing hides it."""
     hz = s.acceleration.frequencies_hz
     return [k for k in range(len(s.multiples), len(hz)) if abs(hz[k] - mains_hz) < MAX_OFFSET_HZ]
+
+
+def _harmonics_there(s: StepPlate, mains_hz: float) -> list[int]:
+    """Rows of the second and third multiple, where it is not driven and hides the mains."""
+    undriven = [s.multiples.index(m) for m in (2, 3) if m in s.multiples and m not in s.forcing_multiples]
+    return [k for k in undriven if abs(s.acceleration.frequencies_hz[k] - mains_hz) < MAX_OFFSET_HZ]
 
 
 def _tone_rows(i: int, s: StepPlate, asked: float, first: float, mains_hz: float) -> list[tuple[float, ...]]:
@@ -341,6 +347,11 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
     for hook in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
         kind, of_value = PLAIN_HOOKS_OF_KIND[hook]
         out[data.rows_of(kind)] += of_value(hooks[hook](p))
+    for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:  # a harmonic that the mains lie on shows them
+        rows = data.rows_of(SECOND, THIRD)
+        off_hz = np.abs(data.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
+        rows = rows[off_hz < MAX_OFFSET_HZ]
+        out[rows] += (hooks[hook](p) / data.scale[rows]) ** 2
     if "transfer" in hooks:
         _add_transfer(out, data, lambda rows: hooks["transfer"](p, data.omega_radps[rows], data.level_g[rows]))
     if "accelerometer_response" in hooks:

@@ -17,6 +17,7 @@ from analysis.plate.mains_lines import (
     strongest_hz,
     unmeasured_line,
 )
+from analysis.residuals.plate_data.plate_observables import HUM, SECOND, plate_data, share
 from daq.lock_in import ToneFit, fit_tones
 from daq.recording import open_recording
 
@@ -59,6 +60,22 @@ def test_multiples_of_the_mains_are_fitted_with_it(make) -> None:
                 row = int(np.argmin(np.abs(step.acceleration.frequencies_hz - 50.0 * k)))
                 assert abs(step.acceleration.amplitudes[row]) == pytest.approx(abs(volts / k / scale), rel=0.1)
     assert rms[0.02] < 1.1 * rms[0.0]
+
+
+def test_mains_on_an_undriven_harmonic_are_known_as_what_the_cable_picks_up(make) -> None:
+    """A forcing of 25 Hz, whose second multiple is the mains: their multiples are fitted, and a pickup explains it."""
+    gammas = np.linspace(0.4, 1.3, 6)
+    with open_recording(make(gammas, hold=20, frequency_hz=25.0, rig={"mains_v": 0.01, "mains_odd": 1.0}).path) as run:
+        steps = [step for step in plate_of(run).steps if step is not None]
+        data, _ = plate_data(steps, run.setup)
+    for step in steps:
+        row = int(np.argmin(np.abs(step.acceleration.frequencies_hz - 150.0)))
+        assert step.acceleration.frequencies_hz[row] == 150.0
+        assert abs(step.acceleration.amplitudes[row]) == pytest.approx(0.1 * G / 3.0, rel=0.1)
+    second = data.rows_of(SECOND)
+    explained = share(data, "mains_pickup", {"amplitude_mps2": 0.1 * G})[second]
+    assert data.value[second] == pytest.approx(explained, rel=0.05)
+    assert not data.rows_of(HUM).size  # 60 Hz, where nothing is, would deny it
 
 
 def _long(hz: float, size: float) -> tuple[np.ndarray, np.ndarray]:
