@@ -90,6 +90,10 @@ def time_edges(crossings: Crossings, levels: Levels, rate_hz: float) -> tuple[Ed
             isolated = {kind: _isolated(own, room, gap, around)[: 2 * EDGES_AT_ONCE] for kind, own in index.items()}
             seen = {kind: towards(some, kind, again) for kind, some in isolated.items()}
             shapes = {kind: edge_shape(y, noise, rate_hz, around) for kind, y in seen.items()}
+            # of the swing: no RC (chatter bends closings alone), but lines drawn between the samples of one
+            if min(shape.chi for shape in shapes.values()) * noise > 0.05:
+                lines = {kind: float(np.median(1.0 / _at_half(y, around.before)[1])) for kind, y in seen.items()}
+                shapes = {kind: EdgeShape(0.0, 0.0, 1.0, 0, straight_s=line / rate_hz) for kind, line in lines.items()}
         for kind, own in index.items():
             # after 64 samples (times the stretch) the voltage of the edge before has settled: its time stands
             todo = own if anew else own[gap[own] < 64 * around.stretch]

@@ -111,8 +111,9 @@ CHAINS: dict[str, Chain] = {
     "mains in the contact": Chain({"contact_mains_v": 0.15}),
     "mains in the drive": Chain({"drive_mains_v": 3e-3}),
     "ordinary USB card": Chain(USB_CARD, causes=(LAG, OFFSET, PICKUP)),
-    "resampled to 44.1 kHz by lines": Chain(after=Afterwards(resampled_hz=44.1e3)),
-    "resampled to 48 kHz, polyphase": Chain(after=Afterwards(resampled_hz=48e3, polyphase=True)),
+    # an RC of 20 us delays the edges of the contact, and no longer shows
+    "resampled to 44.1 kHz by lines": Chain(after=Afterwards(resampled_hz=44.1e3), causes=(LATENCY,)),
+    "resampled to 48 kHz, polyphase": Chain(after=Afterwards(resampled_hz=48e3, polyphase=True), causes=(LATENCY,)),
     "no drive": Chain(after=Afterwards(drive="missing"), hides=("drive_gain",)),
     "drive inverted": Chain(after=Afterwards(drive="inverted")),
     "drive before the amplifier": Chain(after=Afterwards(drive="scaled"), hides=("drive_gain",)),

@@ -104,6 +104,21 @@ def test_lines_that_somebody_drew_between_samples_are_dated_as_the_samples_were(
     np.testing.assert_allclose(edges.uncertainty_s, sigma, rtol=0.02)
 
 
+def test_lines_drawn_between_the_samples_of_an_rc_are_late_as_it_is_and_no_more() -> None:
+    """A circuit with an RC of .4 samples, brought to 2.2 times the rate by lines: edges are late by less than the RC,
+    where an RC fitted to the lines made them a sample early."""
+    rng = np.random.default_rng(7)
+    tau_s, factor = 0.4 / RATE, 2.205
+    true = np.cumsum(rng.uniform(3e-3, 9e-3, 600))
+    seen = circuit(true, int((true[-1] + 0.01) * RATE), tau_s, tau_s, 0.003, rng)
+    volts = np.interp(np.arange(int((seen.size - 1) * factor)) / factor, np.arange(seen.size), seen)
+    edges, opening, closing = timed(volts, measure_levels(volts, 0.0, 5.0))
+    assert opening.tau_s == closing.tau_s == 0.0
+    late = edges.time_s / factor - true
+    assert 0.5 * tau_s < late.mean() < tau_s
+    assert np.std(late) < np.median(edges.uncertainty_s) / factor
+
+
 def test_a_brief_contact_between_edges_does_not_spoil_its_neighbours() -> None:
     """A contact of three samples is still found at both ends, though the voltage never settles."""
     rng = np.random.default_rng(5)
