@@ -353,10 +353,10 @@ def _hidden(
 
 def _unheard(plate: PlateMotion, step: Integers, flags: Integers) -> Integers:
     """Flag `UNSURE` in steps with landings that only the accelerometer shows, which stands at its end meanwhile."""
-    rows, heard = np.arange(len(plate.steps))[:, None] == step, (flags & FlightFlag.ACCELEROMETER) != 0
-    often = (rows & heard).sum(axis=1) > 0.1 * rows.sum(axis=1)  # more than a chatter or two
-    deaf = [s is not None and s.saturated and often[i] for i, s in enumerate(plate.steps)]
-    return np.where(np.append(deaf, False)[step], int(FlightFlag.UNSURE), 0)
+    shown = (flags & FlightFlag.ACCELEROMETER) != 0, step >= 0
+    counts, all_of = (np.bincount(step[own] + 1, minlength=len(plate.steps) + 1)[1:] for own in shown)
+    deaf = np.array([s is not None and s.saturated for s in plate.steps], dtype=np.bool_) & (counts > 0.1 * all_of)
+    return np.where(np.append(deaf, False)[step], int(FlightFlag.UNSURE), 0)  # a tenth is no mere chatter
 
 
 @njit(error_model="numpy")
