@@ -91,7 +91,7 @@ class Discovery:
 
 
 def discover(
-    model: ForwardModel, fitter: Fitter, explanation: Hypothesis, limits: Thresholds = FROZEN
+    model: ForwardModel, fitter: Fitter, explanation: Hypothesis, limits: Thresholds = FROZEN, *, in_place: bool = False
 ) -> Discovery | None:
     """Search for a smooth term that explains what the named effects do not.
 
@@ -107,11 +107,19 @@ def discover(
         The best set of named effects.
     limits
         Thresholds of gains and ties.
+    in_place
+        Only look for what could refute an explanation: a term in the place of its effects on the ball, and none where
+        every curve there loses to them. Decision 712.
     """
     train, tables = fitter.train, model.covariates(explanation.fitted.values)
-    found, forms = _found(model, fitter, explanation, tables, limits)
+    named = named_loss(model, explanation, train)
+    most = float(named[train].sum()) + limits.gain_nats if in_place else np.inf
+    searched = _found(model, fitter, explanation, tables, limits, most)
+    if searched is None:
+        return None
+    found, forms = searched
     best, after = forms.best, forms.explanation
-    gain = LogScoreDifference.of(named_loss(model, explanation, train), after.per_step, train)
+    gain = LogScoreDifference.of(named, after.per_step, train)
     if gain.gain < limits.gain_nats:  # that named effects leave more than noise is known already
         return None
     level = TermSearch(model, fitter, explanation, after.candidates, tables).refine(
@@ -126,16 +134,22 @@ def discover(
 
 
 def _found(
-    model: ForwardModel, fitter: Fitter, explanation: Hypothesis, tables: Mapping[str, Floats], limits: Thresholds
-) -> tuple[list[RefinedTerm], Forms]:
-    """All terms that were fitted, and the one to report with its formulas."""
+    model: ForwardModel, fitter: Fitter, explanation: Hypothesis, tables: Mapping[str, Floats], limits: Thresholds,
+    most: float,
+) -> tuple[list[RefinedTerm], Forms] | None:  # fmt: skip
+    """All terms that were fitted, and the one to report with its formulas.
+
+    Where ``most`` is finite, only terms in place of the effects on the ball; None where each loses more than that.
+    """
     found, laws = list[RefinedTerm](), list[Forms]()
     # the effects of plate and instruments are held on to first, then all named ones
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
     every = explanation.candidates
-    for named in (still,) if len(still) == len(every) else (still, every):
+    for named in (still,) if len(still) == len(every) or np.isfinite(most) else (still, every):
         fresh = _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
         found += fresh
+        if all(p.held_out > most for p in fresh):
+            return None
         # of the terms within chance of the best the least curved; of its curves, that of least scatter
         able = [p for p in found if p.held_out < min(x.held_out for x in found) + limits.gain_nats]
         term = min(able, key=lambda p: p.curve.total_curvature).curve.term

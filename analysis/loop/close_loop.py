@@ -261,7 +261,7 @@ def completed(loop: ClosedLoop, fitted: FittedLoop) -> ClosedLoop:
     if not (fails or (by_size and set(best.names) - plate_effects())):
         return loop
     try:
-        found = discover(fitted.model, best.fitter, best, limits)
+        found = discover(fitted.model, best.fitter, best, limits, in_place=by_size)
     except NotFiniteError as error:
         return dataclasses.replace(loop, notes=(*loop.notes, f"the search for a smooth term ended early: {error}"))
     if fails:

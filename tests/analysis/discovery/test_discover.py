@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from analysis.discovery.discover import describe
+from analysis.discovery import discover as module
+from analysis.discovery.discover import describe, discover
 from analysis.discovery.terms import (
     IN_FLIGHT,
     Curve,
@@ -75,3 +77,15 @@ def test_words_follow_the_curve() -> None:
     assert rise.startswith("dry friction rises from 0.1 g to 0.5 g as height goes from 0 mm to 2 mm")
     bump = describe(Curve(friction, knots, np.array([0.1, 0.1, 0.4, 0.1, 0.1]), np.zeros((1, 5))))
     assert "greatest, 0.4 g, where height is about 1 mm" in bump
+
+
+def test_no_formula_is_sought_where_every_curve_loses_to_what_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In place of an explanation none is worth fitting whose own curve foretells held-out steps worse by 12 nats."""
+    curves = [SimpleNamespace(held_out=-88.0 + more) for more in (0.1, 4.0)]  # named effects have -100
+    monkeypatch.setattr(module, "named_loss", lambda *_: np.full(10, -10.0))
+    monkeypatch.setattr(module, "TermSearch", lambda *_: None)
+    monkeypatch.setattr(module, "_finalists", lambda *_: curves)
+    model = SimpleNamespace(covariates=lambda _: {})
+    explanation = SimpleNamespace(candidates=(), fitted=SimpleNamespace(values={}))
+    fitter = SimpleNamespace(train=np.ones(10, dtype=np.bool_))
+    assert discover(model, fitter, explanation, in_place=True) is None  # type: ignore[arg-type]

@@ -111,7 +111,8 @@ def test_a_friction_that_grows_with_height_refutes_the_damping_named_for_it(
     whitener = Whitener.of(model, damping)
     fitted = fitter.fit(whitener, tuple(damping), damping)
     named = Candidate(("viscous_damping",), tuple(damping), (damping,))
-    found = discover(model, fitter, Hypothesis((named,), fitted, whitener, fitted.held_out(whitener)))
+    explanation = Hypothesis((named,), fitted, whitener, fitted.held_out(whitener))
+    found = discover(model, fitter, explanation, in_place=True)
     assert found is not None
     assert (found.term, found.covariate.words) == ("friction", "height")
     assert found.instead_of == ("viscous_damping",)

@@ -79,7 +79,7 @@ def test_a_formula_that_leaves_only_noise_refutes_an_explanation_that_does_not(
     found = found_by(loop, "force", "height_m", FORMS[1], "m/s^2").discovered
     assert found is not None
     found = replace(found, instead_of=("coulomb_friction",), p_lack_of_fit=law_p)
-    monkeypatch.setattr(close_loop, "discover", lambda *_: found)
+    monkeypatch.setattr(close_loop, "discover", lambda *_, in_place: found if in_place else None)
     fitted = FittedLoop(fitter.model, SelectionResult(nothing, friction, (friction,), ()))
     ended = completed(loop, fitted)
     assert ended.verdict == verdict
