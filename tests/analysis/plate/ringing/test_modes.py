@@ -244,3 +244,22 @@ def test_where_nothing_is_left_no_second_mode_begins() -> None:
         np.zeros(n), basis, rng.normal(size=(1, n)), np.zeros(n), np.ones(n, dtype=np.bool_), 1e-3, [0]
     )
     assert still.with_another(np.log([5.0, 0.1])) is None
+
+
+@pytest.mark.parametrize(("strikes", "wide"), [("alike", True), ("unlike", False)])
+def test_a_mode_that_rivals_come_near_is_known_as_badly_as_they_allow(strikes: str, wide: bool) -> None:
+    """Struck alike in every cycle, an 8 Hz mode answers 50 Hz as any slow one: a model true to 1 % knows it to 1 Hz."""
+    rng, n = np.random.default_rng(0), 20000
+    at, tones_hz, time_s = np.arange(10, n, 20), 50.0 * np.arange(1, 5), np.arange(n) * 1e-3
+    step, push = np.arange(n) // 2000, np.zeros(n)
+    push[at] = -50.0 * (1.0 + 0.2 * (step[at] % 3) if strikes == "alike" else rng.uniform(0.0, 2.0, len(at)))
+    seen = 0.0125 * answer(push, 1e-3, 8.0, 0.06) + 0.065 * rng.standard_normal(n)
+    turns = 2.0 * np.pi * time_s * tones_hz[:, None]
+    linear = [x * (step == k) for k in range(10) for x in (*np.cos(turns), *np.sin(turns), np.ones(n))]
+    basis = np.linalg.qr(np.array(linear).T)[0]
+    regression = Regression.of(seen, basis, push[None], np.ones(n, dtype=np.bool_), 1e-3, [0])
+    mode = regression.judged(regression.searched(), 50.0)
+    assert mode is not None
+    sigma_hz = mode.sigmas()[0]
+    assert abs(mode.frequency_hz - 8.0) < 2.0 * sigma_hz
+    assert (sigma_hz > 1.0) if wide else (sigma_hz < 0.03)
