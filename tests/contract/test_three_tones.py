@@ -1,12 +1,15 @@
-"""Effects hidden under forcings of one, two and three tones come back alone and at their own sizes.
+"""Every effect of the library, hidden under one, two and three tones, comes back alone and at its own size.
 
-The third tone is that of the how-to, made in a copy: `docs/how-to/add-a-tone.md`.
+The cases are those of the registry: a new effect is hidden as the simulated rig's list says, or a reason why it cannot
+be stands here. The third tone is that of the how-to, made in a copy: `docs/how-to/add-a-tone.md`.
 """
 
 from pathlib import Path
 
 import pytest
 
+from model.effects.registry import registry
+from rig.sim.catalogue import EFFECTS
 from tests.docs.edits import edited_copy, run_in
 
 HIDE = """
@@ -14,14 +17,18 @@ import sys
 from pathlib import Path
 import numpy as np
 from analysis.loop.close_loop import close_loop
+from bench.jobs.loops.unsealed import compared
 from bench.jobs.run_ramp import make_backend, record
 from bench.profiles.find import load
 from daq.setup.setup import ThirdTone
 from rig.sim.scenario import Scenario
 
-RANGES = {{(1, 0): (0.4, 2.6), (3, 0): (0.1, 0.8), (1, 3): (0.3, 1.5), (2, 3): (0.13, 0.6), (3, 2): (0.1, 0.6)}}
-name, hidden, truth = {name!r}, {hidden!r}, {truth!r}
-Path("hidden.toml").write_text(Scenario("one", {{name: hidden}}).to_toml())
+RANGES = {{
+    (1, 0): (0.4, 2.6), (2, 0): (0.2, 1.5), (3, 0): (0.1, 0.8), (1, 3): (0.3, 1.5), (2, 3): (0.13, 0.6),
+    (3, 2): (0.1, 0.6),
+}}
+hidden, names = {hidden!r}, {names!r}
+Path("hidden.toml").write_text(Scenario("one", hidden).to_toml())
 profile, text = load("simulated")
 for i, (c, third) in enumerate({forcings!r}):
     tone = ThirdTone(ratio=third, amplitude=0.5, phase_deg=40.0) if third else None
@@ -32,28 +39,52 @@ for i, (c, third) in enumerate({forcings!r}):
     out = Path(f"{{i}}.h5")
     record(run, text, make_backend(run, scenario=Path("hidden.toml"), seed=970 + i), out, quiet=True)
     loop = close_loop([out])
-    own = [p for p in loop.selection.added if p.effect == name and p.parameter in truth]
-    off = [abs(p.value - truth[p.parameter]) / p.sigma for p in own]
-    print(len({{p.effect for p in loop.selection.added}}), *off)
+    found = {{(c.effect, c.parameter): (c.value, c.sigma) for c in loop.selection.calibrations}}
+    rows = compared(hidden, loop)
+    found |= {{row[:2]: (row.found, (row.high - row.low) / 3.92) for row in rows if np.isfinite(row.found)}}
+    sizes = {{row[:2]: row.hidden for row in rows if np.isfinite(row.hidden)}}
+    if set(loop.selection.names) == {{"table_resonance"}}:  # far below the forcing a mode is a mass that comes along
+        found["mass_loading", "relative"] = found["table_resonance", "mass_ratio"]
+    # two stages of 50 ms follow the mean square of the rig's drive: so much of its beats is left in what they make
+    beat = 2.0 * np.pi * forcing.frequency_hz * (1 if 2 in (c, third) else 2)
+    ripple = {follows!r} / (1.0 + (0.05 * beat) ** 2)
+    both = sizes.keys() & found.keys()
+    off = [abs(found[k][0] - sizes[k]) / np.hypot(found[k][1], ripple * sizes[k]) for k in both]
+    missing = hidden.keys() - {{effect for effect, _ in both}}
+    print(len(set(loop.selection.names) - set(names)), len(missing), *off)
 """
 
-G = 9.80665
-CASES = {
-    "coulomb_friction": ({"mu_up": 0.05, "mu_down": 0.05}, {"mu_up": 0.05, "mu_down": 0.05}),
-    "position_force": (
-        {"spring_per_s2": 87.5, "magnet_g": 0.025, "range_m": 0.003},
-        {"spring_per_s2": 87.5, "magnet_mps2": 0.025 * G},
-    ),
-    "harmonic_distortion": (
-        {"second_per_v": 0.00625, "third_per_v2": 0.00625},
-        {"quadratic_per_g": 0.00625 / 2.0, "cubic_per_g2": 0.00625 / 4.0},  # 2 g a volt
-    ),
+NOT_HIDDEN = {
+    "accelerometer_cross_axis": "the simulated table has no sideways mode",
+    "clock_error": "drive and recorder of the simulated rig share one clock",
+    "parameter_drift": "a change of another effect, hidden with one",
 }
+BESIDE = {"restitution_scatter": {"restitution": {"e0": 0.3}}}  # it scatters about a restitution
+ALSO = {  # names that may come with an effect, or instead of it
+    # far below the forcing a mode is a mass that comes along
+    "mass_loading": ("table_resonance",),
+    # that of the rig follows the drive's mean square, whose ripple of up to 1.6 % bends every cycle
+    "gain_compression": ("harmonic_distortion",),
+}
+FOLLOWS = ("gain_compression", "harmonic_distortion")  # what goes with the mean square of the rig's drive
+ALL = [(1, 0), (2, 0), (3, 0), (1, 3), (3, 2)]
+EVERYWHERE = ("coulomb_friction", "position_force", "harmonic_distortion")
+
+
+def _hidden(name: str) -> dict[str, dict[str, float]]:
+    """Half of the middle of the range of strong effects, as shaped as in its middle."""
+    table = {p.name: 0.5 * sum(p.strong) * (0.5 if p.scales else 1.0) for p in EFFECTS[name].parameters}
+    return {name: table, **BESIDE.get(name, {})}
+
+
+# what is no part of the library is never named, unless the rig can hide it: curves that are discovered
+NAMES = [r.effect.name for r in registry() if r.effect.library or r.effect.name in EFFECTS]
+CASES = [(name, [(2, 3)]) for name in NAMES if name not in NOT_HIDDEN]
+CASES += [(name, ALL[i::2]) for name in EVERYWHERE for i in (0, 1)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("forcings", [[(1, 0), (3, 0), (1, 3)], [(2, 3), (3, 2)]], ids=["one to three", "three"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(("name", "forcings"), CASES, ids=[f"{n} {f}" for n, f in CASES])
 def test_an_effect_is_found_at_its_own_size_under_any_forcing(
     tmp_path: Path, name: str, forcings: list[tuple[int, int]]
 ) -> None:
@@ -62,9 +93,9 @@ def test_an_effect_is_found_at_its_own_size_under_any_forcing(
     The verdict may still say that a test failed (*unexplained*): one in fifteen does, by .8 us of its take-offs.
     """
     edited_copy("add-a-tone.md", tmp_path)
-    hidden, truth = CASES[name]
-    rows = run_in(tmp_path, HIDE.format(name=name, hidden=hidden, truth=truth, forcings=forcings))
+    names, hidden, follows = (name, *BESIDE.get(name, {}), *ALSO.get(name, ())), _hidden(name), name in FOLLOWS
+    rows = run_in(tmp_path, HIDE.format(hidden=hidden, names=names, forcings=forcings, follows=follows))
     assert len(rows) == len(forcings)
-    for forcing, (names, *off) in zip(forcings, rows, strict=True):
-        assert names == 1.0, forcing
-        assert off and max(off) < 4.0, (forcing, off)
+    for forcing, (strangers, missing, *off) in zip(forcings, rows, strict=True):
+        assert strangers == missing == 0.0, forcing
+        assert max(off) < 4.0, (forcing, off)
