@@ -43,8 +43,6 @@ for i, (c, third) in enumerate({forcings!r}):
     rows = compared(hidden, loop)
     found |= {{row[:2]: (row.found, (row.high - row.low) / 3.92) for row in rows if np.isfinite(row.found)}}
     sizes = {{row[:2]: row.hidden for row in rows if np.isfinite(row.hidden)}}
-    if set(loop.selection.names) == {{"table_resonance"}}:  # far below the forcing a mode is a mass that comes along
-        found["mass_loading", "relative"] = found["table_resonance", "mass_ratio"]
     # two stages of 50 ms follow the mean square of the rig's drive: so much of its beats is left in what they make
     beat = 2.0 * np.pi * forcing.frequency_hz * (1 if 2 in (c, third) else 2)
     ripple = {follows!r} / (1.0 + (0.05 * beat) ** 2)
@@ -61,8 +59,6 @@ NOT_HIDDEN = {
 }
 BESIDE = {"restitution_scatter": {"restitution": {"e0": 0.3}}}  # it scatters about a restitution
 ALSO = {  # names that may come with an effect, or instead of it
-    # far below the forcing a mode is a mass that comes along
-    "mass_loading": ("table_resonance",),
     # that of the rig follows the drive's mean square, whose ripple of up to 1.6 % bends every cycle
     "gain_compression": ("harmonic_distortion",),
 }
