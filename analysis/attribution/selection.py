@@ -200,6 +200,7 @@ class StepwiseSelection:
         best, rivals = self._simplest(best, rivals, last, rounds)
         # an effect may have been needed only while others were missing
         best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds, near)
+        best = best if best.candidates else before  # all steps taken back: nothing is explained by nothing
         chain = [*(x for x in chain[:-1] if x is not best), best]
         ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:

@@ -211,6 +211,17 @@ def test_a_simpler_form_is_tried_when_all_causes_are_named(
     assert seen == [in_turn]
 
 
+def test_where_every_cause_is_taken_back_the_declared_model_stands(
+    selection_of: Callable[..., StepwiseSelection], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A weak spring gains, becomes a gravity, and that holds zero: nothing is named, and no tie is of nothing."""
+    selection = selection_of({UP: 0.05, DOWN: 0.05}, 1)
+    selection.library = [named(selection, "coulomb_friction")]
+    monkeypatch.setattr(selection.pruning, "without_null", lambda x, _: replace(x, candidates=()))
+    found = selection.run()
+    assert found.best is found.before and found.ties == ()
+
+
 @pytest.mark.slow
 def test_two_causes_are_both_named(explain: Explain) -> None:
     """Damping with a plate that holds the ball: neither can stand in for the other."""
