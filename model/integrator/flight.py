@@ -7,7 +7,7 @@ forces and friction add. Impacts and standstills are found on Hermite polynomial
 from __future__ import annotations
 
 from kernels.arrays import Floats
-from model.integrator.plate import STEPS_PER_PERIOD, mode_at, motion, start_turning, tones_at, turn_twice_as_far, turned
+from model.integrator.plate import STEPS_PER_PERIOD, motion, ringing_at, start_turning, tones_at, turn_twice_as_far, turned
 from model.integrator.problem import (
     Law,
     Mode,
@@ -149,7 +149,7 @@ def pull(t: float, s: float, h: float, tones: Floats, mode: Mode, p: Floats, for
     ``forced`` tells whether any effect exerts a force.
     """
     _, v, a = tones_at(t, tones)
-    _, qv, qa = mode_at(s, mode)
+    _, qv, qa = ringing_at(t, s, mode)
     return pull_of(v + qv, a + qa, h, p, forced)
 
 

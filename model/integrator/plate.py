@@ -39,24 +39,31 @@ def _short_turn(angle: float) -> tuple[float, float]:
     return c, s * angle
 
 
-@compiled
-def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turning: Floats) -> int:
-    """Phasors of what moves at time t, s after the mode's state, and their turns in a time d; how many they are.
-
-    ``turning`` (k + 1, 6) holds each phasor, its turn, and what gives velocity and displacement: nodes of an even grid
-    then need no trigonometry. The first is the mode's displacement, zero where it does not ring.
-    """
-    q, qd, om, ze = mode
-    turning[0, 0], turning[0, 1] = 0.0, 0.0  # not by a slice: that takes seconds to compile
+@inlined
+def _start_ringing(row: int, s: float, d: float, free: tuple[float, float, float, float], turning: Floats) -> None:
+    """A free oscillation s after its state as a decaying phasor, whose real part is the displacement."""
+    q, qd, om, ze = free
+    turning[row, 0], turning[row, 1] = 0.0, 0.0  # not by a slice: that takes seconds to compile
     if q != 0.0 or qd != 0.0:
         od = om * math.sqrt(1.0 - ze * ze)
         back, on = math.exp(-ze * om * s), math.exp(-ze * om * d)
         b, c, sn = -(qd + ze * om * q) / od, math.cos(od * s), math.sin(od * s)
-        # the free oscillation as a decaying phasor; its real part is the displacement
-        turning[0, 0], turning[0, 1] = back * (q * c - b * sn), back * (b * c + q * sn)
-        turning[0, 2], turning[0, 3] = on * math.cos(od * d), on * math.sin(od * d)
-        turning[0, 4], turning[0, 5] = -ze * om, od
-    n = 1
+        turning[row, 0], turning[row, 1] = back * (q * c - b * sn), back * (b * c + q * sn)
+        turning[row, 2], turning[row, 3] = on * math.cos(od * d), on * math.sin(od * d)
+        turning[row, 4], turning[row, 5] = -ze * om, od
+
+
+@compiled
+def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turning: Floats) -> int:
+    """Phasors of what moves at time t, s after the mode's state, and their turns in a time d; how many they are.
+
+    ``turning`` (k + 2, 6) holds each phasor, its turn, and what gives velocity and displacement: nodes of an even grid
+    then need no trigonometry. The first two are displacements of the mode beside and of the mode, zero where none rings.
+    """
+    q, qd, om, ze, beside = mode
+    _start_ringing(0, t - beside.t, d, (beside.q, beside.qd, beside.omega, beside.damping), turning)
+    _start_ringing(1, s, d, (q, qd, om, ze), turning)
+    n = 2
     for k in range(tones.shape[0]):
         om, re, im = tones[k, 0], tones[k, 1], tones[k, 2]
         if re == 0.0 and im == 0.0:
@@ -77,17 +84,24 @@ def _turn(k: int, turning: Floats) -> None:
 
 
 @inlined
+def _first_ringing(turning: Floats) -> int:
+    """The first phasor of a mode that rings, 2 where none does."""
+    if turning[0, 0] != 0.0 or turning[0, 1] != 0.0:
+        return 0
+    return 1 if turning[1, 0] != 0.0 or turning[1, 1] != 0.0 else 2
+
+
+@inlined
 def motion(n: int, turning: Floats) -> tuple[float, float, float]:
     """Displacement, velocity and acceleration of tones and mode where the phasors of ``turning`` stand."""
     x, v, a = 0.0, 0.0, 0.0
-    for k in range(1, n):
+    for k in range(2, n):
         re, im, slow = turning[k, 0], turning[k, 1], turning[k, 4]
         a += re
         v += im * slow
         x -= re * (slow * slow)
-    re, im = turning[0, 0], turning[0, 1]
-    if re != 0.0 or im != 0.0:
-        fades, od = turning[0, 4], turning[0, 5]
+    for k in range(_first_ringing(turning), 2):
+        re, im, fades, od = turning[k, 0], turning[k, 1], turning[k, 4], turning[k, 5]
         rate = fades * re - od * im
         x += re
         v += rate
@@ -98,7 +112,7 @@ def motion(n: int, turning: Floats) -> tuple[float, float, float]:
 @inlined
 def turned(n: int, turning: Floats) -> tuple[float, float, float]:
     """`motion` after one more turn of ``turning``."""
-    for k in range(1 if turning[0, 0] == 0.0 and turning[0, 1] == 0.0 else 0, n):
+    for k in range(_first_ringing(turning), n):
         _turn(k, turning)
     return motion(n, turning)
 
@@ -152,8 +166,8 @@ def corrected(tones: Floats, part: float, ahead_s: float) -> Floats:
 
 @compiled
 def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
-    """Displacement, velocity and acceleration of the plate mode, s after its state."""
-    q, qd, om, ze = mode
+    """Displacement, velocity and acceleration of the plate mode, s after its state, but for what rings beside it."""
+    q, qd, om, ze, _ = mode
     if q == 0.0 and qd == 0.0:
         return 0.0, 0.0, 0.0
     od = om * math.sqrt(1.0 - ze * ze)
@@ -165,10 +179,22 @@ def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
     return x, v, -2.0 * ze * om * v - om * om * x
 
 
+@inlined
+def ringing_at(t: float, s: float, mode: Mode) -> tuple[float, float, float]:
+    """`mode_at` with what rings beside the mode at time t."""
+    x, v, a = mode_at(s, mode)
+    beside = mode.beside
+    if beside.q == 0.0 and beside.qd == 0.0:
+        return x, v, a
+    free = Mode(beside.q, beside.qd, beside.omega, beside.damping, beside)
+    more_x, more_v, more_a = mode_at(t - beside.t, free)
+    return x + more_x, v + more_v, a + more_a
+
+
 @compiled
 def with_state(plate: Plate, q: float, qd: float) -> Plate:
     """The same plate, its mode in the state (q, qd)."""
-    return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping))
+    return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping, plate.mode.beside))
 
 
 @compiled
@@ -203,7 +229,7 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
     ratio = plate_mode(p)[2]
     if ratio == 0.0:
         return plate
-    tones, (q, qd, om, ze) = plate
+    tones, (q, qd, om, ze, beside) = plate
     x, v, _ = mode_at_rest(t, tones, p)
     under = tones.copy()
     for k in range(tones.shape[0]):
@@ -213,7 +239,7 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
             z = complex(tones[k, 1], tones[k, 2]) * (1.0 + ratio * tones[k, 0] * tones[k, 0] / push)
             under[k, 1], under[k, 2] = z.real, z.imag
     root = math.sqrt(1.0 + ratio)
-    return Plate(under, Mode(q - x, qd - v, om / root, ze / root))
+    return Plate(under, Mode(q - x, qd - v, om / root, ze / root, beside))
 
 
 @compiled
@@ -226,7 +252,7 @@ def mode_under_ball(t: float, s: float, plate: Plate, p: Floats) -> tuple[float,
     tones, mode = plate
     x0, v0, _ = mode_at_rest(t, tones, p)
     x1, v1, _ = mode_at_rest(t + s, tones, p)
-    x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root))
+    x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root, mode.beside))
     return x + x1, v + v1
 
 
@@ -280,7 +306,7 @@ def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, p
     A projection is the integral of the mode's acceleration times ``exp(-i w t)``, in closed form.
     """
     ratio = plate_mode(p)[2]
-    tones, (q, qd, om, ze) = plate
+    tones, (q, qd, om, ze, _) = plate
     x0, v0 = 0.0, 0.0
     if resting:
         root = math.sqrt(1.0 + ratio)

@@ -20,6 +20,7 @@ from model.integrator.plate import (
 )
 from model.integrator.problem import (
     Acting,
+    Beside,
     Chain,
     Event,
     Law,
@@ -158,7 +159,7 @@ def one_ahead(
     """
     rows, forced, rubbed = acting
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
-    turning = np.empty((steps.tones.shape[1] + 1, 6))
+    turning = np.empty((steps.tones.shape[1] + 2, 6))
     lengths = step_lengths(steps)
     om, ze, ratio = plate_mode(rows[0])
     n = len(events)
@@ -177,7 +178,8 @@ def one_ahead(
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         tones, length = plate_of(event, steps, lengths)
-        bare = Plate(tones, Mode(0.0, 0.0, om, ze))
+        beside = event.opening, event.beside_q, event.beside_qd, event.beside_radps, event.beside_damping
+        bare = Plate(tones, Mode(0.0, 0.0, om, ze, Beside(*beside)))
         law = Law(p, length, forced, rubbed, turning)
         passed, reach, chained = 0, 0.0, last.chained + 1
         if not event.linked:
@@ -216,8 +218,8 @@ def simulate(
     """Flights one after another from an impact: fills ``out`` of `PREDICTION_DTYPE` (n,) and returns how many."""
     p = bare.p
     om, ze, _ = plate_mode(p)
-    plate = Plate(tones, Mode(0.0, 0.0, om, ze))
-    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 1, 6)))
+    plate = Plate(tones, Mode(0.0, 0.0, om, ze, Beside(0.0, 0.0, 0.0, 1.0, 0.0)))
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 2, 6)))
     seen = Visibility(0.0, unseen_s, 0.0)
     t = start_s
     for i in range(len(out)):

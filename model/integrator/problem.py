@@ -37,13 +37,24 @@ def inlined(function: _F) -> _F:
     return cast(_F, njit(error_model="numpy", forceinline=True)(function))
 
 
+class Beside(NamedTuple):
+    """A second plate mode, which rings freely: displacement, velocity, angular frequency, damping ratio, at time t."""
+
+    t: float
+    q: float
+    qd: float
+    omega: float
+    damping: float
+
+
 class Mode(NamedTuple):
-    """A free damped oscillator: displacement, velocity, angular frequency, damping ratio."""
+    """A free damped oscillator: displacement, velocity, angular frequency, damping ratio; and what rings beside it."""
 
     q: float
     qd: float
     omega: float
     damping: float
+    beside: Beside = Beside(0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 class Plate(NamedTuple):
@@ -135,6 +146,8 @@ EVENT_DTYPE = np.dtype([
     ("other_step", "i8"), ("share", "f8"), ("part", "f8"), ("ahead_s", "f8"),
     ("gained_mps", "f8"), ("pressed_mps", "f8"), ("pressed_at", "f8"),
     ("q", "f8"), ("qd", "f8"), ("after_q", "f8"), ("after_qd", "f8"),  # the mode at the opening, and after the landing
+    # a second one at the opening; 0 for none
+    ("beside_q", "f8"), ("beside_qd", "f8"), ("beside_radps", "f8"), ("beside_damping", "f8"),
 ], align=True)  # fmt: skip
 """A measured flight; what else its fields hold stands at `model.integrator.problem.Measured`."""
 Event = Any  # a row of that type, as kernels read it
@@ -217,7 +230,8 @@ class Measured:
     pressed_at: Floats | None = None  # part of the contact at which the centre of ``pressed_mps`` is
     part: Floats | None = None  # part by which the plate moved more in the flight than in its step; None for all alike
     ahead_s: Floats | None = None  # by how much earlier
-    # displacement and velocity of a plate mode at the opening, and just after the landing, (n, 4), as measured.
+    # displacement and velocity of a plate mode at the opening, and just after the landing, (n, 4), as measured; with
+    # those of a second one at the opening, its angular frequency and damping ratio, (n, 8).
     # NaN or None where it is followed from flight to flight.
     mode: Floats | None = None
 

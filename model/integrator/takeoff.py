@@ -10,8 +10,8 @@ from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight,
 from model.integrator.plate import (
     STEPS_PER_PERIOD,
     loaded,
-    mode_at,
     mode_under_ball,
+    ringing_at,
     start_turning,
     strike,
     tones_at,
@@ -176,8 +176,8 @@ def launch_of(t0: float, t1: float, near: tuple[float, float, float], plate: Pla
     g, (tones, mode) = gravity(law.p), plate
     x0, vp0, _ = tones_at(t0, tones)
     x1, vp1, _ = tones_at(t1, tones)
-    rx0, rv0 = mode.q, mode.qd
-    rx1, rv1, _ = mode_at(t1 - t0, mode)
+    rx0, rv0, _ = ringing_at(t0, 0.0, mode)
+    rx1, rv1, _ = ringing_at(t1, t1 - t0, mode)
     lasts = t1 - t0
     # free flight from plate to plate: h = 0 at both ends gives the launch speed
     v0 = (0.5 * g * lasts * lasts + x1 - x0 - vp0 * lasts + rx1 - rx0 - rv0 * lasts) / lasts

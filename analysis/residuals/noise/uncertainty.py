@@ -235,7 +235,7 @@ def _copies(
     """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
 
     ``shift_s`` (q, n) is added to landings; only events ``wanted`` (n,) are predicted. A plate ``mode`` is known as it
-    moved, with states (q, n, 4) and no part in ``tones``: what rings on from flights that are left out is in them.
+    moved, with states (q, n, 4 or 8) and no part in ``tones``: what rings on from flights that are left out is in them.
     """
     q, e, seen, d = len(tones), len(events), model.measured_at(x, wanted), model.detection_at(x)
     m = len(x.plate.period_s)
@@ -253,7 +253,7 @@ def _copies(
         each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
         None if seen.other_step is None else np.where(each(seen.other_step) >= 0, each(seen.other_step) + m * copy, -1),
         perhaps(seen.share), perhaps(seen.gained_mps), perhaps(seen.pressed_mps), perhaps(seen.pressed_at),
-        perhaps(seen.part), perhaps(seen.ahead_s), None if mode is None else mode.state[:, events].reshape(-1, 4),
+        perhaps(seen.part), perhaps(seen.ahead_s), None if mode is None else mode.state[:, events].reshape(q * e, -1),
     )  # fmt: skip
     plate = PlateSteps(
         np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived

@@ -19,7 +19,9 @@ from kernels.arrays import Complexes, Floats
 class MeasuredMode:
     """Where the mode was, and what it adds to the measured tones; see `model.integrator.one_step`."""
 
-    state: Floats  # displacement and velocity at each opening and just after each landing, (n, 4)
+    # displacement and velocity at each opening and just after each landing, (n, 4); with a second mode at each opening,
+    # its angular frequency and damping ratio, (n, 8)
+    state: Floats
     mode_amplitudes: Complexes  # as in `model.integrator.one_step.Predicted`
     projection: Complexes  # the same
     observed_s: Floats  # the same
@@ -31,7 +33,9 @@ class MeasuredMode:
         """``state`` with a displacement (m) and a speed (m/s) added that ring on in it all the time."""
         q, qd = kick
         z = (qd + 1j * self.omega_radps * q) * self.turning
-        return self.state + np.stack([z.imag / self.omega_radps, z.real], axis=2).reshape(self.state.shape)
+        state = self.state.copy()
+        state[:, :4] += np.stack([z.imag / self.omega_radps, z.real], axis=2).reshape(len(state), 4)
+        return state
 
     def read(self, reading: Complexes | Floats) -> Self:
         """The same, what it adds to the tones as they are, (m, k), where it was seen through a ``reading`` of them."""
@@ -43,11 +47,14 @@ class MeasuredMode:
         omega_radps, damping, mass_ratio = mode
         motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         of, seen = observations.steps.recording[observations.measured.step], observations.measured
-        state = np.empty((len(observations), 4))
+        state = np.zeros((len(observations), 8 if any(motion.others for motion in motions) else 4))
         for i, motion in enumerate(motions):
-            own = of == i
+            own, first = of == i, replace(motion, others=())
             opened, landed = seen.opening_s[own], seen.landing_s[own]
-            state[own] = np.hstack([motion.state(opened), motion.state(landed, landings=True)])
+            state[own, :4] = np.hstack([first.state(opened), first.state(landed, landings=True)])
+            for other in motion.others:  # it rings on in its own time: the first mode's would carry it elsewhere
+                radps = abs(other.turn)
+                state[own, 4:6], state[own, 6:] = other.state(opened), (radps, -other.turn.real / radps)
         # after the last landing nothing shows whether the ball flew on
         until_s = np.array([x.until_s for x in observations.ringing.pushed])[of_step := observations.steps.recording]
         followed = ringing.span_s[:, 1] <= until_s[ringing.intervals.step]

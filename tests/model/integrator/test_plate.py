@@ -16,7 +16,7 @@ MODE = Mode(2e-5, -3e-3, 60.0, 0.08)
 def test_turned_phasors_are_the_closed_form(mode: Mode) -> None:
     """Two thousand turns, doubled in between, forwards and back, lead where cosines lead, mode and silent tones too."""
     for d in (1.3e-4, -2e-4):
-        t, s, since, turning = 41.0, 0.2, 0.0, np.empty((len(TONES) + 1, 6))
+        t, s, since, turning = 41.0, 0.2, 0.0, np.empty((len(TONES) + 2, 6))
         n = start_turning(t, s, d, TONES, mode, turning)
         assert n == 4
         for k in range(2000):
@@ -33,14 +33,14 @@ def test_turned_phasors_are_the_closed_form(mode: Mode) -> None:
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.01, -0.13, 0.999 * SHORT_TURN, 1.001 * SHORT_TURN, -2.0])
 def test_a_turn_is_cosine_and_sine_however_short(angle: float) -> None:
     """Series below a third of a radian and library functions above agree to the last bits."""
-    tones, turning = np.array([[100.0, 1.0, 0.0]]), np.empty((2, 6))
+    tones, turning = np.array([[100.0, 1.0, 0.0]]), np.empty((3, 6))
     start_turning(0.0, 0.0, angle / 100.0, tones, Mode(0.0, 0.0, 1.0, 0.0), turning)
-    assert turning[1, 2:4] == pytest.approx([np.cos(angle), np.sin(angle)], rel=4e-16, abs=1e-300)
+    assert turning[2, 2:4] == pytest.approx([np.cos(angle), np.sin(angle)], rel=4e-16, abs=1e-300)
 
 
 @pytest.mark.parametrize("mode", [MODE, Mode(0.0, 0.0, 60.0, 0.08)])
 def test_phasors_begin_where_the_plate_is(mode: Mode) -> None:
     """Before the first turn they give the closed form's displacement, velocity and acceleration."""
-    turning = np.empty((len(TONES) + 1, 6))
+    turning = np.empty((len(TONES) + 2, 6))
     n = start_turning(41.0, 0.2, 1e-4, TONES, mode, turning)
     assert motion(n, turning) == pytest.approx(np.add(tones_at(41.0, TONES), mode_at(0.2, mode)), rel=1e-11)

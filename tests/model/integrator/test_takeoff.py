@@ -25,7 +25,7 @@ def _rig(effects):
     motion = Motion([w], [3.0j * G_MPS2])
     tones = tones_for_kernel(motion.omega_radps, motion.acceleration)
     law = law_of(effects, G_MPS2)
-    law = law._replace(step_s=step_length(PERIOD_S, tones), turning=np.empty((len(tones) + 1, 6)))
+    law = law._replace(step_s=step_length(PERIOD_S, tones), turning=np.empty((len(tones) + 2, 6)))
     return Plate(tones, NO_MODE), law
 
 
