@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kernels.arrays import Floats
-from model.integrator.problem import Mode, Plate, Probe, compiled, inlined, plate_mode, rebound
+from model.integrator.problem import Beside, Mode, Plate, Probe, compiled, inlined, plate_mode, rebound
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
 SHORT_TURN = 0.3  # rad: the next terms of the series in `_short_turn` are below 1e-16
@@ -197,14 +197,38 @@ def with_state(plate: Plate, q: float, qd: float) -> Plate:
     return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping, plate.mode.beside))
 
 
+@inlined
+def _exp(z: complex) -> complex:
+    """``exp(z)``; numpy's own takes long to compile."""
+    return math.exp(z.real) * complex(math.cos(z.imag), math.sin(z.imag))
+
+
+@inlined
+def _under_beside(beside: Beside, p: Floats) -> tuple[complex, complex, complex]:
+    """Displacement and rate of what rings beside the mode as a decaying phasor; by which part a ball answers there.
+
+    The ball rests on both: its inertia under that motion moves the mode by this part of it.
+    """
+    om, ze, ratio = plate_mode(p)
+    od = beside.omega * math.sqrt(1.0 - beside.damping * beside.damping)
+    rate = complex(-beside.damping * beside.omega, od)
+    size = complex(beside.q, (rate.real * beside.q - beside.qd) / od)
+    return size, rate, -ratio * rate * rate / ((1.0 + ratio) * rate * rate + 2.0 * ze * om * rate + om * om)
+
+
 @compiled
-def mode_at_rest(t: float, tones: Floats, p: Floats) -> tuple[float, float, float]:
+def mode_at_rest(t: float, plate: Plate, p: Floats) -> tuple[float, float, float]:
     """Plate mode under a ball that has long been resting on it: displacement, velocity and acceleration at time t.
 
     The ball presses with ``ratio (g + a)`` per mass of the mode, ``a`` being the whole acceleration of the plate.
     """
     om, ze, ratio = plate_mode(p)
+    tones, beside = plate.tones, plate.mode.beside
     x, v, a = -ratio * p[-1] / (om * om), 0.0, 0.0
+    if beside.q != 0.0 or beside.qd != 0.0:
+        size, rate, part = _under_beside(beside, p)
+        z = part * size * _exp(rate * (t - beside.t))
+        x, v, a = x + z.real, (rate * z).real, (rate * rate * z).real
     for k in range(tones.shape[0]):
         if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:
             continue
@@ -230,7 +254,11 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
     if ratio == 0.0:
         return plate
     tones, (q, qd, om, ze, beside) = plate
-    x, v, _ = mode_at_rest(t, tones, p)
+    x, v, _ = mode_at_rest(t, plate, p)
+    if beside.q != 0.0 or beside.qd != 0.0:
+        size, rate, part = _under_beside(beside, p)
+        z = size * (1.0 + part)
+        beside = Beside(beside.t, z.real, (rate * z).real, beside.omega, beside.damping)
     under = tones.copy()
     for k in range(tones.shape[0]):
         if tones[k, 1] != 0.0 or tones[k, 2] != 0.0:
@@ -249,9 +277,9 @@ def mode_under_ball(t: float, s: float, plate: Plate, p: Floats) -> tuple[float,
     if ratio == 0.0:
         return 0.0, 0.0
     root = math.sqrt(1.0 + ratio)
-    tones, mode = plate
-    x0, v0, _ = mode_at_rest(t, tones, p)
-    x1, v1, _ = mode_at_rest(t + s, tones, p)
+    mode = plate.mode
+    x0, v0, _ = mode_at_rest(t, plate, p)
+    x1, v1, _ = mode_at_rest(t + s, plate, p)
     x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root, mode.beside))
     return x + x1, v + v1
 
@@ -265,12 +293,6 @@ def strike(mode: Mode, s: float, impact: float, p: Floats) -> tuple[float, float
     x, v, _ = mode_at(s, mode)
     # momentum: both masses share the impact, and the ball leaves with the restitution's part of it
     return x, v - ratio / (1.0 + ratio) * (1.0 + rebound(impact, p)) * impact
-
-
-@inlined
-def _exp(z: complex) -> complex:
-    """``exp(z)``; numpy's own takes long to compile."""
-    return math.exp(z.real) * complex(math.cos(z.imag), math.sin(z.imag))
 
 
 @inlined
@@ -310,7 +332,7 @@ def project_mode(t0: float, t1: float, resting: bool, plate: Plate, p: Floats, p
     x0, v0 = 0.0, 0.0
     if resting:
         root = math.sqrt(1.0 + ratio)
-        x0, v0, _ = mode_at_rest(t0, tones, p)
+        x0, v0, _ = mode_at_rest(t0, plate, p)
         om, ze = om / root, ze / root
     decay = complex(-ze * om, om * math.sqrt(1.0 - ze * ze))
     # the mode's acceleration is the real part of size exp(decay t)

@@ -59,7 +59,7 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
     elif 0.0 <= rested < LONGEST_PERIODS * period:
         q, qd = _rested(rested, (event.pressed_mps, event.pressed_at), last, plate, p)
     else:
-        q, qd, _ = mode_at_rest(opening, plate.tones, p)
+        q, qd, _ = mode_at_rest(opening, plate, p)
     loose = 1.0 if np.isnan(event.pressed_mps) else 0.2  # a measured push tells most of the mode's motion
     return Chain(opening, last.impact, q + loose * kick[0], qd + loose * kick[1], False, 0)
 
