@@ -7,7 +7,15 @@ forces and friction add. Impacts and standstills are found on Hermite polynomial
 from __future__ import annotations
 
 from kernels.arrays import Floats
-from model.integrator.plate import STEPS_PER_PERIOD, motion, ringing_at, start_turning, tones_at, turn_twice_as_far, turned
+from model.integrator.plate import (
+    STEPS_PER_PERIOD,
+    motion,
+    ringing_at,
+    start_turning,
+    tones_at,
+    turn_twice_as_far,
+    turned,
+)
 from model.integrator.problem import (
     Law,
     Mode,

@@ -186,6 +186,11 @@ def one_ahead(
             chained = 0
             last = begin_chain(event, steps.period[m], last, bare, p, kick)
         elif (event.wanted or bounces) and (last.known or not bounces):
+            rested = event.opening - last.t
+            if beside[3] > 0.0 and not event.relaunched and 0.0 < rested < LONGEST_PERIODS * steps.period[m]:
+                # the contact pressed on both modes: where that led is known at its end, and turned back from there
+                q, qd = mode_under_ball(event.opening, -rested, with_state(bare, event.q, event.qd), p)
+                last = Chain(last.t, last.impact, q, qd, last.known, last.chained)
             passed, reach = _predict(event, last, bare, law, seen, predicted)
         if not (needed or (bounces and event.wanted)):
             if not measured:

@@ -212,15 +212,22 @@ def test_an_inelastic_ball_leaves_from_rest_whatever_the_contact_looked_like():
     assert hasty.mode_amplitudes[0, 0] == pytest.approx(found.mode_amplitudes[0, 0], rel=1e-6)
 
 
-def test_a_mode_whose_motion_was_measured_is_a_tone_more():
-    """A light mode that hardly dies away, its states given: flights are those over a plate with that tone."""
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_mode_whose_motion_was_measured_is_a_tone_more(beside):
+    """A light mode that hardly dies away, its states given: flights are those over a plate with that tone.
+
+    A second one beside it, at rest and of another frequency, rings on at its own frequency.
+    """
     bare, own, size_m = complex(1.7 * G_MPS2), 2.0 * math.pi * 6.3, 2e-4
     off, land, _ = marched(np.array([bare]), 0.0, own, 0.05, 1.2, 2e-6, OMEGA_RADPS * np.array([1.0]))
     seen = events(off, land)
     state = np.column_stack(
         [f for t in (off, land) for f in (size_m * np.sin(own * t), size_m * own * np.cos(own * t))]
     )
-    mode = row({"table_resonance": {"mass_ratio": 1e-9, "frequency_hz": 6.3, "damping": 1e-6}}, G_MPS2)
+    if beside:
+        state = np.column_stack([0.0 * state, state[:, :2], np.full(len(off), own), np.full(len(off), 1e-6)])
+    first = {"mass_ratio": 1e-9, "frequency_hz": 9.1 if beside else 6.3, "damping": 1e-6}
+    mode = row({"table_resonance": first}, G_MPS2)
     rung = one_ahead(replace(seen, mode=state), steps_of(bare), mode)
     two = PlateSteps(
         np.array([[OMEGA_RADPS, own]]), np.array([[bare, 1j * size_m * own**2]]), np.array([PERIOD_S])
