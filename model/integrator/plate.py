@@ -58,7 +58,7 @@ def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turni
     """Phasors of what moves at time t, s after the mode's state, and their turns in a time d; how many they are.
 
     ``turning`` (k + 2, 6) holds each phasor, its turn, and what gives velocity and displacement: nodes of an even grid
-    then need no trigonometry. The first two are displacements of the mode beside and of the mode, zero where it is still.
+    then need no trigonometry. The first two are displacements of the mode beside and of the mode, zero where none is.
     """
     q, qd, om, ze, beside = mode
     _start_ringing(0, t - beside.t, d, (beside.q, beside.qd, beside.omega, beside.damping), turning)
