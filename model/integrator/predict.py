@@ -65,6 +65,19 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
 
 
 @compiled
+def _turned_back(event: Event, period: float, last: Chain, bare: Plate, p: Floats) -> Chain:
+    """The landing before with that state of the mode which leads to the one measured at the opening.
+
+    Only where a second mode rings beside it: the contact pressed on both, and its end shows what that did.
+    """
+    rested = event.opening - last.t
+    if event.beside_radps == 0.0 or event.relaunched or not 0.0 < rested < LONGEST_PERIODS * period:
+        return last
+    q, qd = mode_under_ball(event.opening, -rested, with_state(bare, event.q, event.qd), p)
+    return Chain(last.t, last.impact, q, qd, last.known, last.chained)
+
+
+@compiled
 def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction) -> tuple[int, float]:
     """Write the prediction of an event from the landing before; return the weak impacts passed, and the first flight's
     ``reach``."""
@@ -161,14 +174,12 @@ def one_ahead(
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
     turning = np.empty((steps.tones.shape[1] + 2, 6))
     lengths = step_lengths(steps)
-    om, ze, ratio = plate_mode(rows[0])
     n = len(events)
     for i in range(n):
         p, event, predicted = rows[i if len(rows) > 1 else 0], events[i], out[i]
         m, landing, bounces = event.step, event.landing, event.bounces
         measured = not np.isnan(event.after_q)
-        if len(rows) > 1:
-            om, ze, ratio = plate_mode(p)
+        om, ze, ratio = plate_mode(p)
         predicted.kind, predicted.ambiguity_s = -1.0, 0.0
         # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
         soon = (i + 1 < n and events[i + 1].wanted) or (i + 2 < n and events[i + 2].wanted)
@@ -186,11 +197,7 @@ def one_ahead(
             chained = 0
             last = begin_chain(event, steps.period[m], last, bare, p, kick)
         elif (event.wanted or bounces) and (last.known or not bounces):
-            rested = event.opening - last.t
-            if beside[3] > 0.0 and not event.relaunched and 0.0 < rested < LONGEST_PERIODS * steps.period[m]:
-                # the contact pressed on both modes: where that led is known at its end, and turned back from there
-                q, qd = mode_under_ball(event.opening, -rested, with_state(bare, event.q, event.qd), p)
-                last = Chain(last.t, last.impact, q, qd, last.known, last.chained)
+            last = _turned_back(event, steps.period[m], last, bare, p)
             passed, reach = _predict(event, last, bare, law, seen, predicted)
         if not (needed or (bounces and event.wanted)):
             if not measured:
