@@ -198,10 +198,9 @@ class StepwiseSelection:
             best = self.refits.again(kept)
             chain.append(best)
         best, rivals = self._simplest(best, rivals, last, rounds)
-        # an effect may have been needed only while others were missing
+        # an effect may have been needed only while others were missing; where all are gone, nothing explains nothing
         best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds, near)
-        best = best if best.candidates else before  # all steps taken back: nothing is explained by nothing
-        chain = [*(x for x in chain[:-1] if x is not best), best]
+        chain = [*(x for x in chain[:-1] if x is not best), best := best if best.candidates else before]
         ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:
             best = self.pruning.without_excess(best)

@@ -158,7 +158,7 @@ def observed(
     ``high_pass_hz`` as in `analysis.flights.scan.scan`.
     """
     setup = recording.setup
-    deaf = [i for i, s in enumerate(flights.plate.steps) if s is not None and s.saturated and _unheard(flights, i)]
+    deaf, left_out = _unheard(flights)
     fitted = [s for s in flights.plate.steps if s is not None and s.usable and s.step not in deaf]
     true, mask_s = flights.select(~flights.has(FlightFlag.FALSE)), flights.edges.ringing_s
     events = true.takeoff_s, true.landing_s, mask_s, corner_of(recording, high_pass_hz)
@@ -187,13 +187,7 @@ def observed(
     sharp = flights.edges.opening.tau_s == 0.0
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
-    notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
-    if deaf:
-        notes = (
-            *notes,
-            f"step {', '.join(map(str, deaf))} is left out: only the accelerometer shows its landings, and those that "
-            "come while it stands at its end are lost",
-        )
+    notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand), *left_out)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,
@@ -215,10 +209,16 @@ def observed(
     )
 
 
-def _unheard(flights: Flights, step: int) -> bool:
-    """Whether all flights of a step are unsure, as where a sensor at its end misses landings."""
-    own = flights.step == step
-    return bool(own.any() and flights.has(FlightFlag.UNSURE)[own].all())
+def _unheard(flights: Flights) -> tuple[list[int], tuple[str, ...]]:
+    """Steps of which all flights are unsure, as a sensor at its end may miss landings; the sentence about them."""
+    unsure = flights.has(FlightFlag.UNSURE)
+    own = {i: flights.step == i for i, s in enumerate(flights.plate.steps) if s is not None and s.saturated}
+    deaf = [i for i, rows in own.items() if rows.any() and unsure[rows].all()]
+    sentence = (
+        f"step {', '.join(map(str, deaf))} is left out: only the accelerometer shows its landings, and those that "
+        "come while it stands at its end are lost"
+    )
+    return deaf, (sentence,) if deaf else ()
 
 
 def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:

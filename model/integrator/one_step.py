@@ -37,7 +37,7 @@ from model.integrator.problem import (
 )
 
 MODE = ("q", "qd", "after_q", "after_qd")
-BESIDE = ("beside_q", "beside_qd", "beside_radps", "beside_damping")
+SECOND = ("second_q", "second_qd", "second_radps", "second_damping")
 OF_KERNEL = ("takeoff_s", "landing_s", "opening_s", "hidden", "kind", "launch_mps", "impact_mps", "ambiguity_s")
 
 
@@ -98,7 +98,7 @@ class Problem:
             if getattr(m, name, None) is not None and name != "wanted":
                 rows[name] = getattr(m, name)
         if m.mode is not None:
-            for name, values in zip((*MODE, *BESIDE)[: m.mode.shape[1]], m.mode.T, strict=True):
+            for name, values in zip((*MODE, *SECOND)[: m.mode.shape[1]], m.mode.T, strict=True):
                 rows[name] = values
         return rows
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kernels.arrays import Floats
-from model.integrator.problem import Beside, Mode, Plate, Probe, compiled, inlined, plate_mode, rebound
+from model.integrator.problem import Mode, Plate, Probe, SecondMode, compiled, inlined, plate_mode, rebound
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
 SHORT_TURN = 0.3  # rad: the next terms of the series in `_short_turn` are below 1e-16
@@ -58,10 +58,10 @@ def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turni
     """Phasors of what moves at time t, s after the mode's state, and their turns in a time d; how many they are.
 
     ``turning`` (k + 2, 6) holds each phasor, its turn, and what gives velocity and displacement: nodes of an even grid
-    then need no trigonometry. The first two are displacements of the mode beside and of the mode, zero where none is.
+    then need no trigonometry. The first two are displacements of the second mode and of the mode, zero where none is.
     """
-    q, qd, om, ze, beside = mode
-    _start_ringing(0, t - beside.t, d, (beside.q, beside.qd, beside.omega, beside.damping), turning)
+    q, qd, om, ze, second = mode
+    _start_ringing(0, t - second.t, d, (second.q, second.qd, second.omega, second.damping), turning)
     _start_ringing(1, s, d, (q, qd, om, ze), turning)
     n = 2
     for k in range(tones.shape[0]):
@@ -166,7 +166,7 @@ def corrected(tones: Floats, part: float, ahead_s: float) -> Floats:
 
 @compiled
 def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
-    """Displacement, velocity and acceleration of the plate mode, s after its state, but for what rings beside it."""
+    """Displacement, velocity and acceleration of the plate mode, s after its state, without the second one."""
     q, qd, om, ze, _ = mode
     if q == 0.0 and qd == 0.0:
         return 0.0, 0.0, 0.0
@@ -181,20 +181,20 @@ def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
 
 @inlined
 def ringing_at(t: float, s: float, mode: Mode) -> tuple[float, float, float]:
-    """`mode_at` with what rings beside the mode at time t."""
+    """`mode_at` with the second mode at time t."""
     x, v, a = mode_at(s, mode)
-    beside = mode.beside
-    if beside.q == 0.0 and beside.qd == 0.0:
+    second = mode.second
+    if second.q == 0.0 and second.qd == 0.0:
         return x, v, a
-    free = Mode(beside.q, beside.qd, beside.omega, beside.damping, beside)
-    more_x, more_v, more_a = mode_at(t - beside.t, free)
+    free = Mode(second.q, second.qd, second.omega, second.damping, second)
+    more_x, more_v, more_a = mode_at(t - second.t, free)
     return x + more_x, v + more_v, a + more_a
 
 
 @compiled
 def with_state(plate: Plate, q: float, qd: float) -> Plate:
     """The same plate, its mode in the state (q, qd)."""
-    return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping, plate.mode.beside))
+    return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping, plate.mode.second))
 
 
 @inlined
@@ -204,15 +204,15 @@ def _exp(z: complex) -> complex:
 
 
 @inlined
-def _under_beside(beside: Beside, p: Floats) -> tuple[complex, complex, complex]:
-    """Displacement and rate of what rings beside the mode as a decaying phasor; by which part a ball answers there.
+def _second_under_ball(second: SecondMode, p: Floats) -> tuple[complex, complex, complex]:
+    """Displacement and rate of the second mode as a decaying phasor; by which part a ball answers there.
 
     The ball rests on both: its inertia under that motion moves the mode by this part of it.
     """
     om, ze, ratio = plate_mode(p)
-    od = beside.omega * math.sqrt(1.0 - beside.damping * beside.damping)
-    rate = complex(-beside.damping * beside.omega, od)
-    size = complex(beside.q, (rate.real * beside.q - beside.qd) / od)
+    od = second.omega * math.sqrt(1.0 - second.damping * second.damping)
+    rate = complex(-second.damping * second.omega, od)
+    size = complex(second.q, (rate.real * second.q - second.qd) / od)
     return size, rate, -ratio * rate * rate / ((1.0 + ratio) * rate * rate + 2.0 * ze * om * rate + om * om)
 
 
@@ -223,11 +223,11 @@ def mode_at_rest(t: float, plate: Plate, p: Floats) -> tuple[float, float, float
     The ball presses with ``ratio (g + a)`` per mass of the mode, ``a`` being the whole acceleration of the plate.
     """
     om, ze, ratio = plate_mode(p)
-    tones, beside = plate.tones, plate.mode.beside
+    tones, second = plate.tones, plate.mode.second
     x, v, a = -ratio * p[-1] / (om * om), 0.0, 0.0
-    if beside.q != 0.0 or beside.qd != 0.0:
-        size, rate, part = _under_beside(beside, p)
-        z = part * size * _exp(rate * (t - beside.t))
+    if second.q != 0.0 or second.qd != 0.0:
+        size, rate, part = _second_under_ball(second, p)
+        z = part * size * _exp(rate * (t - second.t))
         x, v, a = x + z.real, (rate * z).real, (rate * rate * z).real
     for k in range(tones.shape[0]):
         if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:
@@ -253,12 +253,12 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
     ratio = plate_mode(p)[2]
     if ratio == 0.0:
         return plate
-    tones, (q, qd, om, ze, beside) = plate
+    tones, (q, qd, om, ze, second) = plate
     x, v, _ = mode_at_rest(t, plate, p)
-    if beside.q != 0.0 or beside.qd != 0.0:
-        size, rate, part = _under_beside(beside, p)
+    if second.q != 0.0 or second.qd != 0.0:
+        size, rate, part = _second_under_ball(second, p)
         z = size * (1.0 + part)
-        beside = Beside(beside.t, z.real, (rate * z).real, beside.omega, beside.damping)
+        second = SecondMode(second.t, z.real, (rate * z).real, second.omega, second.damping)
     under = tones.copy()
     for k in range(tones.shape[0]):
         if tones[k, 1] != 0.0 or tones[k, 2] != 0.0:
@@ -267,7 +267,7 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
             z = complex(tones[k, 1], tones[k, 2]) * (1.0 + ratio * tones[k, 0] * tones[k, 0] / push)
             under[k, 1], under[k, 2] = z.real, z.imag
     root = math.sqrt(1.0 + ratio)
-    return Plate(under, Mode(q - x, qd - v, om / root, ze / root, beside))
+    return Plate(under, Mode(q - x, qd - v, om / root, ze / root, second))
 
 
 @compiled
@@ -280,7 +280,7 @@ def mode_under_ball(t: float, s: float, plate: Plate, p: Floats) -> tuple[float,
     mode = plate.mode
     x0, v0, _ = mode_at_rest(t, plate, p)
     x1, v1, _ = mode_at_rest(t + s, plate, p)
-    x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root, mode.beside))
+    x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root, mode.second))
     return x + x1, v + v1
 
 

@@ -20,7 +20,6 @@ from model.integrator.plate import (
 )
 from model.integrator.problem import (
     Acting,
-    Beside,
     Chain,
     Event,
     Law,
@@ -28,6 +27,7 @@ from model.integrator.problem import (
     Plate,
     Prediction,
     Probe,
+    SecondMode,
     Steps,
     Visibility,
     compiled,
@@ -68,10 +68,10 @@ def begin_chain(event: Event, period: float, last: Chain, plate: Plate, p: Float
 def _turned_back(event: Event, period: float, last: Chain, bare: Plate, p: Floats) -> Chain:
     """The landing before with that state of the mode which leads to the one measured at the opening.
 
-    Only where a second mode rings beside it: the contact pressed on both, and its end shows what that did.
+    Only where a second mode rings, too: the contact pressed on both, and its end shows what that did.
     """
     rested = event.opening - last.t
-    if event.beside_radps == 0.0 or event.relaunched or not 0.0 < rested < LONGEST_PERIODS * period:
+    if event.second_radps == 0.0 or event.relaunched or not 0.0 < rested < LONGEST_PERIODS * period:
         return last
     q, qd = mode_under_ball(event.opening, -rested, with_state(bare, event.q, event.qd), p)
     return Chain(last.t, last.impact, q, qd, last.known, last.chained)
@@ -189,8 +189,8 @@ def one_ahead(
             last = Chain(landing, last.impact, after_q, after_qd, True, 0)
             continue
         tones, length = plate_of(event, steps, lengths)
-        beside = event.opening, event.beside_q, event.beside_qd, event.beside_radps, event.beside_damping
-        bare = Plate(tones, Mode(0.0, 0.0, om, ze, Beside(*beside)))
+        second = event.opening, event.second_q, event.second_qd, event.second_radps, event.second_damping
+        bare = Plate(tones, Mode(0.0, 0.0, om, ze, SecondMode(*second)))
         law = Law(p, length, forced, rubbed, turning)
         passed, reach, chained = 0, 0.0, last.chained + 1
         if not event.linked:
@@ -230,7 +230,7 @@ def simulate(
     """Flights one after another from an impact: fills ``out`` of `PREDICTION_DTYPE` (n,) and returns how many."""
     p = bare.p
     om, ze, _ = plate_mode(p)
-    plate = Plate(tones, Mode(0.0, 0.0, om, ze, Beside(0.0, 0.0, 0.0, 1.0, 0.0)))
+    plate = Plate(tones, Mode(0.0, 0.0, om, ze, SecondMode(0.0, 0.0, 0.0, 1.0, 0.0)))
     law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 2, 6)))
     seen = Visibility(0.0, unseen_s, 0.0)
     t = start_s

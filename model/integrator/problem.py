@@ -37,7 +37,7 @@ def inlined(function: _F) -> _F:
     return cast(_F, njit(error_model="numpy", forceinline=True)(function))
 
 
-class Beside(NamedTuple):
+class SecondMode(NamedTuple):
     """A second plate mode, which rings freely: displacement, velocity, angular frequency, damping ratio, at time t."""
 
     t: float
@@ -48,13 +48,13 @@ class Beside(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A free damped oscillator: displacement, velocity, angular frequency, damping ratio; and what rings beside it."""
+    """A free damped oscillator: displacement, velocity, angular frequency, damping ratio; and the second mode."""
 
     q: float
     qd: float
     omega: float
     damping: float
-    beside: Beside = Beside(0.0, 0.0, 0.0, 1.0, 0.0)
+    second: SecondMode = SecondMode(0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 class Plate(NamedTuple):
@@ -147,7 +147,7 @@ EVENT_DTYPE = np.dtype([
     ("gained_mps", "f8"), ("pressed_mps", "f8"), ("pressed_at", "f8"),
     ("q", "f8"), ("qd", "f8"), ("after_q", "f8"), ("after_qd", "f8"),  # the mode at the opening, and after the landing
     # a second one at the opening; 0 for none
-    ("beside_q", "f8"), ("beside_qd", "f8"), ("beside_radps", "f8"), ("beside_damping", "f8"),
+    ("second_q", "f8"), ("second_qd", "f8"), ("second_radps", "f8"), ("second_damping", "f8"),
 ], align=True)  # fmt: skip
 """A measured flight; what else its fields hold stands at `model.integrator.problem.Measured`."""
 Event = Any  # a row of that type, as kernels read it

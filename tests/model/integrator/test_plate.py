@@ -18,11 +18,11 @@ from model.integrator.plate import (
     turn_twice_as_far,
     turned,
 )
-from model.integrator.problem import Beside, Mode, Plate
+from model.integrator.problem import Mode, Plate, SecondMode
 
 TONES = np.array([[160.0, 8.0, -3.0], [200.0, 0.0, 0.0], [320.0, 1.0, 2.0], [314.0, -0.2, 0.1]])
-BESIDE = Beside(40.9, -1e-5, 2e-3, 78.0, 0.06)
-MODE, TWO = Mode(2e-5, -3e-3, 60.0, 0.08), Mode(2e-5, -3e-3, 60.0, 0.08, BESIDE)
+SECOND = SecondMode(40.9, -1e-5, 2e-3, 78.0, 0.06)
+MODE, TWO = Mode(2e-5, -3e-3, 60.0, 0.08), Mode(2e-5, -3e-3, 60.0, 0.08, SECOND)
 
 
 @pytest.mark.parametrize("mode", [MODE, TWO, Mode(0.0, 0.0, 60.0, 0.08)])
@@ -67,7 +67,7 @@ def test_a_ball_that_rests_on_two_modes_moves_the_first_by_the_motion_of_both() 
 
     def rate(s: float, y: np.ndarray) -> list[float]:
         # what the tones are without the first mode, and the second one
-        driven = tones_at(t + s, TONES)[2] + ringing_at(t + s, 0.0, Mode(0.0, 0.0, om, ze, BESIDE))[2]
+        driven = tones_at(t + s, TONES)[2] + ringing_at(t + s, 0.0, Mode(0.0, 0.0, om, ze, SECOND))[2]
         free = -2.0 * ze * om * y[1] - om * om * y[0] - ratio * (g + driven)
         return [y[1], free / (1.0 + ratio)]
 
@@ -76,5 +76,5 @@ def test_a_ball_that_rests_on_two_modes_moves_the_first_by_the_motion_of_both() 
         assert mode_under_ball(t, s, plate, p) == pytest.approx(tuple(end), rel=1e-6)
         under = loaded(t, plate, p)
         whole = np.add(tones_at(t + s, under.tones), ringing_at(t + s, s, under.mode))[2]
-        driven = np.add(tones_at(t + s, TONES), ringing_at(t + s, 0.0, Mode(0.0, 0.0, om, ze, BESIDE)))[2]
+        driven = np.add(tones_at(t + s, TONES), ringing_at(t + s, 0.0, Mode(0.0, 0.0, om, ze, SECOND)))[2]
         assert whole == pytest.approx(driven + rate(s, end)[1], rel=1e-6)
