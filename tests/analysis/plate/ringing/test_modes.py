@@ -257,7 +257,7 @@ def test_a_mode_that_rivals_come_near_is_known_as_badly_as_they_allow(strikes: s
     turns = 2.0 * np.pi * time_s * tones_hz[:, None]
     linear = [x * (step == k) for k in range(10) for x in (*np.cos(turns), *np.sin(turns), np.ones(n))]
     basis = np.linalg.qr(np.array(linear).T)[0]
-    regression = Regression.of(seen, basis, push[None], np.ones(n, dtype=np.bool_), 1e-3, [0])
+    regression = Regression.of(seen, basis, push[None], np.zeros(n), np.ones(n, dtype=np.bool_), 1e-3, [0])
     mode = regression.judged(regression.searched(), 50.0)
     assert mode is not None
     sigma_hz = mode.sigmas()[0]
