@@ -298,8 +298,8 @@ class StepwiseSelection:
         ):
             rounds.append(f"step back: that simpler form is refused ({why})")
             return last.before, last.rivals
-        kept = self.refits.again(kept)
-        return self.pruning.without_idle(kept, kept.candidates if len(kept.names) > 1 else (), rounds), []
+        simple = self.refits.again(kept)
+        return self.pruning.without_idle(simple, simple.candidates if len(simple.names) > 1 else (), rounds), []
 
     def _exchanged(
         self, best: Hypothesis, rounds: list[str], near: Mapping[str, Sequence[Hypothesis]]
