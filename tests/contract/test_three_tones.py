@@ -66,6 +66,7 @@ FOLLOWS = ("gain_compression", "harmonic_distortion")  # what goes with the mean
 FAULTS = {
     "restitution_scatter": "half its size passes as noise of a restitution; of .0175 .0139 +- .0009 is found, and of "
     ".0088 at c = 2 with two tones .0074 +- .0006",
+    "table_resonance": "its damping comes out as .143 +- .009 of .06, frequency and mass ratio are right",
 }
 ALL = [(1, 0), (2, 0), (3, 0), (1, 3), (3, 2)]
 EVERYWHERE = ("coulomb_friction", "position_force", "harmonic_distortion")
