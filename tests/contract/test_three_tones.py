@@ -43,7 +43,7 @@ for i, (c, third) in enumerate({forcings!r}):
     rows = compared(hidden, loop)
     found |= {{row[:2]: (row.found, (row.high - row.low) / 3.92) for row in rows if np.isfinite(row.found)}}
     sizes = {{row[:2]: row.hidden for row in rows if np.isfinite(row.hidden)}}
-    # two stages of 50 ms follow the mean square of the rig's drive: so much of its slowest beat is left in what they make
+    # two stages of 50 ms follow the mean square of the rig's drive: so much of its slowest beat is left in them
     ripple = ((c, third) in {follows!r}) / (1.0 + (0.05 * 2.0 * np.pi * forcing.frequency_hz) ** 2)
     both = sizes.keys() & found.keys()
     off = [abs(found[k][0] - sizes[k]) / np.hypot(found[k][1], ripple * sizes[k]) for k in both]
