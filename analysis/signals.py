@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import bilinear, detrend, lfilter
 
+from daq.instrument.held_readings import FRAME, held_samples, without_stair
 from daq.recording import Recording
 from kernels import njit
 from kernels.arrays import Bools, Floats
@@ -67,13 +68,16 @@ class Room:
 
     codes: dict[str, npt.NDArray[Any]]
     volts: dict[str, Volts]
+    held: float  # samples for which the accelerometer holds each reading
 
     @classmethod
     def of(cls, recording: Recording, channels: tuple[str, ...], count: int) -> Self:
         """For pieces of ``count`` samples at most."""
-        size = count + 2 * PAD
+        size, n = count + 2 * PAD, recording.n_samples
         codes = {name: np.empty(size, recording.codes(name, 0, 0).dtype) for name in channels}
-        return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels})
+        starts = np.linspace(0, max(n - 2 * FRAME, 0), 9).astype(np.int64) if "accelerometer" in channels else []
+        looked = [recording.codes("accelerometer", int(a), min(int(a) + FRAME + 1, n)) for a in starts]
+        return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels}, held_samples(looked))
 
 
 def read_piece(
@@ -90,11 +94,12 @@ def read_piece(
         at = start - (first - PAD)
         middle = own[at : at + codes.size]
         _volts(codes, np.float32(factor), np.float32(offset), middle)
+        if channel == "accelerometer":
+            stored = codes[first - start : first - start + count]
+            without_stair(middle, room.held)
         own[:at] = middle[0]
         own[at + codes.size :] = middle[-1]
         volts[channel] = own
-        if channel == "accelerometer":
-            stored = codes[first - start : first - start + count]
     return Piece(first, count, volts, acceleration_codes=stored)
 
 

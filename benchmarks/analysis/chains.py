@@ -114,6 +114,12 @@ CHAINS: dict[str, Chain] = {
     # an RC of 20 us delays the edges of the contact, and no longer shows
     "resampled to 44.1 kHz by lines": Chain(after=Afterwards(resampled_hz=44.1e3), causes=(LATENCY,)),
     "resampled to 48 kHz, polyphase": Chain(after=Afterwards(resampled_hz=48e3, polyphase=True), causes=(LATENCY,)),
+    "accelerometer of 10 kHz, filled": Chain(
+        {"low_pass_hz": 4e3, "low_pass_poles": 4}, after=Afterwards(filled_hz=10e3), causes=(LAG,)
+    ),
+    "accelerometer of 6.4 kHz, filled": Chain(
+        {"low_pass_hz": 2.5e3, "low_pass_poles": 2}, after=Afterwards(filled_hz=6.4e3), causes=(LAG,)
+    ),
     "no drive": Chain(after=Afterwards(drive="missing"), hides=("drive_gain",)),
     "drive inverted": Chain(after=Afterwards(drive="inverted")),
     "drive before the amplifier": Chain(after=Afterwards(drive="scaled"), hides=("drive_gain",)),

@@ -31,6 +31,8 @@ class Afterwards:
         ``inverted``; ``scaled``: tapped before an amplifier of unknown gain; ``missing``: not recorded.
     late_samples
         By how many samples a channel lags behind the others.
+    filled_hz
+        The accelerometer's own rate: what lies between two readings is filled with the one before.
     losses
         How often 20 to 300 rows are missing.
     clock, time_jitter_s
@@ -41,6 +43,7 @@ class Afterwards:
     polyphase: bool = False
     drive: str = ""
     late_samples: tuple[tuple[str, int], ...] = ()
+    filled_hz: float = 0.0
     losses: int = 0
     clock: float = 0.0
     time_jitter_s: float = 0.0
@@ -50,6 +53,10 @@ class Afterwards:
         v = {name: given[name] for name in ("time_s", *CHANNELS, FLIGHTS)}
         if self.resampled_hz:
             _resample(v, rate_hz, self.resampled_hz, self.polyphase)
+        if self.filled_hz:
+            each = rate_hz / self.filled_hz
+            last = np.arange(v["time_s"].size) // each * each
+            v["accelerometer_v"] = v["accelerometer_v"][last.astype(np.int64)]
         for name, samples in self.late_samples:
             v[name] = np.concatenate([np.full(samples, v[name][0]), v[name][:-samples]])
         if self.drive == "missing":

@@ -59,6 +59,16 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
                 False,
             ),
         )
+    if seen.held_samples > 1.0:
+        found += (
+            Doubt(
+                "resampled",
+                f"each reading of the accelerometer stands for {seen.held_samples:.3g} samples, as where a sensor is "
+                "slower than the recording, or a table was filled with the value before",
+                "lines are drawn between the readings: impacts are blurred, and their times with them",
+                False,
+            ),
+        )
     return found
 
 

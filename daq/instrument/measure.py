@@ -19,6 +19,7 @@ from daq.instrument.channel_limits import (
     measure_noise,
     share_at_an_end,
 )
+from daq.instrument.held_readings import held_samples, without_stair
 from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import Setup
 from daq.steps.forcing_detection import Read, gamma_of
@@ -63,7 +64,8 @@ class Measured:
     """Everything that was measured: by step, and of the noise of all of them.
 
     ``ends_v`` are the volts beyond which the accelerometer does not read, infinite where it does not come to its end;
-    ``cut_off`` is the number of holds whose motion goes beyond.
+    ``cut_off`` is the number of holds whose motion goes beyond. ``held_samples`` as in
+    `daq.instrument.held_readings.held_samples`.
     """
 
     holds: tuple[Hold, ...]
@@ -73,6 +75,7 @@ class Measured:
     interpolation_hz: float | None
     ends_v: Ends = NO_ENDS
     cut_off: int = 0
+    held_samples: float = 1.0
 
 
 def volts_per_g(setup: Setup) -> float:
@@ -104,6 +107,9 @@ def measure(
     """
     spans = _spans(steps, gaps, n_samples, rate_hz)
     pieces = [(a, {role: own(a, b) for role, own in read.items()}, hz) for a, b, hz in spans]
+    held = held_samples([volts["accelerometer"] for _, volts, _ in pieces])
+    for _, volts, _ in pieces:
+        without_stair(volts["accelerometer"], held)
     contact = setup.channels.continuity if "continuity" in read else None
     levels = None if contact is None else _levels([volts["continuity"] for _, volts, _ in pieces], contact)
     if contact is not None and levels is not None and levels[1] - levels[0] < 0.2 * abs(contact.swing_v):
@@ -129,6 +135,7 @@ def measure(
         interpolation_hz(channels, rate_hz),
         ends_v,
         sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),
+        held,
     )
 
 
