@@ -75,8 +75,10 @@ class Room:
         """For pieces of ``count`` samples at most."""
         size, n = count + 2 * PAD, recording.n_samples
         codes = {name: np.empty(size, recording.codes(name, 0, 0).dtype) for name in channels}
-        starts = np.linspace(0, max(n - 2 * FRAME, 0), 9).astype(np.int64) if "accelerometer" in channels else []
-        looked = [recording.codes("accelerometer", int(a), min(int(a) + FRAME + 1, n)) for a in starts]
+        looked = [
+            recording.codes("accelerometer", a, min(a + FRAME + 1, n))
+            for a in np.linspace(0, max(n - 2 * FRAME, 0), 9).astype(int).tolist() if "accelerometer" in channels
+        ]  # fmt: skip
         return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels}, held_samples(looked))
 
 

@@ -132,7 +132,7 @@ def estimate_template(
     noise = _noise(still, nothing, rate_hz, 0)
     if noise is None:
         return None, None
-    prediction, left = _prediction(still)
+    prediction, left = _prediction(still, noise.rms_v)
     found, clean = [_begun(own) for own in left], still
     template: ImpactTemplate | None = None
     for turn in range(N_ALIGNMENTS):
@@ -255,10 +255,9 @@ def _unbroken(steps: npt.NDArray[np.void], breaks: Integers, width: int) -> npt.
     return np.array(rows, dtype=steps.dtype)
 
 
-def _prediction(still: list[tuple[Floats, Bools]]) -> tuple[Floats, list[Floats]]:
+def _prediction(still: list[tuple[Floats, Bools]], noise_v: float) -> tuple[Floats, list[Floats]]:
     """Weights (`PREDICTED_FROM`,) that predict a sample from those before, the last one first, and what they leave of
-    each piece, in its standard deviation; 0 where the motion is not known.
-
+    each piece, in its standard deviation; 0 where the motion is not known. The noise is ``noise_v``.
     Impacts are not predicted, and a bounce that always comes alike must not be: where the first weights find one, the
     next do not count.
     """
@@ -270,6 +269,8 @@ def _prediction(still: list[tuple[Floats, Bools]]) -> tuple[Floats, list[Floats]
         for (volts, _), own in zip(still, rings, strict=True):
             rows = volts[np.flatnonzero(own)[::every_nth, None] - lags]
             products += rows.T @ rows
+            # a thousandth of the noise, but white: smooth samples are predicted by differences that grow without end
+            products += len(rows) * 1e-3 * noise_v**2 * np.eye(lags.size)
         weights: Floats = np.append(1.0, -lstsq(products[1:, 1:], products[1:, 0])[0])
         errors = [np.abs(np.convolve(volts, weights)[: volts.size]) for volts, _ in still]
         sizes = np.concatenate([error[own] for error, own in zip(errors, known, strict=True)])

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from kernels import njit
-from kernels.arrays import Floats
 
 FRAME = 4096  # samples in which the rhythm of new readings is looked for
 LEAST_RHYTHM = 0.25  # of the new readings that fall on it: 1.5 samples, rounded to whole ones, leave .33, chance .04
@@ -34,15 +33,18 @@ def held_samples(stretches: Sequence[npt.NDArray[Any]]) -> float:
     for values in stretches:
         new = np.diff(values[: FRAME + 1]) != 0
         count = int(np.count_nonzero(new))
+        holds.append(1.0)
         if new.size < FRAME or not FEWEST <= count <= 0.7 * FRAME:
-            holds.append(1.0)
             continue
-        rhythm = np.abs(np.fft.rfft(new - new.mean()))
+        rhythm = np.abs(np.fft.rfft((new - new.mean()) * np.hanning(FRAME))) / (0.5 * count)
         # a stair of whole samples has all its overtones: the lowest counts
-        line = int(np.argmax(rhythm > 0.9 * rhythm.max()))
+        line = int(np.argmax(rhythm > 0.7 * rhythm.max()))
         # more readings than every other sample beat at what is left to the sampling rate
         of_all = FRAME - line if 2 * count > FRAME else line
-        holds.append(FRAME / of_all if rhythm[line] > LEAST_RHYTHM * count else 1.0)
+        sooner = np.mean(np.diff(np.flatnonzero(new)) < FRAME // of_all)
+        # steps of a coarsely rounded motion are fewer, or come too soon where it flickers between two readings
+        if rhythm[line] > LEAST_RHYTHM and sooner < 0.01 and count > 0.4 * of_all:
+            holds[-1] = FRAME / of_all
     typical = float(np.median(holds)) if holds else 1.0
     # noise and motion change along a recording, a sensor's clock does not
     alike = [abs(FRAME / hold - FRAME / typical) < 2.0 for hold in holds]

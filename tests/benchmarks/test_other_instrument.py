@@ -215,6 +215,8 @@ def test_what_happens_to_a_file_afterwards(tmp_path) -> None:
     assert np.array_equal(Afterwards(drive="inverted").apply(data, RATE, rng)["drive_v"], -data["drive_v"])
     late = Afterwards(late_samples=(("accelerometer_v", 2),)).apply(data, RATE, rng)
     assert np.array_equal(late["accelerometer_v"][2:], data["accelerometer_v"][:-2])
+    filled = Afterwards(filled_hz=6.4e3).apply(data, RATE, rng)["accelerometer_v"]
+    assert np.array_equal(filled[[0, 3, 4, 6, 7]], data["accelerometer_v"][[0, 0, 3, 3, 6]])
     assert n - 900 <= Afterwards(losses=3).apply(data, RATE, rng)["time_s"].size <= n - 20
     fast = Afterwards(clock=6e-5).apply(data, RATE, rng)
     assert fast["time_s"][-1] == pytest.approx(data["time_s"][-1] * 1.00006, rel=1e-12)

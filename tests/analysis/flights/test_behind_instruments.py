@@ -12,6 +12,7 @@ from scipy.signal import resample_poly
 from analysis.flights.assemble import FlightFlag, Flights, assemble, flights_of
 from analysis.flights.scan import scan
 from daq.files.tables import Block
+from daq.instrument.stored import instrument_of
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup
@@ -101,6 +102,28 @@ def test_a_recording_that_others_resampled_holds_the_same_flights(
     flights = read(written(tmp_path / "resampled.h5", setup, dict(zip(channels, codes, strict=True)), steps))
     assert strangers(landings(flights), true_landings) == []
     assert strangers(plain_landings, landings(flights)) == []
+
+
+@pytest.mark.parametrize("own_hz", [10_000, 6250])
+def test_an_accelerometer_slower_than_the_recording_shows_the_same_flights(
+    make, true_landings: np.ndarray, plain_landings: np.ndarray, tmp_path: Path, own_hz: int
+) -> None:
+    """Its readings are held until the next one, and the steps of that stair are no impacts."""
+    chain = {"low_pass_hz": 0.4 * own_hz, "low_pass_poles": 4.0}
+    with open_recording(make(GAMMAS, effects=FRICTION, rig=chain).path) as recording:
+        codes = {name: recording.codes(name, 0, recording.n_samples) for name in recording.channels}
+        each, setup, steps = recording.rate_hz / own_hz, recording.setup, recording.steps.copy()
+    codes["accelerometer"] = codes["accelerometer"][
+        (np.arange(codes["accelerometer"].size) // each * each).astype(np.int64)
+    ]
+    path = written(tmp_path / "held.h5", setup, codes, steps)
+    found = landings(read(path))
+    assert strangers(found, true_landings) == []
+    assert strangers(plain_landings, found) == []
+    with open_recording(path) as recording:
+        instrument = instrument_of(recording)
+    assert instrument is not None
+    assert f"stands for {each:.3g} samples" in next(d for d in instrument.doubts if d.kind == "resampled").finding
 
 
 def test_a_contact_that_opens_once_more_after_a_landing_makes_no_flight(make, tmp_path: Path) -> None:

@@ -1,0 +1,44 @@
+"""Readings that stand for several samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.instrument.held_readings import held_samples, without_stair
+
+RATE_HZ = 20000.0
+
+
+def volts(noise: float, step: float) -> list[np.ndarray]:
+    """Stretches of a rounded sine in noise, at other phases each."""
+    rng, t = np.random.default_rng(6), np.arange(6000) / RATE_HZ
+    return [np.round((np.sin(159.0 * t + k) + rng.normal(0.0, noise, t.size)) / step) * step for k in range(5)]
+
+
+@pytest.mark.parametrize("held", [1.54, 2.0, 2.5, 3.125, 6.25, 12.0])
+def test_the_samples_of_a_reading_are_counted(held: float) -> None:
+    """Also where a sensor's clock does not fit the samples, and equal readings follow one another."""
+    last = (np.arange(6000) // held * held).astype(int)
+    assert held_samples([x[last] for x in volts(3e-3, 4e-3)]) == pytest.approx(held, rel=2e-3)
+
+
+@pytest.mark.parametrize(("noise", "step"), [(1e-2, 1e-6), (0.0, 4e-3), (3e-3, 4e-2), (1e-3, 4e-3), (0.0, 0.2)])
+def test_rounding_holds_no_readings(noise: float, step: float) -> None:
+    """Neighbours that rounding makes equal come without a rhythm."""
+    assert held_samples(volts(noise, step)) == 1.0
+    assert held_samples([np.zeros(5000)]) == held_samples([np.arange(50.0)]) == held_samples([]) == 1.0
+
+
+@pytest.mark.parametrize("held", [2, 5])
+def test_a_stair_becomes_the_line_through_its_readings(held: int) -> None:
+    """Within what a running mean takes from a sine; what is not held stays as it is, to the bit."""
+    t = np.arange(4000) / RATE_HZ
+    smooth = np.sin(159.0 * t)
+    stair = smooth[np.arange(4000) // held * held]
+    left = stair.copy()
+    without_stair(left, 1.0)
+    assert np.array_equal(left, stair)
+    without_stair(left, float(held))
+    inside = slice(5 * held, -5 * held)
+    assert np.abs(left - smooth)[inside].max() < 0.1 * np.abs(stair - smooth)[inside].max()
