@@ -160,6 +160,22 @@ def near(these: Bools, before: int, after: int) -> Bools:
     return np.asarray(counts[before + after + 1 :] > counts[: these.size])
 
 
+@njit(error_model="numpy", fastmath={"contract", "nsz"})
+def unpredicted(x, weights, known):  # type: ignore[no-untyped-def]
+    """Sizes (n,) of the sums of each sample of ``x`` (n,) and those before it, weighted (k,); 0 where not ``known``."""
+    out = np.zeros(x.size)
+    for begin in range(0, x.size, 1024):
+        own = out[begin : begin + 1024]
+        for k in range(weights.size):
+            skip = max(k - begin, 0)
+            later, before = own[skip:], x[begin + skip - k :]
+            for i in range(later.size):
+                later[i] += weights[k] * before[i]
+    for i in range(x.size):
+        out[i] = abs(out[i]) if known[i] else 0.0
+    return out
+
+
 AT_ONCE = 64  # samples looked at together for whether any of them matters
 
 

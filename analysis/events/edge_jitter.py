@@ -199,11 +199,11 @@ def _sequences(time_s: Floats, period_s: float) -> list[tuple[Floats, Floats, fl
 
 def _chained(time_s: Floats, partner: Integers, matched: Bools, cycle_s: float) -> list[tuple[Floats, Floats, float]]:
     """Each sequence from its first edge on: times, times less whole cycles, and the cycle."""
-    out = []
-    for first in np.setdiff1d(np.flatnonzero(matched), partner[matched]):
-        chain = [int(first)]
-        while matched[chain[-1]]:
-            chain.append(int(partner[chain[-1]]))
+    out, later = [], np.where(matched, partner, -1).tolist()
+    for first in sorted(set(np.flatnonzero(matched).tolist()).difference(later)):
+        chain = [first]
+        while (following := later[chain[-1]]) >= 0:
+            chain.append(following)
         own = time_s[chain]
         out.append((own, own - own[0] - cycle_s * np.arange(len(chain)), cycle_s))
     return out

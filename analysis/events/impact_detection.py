@@ -136,10 +136,11 @@ class ImpactScan:
 
     def subtract_impacts(self, volts: Volts, first: int, pad: int) -> None:
         """Subtract the templates of all impacts found so far from a piece, in place."""
-        width, table = self.template.width, self._found.copy()
+        width = self.template.width
+        start = (first - pad) // width - len(self.template.fine) // FINE - 1
+        table = self._found[np.searchsorted(self._found[:, 0], start) :].copy()
         table[:, 0] = self._recorded(table[:, 0])
-        start = (first - pad) - len(self.template.fine) // FINE * width
-        _subtract(volts, first - pad, table[np.searchsorted(table[:, 0], start) :], self.template.fine, width)
+        _subtract(volts, first - pad, table, self.template.fine, width)
 
     @property
     def sizes(self) -> Floats:
@@ -240,15 +241,16 @@ def _fit(own, index, bank, room, row):  # type: ignore[no-untyped-def]
     score = np.empty(shifts)
     _products(bank.columns, own, score)
     best = min(max(int(np.argmax(score)), 1), shifts - 2)
-    left, middle, right = score[best - 1], score[best], score[best + 1]
-    curvature = min(left - 2.0 * middle + right, -1e-300)
-    vertex = min(max(0.5 * (left - right) / curvature, -1.0), 1.0)
+    before, middle, after = score[best - 1], score[best], score[best + 1]
+    curvature = min(before - 2.0 * middle + after, -1e-300)
+    vertex = min(max(0.5 * (before - after) / curvature, -1.0), 1.0)
     row[PLACE], row[SIZE], row[SCORE] = index + (best - SHIFTS + vertex) / FINE, middle / bank.norms[best], middle
     rest = room[0]
     rest[:] = own
     _echo((SHIFTS - best) / FINE, -row[SIZE], bank.fine, rest)
-    _products(bank.white, rest, room[1])
-    misfit = np.sqrt(max(np.sum(room[1, :BEGINNING] ** 2) - BEGINNING, 0.0))
+    left = room[1, :BEGINNING]
+    _products(bank.white, rest, left)
+    misfit = np.sqrt(max(np.sum(left**2) - BEGINNING, 0.0))
     # three times over: a sensor at its end shows only a part of what the template missed
     row[MARGIN] = max(ECHO_MARGIN, 3.0 * misfit / max(middle, 1e-300))
 
@@ -280,7 +282,9 @@ def _search(x, offset, pad, score, count, limit, bank, out, n, every):  # type: 
         own[:] = x[index - LEAD : index - LEAD + LENGTH]
         own -= echo
         _fit(own, index + offset, bank, room, row)
-        loud, doubtful = _size(bank.white, echo, room[0]), _size(bank.white, doubt, room[0])
+        loud = doubtful = 0.0
+        if echo.any():  # mostly nothing else rings
+            loud, doubtful = _size(bank.white, echo, room[0]), _size(bank.white, doubt, room[0])
         if last >= 0 and row[PLACE] - out[last, PLACE] <= 2 * longest:
             # of a ringing that outlasts the template a tenth of the score is left at most
             loud = max(loud, 0.1 * out[last, SCORE])
@@ -314,10 +318,14 @@ def _search(x, offset, pad, score, count, limit, bank, out, n, every):  # type: 
 def _take_away(score, place, size, response):  # type: ignore[no-untyped-def]
     """Subtract what an impact at output ``place`` adds to the filter's output."""
     begin = max(int(np.ceil(place)) - LENGTH + 1, 0)
-    for i in range(begin, min(int(np.floor(place)) + response.shape[0] // FINE - LENGTH, score.shape[0])):
-        at = (i - place + LENGTH) * FINE
-        j = int(at)
-        score[i] -= np.float32(size * (response[j] + (at - j) * (response[j + 1] - response[j])))
+    end = min(int(np.floor(place)) + response.shape[0] // FINE - LENGTH, score.shape[0])
+    at = (begin - place + LENGTH) * FINE
+    first = int(at)
+    share = at - first  # the same for all outputs, which are a whole number of points from each other
+    before, after = size * (1.0 - share), size * share
+    for k in range(end - begin):
+        j = np.uint64(first + k * FINE)  # unsigned: signed indices may count from the end
+        score[begin + k] -= np.float32(before * response[j] + after * response[j + np.uint64(1)])
 
 
 @njit(error_model="numpy")

@@ -32,7 +32,7 @@ from analysis.events.impact_template import (
 from analysis.linear_algebra import lstsq
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
-from analysis.signals import Piece, near
+from analysis.signals import Piece, near, unpredicted
 from analysis.statistics import CORE, core_sigma
 from daq.instrument.channel_limits import STANDS, NoiseSpectrum, measure_noise, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
@@ -263,21 +263,21 @@ def _prediction(still: list[tuple[Floats, Bools]], noise_v: float) -> tuple[Floa
     """
     lags = np.arange(PREDICTED_FROM + 1)
     known = [~near(~fitted, 0, PREDICTED_FROM) & (np.arange(fitted.size) >= PREDICTED_FROM) for _, fitted in still]
-    rings, every_nth = known, sum(int(own.sum()) for own in known) // 16384 + 1  # so many predictions are enough
+    every_nth = sum(np.count_nonzero(own) for own in known) // 16384 + 1  # so many predictions are enough
+    looked, left = [np.flatnonzero(own)[::every_nth] for own in known], [np.zeros(own.size) for own in known]
     for _ in range(3):
         products = np.zeros((lags.size, lags.size))
-        for (volts, _), own in zip(still, rings, strict=True):
-            rows = volts[np.flatnonzero(own)[::every_nth, None] - lags]
+        for (volts, _), places, own in zip(still, looked, left, strict=True):
+            places = places[~near(own > ONSET_SIGMAS, LEAD - 1, LEAD)[places]]
+            rows = volts[places[:, None] - lags]
             products += rows.T @ rows
             # a thousandth of the noise, but white: smooth samples are predicted by differences that grow without end
             products += len(rows) * 1e-3 * noise_v**2 * np.eye(lags.size)
         weights: Floats = np.append(1.0, -lstsq(products[1:, 1:], products[1:, 0])[0])
-        errors = [np.abs(np.convolve(volts, weights)[: volts.size]) for volts, _ in still]
-        sizes = np.concatenate([error[own] for error, own in zip(errors, known, strict=True)])
+        left = [unpredicted(volts, weights, own) for (volts, _), own in zip(still, known, strict=True)]
+        sizes = np.concatenate([own[places] for own, places in zip(left, looked, strict=True)])
         sigma = core_sigma(sizes, float(np.quantile(sizes, CORE))) if sizes.size else 1.0
-        left = [np.where(own, error / max(sigma, 1e-300), 0.0) for error, own in zip(errors, known, strict=True)]
-        loud = [near(own > ONSET_SIGMAS, LEAD - 1, LEAD) for own in left]
-        rings = [own & ~ringing for own, ringing in zip(known, loud, strict=True)]
+        left = [own / max(sigma, 1e-300) for own in left]
     return -weights[1:], left
 
 
@@ -348,7 +348,7 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float, forcin
         tones_hz = first * np.array(multiples_of(driven))
         tones_hz = np.append(tones_hz, separable_lines(MAINS_HZ, tones_hz, (stop - start) / rate_hz))
         every = LockIn(rate_hz, tones_hz)
-        every.add(volts[own], start)
+        every.add_stretches(volts[own], np.array([start, stop]))
         found.append(_Stretch(start, own, every, np.isin(tones_hz, first * np.unique([1, 2, 3, *driven]))))
     return found
 

@@ -285,7 +285,7 @@ class StepAccumulator:
         """Refine the frequencies of the step's mains lines; whether any changed."""
         fit, length_s = chunk.fits[0], state.blocks / self.block_rate_hz
         tones = len(state.multiples)
-        every_hz = fit.frequencies_hz.copy()
+        every_hz, before = fit.frequencies_hz.copy(), state.mains
         trials: LineTrials | None = None
         for i, line in enumerate(state.mains):
             place = next((k for k in range(tones, len(every_hz)) if every_hz[k] == line.hz), None)
@@ -306,7 +306,8 @@ class StepAccumulator:
             every_hz[place] = found.hz
             state.mains = (*state.mains[:i], found, *state.mains[i + 1 :])
         self.mains = list(state.mains)
-        return not np.array_equal(self._frequencies(state)[1], fit.frequencies_hz)
+        moved = any((a.hz, a.sigma_hz) != (b.hz, b.sigma_hz) for a, b in zip(before, state.mains, strict=True))
+        return moved and not np.array_equal(self._frequencies(state)[1], fit.frequencies_hz)
 
     def _close_step(self) -> None:
         """Let the open step wait for others."""

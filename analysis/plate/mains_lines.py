@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.fft import prev_fast_len
 
 from analysis.statistics import median
 from daq.lock_in import ToneFit
@@ -89,6 +90,8 @@ def noise_near(residual: Floats, cycles: Floats, first: int, rate_hz: float) -> 
         The first mains line among the tones, and blocks a second.
     """
     out = np.zeros((cycles.size - first, 2))
+    # of a length with a large prime factor the transform takes ten times as long
+    residual = residual[: prev_fast_len(max(residual.size, 1), real=True)]
     size, spectrum = residual.size, np.fft.rfft(residual)
     white = float(residual @ residual)
     for line, own in enumerate(cycles[first:] * size if white > 0.0 else []):
@@ -109,9 +112,11 @@ def with_line_uncertainty(fit: ToneFit, lines: Sequence[MainsLine], factor: floa
     ``factor`` is that from volts to the fit's unit.
     """
     for line in lines:
-        own = np.repeat(np.isin(fit.frequencies_hz, [line.hz, *line.multiples_hz]), 2)
-        wider = np.where(own, line.noise, 1.0)
-        fit = replace(fit, covariance=fit.covariance * np.outer(wider, wider))
+        if line.noise > 1.0:
+            lines_hz = {line.hz, *line.multiples_hz}
+            own = np.repeat([hz in lines_hz for hz in fit.frequencies_hz.tolist()], 2)
+            wider = np.where(own, line.noise, 1.0)
+            fit = replace(fit, covariance=fit.covariance * np.outer(wider, wider))
         if line.slopes is not None:
             both = np.zeros(len(fit.covariance))  # multiples may have come to the fit since
             slopes = np.column_stack([line.slopes.real, line.slopes.imag]).ravel()[: len(both)]

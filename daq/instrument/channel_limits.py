@@ -22,7 +22,7 @@ from scipy.linalg import solve_toeplitz, toeplitz
 from scipy.signal import lfilter
 
 from kernels import njit
-from kernels.arrays import Bools, Floats
+from kernels.arrays import Bools, Floats, Integers
 
 FRAME = 128  # samples of a periodogram
 FEWEST_FRAMES = 8  # periodograms from which a spectrum is measured
@@ -160,40 +160,49 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     Noise behind the sensor spreads its end over a band: the outermost part of the readings' (n,) range is compared with
     the next one, for parts of several sizes.
     """
-    in_order = np.sort(values[:4096]).astype(np.float64)  # whole codes are sorted several times faster
-    steps = np.diff(in_order)
-    least = 2.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
-    least = least if least < math.inf else 0.0
-    # noise may spread an end over so many parts of the range
+    # whole codes are sorted several times faster than numbers; noise may spread an end over so many parts of the range
+    parts = np.array([200.0, 100.0, 50.0, 25.0])
     low, high = float(values.min()), float(values.max())
-    widths = [max((high - low) / part, least) for part in (200.0, 100.0, 50.0, 25.0)]
-    # few readings lie in the outermost bands, and only these are looked at
-    tops = (values[_beyond(values, sign, sign * top - 2.0 * widths[-1])] for sign, top in ((-1.0, low), (1.0, high)))
-    below, above = (sign * x.astype(np.float64) for sign, x in zip((-1.0, 1.0), tops, strict=True))
+    least, counts = _outermost(values, low, high, np.sort(values[:4096]), parts)
+    widths = np.maximum((high - low) / parts, least)
     # the half of a step below an end is the end too, whatever rounding the reading has gone through
-    return -_end(below, -low, widths) + 0.25 * least, _end(above, high, widths) - 0.25 * least
+    below = -_end(values, -1.0, -low, widths, counts[0]) + 0.25 * least
+    return below, _end(values, 1.0, high, widths, counts[1]) - 0.25 * least
 
 
-@njit()
-def _beyond(values, sign, bound):  # type: ignore[no-untyped-def]
-    """Places of the values that, times ``sign``, are above a bound."""
-    out, found = np.empty(values.shape[0], dtype=np.int64), 0
-    for i in range(values.shape[0]):
-        out[found] = i
-        found += int(sign * values[i] > bound)
-    return out[:found].copy()
+@njit(error_model="numpy")
+def _outermost(values, low, high, in_order, parts):  # type: ignore[no-untyped-def]
+    """Twice the least step between values in order, and how many of all lie at the lower and at the upper end.
+
+    These are (2, k, 2): within one of ``parts`` (k,) of the range, twice the step at least, and within two of them.
+    """
+    least = np.inf
+    for i in range(1, in_order.shape[0]):
+        step = np.float64(in_order[i]) - np.float64(in_order[i - 1])
+        least = step if 0.0 < step < least else least
+    least = 2.0 * least if least < np.inf else 0.0
+    counts = np.zeros((2, parts.shape[0], 2), dtype=np.int64)
+    widths = np.maximum((high - low) / parts, least)
+    bottom, top = low + 2.0 * widths[-1], high - 2.0 * widths[-1]
+    for x in values:
+        if x < bottom or x > top:  # few are
+            for k in range(parts.shape[0]):
+                for twice in range(2):
+                    counts[0, k, twice] += x < low + (1 + twice) * widths[k]
+                    counts[1, k, twice] += x > high - (1 + twice) * widths[k]
+    return least, counts
 
 
-def _end(near: Floats, top: float, widths: list[float]) -> float:
-    """Reading from which on the upper end is reached, of those within two of the last width of the top."""
-    for width in widths:
-        at = near[near > top - width]
-        next_to = np.count_nonzero(near > top - 2.0 * width) - at.size
+def _end(values: npt.NDArray[Any], sign: float, top: float, widths: Floats, counts: Integers) -> float:
+    """Reading times ``sign`` from which on an end is reached, of those whose largest is ``top``."""
+    for width, (at, both) in zip(widths.tolist(), counts.tolist(), strict=True):
         # four sigma of the counts: the readings crowd at an end
-        if at.size - CROWDED * next_to > 4.0 * math.sqrt(at.size + CROWDED**2 * next_to):
-            level = float(np.median(at))
+        if at - CROWDED * (both - at) > 4.0 * math.sqrt(at + CROWDED**2 * (both - at)):
+            near = sign * values.astype(np.float64)
+            near = near[near > top - width]
+            level = float(np.median(near))
             # readings within four standard deviations of the noise about an end are at the end
-            return level - 4.0 * 1.4826 * float(np.median(at[at >= level] - level))
+            return level - 4.0 * 1.4826 * float(np.median(near[near >= level] - level))
     return math.inf
 
 
