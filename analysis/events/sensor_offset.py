@@ -17,7 +17,7 @@ from analysis.events.impact_detection import ONSET_S, Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
 from analysis.events.levels import CLOSES
 from analysis.plate.motion import PlateMotion
-from analysis.statistics import mad_sigma, nearest
+from analysis.statistics import CORE, core_sigma, mad_sigma, nearest
 from kernels.arrays import Floats, Integers
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
@@ -80,7 +80,8 @@ def calibrate(
     elsewhere : SensorOffset, optional
         What other recordings of the rig show, taken where these landings show none.
     repeated_s : float
-        By how much landings of the contact circuit scatter from cycle to cycle, beyond their uncertainties.
+        By how much landings of the contact circuit scatter from cycle to cycle, beyond their uncertainties; infinite
+        where they do not repeat: then either sensor may err by all that the two differ by.
     motion_late_s : float
         What take-offs tell (`motion_late`), NaN for nothing: a single impact near there is a landing's own; where these
         do not agree, all are so late, as a converter's filter delays them.
@@ -103,15 +104,18 @@ def calibrate(
         return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
     # no contact jitters by more than the sensors differ, nor than landings that repeat
-    scatter2 = mad_sigma(d[core] - np.median(d[core])) ** 2 - float(np.median(own)) ** 2
+    sizes = np.abs(d[core] - np.median(d[core]))
+    scatter2 = core_sigma(sizes, float(np.quantile(sizes, CORE))) ** 2 - float(np.median(own)) ** 2
     jitter = min(repeated_s, math.sqrt(max(scatter2, 0.0)))
-    motion = math.sqrt(repeated_s**2 - jitter**2)
+    motion = math.sqrt(repeated_s**2 - jitter**2) if math.isfinite(repeated_s) else 0.0
     jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0  # less than its edges err by is chance
-    own = np.hypot(own, jitter)
+    bare, own = own, np.hypot(own, jitter)
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
     factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
+    if math.isinf(repeated_s):  # nothing tells which sensor it is
+        factor = max(1.0, mad_sigma((d[core] - centre) / bare[core]))
     offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s)
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 

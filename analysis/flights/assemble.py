@@ -6,6 +6,7 @@ are flagged, not dropped. Events that a person changed are put in here, for all 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -150,11 +151,11 @@ def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes:
 
 
 def _repeated_s(found: Scan, takeoff: Floats, landing: Floats, sigma: Floats, rate_hz: float) -> float:
-    """Scatter of the circuit's landings from cycle to cycle, beyond ``sigma``; 0 where too few steps repeat."""
+    """Scatter of the circuit's landings from cycle to cycle, beyond ``sigma``; infinite where too few steps repeat."""
     step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
     period_s = np.array([np.inf if s is None else 1.0 / s.frequency_hz for s in found.plate.steps])
     scatter = Scatter.of(landing, sigma, step, unsteady == 0, period_s, sampling_s=1.0 / rate_hz)
-    return float(scatter.raised(np.zeros(1))[0]) if scatter.tells else 0.0
+    return float(scatter.raised(np.zeros(1))[0]) if scatter.tells else math.inf
 
 
 def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, Floats, Floats, Floats, Integers]:

@@ -17,7 +17,7 @@ from analysis.computing import Memory
 from analysis.flights.assemble import GLITCH_S
 from analysis.residuals.covariates import COVARIATES, covariates_of
 from analysis.residuals.observations import Observations
-from analysis.residuals.plate_data.measured_mode import MeasuredMode
+from analysis.residuals.plate_data.measured_mode import MeasuredMode, undriven_tones
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
 from analysis.residuals.plate_data.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
@@ -288,13 +288,13 @@ class ForwardModel:
 
     def measured_mode(self, rows: Floats) -> MeasuredMode | None:
         """How a plate mode of the parameters (P + 1,) moved under what the ball did; None where that is not known."""
-        ringing = self.ringing
-        if rows.ndim > 1 or ringing is None or not self.observations.ringing.pushed or not active(rows, "plate_mode"):
+        ringing, ev = self.ringing, self.observations
+        if rows.ndim > 1 or ringing is None or not ev.ringing.pushed or not active(rows, "plate_mode"):
             return None
         mode = plate_mode(rows)
-        return self._plate_memory.recall(
-            ("measured mode", *mode), lambda: MeasuredMode.of(self.observations, ringing, mode)
-        )
+        undriven = self._plate_memory.recall("undriven", lambda: undriven_tones(ev, ringing))
+        made = functools.partial(MeasuredMode.of, ev, ringing, mode, undriven)
+        return self._plate_memory.recall(("measured mode", *mode), made)
 
     def measured_at(self, x: Inputs, wanted: Bools | None = None) -> Measured:
         """The flights as they were, less the instruments' delay."""

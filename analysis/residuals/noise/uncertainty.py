@@ -155,8 +155,11 @@ def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
     if (swings := model.modulation_at(values)) is not None:
         inexact = np.hypot(inexact, swings[0].leaking(steps.plate, *swings[1:]))
     wider = np.hypot(sigma, inexact) / np.where(sigma > 0.0, sigma, 1.0)
-    columns = np.flatnonzero(np.any(steps.spread_mps2, axis=(0, 2)))
-    return [wider[:, j // 2, None] * steps.spread_mps2[:, j] for j in columns]
+    spread, mode = steps.spread_mps2, model.measured_mode(model.inputs(values).rows)
+    if mode is not None:  # what a tone was measured as does not matter where all of it is the mode's
+        spread = np.where(mode.undriven[:, None, :], 0.0, spread)
+    columns = np.flatnonzero(np.any(spread, axis=(0, 2)))
+    return [wider[:, j // 2, None] * spread[:, j] for j in columns]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.special import chdtrc
 
 from analysis.residuals.observations import Observations
-from analysis.residuals.plate_data.plate_mode import Ringing
-from kernels.arrays import Complexes, Floats
+from analysis.residuals.plate_data.plate_mode import INEXACT_AS_MEASURED, Ringing
+from analysis.thresholds import SCALE_KNOWN
+from kernels.arrays import Bools, Complexes, Floats
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class MeasuredMode:
     turning: Complexes  # phase of the mode at the times of ``state``, (n, 2)
     omega_radps: float
     error_mps: float  # standard deviation of the speed, and of the displacement times the angular frequency
+    undriven: Bools  # tones that are all the mode's, (m, k)
 
     def kicked(self, kick: tuple[float, float]) -> Floats:
         """``state`` with a displacement (m) and a speed (m/s) added that ring on in it all the time."""
@@ -42,8 +45,17 @@ class MeasuredMode:
         return replace(self, mode_amplitudes=self.mode_amplitudes / reading[:, : self.mode_amplitudes.shape[1]])
 
     @classmethod
-    def of(cls, observations: Observations, ringing: Ringing, mode: tuple[float, float, float]) -> Self:
-        """Of a ``mode`` of angular frequency, damping and mass ratio, in recordings that show what the ball did."""
+    def of(
+        cls,
+        observations: Observations,
+        ringing: Ringing,
+        mode: tuple[float, float, float],
+        undriven: Bools | None = None,
+    ) -> Self:
+        """Of a ``mode`` of angular frequency, damping and mass ratio, in recordings that show what the ball did.
+
+        Where tones are known to be ``undriven`` (m, k), all of them is the mode's.
+        """
         omega_radps, damping, mass_ratio = mode
         motions = [x.moved(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         of, seen = observations.steps.recording[observations.measured.step], observations.measured
@@ -63,4 +75,26 @@ class MeasuredMode:
         turning = np.exp(1j * motions[0].turn.imag * np.stack([seen.opening_s, seen.landing_s], axis=1))
         errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
         amplitudes = ringing.of_tones(projection, seconds)
-        return cls(state, amplitudes, projection, seconds, turning, omega_radps, max(errors))
+        if undriven is None:
+            undriven = np.zeros(amplitudes.shape, np.bool_)
+        amplitudes = np.where(undriven, observations.steps.plate.acceleration_mps2, amplitudes)
+        return cls(state, amplitudes, projection, seconds, turning, omega_radps, max(errors), undriven)
+
+
+def undriven_tones(observations: Observations, ringing: Ringing) -> Bools:
+    """Tones beside the forcing's of which the mode, as identified, leaves no more than noise in all steps, (m, k)."""
+    found, steps, plate = observations.ringing.mode, observations.steps, observations.steps.plate
+    there = (plate.acceleration_mps2 != 0.0) & ~steps.forcing
+    if found is None:
+        return np.zeros(there.shape, np.bool_)
+    first = 2.0 * np.pi * found.frequency_hz, found.damping, found.mass_ratio
+    amplitudes = MeasuredMode.of(observations, ringing, first).mode_amplitudes
+    error = (1.0 + SCALE_KNOWN) * np.hypot(steps.sigma_mps2, INEXACT_AS_MEASURED * np.abs(amplitudes))
+    squares = np.abs(plate.acceleration_mps2 - amplitudes) ** 2 / np.where(there, error, 1.0) ** 2
+    turns = np.round(plate.omega_radps * plate.period_s[:, None] / (2.0 * np.pi), 2)
+    out = np.zeros(there.shape, np.bool_)
+    for turn in np.unique(turns[there]):
+        rows = there & (turns == turn)
+        # where noise leaves so much once in a hundred, the drive may well have made it
+        out |= rows & (chdtrc(2 * int(rows.sum()), float(squares[rows].sum())) > 0.01)
+    return out

@@ -106,6 +106,21 @@ def test_jitter_that_repeated_cycles_show_is_the_contacts_and_not_the_impacts(mo
     assert 0.6 < np.std(error / landings.uncertainty_s) < 1.2
 
 
+@pytest.mark.parametrize("jitter_s", [0.0, 2e-5])
+def test_where_no_landing_repeats_all_that_the_sensors_differ_by_may_be_the_contacts(jitter_s: float) -> None:
+    """Over a ringing plate no cycle is like the next: the contact's jitter shows all the same, in each of 20 recordings
+    of 120 landings, and none where there is none."""
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng([9, seed])
+        exact = np.sort(10.0 * rng.random(120))
+        edge = SAMPLING_S * (np.floor((exact + jitter_s * rng.standard_normal(120)) / SAMPLING_S) + 0.5)
+        impacts = Impacts(exact + 1e-6 * rng.standard_normal(120), np.full(120, 1e-6), rng.uniform(5.0, 20.0, 120))
+        seen = impacts, np.sort(edge) - 0.02, np.sort(edge), np.full(120, ROUNDING_S), 0.0, SAMPLING_S
+        found.append(calibrate(*seen, repeated_s=np.inf)[1].jitter_s)
+    assert found == pytest.approx([jitter_s] * 20, abs=0.35 * jitter_s)
+
+
 def test_rebounds_too_soft_to_be_heard_do_not_hide_the_offset() -> None:
     """A contact that jitters by 20 us, and after most landings a rebound of .7 ms whose own landing is not heard."""
     rng = np.random.default_rng(8)

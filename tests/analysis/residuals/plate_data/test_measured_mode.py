@@ -27,13 +27,19 @@ VALUES = {
 }
 
 
+def _recorded(folder: Path, **more: float) -> Path:
+    """A recording over a ringing plate, with what else is hidden."""
+    hidden = {"table_resonance.hz": HZ, "table_resonance.damping": DAMPING, "table_resonance.ratio": RATIO, **more}
+    gammas = np.random.default_rng(2).permutation(np.round(np.linspace(0.5, 2.6, 16), 4))
+    run = other_plant.Run(hidden=hidden, seed=2, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
+    path: Path = imported(other_plant.simulate(run), other_plant.profile_of(run), folder)
+    return path
+
+
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Observations, Observations]:
     """A recording over a ringing plate, with its mode identified and without."""
-    hidden = {"table_resonance.hz": HZ, "table_resonance.damping": DAMPING, "table_resonance.ratio": RATIO}
-    gammas = np.random.default_rng(2).permutation(np.round(np.linspace(0.5, 2.6, 16), 4))
-    run = other_plant.Run(hidden=hidden, seed=2, gammas=tuple(gammas.tolist()), spikes=True, closure_s=5e-4)
-    path: Path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path_factory.mktemp("ringing"))
+    path = _recorded(tmp_path_factory.mktemp("ringing"))
     with open_recording(path) as recording:
         flights = flights_of(recording)
         return observed(recording, flights), observed(recording, flights, with_mode=False)
@@ -69,6 +75,26 @@ def test_what_rings_is_no_noise_of_the_plates_tones(both: tuple[Observations, Ob
     """The tones are known better once the mode is."""
     seen, blind = both
     assert seen.steps.sigma_mps2[:, 0].max() < 0.5 * blind.steps.sigma_mps2[:, 0].max()
+
+
+def _second_harmonics(seen: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Of each step that has one: whether it is all the mode's, and what drives the plate there at `VALUES`, m/s^2."""
+    model, plate = ForwardModel(seen, {}), seen.steps.plate
+    mode = model.measured_mode(model.rows(VALUES))
+    assert mode is not None
+    at = np.abs(plate.omega_radps * plate.period_s[:, None] / (4.0 * np.pi) - 1.0) < 1e-3
+    return mode.undriven[at], np.abs(plate.acceleration_mps2 - mode.mode_amplitudes)[at]
+
+
+def test_a_harmonic_that_only_the_mode_makes_drives_nothing(
+    both: tuple[Observations, Observations], tmp_path: Path
+) -> None:
+    """The noise of a harmonic of which the mode leaves nothing is no motion of the plate; a drive's trace of one is."""
+    undriven, left_mps2 = _second_harmonics(both[0])
+    assert len(undriven) > 10 and undriven.all() and left_mps2.max() < 1e-9
+    with open_recording(_recorded(tmp_path, **{"harmonic_distortion.second": 0.001})) as recording:
+        undriven, left_mps2 = _second_harmonics(observed(recording, flights_of(recording)))
+    assert not undriven.any() and np.median(left_mps2) > 0.004
 
 
 def test_a_mode_that_drifts_is_followed_from_flight_to_flight(both: tuple[Observations, Observations]) -> None:
