@@ -88,6 +88,9 @@ def identified_mode(
                 other, x = record.settled(begun, None, record.forces)
                 if x is not None and other.forced(x):
                     forces, seen, found = record.forces, other, x
+            elif forces and not seen.forced(found):  # they stood for a flight that was missed
+                forces = 0
+                seen, found = record.settled(begun, found, forces)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
         worst = seen.worst_cluster(found)

@@ -138,6 +138,13 @@ def test_a_flight_that_was_missed_leaves_the_mode_and_its_error_as_they_are(reco
     assert (np.abs(off) < 3.0 * size).all()
 
 
+def test_a_flight_that_was_missed_is_no_force_of_the_drive(recorded: Callable[..., Path]) -> None:
+    """What the drive might make of the push that is not known is taken back once that piece is left out."""
+    mode = _found(recorded(_mode(5.1, 0.0123, 0.21)), missed=(180,))
+    assert mode is not None and mode.pushed is not None
+    assert mode.pushed.after_changes == ()
+
+
 def test_more_missed_flights_than_pieces_may_be_left_out_give_a_wider_mode_or_none(
     recorded: Callable[..., Path],
 ) -> None:
