@@ -25,7 +25,7 @@ from analysis.residuals.values import TREND, AllValues, Own, ParameterId, Values
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.one_step import Predicted, one_ahead
-from model.integrator.problem import Detection, Measured, PlateSteps, active, plate_mode
+from model.integrator.problem import Detection, Measured, PlateSteps, active, columns_of, plate_mode
 
 MOST_STORED = {"flights": 128, "plate": 512, "slopes": 512}  # stored results: of predictions, plate data and hooks
 DELAYS = "contact_delay_s", "closing_delay_s", "impact_delay_s"
@@ -287,11 +287,17 @@ class ForwardModel:
         )
 
     def measured_mode(self, rows: Floats) -> MeasuredMode | None:
-        """How a plate mode of the parameters (P + 1,) moved under what the ball did; None where that is not known."""
-        ringing, ev = self.ringing, self.observations
-        if rows.ndim > 1 or ringing is None or not ev.ringing.pushed or not active(rows, "plate_mode"):
+        """How a plate mode of the parameters moved under what the ball did; None where that is not known.
+
+        Parameters are of all events (P + 1,) or of each (n, P + 1). A mode that drifts is not known; one beside which
+        something else drifts is the same as without, or any drift would gain what both motions differ by.
+        """
+        ringing, ev, each = self.ringing, self.observations, rows.reshape(-1, rows.shape[-1])
+        if ringing is None or not ev.ringing.pushed or not active(rows, "plate_mode"):
             return None
-        mode = plate_mode(rows)
+        if np.ptp(each[:, columns_of("plate_mode")], axis=0).any():
+            return None
+        mode = plate_mode(each[0])
         undriven = self._plate_memory.recall("undriven", lambda: undriven_tones(ev, ringing))
         made = functools.partial(MeasuredMode.of, ev, ringing, mode, undriven)
         return self._plate_memory.recall(("measured mode", *mode), made)

@@ -141,8 +141,21 @@ class Regression:
         """Whether the mode surely answers the drive, too."""
         columns = self.columns(x)
         fewer = np.delete(columns, np.s_[1 : len(self.shaken)], axis=1)
-        before, after = (float(np.sum((self.left - c @ self.sizes(c)) ** 2)) for c in (fewer, columns))
-        return 0.5 * (before / after - 1.0) * len(self.left) > SURE_NATS
+        before, after = (self.left - c @ self.sizes(c) for c in (fewer, columns))
+        made, power = before - after, float(after @ after) / len(after)
+        # where the accelerometer's zero wanders, forces follow it: of a correlated remainder fewer values are independent
+        correlated = float(self._between_pieces(made * after)) / (power * max(float(made @ made), 1e-300))
+        gain = 0.5 * (float(before @ before) / len(after) / power - 1.0) * len(after)
+        return gain > SURE_NATS * max(correlated, 1.0)
+
+    def _between_pieces(self, scores: Floats) -> Floats:
+        """Covariance of the sums of scores (..., n) of the known blocks, by how much they differ from piece to piece."""
+        pieces = np.array([np.bincount(self.cluster, row) for row in np.atleast_2d(scores)])
+        out = pieces @ pieces.T
+        for lag in range(1, LAGS + 1):  # Newey and West's
+            late = pieces[:, lag:] @ pieces[:, :-lag].T
+            out += (1.0 - lag / (LAGS + 1.0)) * (late + late.T)
+        return out.reshape(scores.shape[:-1] * 2)
 
     def _unpushed(self, columns: Floats, which: int = 0, instead: Floats | float = 0.0) -> Floats:
         """What is left without the push on one mode, or with something else in its place."""
@@ -264,11 +277,7 @@ class Regression:
         norms = np.linalg.norm(jacobian, axis=0)
         jacobian, own = jacobian / np.maximum(norms, 1e-300), [2 * which, 2 * which + 1, 2 * modes + which]
         inverse = pinv(jacobian.T @ jacobian, rcond=1e-10)
-        scores = np.array([np.bincount(self.cluster, row) for row in (jacobian * left[:, None]).T])
-        meat = scores @ scores.T
-        for lag in range(1, LAGS + 1):  # Newey and West's
-            late = scores[:, lag:] @ scores[:, :-lag].T
-            meat += (1.0 - lag / (LAGS + 1.0)) * (late + late.T)
+        meat = self._between_pieces((jacobian * left[:, None]).T)
         place, size = np.ix_(own, own), np.outer(norms[own], norms[own])
         robust = (inverse @ meat @ inverse)[place] / size
         white = inverse[place] / size * np.mean(left**2)
