@@ -232,13 +232,19 @@ def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first:
 
 
 def _strongest_mains_hz(fitted: Sequence[StepPlate]) -> float:
-    """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one."""
+    """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one.
 
-    def mean_square(hz: float) -> float:
-        rows = [(s.acceleration, k) for s in fitted for k in (*_mains_rows(s, hz), *_harmonics_there(s, hz))]
+    A harmonic counts only where no line shows by itself: much else than the mains makes one.
+    """
+
+    def shown(rows_of: Callable[[StepPlate, float], Sequence[int]], hz: float) -> float:
+        rows = [(s.acceleration, k) for s in fitted for k in rows_of(s, hz)]
         return float(np.mean([abs(f.amplitudes[k] / f.amplitude_sigma()[k]) ** 2 for f, k in rows])) if rows else 0.0
 
-    return max(MAINS_HZ, key=mean_square)
+    lines = [shown(_mains_rows, hz) for hz in MAINS_HZ]
+    if max(lines) < 4.0:  # noise gives 2, one of each quadrature
+        lines = [max(line, shown(_harmonics_there, hz)) for line, hz in zip(lines, MAINS_HZ, strict=True)]
+    return float(MAINS_HZ[int(np.argmax(lines))])
 
 
 def _mains_rows(s: StepPlate, mains_hz: float) -> list[int]:
@@ -350,7 +356,8 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
     for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:  # a harmonic that the mains lie on shows them
         rows = data.rows_of(SECOND, THIRD)
         off_hz = np.abs(data.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
-        rows = rows[off_hz < MAX_OFFSET_HZ]
+        elsewhere = np.isin(data.step[rows], data.step[data.rows_of(HUM)])  # a line of 50 Hz says nothing of 60 Hz
+        rows = rows[(off_hz < MAX_OFFSET_HZ) & ~elsewhere]
         out[rows] += (hooks[hook](p) / data.scale[rows]) ** 2
     if "transfer" in hooks:
         _add_transfer(out, data, lambda rows: hooks["transfer"](p, data.omega_radps[rows], data.level_g[rows]))
