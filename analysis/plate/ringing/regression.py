@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from analysis.linear_algebra import lstsq, pinv, solve
+from analysis.linear_algebra import lstsq, pinv, solve, svd
 from analysis.plate.ringing.in_blocks import over_noise
 from analysis.plate.ringing.mode_motion import TORN_S, PushedPlate, answer, turn_of
 from kernels.arrays import Bools, Complexes, Floats, Integers
@@ -140,22 +140,25 @@ class Regression:
     def forced(self, x: Floats) -> bool:
         """Whether the mode surely answers the drive, too."""
         columns = self.columns(x)
-        fewer = np.delete(columns, np.s_[1 : len(self.shaken)], axis=1)
-        before, after = (self.left - c @ self.sizes(c) for c in (fewer, columns))
-        made, power = before - after, float(after @ after) / len(after)
-        # where the accelerometer's zero wanders, forces follow it: of a correlated remainder fewer values are independent
-        correlated = float(self._between_pieces(made * after)) / (power * max(float(made @ made), 1e-300))
-        gain = 0.5 * (float(before @ before) / len(after) / power - 1.0) * len(after)
-        return gain > SURE_NATS * max(correlated, 1.0)
+        forces, fewer = columns[:, 1 : len(self.shaken)], np.delete(columns, np.s_[1 : len(self.shaken)], axis=1)
+        before = self.left - fewer @ self.sizes(fewer)
+        own = (forces - fewer @ lstsq(fewer, forces)[0]) / np.maximum(np.linalg.norm(forces, axis=0), 1e-300)
+        directions, lengths, _ = svd(own, full_matrices=False)
+        directions = directions[:, lengths > 3e-5 * lengths[0]]  # `sizes` follows no others either
+        shown = directions.T @ before
+        after = before - directions @ shown
+        # a zero that wanders is fitted, too, and differs more from piece to piece than white noise
+        spread, turned = np.linalg.eigh(self._between_pieces((directions * after[:, None]).T))
+        return 0.5 * float(np.sum((turned.T @ shown) ** 2 / np.maximum(spread, np.mean(after**2)))) > SURE_NATS
 
     def _between_pieces(self, scores: Floats) -> Floats:
-        """Covariance of the sums of scores (..., n) of the known blocks, by how much they differ from piece to piece."""
-        pieces = np.array([np.bincount(self.cluster, row) for row in np.atleast_2d(scores)])
+        """Covariance of the sums of scores (k, n) of the known blocks, by how much they differ from piece to piece."""
+        pieces = np.array([np.bincount(self.cluster, row) for row in scores])
         out = pieces @ pieces.T
         for lag in range(1, LAGS + 1):  # Newey and West's
             late = pieces[:, lag:] @ pieces[:, :-lag].T
             out += (1.0 - lag / (LAGS + 1.0)) * (late + late.T)
-        return out.reshape(scores.shape[:-1] * 2)
+        return np.asarray(out)
 
     def _unpushed(self, columns: Floats, which: int = 0, instead: Floats | float = 0.0) -> Floats:
         """What is left without the push on one mode, or with something else in its place."""

@@ -17,7 +17,7 @@ from analysis.plate.mains_lines import (
     strongest_hz,
     unmeasured_line,
 )
-from analysis.residuals.plate_data.plate_observables import HUM, SECOND, plate_data, share
+from analysis.residuals.plate_data.plate_observables import HUM, SECOND, THIRD, plate_data, share
 from daq.lock_in import ToneFit, fit_tones
 from daq.recording import open_recording
 
@@ -76,6 +76,21 @@ def test_mains_on_an_undriven_harmonic_are_known_as_what_the_cable_picks_up(make
     explained = share(data, "mains_pickup", {"amplitude_mps2": 0.1 * G})[second]
     assert data.value[second] == pytest.approx(explained, rel=0.05)
     assert not data.rows_of(HUM).size  # 60 Hz, where nothing is, would deny it
+
+
+def test_a_harmonic_of_the_forcing_is_not_the_mains_where_another_line_shows_them(make) -> None:
+    """A bent drive of 20 Hz makes 60 Hz, much more than the cable's 50 Hz: these are the mains all the same."""
+    bent, rig = {"harmonic_distortion": {"third_per_v2": 0.1}}, {"mains_v": 3e-4}
+    gammas = np.linspace(0.4, 1.3, 6)
+    with open_recording(make(gammas, hold=20, frequency_hz=20.0, effects=bent, rig=rig).path) as run:
+        steps = [step for step in plate_of(run).steps if step is not None]
+        data, _ = plate_data(steps, run.setup)
+    hum, third = data.rows_of(HUM), data.rows_of(THIRD)
+    assert len(hum) == len(steps)
+    assert data.omega_radps[hum] / (2.0 * np.pi) == pytest.approx(50.0, abs=0.2)
+    shared = share(data, "mains_pickup", {"amplitude_mps2": 0.003 * G})
+    assert np.mean(data.value[hum]) == pytest.approx(np.mean(shared[hum]), rel=0.2)
+    assert not shared[third].any()
 
 
 def _long(hz: float, size: float) -> tuple[np.ndarray, np.ndarray]:

@@ -270,3 +270,18 @@ def test_a_mode_that_rivals_come_near_is_known_as_badly_as_they_allow(strikes: s
     sigma_hz = mode.sigmas()[0]
     assert abs(mode.frequency_hz - 8.0) < 2.0 * sigma_hz
     assert (sigma_hz > 1.0) if wide else (sigma_hz < 0.03)
+
+
+@pytest.mark.parametrize(("driven", "wander"), [(0.0, 0.5), (0.3, 0.5), (0.3, 0.0), (0.0, 0.0)])
+def test_a_zero_that_wanders_is_no_force_of_the_drive(driven: float, wander: float) -> None:
+    """What a drive leaks to low frequencies fits it well; a mode that the drive shakes is found beside it."""
+    rng, n = np.random.default_rng(2), 60000
+    time_s, level = np.arange(n) * 1e-3, np.repeat(np.random.default_rng(3).permutation(np.arange(1.0, 21.0)), n // 20)
+    tone, turns = level * np.sin(40.0 * np.pi * time_s), 2.0 * np.pi * time_s * np.array([[0.03], [0.07]])
+    shaken = np.vstack([30.0 * rng.standard_normal(n), tone, np.cos(turns), np.sin(turns)])  # push, drive, its leak
+    basis = np.linalg.qr(np.array([tone, level * np.cos(40.0 * np.pi * time_s), np.ones(n)]).T)[0]
+    drift = np.cumsum(rng.standard_normal(n))
+    pushed, forced, *_ = answer(shaken, 1e-3, 5.0, 0.05)
+    seen = 0.01 * pushed + driven * forced + wander * drift / np.std(drift) + 0.1 * rng.standard_normal(n)
+    regression = Regression.of(seen, basis, shaken, np.zeros(n), np.ones(n, dtype=np.bool_), 1e-3, [0])
+    assert regression.forced(np.log([5.0, 0.05])) == (driven > 0.0)

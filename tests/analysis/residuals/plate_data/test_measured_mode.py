@@ -105,6 +105,14 @@ def test_a_mode_that_drifts_is_followed_from_flight_to_flight(both: tuple[Observ
     assert model.measured_mode(model.rows(drifting)) is None
 
 
+def test_a_mode_moves_the_same_where_something_beside_it_drifts(both: tuple[Observations, Observations]) -> None:
+    """A calibration that drifts by nothing changes no landing: else any drift would gain what two motions differ by."""
+    model = ForwardModel(both[0], {})
+    beside = {**VALUES, ("accelerometer_gain", "relative" + TREND): 1e-12}
+    without, with_it = (model.residuals(x).landing_s for x in (VALUES, beside))
+    assert with_it == pytest.approx(without, abs=1e-9, nan_ok=True)
+
+
 @pytest.fixture(scope="module")
 def bounced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Observations, np.ndarray]:
     """A ball that bounces on a ringing plate, behind an accelerometer with a bias; by how much landings are missed."""
