@@ -87,9 +87,8 @@ class ForwardModel:
             self.ringing, self.loading, self._plate_memory = like.ringing, like.loading, like._plate_memory
         self.memory, self.slope_memory = Memory(MOST_STORED["flights"]), Memory(MOST_STORED["slopes"])
         self._nothing = row({}, self.gravity)
-        self.from_rest = (
-            observations.scored & ~observations.measured.relaunched
-        )  # take-offs after a rest, as the circuit saw
+        # take-offs after a rest, as the circuit saw
+        self.from_rest = observations.scored & ~observations.measured.relaunched
         self.declared_covariates: dict[str, Floats] = {}  # computed where an effect follows one
         of_steps = observations.steps.run_part[observations.measured.step]
         self._run_part_events = of_steps if observations.run_part is None else observations.run_part
@@ -287,19 +286,15 @@ class ForwardModel:
         )
 
     def measured_mode(self, rows: Floats) -> MeasuredMode | None:
-        """How a plate mode of the parameters moved under what the ball did; None where that is not known.
-
-        Parameters are of all events (P + 1,) or of each (n, P + 1). A mode that drifts is not known; one beside which
-        something else drifts is the same as without, or any drift would gain what both motions differ by.
-        """
-        ringing, ev, each = self.ringing, self.observations, rows.reshape(-1, rows.shape[-1])
-        if ringing is None or not ev.ringing.pushed or not active(rows, "plate_mode"):
+        """How a plate mode of the parameters (..., P + 1) moved under what the ball did; None where not known."""
+        seen, ringing, each = self.observations, self.ringing, rows.reshape(-1, rows.shape[-1])
+        if ringing is None or not seen.ringing.pushed or not active(rows, "plate_mode"):
             return None
-        if np.ptp(each[:, columns_of("plate_mode")], axis=0).any():
+        if np.ptp(each[:, columns_of("plate_mode")], axis=0).any():  # it drifts itself, not only another parameter
             return None
         mode = plate_mode(each[0])
-        undriven = self._plate_memory.recall("undriven", lambda: undriven_tones(ev, ringing))
-        made = functools.partial(MeasuredMode.of, ev, ringing, mode, undriven)
+        undriven = self._plate_memory.recall("undriven", lambda: undriven_tones(seen, ringing))
+        made = functools.partial(MeasuredMode.of, seen, ringing, mode, undriven)
         return self._plate_memory.recall(("measured mode", *mode), made)
 
     def measured_at(self, x: Inputs, wanted: Bools | None = None) -> Measured:

@@ -84,7 +84,7 @@ def identified_mode(
             if len(begun) == 1 and not record.promises(seen, found):
                 return Identified(seen.judged(found, forcing_hz))
             # a plate that goes as it is asked feels no force of the drive: none is looked for where noise is left
-            if len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
+            if record.forces and len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
                 other, x = record.settled(begun, None, record.forces)
                 if x is not None and other.forced(x):
                     forces, seen, found = record.forces, other, x

@@ -232,17 +232,14 @@ def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first:
 
 
 def _strongest_mains_hz(fitted: Sequence[StepPlate]) -> float:
-    """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one.
-
-    A harmonic counts only where no line shows by itself: much else than the mains makes one.
-    """
+    """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one."""
 
     def shown(rows_of: Callable[[StepPlate, float], Sequence[int]], hz: float) -> float:
         rows = [(s.acceleration, k) for s in fitted for k in rows_of(s, hz)]
         return float(np.mean([abs(f.amplitudes[k] / f.amplitude_sigma()[k]) ** 2 for f, k in rows])) if rows else 0.0
 
     lines = [shown(_mains_rows, hz) for hz in MAINS_HZ]
-    if max(lines) < 4.0:  # noise gives 2, one of each quadrature
+    if max(lines) < 4.0:  # noise gives 2; harmonics, which much else makes, count only where no line shows
         lines = [max(line, shown(_harmonics_there, hz)) for line, hz in zip(lines, MAINS_HZ, strict=True)]
     return float(MAINS_HZ[int(np.argmax(lines))])
 
@@ -326,9 +323,8 @@ def _instrument_rows(i: int, s: StepPlate, setup: Setup, asked: float, first: fl
     error = s.frequency_hz / setup.forcing.frequency_hz - 1.0
     # beyond half a per cent it is another frequency, no error of a clock
     if abs(error) < 5e-3 and 0 < s.frequency_uncertainty_hz < np.inf:
-        rows.append(
-            (CLOCK, i, error, max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8), s.omega_radps, asked, first)
-        )
+        sigma = max(s.frequency_uncertainty_hz / s.frequency_hz, 1e-8)
+        rows.append((CLOCK, i, error, sigma, s.omega_radps, asked, first))
     return rows
 
 
@@ -353,11 +349,10 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
     for hook in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
         kind, of_value = PLAIN_HOOKS_OF_KIND[hook]
         out[data.rows_of(kind)] += of_value(hooks[hook](p))
-    for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:  # a harmonic that the mains lie on shows them
+    for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:  # a harmonic shows mains that lie on it, and on no line
         rows = data.rows_of(SECOND, THIRD)
         off_hz = np.abs(data.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
-        elsewhere = np.isin(data.step[rows], data.step[data.rows_of(HUM)])  # a line of 50 Hz says nothing of 60 Hz
-        rows = rows[(off_hz < MAX_OFFSET_HZ) & ~elsewhere]
+        rows = rows[(off_hz < MAX_OFFSET_HZ) & ~np.isin(data.step[rows], data.step[data.rows_of(HUM)])]
         out[rows] += (hooks[hook](p) / data.scale[rows]) ** 2
     if "transfer" in hooks:
         _add_transfer(out, data, lambda rows: hooks["transfer"](p, data.omega_radps[rows], data.level_g[rows]))
