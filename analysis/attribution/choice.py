@@ -308,10 +308,14 @@ class Pruning:
                 x = self.refits.attempted((simpler,), self._in_place, best, i, simpler)
                 if x is None:
                     continue
-                if self._as_good(best, x) or self._extra_is_null(best, x, candidate, simpler):
+                if self.does_as_well(x, best, candidate, simpler):
                     rounds.append(f"step back: a simpler {' + '.join(simpler.names)} does as well")
                     return self.simplified(x, pool, rounds)
         return best
+
+    def does_as_well(self, x: Hypothesis, fuller: Hypothesis, candidate: Candidate, simpler: Candidate) -> bool:
+        """Whether ``x``, with a ``simpler`` form in place of the ``candidate`` of the ``fuller`` one, may stand."""
+        return self._as_good(fuller, x) or self._extra_is_null(fuller, x, candidate, simpler)
 
     def without_excess(self, x: Hypothesis) -> Hypothesis:
         """Refit the final hypothesis with zero excess noise; keep it if the profile loss falls by more than 4 nats.

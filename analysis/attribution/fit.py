@@ -22,7 +22,7 @@ from scipy.special import chdtri
 from analysis.attribution.candidates import Prior, coordinate_of, null_value_of, parameter_of, scale_of, value_at
 from analysis.linear_algebra import NotFiniteError, bounded_step, scaled_inverse
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise.noise_model import robust_loss, robust_weight
+from analysis.residuals.noise.noise_model import FREEDOM, robust_loss, robust_weight
 from analysis.residuals.noise.whitening import Whitener, step_losses
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import ANOTHER_EVENT_S, CALIBRATION_SIGMAS, NULL_P
@@ -32,6 +32,7 @@ from model.effects.registry import effect
 LEAST_GAIN = 0.1  # of a step in nats, below which a fit ends: hypotheses are compared in whole ones
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
 HELD = 0.33  # of its standard deviation, that of what was identified without a flight
+CURVATURE = (FREEDOM + 1.0) / (FREEDOM + 3.0)  # of the robust loss, over that of its weights: Fisher's information
 HEAVY_SHARE = 0.2  # of what all flights say of a parameter, in one of them: its slope is looked at again
 FOLDS = 3  # of the cross-validation
 
@@ -344,7 +345,9 @@ class Fitted:
         Errors that events of a step share and nothing states make each step pull a value its own way (the sandwich of
         White, Econometrica 48, 817 (1980), by steps).
         """
-        covariance, state, whitener = self.covariance(), self.state, self.state.whitener
+        state, whitener = self.state, self.state.whitener
+        normal, prior = self.normal(state.mask)[0], np.diag(state.inverse**2)
+        covariance = scaled_inverse(CURVATURE * (normal - prior) + prior)
         z, jacobian = whitener.white_all(self.raw), whitener.white_slopes(self.bare, self.raw)
         score = (z * robust_weight(z, whitener.odds))[:, None] * jacobian
         steps = np.unique(state.step[state.mask])

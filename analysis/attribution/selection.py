@@ -125,8 +125,7 @@ class StepwiseSelection:
         if taken is None or not first:
             found = self._round(before, self.library, 0)
             taken, first = self._followed(before, found)
-        kin = contained_in(first)
-        others = [x for x in found if not contained_in(x.names) & kin]
+        others = [x for x in found if not contained_in(x.names) & contained_in(first)]
         if not others or not first or taken.best.passes(self.limits):
             return taken
         other, _ = self._followed(before, others)
@@ -200,6 +199,7 @@ class StepwiseSelection:
         best, rivals = self._simplest(best, rivals, last, rounds)
         # an effect may have been needed only while others were missing; where all are gone, nothing explains nothing
         best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds, near)
+        best = self._fullest(best, rounds)
         chain = [*(x for x in chain[:-1] if x is not best), best := best if best.candidates else before]
         ties = self._ties(before, best, [*rivals, *exchanged])
         if best is not before:
@@ -207,10 +207,8 @@ class StepwiseSelection:
             ties = (best, *ties[1:])
         strongest = max((x for x in refused if not set(x.names) <= set(best.names)), key=lambda x: x.gain, default=None)
         gains = tuple((x.candidates[-1].names, self.judge.gain(before, x)) for x in tried)
-        result = SelectionResult(
-            before, best, ties, gains, tuple(rounds), strongest, tuple(chance), earlier=tuple(chain[:-1])
-        )  # fmt: skip
-        return result, first
+        earlier = tuple(chain[:-1])
+        return SelectionResult(before, best, ties, gains, tuple(rounds), strongest, tuple(chance), None, earlier), first
 
     def _ball_effects(self, found: Hypothesis) -> int:
         """How many effects flights have to tell; what instruments and recorded volts show does not count."""
@@ -300,6 +298,20 @@ class StepwiseSelection:
             return last.before, last.rivals
         simple = self.refits.again(kept)
         return self.pruning.without_idle(simple, simple.candidates if len(simple.names) > 1 else (), rounds), []
+
+    def _fullest(self, best: Hypothesis, rounds: list[str]) -> Hypothesis:
+        """The hypothesis with fuller forms of its effects from which no step back would lead to these.
+
+        What was stepped back to may have another one than it came from, and less is asked of it than of another cause.
+        """
+        for c in remaining_candidates(self.library, best):
+            for own in (x for x in best.candidates if x.names == c.names and set(x.free) < set(c.free)):
+                case = replace(best, candidates=(*(x for x in best.candidates if x is not own), own))
+                x = self.refits.attempted((c,), self.proposals.extended, case, c)
+                if x is not None and not self.pruning.does_as_well(case, x, c, own):
+                    rounds.append(f"a fuller {c.names[0]} gains {self.judge.gain(best, x).gain:.0f} nats")
+                    return self._fullest(x, rounds)
+        return best
 
     def _exchanged(
         self, best: Hypothesis, rounds: list[str], near: Mapping[str, Sequence[Hypothesis]]

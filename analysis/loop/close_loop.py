@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.attribution.candidates import candidates_of, priors_of
+from analysis.attribution.candidates import Candidate, candidates_of, priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Rejected, with_hidden_free
+from analysis.attribution.other_forms import beyond_own_form
 from analysis.attribution.rebound_scatter import with_scatter
-from analysis.attribution.selection import SelectionResult, StepwiseSelection
+from analysis.attribution.selection import SelectionResult, StepwiseSelection, remaining_candidates
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
 from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, Selection, TestedCandidate
@@ -190,7 +191,7 @@ def _loop_of(
     detection, unidentifiable = detection_limits(selection.best, limits)
     result = ClosedLoop(
         **judged,
-        selection=_selected(selection),
+        selection=_selected(selection, candidates_of(model, seen), limits),
         detection=DetectionLimits(detection, unidentifiable),
         flights=flight_table(model, *points),
         plate=plate_table(model, *points),
@@ -292,10 +293,11 @@ def _judge(selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:
     }
 
 
-def _selected(found: SelectionResult) -> Selection:
-    """Outcome of the selection as names and numbers."""
+def _selected(found: SelectionResult, library: Sequence[Candidate], limits: Thresholds) -> Selection:
+    """Outcome of the selection among a ``library`` as names and numbers."""
     best = found.best
-    parameters = fitted_parameters(best, found.scatter)
+    beyond = beyond_own_form(best, remaining_candidates(library, best), limits)
+    parameters = fitted_parameters(best, found.scatter, beyond)
     return Selection(
         effects=added_effects(best.names, parameters),
         names=best.names,

@@ -54,6 +54,8 @@ class FittedParameter:
     sigma: float  # its standard deviation
     added: bool  # True for a parameter of an added effect, False for a calibration or a nuisance
     trend: bool = False  # True where the value is the parameter's change over the whole run
+    # how much farther below and above than its form alone says the interval reaches: see `other_forms`
+    beyond: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

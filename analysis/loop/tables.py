@@ -6,7 +6,7 @@ Calibrations are free in every fit, within their stated uncertainty, so that no 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -90,10 +90,12 @@ def source_of(path: Path) -> Source:
         return Source(path.name, rig, started, backend, simulated, note, version, commit, stored_id(opened), str(path))
 
 
-def fitted_parameters(best: Hypothesis, scatter: Scatter | None = None) -> tuple[FittedParameter, ...]:
+def fitted_parameters(
+    best: Hypothesis, scatter: Scatter | None = None, beyond: Mapping[ParameterId, tuple[float, float]] | None = None
+) -> tuple[FittedParameter, ...]:
     """Every parameter that the best hypothesis fits: those of the added effects first, in the order added.
 
-    A ``scatter`` of the restitution is the last of these.
+    A ``scatter`` of the restitution is the last of these; ``beyond`` is what other forms add to intervals.
 
     The standard deviation of an added one has what ordinary instruments add of it (`Parameter.ordinary`).
     """
@@ -104,7 +106,9 @@ def fitted_parameters(best: Hypothesis, scatter: Scatter | None = None) -> tuple
         plain, sigma = q.removesuffix(TREND), float(fitted.sigma(key))
         if added and plain == q:
             sigma = math.hypot(sigma, effect(name).effect.parameter(plain).ordinary)
-        return FittedParameter(name, plain, float(values[key]), sigma, added, q.endswith(TREND))
+        return FittedParameter(
+            name, plain, float(values[key]), sigma, added, q.endswith(TREND), (beyond or {}).get(key, (0.0, 0.0))
+        )
 
     noise = () if scatter is None else (FittedParameter(*SCATTER, scatter.sd, scatter.sigma, True, False),)
     return (*(one(k, True) for k in best.free), *noise, *(one(k, False) for k in values if k not in best.free))
@@ -133,19 +137,19 @@ def added_effects(names: Sequence[str], parameters: Sequence[FittedParameter]) -
     tables: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in names}
     middles = {(p.effect, p.parameter): p.value for p in parameters if not p.trend}
     for p in (p for p in parameters if p.added):
-        spread = Z95 * p.sigma
+        low, high = p.value - Z95 * p.sigma - p.beyond[0], p.value + Z95 * p.sigma + p.beyond[1]
         if p.trend:
             middle = middles.get((p.effect, p.parameter), 0.0)
             size = abs(middle) if middle else 1.0
             change = "relative_change" if middle else "change"
             tables.setdefault("parameter_drift", {})[f"{p.effect}.{p.parameter}_{change}"] = (
                 p.value / size,
-                (p.value - spread) / size,
-                (p.value + spread) / size,
+                low / size,
+                high / size,
             )
             continue
         bounds = effect(p.effect).effect.parameter(p.parameter)
-        interval = (p.value, max(p.value - spread, bounds.low), min(p.value + spread, bounds.high))
+        interval = (p.value, max(low, bounds.low), min(high, bounds.high))
         tables.setdefault(p.effect, {})[p.parameter] = interval
     return tuple(AddedEffect(name, table) for name, table in tables.items())
 

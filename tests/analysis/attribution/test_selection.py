@@ -262,6 +262,21 @@ def test_a_cause_that_only_a_fuller_form_needed_goes_with_it(selection_of: Calla
     ]
 
 
+@pytest.mark.parametrize("pull", [0.0, 0.4])
+def test_what_was_stepped_back_to_gets_the_fuller_form_that_it_needs(
+    selection_of: Callable[..., StepwiseSelection], pull: float
+) -> None:
+    """A spring with a magnet, and a damping: the magnet is found where there is one, and not else."""
+    spring, magnet, reach = (("position_force", q) for q in ("spring_per_s2", "magnet_mps2", "range_m"))
+    selection = selection_of({spring: 20.0, magnet: pull, reach: 2e-3, RATE: 0.5}, 4)
+    alone = next(c for c in selection.library if c.free == (spring,))
+    best, rounds = added(selection, alone, named(selection, "viscous_damping")), list[str]()
+    found = selection._fullest(best, rounds)
+    assert found.names == ("viscous_damping", "position_force") if pull else found is best
+    assert len(rounds) == (pull > 0.0) and (magnet in found.free) == (pull > 0.0)
+    assert abs(found.fitted.values[spring] - 20.0) < 3.0 * found.fitted.sigma(spring)
+
+
 def test_a_special_case_takes_the_place_of_what_it_is_one_of(selection_of: Callable[..., StepwiseSelection]) -> None:
     """Stribeck friction beside adhesion, where friction is as strong at any speed: plain friction does as well."""
     start = {UP: 0.05, DOWN: 0.05, ("adhesion", "a_mps2"): 1.5}
