@@ -51,8 +51,9 @@ def beyond_own_form(
     sizes = {k: (best.fitted.values[k], best.fitted.sigma(k)) for k in best.free if not parameter_of(k).is_shape}
     fuller = [c for c in others if any(x.names == c.names and set(x.free) < set(c.free) for x in best.candidates)]
     rest = [c for c in others if c not in fuller]
-    forms = [form for c in fuller for form in _fitted(best, c, limits)]
-    forms += [form for c in rest for form in _linear(best, c, limits.tie_nats + math.log(len(rest)))]
+    cost, attempted = limits.tie_nats + math.log(max(len(rest), 1)), Refits(best.fitter).attempted
+    forms = [form for c in fuller for form in attempted((c,), _fitted, best, c, limits) or ()]
+    forms += [form for c in rest for form in attempted((c,), _linear, best, c, cost) or ()]
     out = {}
     for key, (value, sigma) in sizes.items():
         parts = [(1.0, value, sigma), *((weight, *table[key]) for weight, table in forms if key in table)]
