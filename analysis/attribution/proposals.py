@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 
 from analysis.attribution.candidates import Candidate, Point, distinct_starts, null_value_of, parameter_of, trends_of
 from analysis.attribution.coarse_search import CoarseSearch, axes_of, coarse_grids, subsample
-from analysis.attribution.fit import Fitted
+from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.computing import THREADS
 from analysis.linear_algebra import NotFiniteError
@@ -76,10 +77,22 @@ class Proposals:
     def __init__(self, refits: Refits, limits: Thresholds) -> None:
         self.refits, self.fitter, self.limits = refits, refits.fitter, limits
 
+    @cached_property
+    def _ahead(self) -> Proposals | None:
+        """The same for a few of the flights of each step; None where there are not many more."""
+        model, train, enough = self.refits.model, self.refits.train, 600  # flights tell what gains hundreds of nats
+        if np.sum(model.observations.scored) < 2 * enough:
+            return None
+        few = subsample(model, np.ones_like(train), enough)
+        return Proposals(Refits(Fitter(few, self.fitter.priors, train)), self.limits)
+
     def round(
         self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
     ) -> list[Hypothesis]:
-        """Fit each option on top of `best` in parallel (the kernel releases the GIL); drop those that cannot gain.
+        """Each option that may gain, fitted on top of `best`.
+
+        Where much more than noise is left in many flights, a few of them tell which options could win: only these are
+        fitted to all of them, from where they stand, the others led one step on.
 
         Parameters
         ----------
@@ -88,6 +101,30 @@ class Proposals:
         progress
             Called with a candidate's name and the fraction of the round that is done.
         """
+        if self._ahead is None or best.noise_like(2.0):
+            return self._round(best, options, progress)
+        few, attempted, values = self._ahead.refits, self.refits.attempted, best.fitted.values
+        begun = few.fitter.fit(Whitener.of(few.model, values), best.free, values, most=-math.inf)
+        found = self._ahead._round(known := few.scored(best.candidates, begun), options, progress)
+        gains = [self._ahead._gained(known, x.fitted) for x in found]
+        most = max(gains, default=0.0)
+        enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
+
+        def in_full(x: Hypothesis, gain: float) -> Hypothesis | None:
+            chosen, start = x.candidates, x.fitted.values
+            if gain >= enough:
+                weights = Whitener.of(self.refits.model, start)
+                return attempted(chosen, self.refits.converged, chosen, weights, x.free, start)
+            fitted = attempted(chosen, self.fitter.fit, best.whitener, x.free, start, most=-math.inf)
+            return None if fitted is None else attempted(chosen, self._as_begun, best, chosen, fitted)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            return [x for x in pool.map(in_full, found, gains) if x is not None]
+
+    def _round(
+        self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
+    ) -> list[Hypothesis]:
+        """Fit each option on top of `best` in parallel (the kernel releases the GIL); drop those that cannot gain."""
         flying = [c for c in options if not set(c.names) <= {trend_name(), *plate_effects()}]
         # only a landing that is lost lies on another branch, where no small step from here leads
         far = flying if best.whitener.lost else []

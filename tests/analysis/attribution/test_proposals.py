@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from analysis.attribution.candidates import Candidate, candidates_of, trends_of
+from analysis.attribution.coarse_search import subsample
 from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Refits
+from analysis.attribution.proposals import Proposals
 from analysis.attribution.selection import StepwiseSelection
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.values import TREND
@@ -134,3 +138,26 @@ def test_an_earlier_cause_gives_way_to_one_that_came_near_it(
     assert both is not None
     chosen, _ = selection._exchanged(both, [], {"local_gravity": [friction]})
     assert set(chosen.names) == {"coulomb_friction", "accelerometer_lag"}
+
+
+@pytest.mark.parametrize("many", [True, False])
+def test_a_few_of_many_flights_tell_which_candidates_could_win(
+    fly_ramp: Callable[..., ForwardModel],
+    fitter_of: Callable[[ForwardModel], Fitter],
+    monkeypatch: pytest.MonkeyPatch,
+    many: bool,
+) -> None:
+    """The cause of a ramp that is far off is found on few flights and fitted to all, to the same values as without."""
+    model = fly_ramp({UP: 0.2, DOWN: 0.2}, 1, gammas=GAMMAS)
+    selection, options = StepwiseSelection(model, fitter_of(model)), candidates_of(model)
+    few = subsample(model, np.ones(len(GAMMAS), dtype=bool), 24)
+    ahead = Proposals(Refits(Fitter(few, selection.fitter.priors, selection.fitter.train)), FROZEN)
+    monkeypatch.setattr(selection.proposals, "_ahead", ahead if many else None)
+    nothing = selection.declared()
+    assert not nothing.noise_like(2.0)
+    found = selection.proposals.round(nothing, options, lambda *_: None)
+    best = min(found, key=lambda x: float(x.per_step.sum()))
+    assert best.names == ("coulomb_friction",) and best.model is model
+    assert best.fitted.values[UP] == pytest.approx(0.2, abs=3.0 * best.fitted.sigma(UP))
+    rivals = [x for x in found if x.whitener is nothing.whitener]
+    assert rivals and all(x.model is model for x in rivals)
