@@ -80,8 +80,8 @@ class Proposals:
     @cached_property
     def _ahead(self) -> Proposals | None:
         """The same for a few of the flights of each step; None where there are not many more."""
-        model, train, enough = self.refits.model, self.refits.train, 600  # flights tell what gains hundreds of nats
-        if np.sum(model.observations.scored) < 2 * enough:
+        model, train, enough = self.refits.model, self.refits.train, 400  # flights tell what gains hundreds of nats
+        if np.sum(model.observations.scored) < 3 * enough:
             return None
         few = subsample(model, np.ones_like(train), enough)
         return Proposals(Refits(Fitter(few, self.fitter.priors, train)), self.limits)
@@ -108,7 +108,7 @@ class Proposals:
         found = self._ahead._round(known := few.scored(best.candidates, begun), options, progress)
         gains = [self._ahead._gained(known, x.fitted) for x in found]
         most = max(gains, default=0.0)
-        enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
+        enough = most - max(NEAR_NATS, NEAR_PART * most)
 
         def in_full(x: Hypothesis, gain: float) -> Hypothesis | None:
             chosen, start = x.candidates, x.fitted.values
