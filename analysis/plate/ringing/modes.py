@@ -91,6 +91,8 @@ def identified_mode(
             elif forces and not seen.forced(found):  # they stood for a flight that was missed
                 forces = 0
                 seen, found = record.settled(begun, found, forces)
+                if found is None:
+                    return Identified(quiet=True)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
         worst = seen.worst_cluster(found)
