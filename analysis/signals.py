@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import bilinear, detrend, lfilter
 
-from daq.instrument.held_readings import FRAME, held_samples, without_stair
+from daq.instrument.channel_limits import RHYTHM_FRAME, held_samples, without_stair
 from daq.recording import Recording
 from kernels import njit
 from kernels.arrays import Bools, Floats
@@ -76,8 +76,8 @@ class Room:
         size, n = count + 2 * PAD, recording.n_samples
         codes = {name: np.empty(size, recording.codes(name, 0, 0).dtype) for name in channels}
         looked = [
-            recording.codes("accelerometer", a, min(a + FRAME + 1, n))
-            for a in np.linspace(0, max(n - 2 * FRAME, 0), 9).astype(int).tolist() if "accelerometer" in channels
+            recording.codes("accelerometer", a, min(a + RHYTHM_FRAME + 1, n))
+            for a in np.linspace(0, max(n - 2 * RHYTHM_FRAME, 0), 9).astype(int).tolist() if "accelerometer" in channels
         ]  # fmt: skip
         return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels}, held_samples(looked))
 

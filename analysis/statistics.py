@@ -20,11 +20,12 @@ def mad_sigma(deviations: npt.ArrayLike) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(deviations)))
 
 
-def core_sigma(sizes: Floats, most: float) -> float:
-    """Standard deviation of normal deviations of ``sizes`` (n,), from those up to ``most``, their `CORE` quantile.
+def core_sigma(sizes: Floats, every: int = 1) -> float:
+    """Standard deviation of normal deviations of ``sizes`` (n,), from those up to their `CORE` quantile.
 
-    Few outliers do not count, and quantisation biases it less than a median.
+    Few outliers do not count, and quantisation biases it less than a median. The quantile is that of ``every`` so many.
     """
+    most = float(np.quantile(sizes[::every], CORE))
     # the smallest 98 % of normal deviations have an rms of 0.9346 standard deviations
     return float(np.sqrt(np.mean(sizes[sizes <= most] ** 2))) / 0.9346
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.signals import first_beyond
-from analysis.statistics import CORE, core_sigma
+from analysis.statistics import core_sigma
 from kernels import njit
 from kernels.arrays import Floats, Integers
 
@@ -132,7 +132,7 @@ def _on_plateaus(
         near = plateau[np.abs(plateau - level) < NEAR_LEVEL * abs(swing)]
         level = float(np.median(near)) if 0 < near.size < plateau.size else level
         deviation = np.abs(near - level)
-        spreads.append(core_sigma(deviation, float(np.quantile(deviation, CORE))) if deviation.size else 0.0)
+        spreads.append(core_sigma(deviation) if deviation.size else 0.0)
         levels.append(level if near.size > 0.5 * plateau.size else declared)
     noise = max([*spreads, step_v / np.sqrt(12.0), 1e-6 * abs(swing)])
     return Levels(levels[0], levels[1], noise)

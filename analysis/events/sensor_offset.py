@@ -17,7 +17,7 @@ from analysis.events.impact_detection import ONSET_S, Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
 from analysis.events.levels import CLOSES
 from analysis.plate.motion import PlateMotion
-from analysis.statistics import CORE, core_sigma, mad_sigma, nearest
+from analysis.statistics import core_sigma, mad_sigma, nearest
 from kernels.arrays import Floats, Integers
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
@@ -89,8 +89,6 @@ def calibrate(
     if elsewhere is None and abs(motion_late_s) > MOTION_S:
         elsewhere = SensorOffset(motion_late_s, np.inf, 0)
     impacts = replace(impacts, rounding_s=_rounding_s(impacts, sampling_s))
-    if landing_s.size == 0 or impacts.time_s.size == 0:
-        return _not_shown(impacts, elsewhere)
     d, own, strength = _differences(impacts, takeoff_s, landing_s, landing_sigma_s, motion_late_s)
     # of two landings no half is closer together than the other: neither offset nor spread is known
     if d.size < 3:
@@ -104,19 +102,18 @@ def calibrate(
         return _not_shown(impacts, elsewhere)
     core = np.abs(d - centre) < CORE_SPREADS * spread
     # no contact jitters by more than the sensors differ, nor than landings that repeat
-    sizes = np.abs(d[core] - np.median(d[core]))
-    scatter2 = core_sigma(sizes, float(np.quantile(sizes, CORE))) ** 2 - float(np.median(own)) ** 2
+    scatter2 = core_sigma(np.abs(d[core] - np.median(d[core]))) ** 2 - float(np.median(own)) ** 2
     jitter = min(repeated_s, math.sqrt(max(scatter2, 0.0)))
     motion = math.sqrt(repeated_s**2 - jitter**2) if math.isfinite(repeated_s) else 0.0
     jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0  # less than its edges err by is chance
     bare, own = own, np.hypot(own, jitter)
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
-    factor = max(1.0, mad_sigma((d[core] - centre) / own[core]))  # where the stated uncertainties are too small
+    # above 1 where the stated uncertainties are too small
+    factor, of_both = (max(1.0, mad_sigma((d[core] - centre) / x[core])) for x in (own, bare))
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    if math.isinf(repeated_s):  # nothing tells which sensor it is
-        factor = max(1.0, mad_sigma((d[core] - centre) / bare[core]))
     offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s)
+    factor = of_both if math.isinf(repeated_s) else factor  # nothing tells then which sensor errs
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 
 
@@ -124,6 +121,8 @@ def _differences(
     impacts: Impacts, takeoff_s: Floats, landing_s: Floats, landing_sigma_s: Floats, motion_late_s: float
 ) -> tuple[Floats, Floats, Floats]:
     """Impact minus edge of flights that end with a single impact, its uncertainty, and the impact's strength, (m,)."""
+    if landing_s.size == 0 or impacts.time_s.size == 0:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
     delay_s, reach_s = motion_late_s, MOTION_S
     if math.isnan(motion_late_s):
         delay_s, reach_s = _delay_s(impacts.time_s, landing_s), REACH_S

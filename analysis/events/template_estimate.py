@@ -33,7 +33,7 @@ from analysis.linear_algebra import lstsq
 from analysis.plate.mains_lines import MAINS_HZ, SIGNIFICANT, separable_lines
 from analysis.plate.step_state import multiples_of
 from analysis.signals import Piece, near, unpredicted
-from analysis.statistics import CORE, core_sigma
+from analysis.statistics import core_sigma
 from daq.instrument.channel_limits import STANDS, NoiseSpectrum, measure_noise, share_at_an_end
 from daq.lock_in import LockIn, ToneFit
 from daq.setup.setup import Forcing
@@ -66,7 +66,7 @@ def scale_and_threshold(quiet: Floats, rate_hz: float) -> tuple[float, float]:
     # fewer outputs show no tail: the filter's noise is taken as it was computed
     if deviation.size < 1024:
         return 1.0, 0.0
-    scale = core_sigma(deviation, float(np.quantile(deviation[::8], CORE)))
+    scale = core_sigma(deviation, 8)
     up = quiet[1:-1]
     tops = up[(up > TAIL * scale) & (up >= quiet[:-2]) & (up > quiet[2:])] / scale
     decay, per_hour = 1.0, max(tops.size, 1) / quiet.size * rate_hz * 3600.0
@@ -276,7 +276,7 @@ def _prediction(still: list[tuple[Floats, Bools]], noise_v: float) -> tuple[Floa
         weights: Floats = np.append(1.0, -lstsq(products[1:, 1:], products[1:, 0])[0])
         left = [unpredicted(volts, weights, own) for (volts, _), own in zip(still, known, strict=True)]
         sizes = np.concatenate([own[places] for own, places in zip(left, looked, strict=True)])
-        sigma = core_sigma(sizes, float(np.quantile(sizes, CORE))) if sizes.size else 1.0
+        sigma = core_sigma(sizes) if sizes.size else 1.0
         left = [own / max(sigma, 1e-300) for own in left]
     return -weights[1:], left
 

@@ -1,4 +1,4 @@
-"""What a channel can show: its noise spectrum, and its ends, at which readings stand.
+"""What a channel can show: its noise spectrum, its ends, at which readings stand, and readings that are held.
 
 Noise of a channel as a spectrum, measured where nothing happens: the one measure of noise, of import and analysis.
 A sensor, its amplifier and its converter colour the noise: a low-pass takes its upper part, semiconductors add 1/f.
@@ -7,6 +7,9 @@ What detects impacts must know the noise at the frequencies of an impact. Decisi
 A reading that stands at its largest or smallest value: sensor or converter are at their end.
 The tones of motion that is cut off are too small, and no fit can tell. Impacts that are cut off do no harm to a tone,
 but they are not the waveform that other impacts have. Decision 310.
+
+Readings that are held: a sensor is slower than the recording, or a table was filled with the value before. Such a
+channel is a stair, whose steps look like impacts. Decision 727.
 """
 
 from __future__ import annotations
@@ -269,3 +272,65 @@ def _standing(values, low, high, least):  # type: ignore[no-untyped-def]
             side, length = now, 0
         length += 1
     return total
+
+
+RHYTHM_FRAME = 4096  # samples in which the rhythm of new readings is looked for
+
+
+def held_samples(stretches: Sequence[npt.NDArray[Any]]) -> float:
+    """Samples for which a channel holds each of its readings; 1 where it does not.
+
+    Rounding alone makes equal neighbours, too, but new readings then come without a rhythm.
+
+    Parameters
+    ----------
+    stretches
+        Codes or volts, (n,) each; of each the first `RHYTHM_FRAME` samples count.
+    """
+    holds = []
+    for values in stretches:
+        new = np.diff(values[: RHYTHM_FRAME + 1]) != 0
+        count = int(np.count_nonzero(new))
+        holds.append(1.0)
+        if new.size < RHYTHM_FRAME or not 20 <= count <= 0.7 * RHYTHM_FRAME:  # fewer tell no rhythm
+            continue
+        rhythm = np.abs(np.fft.rfft((new - new.mean()) * np.hanning(RHYTHM_FRAME))) / (0.5 * count)
+        # a stair of whole samples has all its overtones: the lowest counts
+        line = int(np.argmax(rhythm > 0.7 * rhythm.max()))
+        # more readings than every other sample beat at what is left to the sampling rate
+        of_all = RHYTHM_FRAME - line if 2 * count > RHYTHM_FRAME else line
+        sooner = np.mean(np.diff(np.flatnonzero(new)) < RHYTHM_FRAME // of_all)
+        # holds of 1.5 samples, rounded to whole ones, keep .33 of the rhythm, chance makes .04; steps of a coarsely
+        # rounded motion are fewer, or come too soon where it flickers between two readings
+        if rhythm[line] > 0.25 and sooner < 0.01 and count > 0.4 * of_all:
+            holds[-1] = RHYTHM_FRAME / of_all
+    typical = float(np.median(holds)) if holds else 1.0
+    # noise and motion change along a recording, a sensor's clock does not
+    alike = [abs(RHYTHM_FRAME / hold - RHYTHM_FRAME / typical) < 2.0 for hold in holds]
+    return typical if 2 * sum(alike) > len(alike) else 1.0
+
+
+def without_stair(volts: npt.NDArray[Any], held: float) -> None:
+    """Replace a stair (n,) whose readings are held for ``held`` samples by a smooth line through them, in place."""
+    if held > 1.0:
+        _join(volts)
+        width = round(held)
+        for _ in range(3):  # an impact then looks alike wherever in a hold it falls
+            sums = np.concatenate([[0.0], np.cumsum(np.pad(volts.astype(np.float64), width, mode="edge"))])
+            means = (sums[width:] - sums[:-width]) / width
+            # means over an even number of samples lie between two
+            both = means if width % 2 else 0.5 * (means[1:] + means[:-1])
+            first = (both.size - volts.size) // 2
+            volts[:] = both[first : first + volts.size]
+
+
+@njit()
+def _join(volts):  # type: ignore[no-untyped-def]
+    """Draw straight lines between the first samples of the steps of a stair (n,), in place."""
+    begin = 0
+    for i in range(1, volts.shape[0]):
+        if volts[i] != volts[i - 1]:
+            low, rise = volts[begin], (volts[i] - volts[begin]) / (i - begin)
+            for k in range(begin + 1, i):
+                volts[k] = low + rise * (k - begin)
+            begin = i

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from analysis.statistics import CORE, chance_of_squares, core_sigma, mad_sigma, median, nearest
+from analysis.statistics import chance_of_squares, core_sigma, mad_sigma, median, nearest
 
 
 def test_the_robust_spread_is_the_standard_deviation_despite_outliers() -> None:
@@ -20,7 +20,7 @@ def test_the_spread_of_the_core_is_the_standard_deviation_whatever_is_beyond_it(
     """Of normal deviations with 0.2 % gross outliers, to a fiftieth."""
     sizes = np.abs(5.0 * np.random.default_rng(2).standard_normal(40_000))
     sizes[:80] = 1e6
-    assert core_sigma(sizes, float(np.quantile(sizes, CORE))) == pytest.approx(5.0, rel=0.02)
+    assert core_sigma(sizes) == pytest.approx(5.0, rel=0.02)
 
 
 @pytest.mark.parametrize("n", [1, 2, 40])

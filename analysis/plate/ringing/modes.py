@@ -89,14 +89,10 @@ def identified_mode(
                 if x is not None and other.forced(x):
                     forces, seen, found = record.forces, other, x
             elif forces and not seen.forced(found):  # they stood for a flight that was missed
-                forces = 0
-                seen, found = record.settled(begun, found, forces)
-                if found is None:
-                    return Identified(quiet=True)
+                seen, found = record.settled(begun, found, forces := 0)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
-        worst = seen.worst_cluster(found)
-        if worst is None:
+        if found is None or (worst := seen.worst_cluster(found)) is None:
             break
         # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
         ends = int((worst + 1) * CLUSTER_S / block_s)

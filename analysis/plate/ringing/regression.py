@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from analysis.linear_algebra import lstsq, pinv, solve, svd
+from analysis.linear_algebra import eigh, lstsq, pinv, solve, svd
 from analysis.plate.ringing.in_blocks import over_noise
 from analysis.plate.ringing.mode_motion import TORN_S, PushedPlate, answer, turn_of
 from kernels.arrays import Bools, Complexes, Floats, Integers
@@ -148,7 +148,7 @@ class Regression:
         shown = directions.T @ before
         after = before - directions @ shown
         # a zero that wanders is fitted, too, and differs more from piece to piece than white noise
-        spread, turned = np.linalg.eigh(self._between_pieces((directions * after[:, None]).T))
+        spread, turned = eigh(self._between_pieces((directions * after[:, None]).T))
         return 0.5 * float(np.sum((turned.T @ shown) ** 2 / np.maximum(spread, np.mean(after**2)))) > SURE_NATS
 
     def _between_pieces(self, scores: Floats) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.instrument.held_readings import held_samples, without_stair
+from daq.instrument.channel_limits import held_samples, without_stair
 
 RATE_HZ = 20000.0
 

@@ -103,7 +103,7 @@ def _linear(best: Hypothesis, c: Candidate, cost: float) -> list[Form]:
         table = {}
         for k in best.free:
             moved = values[k] - best.fitted.values[k]
-            # a parameter beside takes from the knowledge of a value what it moves it by, over its own significance
+            # another parameter takes from the knowledge of a value what it moves it by, over its own significance
             table[k] = values[k], math.hypot(best.fitted.sigma(k), moved / math.sqrt(2.0 * gain))
         out.append((math.exp(min(gain, 700.0) - cost) / len(settings), table))
     return out
