@@ -109,8 +109,7 @@ def calibrate(
     bare, own = own, np.hypot(own, jitter)
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
     centre = float(np.average(d[core], weights=weight))
-    # above 1 where the stated uncertainties are too small
-    factor, of_both = (max(1.0, mad_sigma((d[core] - centre) / x[core])) for x in (own, bare))
+    factor, of_both = (max(1.0, mad_sigma((d[core] - centre) / x[core])) for x in (own, bare))  # over what is stated
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
     offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s)
     factor = of_both if math.isinf(repeated_s) else factor  # nothing tells then which sensor errs
