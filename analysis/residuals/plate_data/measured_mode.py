@@ -82,7 +82,7 @@ class MeasuredMode:
 
 
 def undriven_tones(observations: Observations, ringing: Ringing) -> Bools:
-    """Tones beside the forcing's of which the mode, as identified, leaves no more than noise in all steps, (m, k)."""
+    """Tones but the forcing's of which the mode, as identified, leaves no more than noise in all steps, (m, k)."""
     found, steps, plate = observations.ringing.mode, observations.steps, observations.steps.plate
     there = (plate.acceleration_mps2 != 0.0) & ~steps.forcing
     if found is None:
