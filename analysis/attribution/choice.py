@@ -166,22 +166,25 @@ class Judge:
         gain = self.gain(best, x)
         if why := gain_refusal(gain, nats, sigmas):
             return why
-        for channel in x.losses:
+        # landings that are lost either way say nothing against what recorded volts show without a flight
+        shown = best.whitener.lost and x.whitener.lost and set(x.free) - set(best.free) <= x.fitter.identified.keys()
+        for channel in ["plate"] if shown else x.losses:
             change = LogScoreDifference.of(x.losses[channel], best.losses[channel], self.train)
-            if change.exceeds(limits.worse_nats, limits.worse_sigmas) and not self._trifling(x, channel, change, gain):
+            worse = change.exceeds(limits.worse_nats, limits.worse_sigmas)
+            if worse and not (channel == "plate" and self._trifling(best, x, change, gain)):
                 return f"the {channel} data fit worse with it, by {change.gain:.0f} +- {change.error:.0f} nats"
         if any(c.free and not x.fitted.differs(c.free) for c in x.candidates if c not in best.candidates):
             return "the 95 % intervals of its parameters hold the values at which it does nothing"
         return None if chance is None else chance_refusal(chance.p(x), limits)
 
-    def _trifling(self, x: Hypothesis, channel: str, loss: LogScoreDifference, gain: LogScoreDifference) -> bool:
-        """Whether plate data lose a small part of what the events gain and are still noise.
+    def _trifling(self, best: Hypothesis, x: Hypothesis, loss: LogScoreDifference, gain: LogScoreDifference) -> bool:
+        """Whether plate data lose a small part of what the events gain and are still noise, or were none before.
 
         While events were lost, calibrations could follow the plate's noise; found events hold them.
         """
-        if channel != "plate" or loss.gain > self.limits.tolerated_plate_loss * gain.gain:
-            return False
-        return plate_rms_standardised(x.model, x.fitted.values) < self.limits.noise_like_ratio
+        before, after = (plate_rms_standardised(h.model, h.fitted.values) for h in (best, x))
+        noise, small = self.limits.noise_like_ratio, loss.gain <= self.limits.tolerated_plate_loss * gain.gain
+        return small and (after < noise or before >= noise)
 
     def choose(
         self, best: Hypothesis, found: Sequence[Hypothesis], depth: int, chance: ChanceGains | None = None
@@ -189,7 +192,7 @@ class Judge:
         """The candidate of lowest held-out loss that passes; of those that tie with it, that of lowest penalised loss.
 
         The penalty counts its parameters and the prior of the calibrations that it moves. A candidate that leaves more
-        than noise, or strains a calibration, and would need a second cause as well, comes after those that do not.
+        than noise may, or strains a calibration, and would need a second cause as well, comes after those that do not.
         """
         ranked = sorted(found, key=lambda x: float(x.per_step[self.train].sum()))
         passing = (x for x in ranked if self.refusal(best, x, depth, chance) is None)
@@ -199,7 +202,7 @@ class Judge:
         after = ranked[ranked.index(top) + 1 :]  # what chance does is drawn only for those that could be chosen
         close = [top, *(x for x in after if self.tied(top, x) and self.refusal(best, x, depth, chance) is None)]
         if len(close) > 1:
-            close = [x for x in close if x.noise_like(self.limits.noise_like_ratio) and not x.strained] or close
+            close = [x for x in close if not x.strained and x.passes(self.limits)] or close
         return self.cheapest(close)
 
     def cheapest(self, close: Sequence[Hypothesis]) -> Hypothesis:

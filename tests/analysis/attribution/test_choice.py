@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from analysis.attribution.candidates import Candidate
+from analysis.attribution import hypothesis
+from analysis.attribution.candidates import Candidate, Prior
 from analysis.attribution.chance import ChanceGains
 from analysis.attribution.choice import Judge, LogScoreDifference, chance_refusal, gain_refusal, required_gain, tied
 from analysis.attribution.fit import Fitted, Fitter
@@ -93,15 +94,28 @@ def test_what_gains_less_than_what_was_accepted_needs_no_reason(
     assert found is not None and found.names == ("lag",)
 
 
-@pytest.mark.parametrize(("scatter", "accepted"), [(1.0, True), (3.0, False)])
+@pytest.mark.parametrize(("before", "scatter", "accepted"), [(1.0, 1.0, True), (1.0, 3.0, False), (3.0, 3.0, True)])
 def test_found_landings_may_cost_the_plate_a_trifle(
-    judge: Judge, explanation: Callable[..., Hypothesis], scatter: float, accepted: bool
+    judge: Judge, explanation: Callable[..., Hypothesis], before: float, scatter: float, accepted: bool
 ) -> None:
-    """Events gain 1600 nats, plate data lose 12: accepted where these are noise, refused where they scatter more."""
-    best = explanation("nothing", np.full(STEPS, 100.0))
+    """Events gain 1600 nats, plate data lose 12: refused only where these were noise before and scatter more now."""
+    best = explanation("nothing", np.full(STEPS, 100.0), scatter=before)
     x = explanation("restitution", np.zeros(STEPS), np.full(STEPS, 0.75), scatter=scatter)
     assert (judge.choose(best, [x], 0) is x) is accepted
     assert (judge.rejected(best, [x], 0, None) is None) is accepted
+
+
+@pytest.mark.parametrize(
+    ("shown", "lost", "accepted"), [(True, True, True), (False, True, False), (True, False, False)]
+)
+def test_landings_that_are_lost_either_way_say_nothing_against_what_volts_show(
+    judge: Judge, explanation: Callable[..., Hypothesis], shown: bool, lost: bool, accepted: bool
+) -> None:
+    """Plate data gain 480 nats and events lose 160: a mode that was identified is refused only by flights."""
+    best, x = explanation("nothing", np.zeros(STEPS), np.full(STEPS, 30.0)), explanation("mode", np.full(STEPS, 10.0))
+    best, x = (replace(h, whitener=replace(h.whitener, lost=lost)) for h in (replace(best, candidates=()), x))
+    x.fitter.identified = {RATE: Prior(2.0, 0.1)} if shown else {}
+    assert (judge.choose(best, [x], 0) is x) is accepted
 
 
 def test_a_cause_whose_size_may_be_nothing_is_refused(judge: Judge, explanation: Callable[..., Hypothesis]) -> None:
@@ -167,6 +181,17 @@ def test_of_those_that_tie_one_that_leaves_noise_comes_first(
     leader, noise = explanation("drag", np.zeros(STEPS), scatter=3.0), explanation("damping", np.full(STEPS, 0.1))
     assert judge.choose(best, [noise, leader], 0) is noise
     assert judge.choose(best, [leader], 0) is leader
+
+
+def test_what_noise_may_leave_is_no_worse_than_what_leaves_less(
+    judge: Judge, explanation: Callable[..., Hypothesis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A leader by a nat leaves 1.3 times the noise, which steps that share their errors may: it is chosen."""
+    best = explanation("nothing", np.full(STEPS, 10.0))
+    leader, other = explanation("drag", np.zeros(STEPS)), explanation("damping", np.full(STEPS, 0.1))
+    monkeypatch.setattr(hypothesis, "rms_standardised", lambda model, *_: 1.3 if model is leader.model else 1.0)
+    assert not leader.noise_like(FROZEN.noise_like_ratio) and other.noise_like(FROZEN.noise_like_ratio)
+    assert judge.choose(best, [other, leader], 0) is leader
 
 
 def test_chance_is_asked_only_about_those_that_could_be_chosen(
