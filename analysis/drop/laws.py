@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -203,43 +203,44 @@ OF_PATHS = (*MODELS, SPEED_FRICTION, FRICTION_DRAG)
 
 
 UNEXPLAINED = "unexplained"
+Estimates = dict[str, tuple[float, float]]  # value and half of the 95 % interval of each parameter
+F = TypeVar("F")
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A model, fitted to impact times or to a path, and tried on bounces that it was not fitted to."""
+class Candidate(Generic[F]):
+    """A model, fitted to impact times, a path or falls, and tried on what it was not fitted to."""
 
     model: BounceModel
     scores: Floats  # (units,) held-out log likelihood of each drop, flight or bounce
-    # Root mean square error of flight durations (s or frames), in sample and held out; NaN where there are none.
+    # Root mean square error of flight durations (s or frames) or heights, in sample and held out; NaN where there are
+    # none.
     rms: float
     held_out_rms: float
     identifiable: bool  # the data can tell the parameters
-
-    LIMITS: ClassVar[Mapping[str, tuple[float, float]]] = {}  # of the parameters, where there are any
+    fit: F
+    estimates: Estimates
+    significant: bool  # every parameter after ``e0`` is beyond zero, and one that the ball can have
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of parameters, where there are any
     # Units are of different kinds, of which an effect may change some and leave the others: their gains add up.
-    ADDED: ClassVar[bool] = False
-
-    def estimates(self) -> dict[str, tuple[float, float]]:
-        """Value and half of the 95 % interval of each parameter."""
-        raise NotImplementedError
+    gains_add_up: bool = False
 
     def intervals(self) -> dict[str, tuple[float, float, float]]:
         """Value, lower and upper end of the 95 % interval of each parameter, inside its limits."""
         found = {}
-        for name, (value, half) in self.estimates().items():
-            low, high = self.LIMITS.get(name, (-np.inf, np.inf))
+        for name, (value, half) in self.estimates.items():
+            low, high = self.limits.get(name, (-np.inf, np.inf))
             found[name] = (value, max(value - half, low), min(value + half, high))
         return found
 
-    @property
-    def significant(self) -> bool:
-        """Whether every interval after that of ``e0`` excludes zero; a drag or friction below zero is none."""
-        added = {name: numbers for name, numbers in self.estimates().items() if name != "e0"}
-        return all(v > half or (name == "e1_s_per_m" and -v > half) for name, (v, half) in added.items())
+
+def beyond_zero(estimates: Estimates) -> bool:
+    """Whether every interval after that of ``e0`` excludes zero; a drag or friction below zero is none."""
+    added = {name: numbers for name, numbers in estimates.items() if name != "e0"}
+    return all(v > half or (name in ("e1_s_per_m", "wind_mps") and -v > half) for name, (v, half) in added.items())
 
 
-C = TypeVar("C", bound=Candidate)
+C = TypeVar("C", bound=Candidate[Any])
 
 
 @dataclass(frozen=True)
@@ -277,7 +278,7 @@ def worth_of(residuals: Sequence[Floats]) -> float:
     return min((1.0 - rho) / (1.0 + rho), 0.5)
 
 
-def gain_of(rival: Candidate, than: Candidate) -> tuple[float, bool]:
+def gain_of(rival: Candidate[Any], than: Candidate[Any]) -> tuple[float, bool]:
     """Held-out gain of ``rival`` in nats, and whether it is beyond doubt.
 
     Beyond doubt: above `LEAST_GAIN_NATS`, and either above twice the standard error of the paired gains or shared by
@@ -288,14 +289,14 @@ def gain_of(rival: Candidate, than: Candidate) -> tuple[float, bool]:
     if len(each) < 2:
         return 0.0, False
     gain = float(each.sum())
-    if rival.ADDED:
+    if rival.gains_add_up:
         return gain, gain - float(each.max()) > LEAST_GAIN_NATS
     doubt = 2.0 * float(each.std(ddof=1)) * float(np.sqrt(len(each)))
     agreed = bool(each.min() > -CHANCE_LOSS_NATS)
     return gain, gain > LEAST_GAIN_NATS and (gain > doubt or agreed)
 
 
-def choose(models: Sequence[Candidate]) -> tuple[str, ...]:
+def choose(models: Sequence[Candidate[Any]]) -> tuple[str, ...]:
     """Tie set, its first the simplest model that no other beats beyond doubt.
 
     Only models whose every added parameter excludes zero can be chosen, or beat another. A simpler model stays in the
@@ -305,7 +306,7 @@ def choose(models: Sequence[Candidate]) -> tuple[str, ...]:
     standing = [m for m in able if not any(gain_of(rival, m)[1] for rival in able if rival is not m)] or [models[0]]
     fewest = min(len(m.model.parameters) for m in standing)
     best = max((m for m in standing if len(m.model.parameters) == fewest), key=lambda m: float(m.scores.sum()))
-    tied: list[Candidate] = []
+    tied: list[Candidate[Any]] = []
     for rival in sorted((m for m in models if m is not best), key=lambda m: len(m.model.parameters)):
         behind, beaten = gain_of(best, rival)
         if rival.model.nests(best.model):  # richer; a still richer one with the same effect says nothing new

@@ -101,7 +101,7 @@ def payload_of(
     }
 
 
-def model_json(candidate: Candidate, to_si: Mapping[str, float], per: float, unit: str = "ms") -> dict[str, Any]:
+def model_json(candidate: Candidate[Any], to_si: Mapping[str, float], per: float, unit: str = "ms") -> dict[str, Any]:
     """A fitted model for the JSON.
 
     Parameters
@@ -125,10 +125,10 @@ def model_json(candidate: Candidate, to_si: Mapping[str, float], per: float, uni
     }
 
 
-def declared(candidate: Candidate, to_si: Mapping[str, float], source: str) -> list[MeasuredValue]:
+def declared(candidate: Candidate[Any], to_si: Mapping[str, float], source: str) -> list[MeasuredValue]:
     """A model's parameters under the names of the effect library, without those that are compatible with zero."""
     out = []
-    for name, (value, half) in candidate.estimates().items():
+    for name, (value, half) in candidate.estimates.items():
         factor, effect = to_si.get(name, 0.0), {"k_per_m": "quadratic_drag", "mu": "coulomb_friction"}.get(name)
         sigma = half / LEVEL_SIGMAS * factor
         if np.isfinite(sigma) and abs(value * factor) > LEVEL_SIGMAS * sigma:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -22,7 +22,7 @@ from analysis.drop.falls.fit import (
     fit_falls,
     heights_m,
 )
-from analysis.drop.laws import BounceModel, Candidate, Verdict, choose, worth_of
+from analysis.drop.laws import BounceModel, Candidate, Verdict, beyond_zero, choose, worth_of
 from analysis.drop.outcome import Interval, around
 from analysis.drop.thresholds import LARGEST_MISFIT, LEVEL_SIGMAS
 from analysis.statistics import mad_sigma
@@ -45,33 +45,14 @@ _OWN_AXES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08)  # by how much axes of drops may
 
 
 @dataclass(frozen=True)
-class FallCandidate(Candidate):
+class FallCandidate(Candidate[FallFit]):
     """A combination of causes, fitted to all falls."""
 
-    ADDED = True  # a light ball needs drag where a heavy one does not
-    fit: FallFit
+    _: KW_ONLY
     noise: Noise
     own: tuple[str, ...]  # parameters that are a drop's own, beyond its release
     shared: list[Values | None]  # of each fall: what the other falls say; None where its ball was dropped once
     held_out: list[Floats]  # of each fall: read less predicted with that, what is its own fitted to all of it, m
-
-    def estimates(self) -> dict[str, tuple[float, float]]:
-        """Value and half of the 95 % interval of each parameter that is common to all falls."""
-        fit = self.fit
-        common = [name for name in fit.names if "" in fit.values[name]]
-        return {name: (fit.values[name][""], LEVEL_SIGMAS * fit.sigmas[name][""]) for name in common}
-
-    @property
-    def significant(self) -> bool:
-        """Whether each cause is beyond zero for one ball or drop at least; a drag or a release below zero is none.
-
-        A distortion of the axis is judged by the drops not fitted to.
-        """
-        for name in (name for name in self.fit.names if name not in (*AXIS, *OWN_AXIS, "bulk_m")):
-            away = [(v, LEVEL_SIGMAS * self.fit.sigmas[name][owner]) for owner, v in self.fit.values[name].items()]
-            if not any(v > half or (name == "wind_mps" and -v > half) for v, half in away):
-                return False
-        return True
 
 
 @dataclass(frozen=True)
@@ -213,7 +194,19 @@ def _candidate(
         held_out[i] = fit_falls([fall], own, setting, noise, shared[i], fit).left[0]
     left = np.concatenate(held_out)
     rms = float(np.sqrt(np.mean(left**2))) if len(left) else float("nan")
-    return FallCandidate(model, scores, fit.rms_m, rms, bool(len(left)), fit, noise, own, shared, held_out)
+    said = {
+        name: [(value, LEVEL_SIGMAS * fit.sigmas[name][owner]) for owner, value in fit.values[name].items()]
+        for name in fit.names
+    }
+    common = {name: numbers[0] for name, numbers in said.items() if "" in fit.values[name]}
+    # Each cause is beyond zero for one ball or drop at least; a distortion of the axis is judged by drops not fitted.
+    judged = [name for name in fit.names if name not in (*AXIS, *OWN_AXIS, "bulk_m")]
+    significant = all(any(beyond_zero({name: numbers}) for numbers in said[name]) for name in judged)
+    return FallCandidate(
+        model, scores, fit.rms_m, rms, bool(len(left)), fit, common, significant,
+        gains_add_up=True,  # a light ball needs drag where a heavy one does not
+        noise=noise, own=own, shared=shared, held_out=held_out,
+    )  # fmt: skip
 
 
 def _between(fall: Fall, best: FallCandidate, shared: Values | None, setting: Setting) -> Floats:

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, stats
 
-from analysis.drop import lack_of_fit
-from analysis.drop.film.track import Clip, Flight, flights_of
+from analysis.drop.film.track import LEAST_SAMPLES, Clip, Flight, flights_of, jitter
 from analysis.drop.film.trajectory import SHAPES, Shape, draws_of, fit_shape, law_of, noise_of, surprise
-from analysis.drop.laws import OF_PATHS, BounceModel, Candidate, FlightLaw, worth_of
+from analysis.drop.laws import OF_PATHS, BounceModel, Candidate, Estimates, FlightLaw, beyond_zero, worth_of
 from analysis.drop.thresholds import LARGEST_SCATTER, LEVEL_SIGMAS
 from daq.setup.errors import InputError
 from kernels.arrays import Bools, Floats, Integers
@@ -71,19 +70,8 @@ class RestitutionFit:
         return float(stats.chi2.sf(self.chi_square, self.freedom)) if self.freedom > 0 else 1.0
 
 
-@dataclass(frozen=True)
-class CameraCandidate(Candidate):
-    """A shape of flight and a law of restitution; not identifiable where bounces are too few for the law."""
-
-    LIMITS = {"e0": (0.0, np.inf), "k_per_m": (0.0, np.inf)}
-    law: RestitutionFit
-    # Value and half of the 95 % interval of friction and drag, as the shape has them, in the file's units.
-    forces: dict[str, tuple[float, float]]
-
-    def estimates(self) -> dict[str, tuple[float, float]]:
-        """Value and half of the 95 % interval of each parameter, in the file's units."""
-        pairs = zip(self.law.theta.tolist(), self.law.half_width.tolist(), strict=True)
-        return dict(zip(("e0", "e1_s_per_m"), pairs, strict=False)) | self.forces
+# A shape of flight and a law of restitution, in the file's units; not identifiable where bounces are too few for it.
+CameraCandidate = Candidate[RestitutionFit]
 
 
 @dataclass(frozen=True)
@@ -131,9 +119,38 @@ def fit_camera(clips: Sequence[Clip], rng: np.random.Generator) -> CameraFit:
             scores[name] = scores["drag" if "k" in SHAPES[name] else "parabola"]
     by_shape = {name: (shapes[name], values[name], impacts[name], scores[name]) for name in SHAPES}
     candidates = tuple(_candidate(model, *by_shape[model.shape]) for model in OF_PATHS)
-    moved = [lack_of_fit.of_camera(c, [f for f in flights if f.clip == k]) for k, c in enumerate(clips)]
+    moved = [camera_moved(c, [f for f in flights if f.clip == k]) for k, c in enumerate(clips)]
     said = tuple(f"{clip.name}: {words}" for clip, words in zip(clips, moved, strict=True) if words)
     return CameraFit(flights, shapes, values, impacts, candidates, falls, noise, worth, said)
+
+
+def camera_moved(clip: Clip, flights: Sequence[Flight]) -> str | None:
+    """A camera that moved, where the ball wanders sideways far beyond its jitter: no fall accelerates sideways.
+
+    None also where other things in the film show that the camera stood still, or nothing is known of the ball's place
+    across.
+    """
+    if clip.watched or clip.across is None:
+        return None
+    squares, noise = [np.empty(0)], []
+    for flight in flights:
+        inside = (clip.frame >= flight.frame[0]) & (clip.frame <= flight.frame[-1])
+        frame, across = clip.frame[inside], clip.across[inside]
+        if len(frame) >= LEAST_SAMPLES + 2:
+            left = across - np.polynomial.Polynomial.fit(frame, across, 1)(frame)
+            squares.append(left**2 * len(frame) / (len(frame) - 2))
+            noise.append(jitter(across))
+    if not noise:
+        return None
+    wander, usual = float(np.sqrt(np.concatenate(squares).mean())), float(np.median(noise))
+    # less than three times the usual jitter, or than 0.15 px, is no wander
+    if wander < max(0.15, 3.0 * usual):
+        return None
+    return (
+        f"the ball wanders sideways by {wander:.2f} px within its flights, where places are good to {usual:.2f}: the "
+        "camera moved, and nothing in the picture shows by how much; fix the camera, or let a floor or something with "
+        "texture be seen"
+    )
 
 
 def _clear_of_impacts(flights: list[Flight], shape: Shape) -> list[Flight]:
@@ -219,13 +236,16 @@ def _candidate(model: BounceModel, shape: Shape, values: Floats, found: Impacts,
         left = left[np.isfinite(left)]
         return float(np.sqrt((left**2).mean())) if len(left) else float("nan")
 
-    forces = {}
+    pairs = zip(law.theta.tolist(), law.half_width.tolist(), strict=True)
+    said: Estimates = dict(zip(("e0", "e1_s_per_m"), pairs, strict=False))
     for name, key in (("mu", "f"), ("k_per_m", "k")):
         if key in SHAPES[shape.name]:
             column = SHAPES[shape.name].index(key)
-            forces[name] = (float(shape.values[column]), LEVEL_SIGMAS * float(values[:, column].std()))
+            said[name] = (float(shape.values[column]), LEVEL_SIGMAS * float(values[:, column].std()))
     both, known = np.concatenate([scores, law.scores]), bool(np.isfinite(law.half_width).all())
-    return CameraCandidate(model, both, rms(law.predicted), rms(law.held_out), known, law, forces)
+    limits = {"e0": (0.0, np.inf), "k_per_m": (0.0, np.inf)}
+    errors = rms(law.predicted), rms(law.held_out)
+    return Candidate(model, both, *errors, known, law, said, beyond_zero(said), limits)
 
 
 def fit_restitution(speed: Floats, ratio: Floats, sigma: Floats, with_speed: bool) -> RestitutionFit:

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from analysis.drop import lack_of_fit, outcome, thresholds
+from analysis.drop import outcome, thresholds
 from analysis.drop.film.camera_fit import CameraCandidate, CameraFit
 from analysis.drop.film.trajectory import SHAPES
 from analysis.drop.laws import Verdict, choose, gain_of
 from daq.setup.errors import InputError
+from kernels.arrays import Floats, Integers
 
 _SIGNS = (("up", 1.0), ("down", -1.0))  # of friction, against gravity
 
@@ -81,7 +83,7 @@ def of_camera(
     if stated is not None and "sigmas_off" in check:
         payload["stated_height_m"] = check
         words.append(f"stated height {stated[0]:.3f} m: the filmed fall is {check['sigmas_off']:+.1f} sigma from it")
-    bounces = len(film.best.law.predicted)
+    bounces = len(film.best.fit.predicted)
     source = f"drop test by camera, {len(names)} file(s), {bounces} bounces ({names[0]}), {verdict.best}"
     return outcome.Outcome(payload, words, [] if verdict.doubts else outcome.declared(film.best, film.to_si, source))
 
@@ -148,7 +150,7 @@ class _Film:
         """Contradictions to the model, in words."""
         words = list(self.fit.moved)
         if self.fall > 0.0:
-            uneven = lack_of_fit.of_floor(self.seen.clip, self.seen.floor, self.seen.floor_draws, self.fall)
+            uneven = uneven_floor(self.seen.clip, self.seen.floor, self.seen.floor_draws, self.fall)
             words += [uneven] if uneven else []
         if not quality["some_shape_fits"]:
             best = min(quality["rms"].values())
@@ -208,7 +210,7 @@ class _Film:
 
     def model(self, one: CameraCandidate) -> dict[str, Any]:
         """A model for the JSON."""
-        law, covariance = one.law, self.fit.shapes[one.model.shape].covariance.tolist()
+        law, covariance = one.fit, self.fit.shapes[one.model.shape].covariance.tolist()
         entry: dict[str, Any] = outcome.model_json(one, self.to_si, 1e3 * self.frame_s if self.timed else np.nan) | {
             "restitution_scatter": law.scatter,
             "chi_square": {"value": law.chi_square, "freedom": law.freedom, "chance": law.chance},
@@ -300,20 +302,28 @@ def judge_camera(fit: CameraFit) -> Verdict[CameraCandidate]:
     if not _is_contradicted(best):
         return verdict
     # laws that have been tested, and leave errors or an ordinary scatter
-    held = [one for one in fit.candidates if one.significant and one.law.freedom > 0]
-    able = [one for one in held if one.law.chance > thresholds.FOLLOWED_CHANCE or one.law.is_steady]
+    held = [one for one in fit.candidates if one.significant and one.fit.freedom > 0]
+    able = [one for one in held if one.fit.chance > thresholds.FOLLOWED_CHANCE or one.fit.is_steady]
     holding = next((one for one in able if one.model.shape == best.model.shape), None)
     if holding is not None:
         rivals = [one.model.name for one in able if one is not holding and not gain_of(holding, one)[1]]
         return Verdict(fit.candidates, (holding.model.name, *rivals))
     names = [one.model.name for one in fit.candidates if one is not best and not _is_contradicted(one)]
-    doubt = lack_of_fit.of_restitutions(*fit.impacts[best.model.shape].restitution())
+    ratio, sigma = fit.impacts[best.model.shape].restitution()
+    shown = ", ".join(f"{e:.3f} +- {s:.3f}" for e, s in list(zip(ratio, sigma, strict=True))[:8])
+    low, high = int(np.argmin(ratio)), int(np.argmax(ratio))
+    distance = (ratio[high] - ratio[low]) / max(float(np.hypot(sigma[high], sigma[low])), 1e-9)
+    few = "" if len(ratio) > 3 else f"; {len(ratio)} bounces cannot tell a dependence on speed from irregular bounces"
+    doubt = (
+        f"the restitution is not constant: {shown} (one standard deviation), up to {distance:.0f} sigma apart, and no "
+        f"law here with fewer parameters than bounces follows it{few}"
+    )
     return Verdict(fit.candidates, (best.model.name, *names), (doubt,))
 
 
 def _is_contradicted(candidate: CameraCandidate) -> bool:
     """Whether the bounces differ by far more than their errors, and by more than a ball on a flat plate does."""
-    law = candidate.law
+    law = candidate.fit
     return law.chance < thresholds.UNEVEN_CHANCE and not law.is_steady
 
 
@@ -339,3 +349,30 @@ def refuse_other_motion(fit: CameraFit, where: str) -> None:
             f"{where}: the speed after an impact is {ratio:.3f} times that before: no ball bounces on a plate at rest "
             "like this; is the film upside down, does the plate move, or is it a hand?"
         )
+
+
+def uneven_floor(clip: Integers, floor: Floats, draws: Floats, fall: float) -> str | None:
+    """A floor or camera that moved: impacts of one clip at heights that differ by far more than their errors.
+
+    Parameters
+    ----------
+    clip, floor : (n,)
+        Clip and height of each impact.
+    draws : (m, n) float64
+    fall : float
+        Height of the fall, in the unit of ``floor``.
+    """
+    for number in np.unique(clip):
+        own = (clip == number) & np.isfinite(floor)
+        if own.sum() < 2:
+            continue
+        heights, sigma = floor[own], np.maximum(draws[:, own].std(axis=0), 1e-12)
+        mean = float(np.average(heights, weights=sigma**-2.0))
+        chance = float(stats.chi2.sf((((heights - mean) / sigma) ** 2).sum(), len(heights) - 1))
+        step = float(np.ptp(heights))
+        if chance < thresholds.UNEVEN_CHANCE and step > thresholds.LARGEST_STEP * fall:
+            return (
+                f"the impacts are at heights that differ by {100.0 * step / fall:.1f} % of the fall, far more than "
+                "their errors: the camera or the floor moved"
+            )
+    return None

@@ -46,7 +46,7 @@ def test_friction_and_restitution_at_the_papers_conditions(rubbed: CameraFit) ->
     candidate = next(r for r in rubbed.candidates if r.model.name == ties[0])
     assert ties == ("coulomb_friction",)
     assert rubbed.shapes["friction"].values[1] == pytest.approx(0.3, abs=0.01)
-    assert candidate.law.theta[0] == pytest.approx(0.514, abs=0.005)
+    assert candidate.fit.theta[0] == pytest.approx(0.514, abs=0.005)
 
 
 def test_a_strong_drag_makes_no_gravity_larger(rubbed: CameraFit) -> None:

@@ -25,7 +25,7 @@ def _measured(clip: Clip, units: Units) -> Outcome:
 
 def _restitution(fit: CameraFit) -> float:
     verdict = judge_camera(fit)
-    return float(verdict.candidate(verdict.best).law.theta[0])
+    return float(verdict.candidate(verdict.best).fit.theta[0])
 
 
 def _frames(path: Path) -> list[np.ndarray]:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from analysis.drop.film.background import stabilised
+from analysis.drop.film.camera_fit import camera_moved
+from analysis.drop.film.outcome import uneven_floor
 from analysis.drop.film.track import Clip, Flight
 from analysis.drop.film.video import open_film
-from analysis.drop.lack_of_fit import of_camera, of_floor
 
 
 def _filmed(target: Path, floor: bool, shake_px: float) -> np.ndarray:
@@ -52,7 +53,7 @@ def test_a_fall_that_wanders_sideways(hand_px: float, watched: bool, moved: bool
     across = hand_px * np.sin(frame / 4.0) + np.random.default_rng(1).normal(0.0, 0.05, 40)
     height = -0.1 * (frame - 20.0) ** 2
     clip = Clip("x", frame, height, 0.2, across, watched)
-    words = of_camera(clip, [Flight(0, 1, frame, height, True)])
+    words = camera_moved(clip, [Flight(0, 1, frame, height, True)])
     assert (words is not None) == moved
 
 
@@ -60,5 +61,5 @@ def test_a_floor_that_moves_is_said() -> None:
     """Impacts 2 % of the fall apart contradict a camera at rest; within their errors they do not."""
     clip, draws = np.zeros(3, dtype=np.int64), np.random.default_rng(1).normal(0.0, 0.1, (300, 3))
     apart, even = np.array([0.0, 4.0, 8.0]), np.array([0.0, 0.15, -0.1])
-    assert "floor moved" in str(of_floor(clip, apart, apart + draws, 400.0))
-    assert of_floor(clip, even, even + draws, 400.0) is None
+    assert "floor moved" in str(uneven_floor(clip, apart, apart + draws, 400.0))
+    assert uneven_floor(clip, even, even + draws, 400.0) is None
