@@ -18,7 +18,7 @@ from daq.setup.values import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from analysis.drop.corrections import Progress
-    from analysis.drop.curves import FitPlot
+    from analysis.drop.figures import FitPlot
     from analysis.drop.film.outcome import Units
     from analysis.drop.load import Known, Path2D
     from analysis.drop.outcome import Outcome
@@ -223,9 +223,8 @@ def draw(done: DropTest, out: Path) -> None:
 
 def _from_times(drops: list[Drop], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Impact times: the models, judged on held-out bounces."""
-    from analysis.drop.curves import times_plot
-    from analysis.drop.times.model_selection import judge
-    from analysis.drop.times.outcome import of_times
+    from analysis.drop.figures import times_plot
+    from analysis.drop.times.outcome import judge, of_times
 
     rng, stated = np.random.default_rng(request.seed), [request.stated[number] for number in numbers]
     g, without_heights = request.gravity_mps2, None
@@ -239,10 +238,9 @@ def _from_times(drops: list[Drop], numbers: list[int], request: Request) -> tupl
 
 def _from_falls(paths: list[Path2D], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Falls without a bounce: the causes, judged on the other drops of each ball."""
-    from analysis.drop.curves import falls_plot
     from analysis.drop.falls.fit import Fall, with_balls
-    from analysis.drop.falls.judge import judge_falls
-    from analysis.drop.falls.outcome import of_falls
+    from analysis.drop.falls.outcome import judge_falls, of_falls
+    from analysis.drop.figures import falls_plot
     from analysis.drop.read.balls import read_balls
 
     falls = []
@@ -271,7 +269,7 @@ def _from_paths(
     paths: list[Path2D], numbers: list[int], request: Request
 ) -> tuple[Outcome, FitPlot, list[tuple[int, float, bool]]]:
     """Films and tracked positions: flights, restitution, the models; and the impacts in each file's own time."""
-    from analysis.drop.curves import camera_plot
+    from analysis.drop.figures import camera_plot
     from analysis.drop.film.camera_fit import fit_camera
     from analysis.drop.film.outcome import of_camera
 

@@ -20,9 +20,8 @@ import numpy as np
 from analysis.drop.laws import Verdict
 from analysis.drop.times.impact_chain import Onsets, drops_of
 from analysis.drop.times.model_fit import Drop
-from analysis.drop.times.model_selection import Judged, judge
 from analysis.drop.times.onsets import sound_onsets
-from analysis.drop.times.outcome import of_times
+from analysis.drop.times.outcome import Judged, judge, of_times
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 

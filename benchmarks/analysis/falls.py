@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from analysis.drop.falls.fit import AIR_KG_PER_M3, Fall, Setting
-from analysis.drop.falls.judge import Judged, judge_falls
+from analysis.drop.falls.outcome import Judged, judge_falls
 from bench.jobs.drop_test import Request, measure
 from kernels.arrays import Floats
 

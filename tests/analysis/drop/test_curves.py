@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from analysis.drop.curves import FitPlot, ModelCurve, in_plain_words
-from analysis.drop.figures import draw_fit
+from analysis.drop.figures import FitPlot, ModelCurve, draw_fit, in_plain_words
 
 
 def test_balls_have_their_colours_and_models_plain_words(tmp_path: Path, monkeypatch) -> None:

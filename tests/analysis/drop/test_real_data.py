@@ -9,8 +9,7 @@ from analysis.drop.film.camera_fit import fit_camera
 from analysis.drop.laws import Verdict
 from analysis.drop.load import Path2D, load_all
 from analysis.drop.times.model_fit import Drop
-from analysis.drop.times.model_selection import Judged, judge
-from analysis.drop.times.outcome import of_times
+from analysis.drop.times.outcome import Judged, judge, of_times
 
 G = 9.80665
 pytestmark = pytest.mark.data

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.falls.fit import Axis, Fall, Setting, fallen_m, heights_m, is_fall, with_balls
-from analysis.drop.falls.judge import judge_falls
-from analysis.drop.falls.outcome import of_falls
+from analysis.drop.falls.outcome import judge_falls, of_falls
 from analysis.drop.load import load_all
 from analysis.drop.read.balls import read_balls
 

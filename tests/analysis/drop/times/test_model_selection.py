@@ -7,8 +7,7 @@ import pytest
 
 from analysis.drop.times.impact_chain import drops_of
 from analysis.drop.times.model_fit import Drop
-from analysis.drop.times.model_selection import judge
-from analysis.drop.times.outcome import of_times
+from analysis.drop.times.outcome import judge, of_times
 
 G = 9.80665
 
