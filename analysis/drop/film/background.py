@@ -260,41 +260,6 @@ def still_by_order(film: Film, still: Still) -> Still:
     return _still(background, still.n_frames, still.repeated, film)
 
 
-def still_without(film: Film, still: Still, boxes: dict[int, tuple[float, float, float, float]]) -> Still:
-    """The background from frames whose ball is known: each pixel's median over those in which no ball covers it.
-
-    ``boxes``: x, y, width and height of the ball by frame number.
-    """
-
-    def span(centre: float, size: float, limit: int) -> slice:
-        reach = 0.5 * size + max(0.12 * size, 4.0)
-        return slice(max(int(centre - reach), 0), min(int(centre + reach) + 2, limit))
-
-    numbers = sorted(boxes)
-    chosen = {numbers[i] for i in np.unique(np.linspace(0, len(numbers) - 1, _MOST_SAMPLES).astype(int))}
-    frames, covers = [], []
-    for number, frame in enumerate(film.frames()):
-        if number in chosen:
-            x, y, wide, tall = boxes[number]
-            cover = np.zeros(frame.shape[:2], dtype=bool)
-            cover[span(y, tall, frame.shape[0]), span(x, wide, frame.shape[1])] = True
-            frames.append(frame)
-            covers.append(cover)
-    background = still.background.copy()
-    for r in range(0, background.shape[0], _ROWS):
-        rows = slice(r, r + _ROWS)
-        values = np.array([f[rows] for f in frames], dtype=np.float32)
-        hidden = np.array([c[rows] for c in covers])
-        values[hidden] = np.nan
-        count = (~hidden).sum(axis=0)
-        ordered = np.sort(values, axis=0)  # NaN last: far faster than nanmedian
-        middle = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(frames) - 1)
-        low, high = (np.take_along_axis(ordered, at[None, :, :, None], axis=0)[0] for at in middle)
-        enough = count >= 3  # frames in which a pixel is seen without the ball
-        background[rows][enough] = (0.5 * (low + high))[enough]
-    return _still(background, still.n_frames, still.repeated, film)
-
-
 def _clean_frames(stack: Picture, step: Picture, film: Film) -> set[int]:
     """Frames to take the background from: something moves, but not a person through half of the picture.
 

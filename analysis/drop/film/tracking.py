@@ -22,7 +22,6 @@ from analysis.drop.film.background import (
     stabilised,
     still_by_order,
     still_of,
-    still_without,
 )
 from analysis.drop.film.track import Track, ball_of, parabolas
 from analysis.drop.film.video import Film, Image, open_film, opencv, part_of, smaller
@@ -96,18 +95,13 @@ class _Attempt:
 
 
 def _best_attempt(film: Film, still: Still, corrections: Corrections, progress: Progress | None) -> _Attempt:
-    """The ball against the usual background, or against others that are free of it where it is unsteady."""
+    """The ball against the usual background, or against one that is free of it where it is unsteady."""
     best = _attempt(film, still, corrections, progress)
     # a spot whose height spreads by 12 %: its background is suspected
     if isinstance(best, InputError) or best.unsteady > 0.12:
         other = _attempt(film, still_by_order(film, still), corrections, progress)
-        if isinstance(other, _Attempt):
-            boxes = {int(row[0]): (row[1], row[2], row[3], row[4]) for row in other.size}
-            again = _attempt(film, still_without(film, other.still, boxes), corrections, progress)
-            if isinstance(again, _Attempt) and again.unsteady <= other.unsteady:
-                other = again
-            if isinstance(best, InputError) or other.unsteady < best.unsteady:
-                best = other
+        if isinstance(other, _Attempt) and (isinstance(best, InputError) or other.unsteady < best.unsteady):
+            best = other
     if isinstance(best, InputError):
         raise best
     return best
