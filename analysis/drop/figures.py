@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from analysis.drop.falls.fit import heights_m
 from analysis.drop.falls.outcome import Judged as JudgedFalls
@@ -126,6 +125,8 @@ def falls_plot(judged: JudgedFalls, clips: list[int]) -> FitPlot:
 
 def draw_track(tracked: Tracked, title: str, target: Path) -> Path:
     """The track over a composite of frames: every measured centre should sit in the middle of a ball."""
+    from matplotlib.figure import Figure  # slow to import: a page draws the numbers by itself
+
     rows, columns = tracked.composite.shape[:2]
     figure = Figure(figsize=(11, max(11 * rows / columns, 4) + 0.6), layout="constrained")
     axes = figure.add_subplot()
@@ -141,6 +142,8 @@ def draw_track(tracked: Tracked, title: str, target: Path) -> Path:
 
 def draw_fit(plot: FitPlot, title: str, target: Path) -> Path:
     """The data with the models' curves through them, and what each model leaves; a colour a ball where they differ."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(11, 7), layout="constrained")
     top, bottom = figure.subplots(2, 1, height_ratios=[2, 1], sharex=True)
     balls = list(dict.fromkeys(plot.balls))
@@ -169,6 +172,8 @@ def draw_fit(plot: FitPlot, title: str, target: Path) -> Path:
 
 def draw_sound(path: Path, drops: Sequence[Drop], target: Path) -> Path:
     """The waveform with the detected impacts marked; a row for each drop, six at most."""
+    from matplotlib.figure import Figure
+
     wav = open_wav(path)
     shown = drops[:6]  # drops of a sound, at most
     figure = Figure(figsize=(12, 1.0 + 2.2 * len(shown)), layout="constrained")

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from analysis.drop.corrections import NOTHING, Corrections
+from analysis.drop.figures import draw_track
 from analysis.drop.load import Known, Path2D, events_in
 from analysis.drop.times.model_fit import Drop
-from bench.jobs.drop_test import MARKS, NUMBERS, DropTest, Request, numbers_of
+from bench.jobs.drop_test import MARKS, NUMBERS, DropTest, Request, check_request, measure, numbers_of
 from bench.terminal.run_console import leave_keys_to_the_parent
 from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
@@ -139,8 +140,6 @@ def work(pipe: Connection, gives_way: bool) -> None:
 
     Answers are ``("progress", what, done, total)``, and at the end ``("done", message, payload, pictures)``.
     """
-    from analysis.drop.load import Known
-
     leave_keys_to_the_parent()
     if gives_way and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
@@ -152,10 +151,7 @@ def work(pipe: Connection, gives_way: bool) -> None:
             pipe.send(_measured(request, known, pipe))
 
 
-def _measured(request: Any, known: Any, pipe: Connection) -> tuple[Any, ...]:
-    from analysis.drop.figures import draw_track
-    from bench.jobs.drop_test import check_request, measure
-
+def _measured(request: Request, known: Known, pipe: Connection) -> tuple[Any, ...]:
     sent_at = 0.0
 
     def progress(what: str, done: int, total: int) -> None:
