@@ -48,9 +48,14 @@ _DRAWS = 1000
 Judged = Candidate[Fit]  # not identifiable where another with fewer parameters predicts exactly the same times
 
 
-def _estimates(fitted: Fit) -> Estimates:
+def _candidate(fitted: Fit, rows: Rows, g_mps2: float, drag_limits: tuple[float, float]) -> Judged:
+    """A fitted model, tried on bounces of ``rows`` that it was not fitted to."""
     pairs = zip(fitted.theta.tolist(), fitted.half_width().tolist(), strict=True)
-    return dict(zip(fitted.model.parameters, pairs, strict=True))
+    said: Estimates = dict(zip(fitted.model.parameters, pairs, strict=True))
+    rms = float(np.sqrt(np.nanmean(fitted.residuals_s[~rows.from_height] ** 2)))
+    scores, held_out = _held_out(fitted, rows, g_mps2)
+    may_be = beyond_zero(said) and _is_physical(said, drag_limits)
+    return Candidate(fitted.model, scores, rms, held_out, True, fitted, said, may_be, BOUNDS)
 
 
 def _is_physical(estimates: Estimates, drag_limits: tuple[float, float]) -> bool:
@@ -74,15 +79,13 @@ def judge(
         if model is FRICTION and not with_height:
             candidates.append(_same_times(candidates[0]))
         elif model is CONSTANT or rows.count > len(model.parameters):
-            whole = fit(model, rows, g_mps2, rng)
-            rms = float(np.sqrt(np.nanmean(whole.residuals_s[~rows.from_height] ** 2)))
-            scores, held_out = _held_out(whole, rows, g_mps2)
-            said = _estimates(whole)
-            may_be = beyond_zero(said) and _is_physical(said, drag_limits)
-            candidates.append(Candidate(model, scores, rms, held_out, True, whole, said, may_be, BOUNDS))
+            candidates.append(_candidate(fit(model, rows, g_mps2, rng), rows, g_mps2, drag_limits))
     able = [r for r in candidates if r.identifiable]
     if can_hold_out:
-        parts = [[_again(r, part, g_mps2, drag_limits) for r in able] for part in _trimmed(rows)]
+        parts = [
+            [_candidate(_again(r.fit, part, g_mps2), part, g_mps2, drag_limits) for r in able]
+            for part in _trimmed(rows)
+        ]
         ties = stable_choice([choose(models) for models in (able, *parts)], MODELS)
     else:  # every simple model may be the one
         simple = [model for model in MODELS if len(model.parameters) <= 2]
@@ -114,15 +117,11 @@ def _trimmed(rows: Rows) -> list[Rows]:
     return [rows.keep(~(flights & out)) for out in (behind <= 1, behind <= 2, first)]
 
 
-def _again(judged: Judged, rows: Rows, g_mps2: float, drag_limits: tuple[float, float]) -> Judged:
-    """The same model on other rows, with the widths that it has."""
-    whole = judged.fit
+def _again(whole: Fit, rows: Rows, g_mps2: float) -> Fit:
+    """The same model fitted to other rows, with the widths that it has."""
     theta = converge(whole.model, whole.theta, rows, whole.widths, g_mps2)
     covariance = wider(linearised(whole.model, theta, rows, whole.widths, g_mps2)[0], whole.covariance)
-    part = replace(whole, theta=theta, covariance=covariance, freedom=rows.count - len(theta))
-    said, scores = _estimates(part), _held_out(part, rows, g_mps2)[0]
-    may_be = beyond_zero(said) and _is_physical(said, drag_limits)
-    return replace(judged, fit=part, scores=scores, estimates=said, significant=may_be)
+    return replace(whole, theta=theta, covariance=covariance, freedom=rows.count - len(theta))
 
 
 def _same_times(constant: Judged) -> Judged:
