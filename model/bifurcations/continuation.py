@@ -23,24 +23,6 @@ from model.orbits.attractor import Ball, Close, LockedCycle, State, doubling_nea
 End = Literal["period doubling", "merged", "fold", "grazing", "limit"]
 
 
-@dataclass(frozen=True)
-class Branch:
-    """A stable locked cycle between ``low`` and ``high``, and what ends it at either."""
-
-    low: float
-    high: float
-    ends: tuple[End, End]
-    flights: int
-    periods: int
-
-
-def follow_both_ways(close: Close, at: float, cycle: LockedCycle, low: float, high: float) -> Branch:
-    """Follow ``cycle``, known at the parameter ``at``, down and up to where it ends or to ``low`` and ``high``."""
-    below, how_below = _follow(close, at, cycle, low)
-    above, how_above = _follow(close, at, cycle, high)
-    return Branch(below, above, (how_below, how_above), cycle.tau.size, cycle.periods)
-
-
 def next_cycle(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycle | None:
     """The same cycle at another parameter; None when Newton finds none or a different one."""
     new = close(parameter, state_of(cycle), cycle.tau.size)
@@ -50,7 +32,8 @@ def next_cycle(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycl
     return new if any(np.max(np.abs(np.roll(new.tau, k) - cycle.tau)) < 0.3 for k in range(new.tau.size)) else None
 
 
-def _follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[float, End]:
+def follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[float, End]:
+    """Follow a stable ``cycle``, known at the parameter ``at``, to where it ends or to ``limit``, and what ends it."""
     direction = 1.0 if limit > at else -1.0
     step = 1e-4
     trail = [(at, cycle)]

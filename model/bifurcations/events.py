@@ -8,6 +8,7 @@ the forcing; at an accumulation a landing falls on an unstable cycle.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable
 from itertools import pairwise
@@ -95,7 +96,7 @@ def cycle_windows(ball: ExactBall, low: float, high: float, *, narrowest: float 
         room = 4 * np.spacing(max(b, 1.0))  # at the level itself rounding decides the number of windows
         out += itinerary_windows.windows(
             lambda g: ball.itinerary_codes(g, ball.most_flights),
-            lambda w: locked_from(ball, w),
+            functools.partial(locked_from, ball, low=a, high=b),
             lambda stretches, spacing: locked_within(ball, stretches, spacing),
             Search(a + room, b - room, narrowest, LONGEST, ball.coarse),
         )
@@ -129,8 +130,11 @@ def _edges(ball: ExactBall, windows: list[Window], cuts: list[float]) -> list[Bi
 
 def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | None) -> Bifurcation:
     known = (left.how[1] if left is not None else "") or (right.how[0] if right is not None else "")
-    before = _side(left) if left is not None else _side_at(ball, gamma, -1, [])
-    after = _side(right) if right is not None else _side_at(ball, gamma, +1, [])
+    # past an edge at which the other side is looked at: doubles, or more where a locked cycle was followed to it
+    followed = any(w is not None and w.locked for w in (left, right))
+    room = (1e-12 if followed else 8 * np.spacing(1.0)) * max(gamma, 1.0)
+    before = _side(left) if left is not None else _side_at(ball, gamma - room, -1, [])
+    after = _side(right) if right is not None else _side_at(ball, gamma + room, +1, [])
     if known in ("period doubling", "merged"):
         factor = 2.0 if known == "period doubling" else 0.5
         # a locked cycle or its double may have no window wide enough to be listed: it follows from the other
@@ -143,8 +147,6 @@ def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | N
         return Bifurcation(gamma, "lock", before, after)
     if known in ("fold", "grazing"):
         return Bifurcation(gamma, known, before, after)
-    # doubles past an edge at which the other side is looked at
-    room = 8 * np.spacing(max(gamma, 1.0))
     low = left.high if left is not None and not left.locked else gamma - room
     high = right.low if right is not None and not right.locked else max(gamma, low) + room
     kind = change(ball.itinerary(low, ball.most_flights), ball.itinerary(high, ball.most_flights))

@@ -194,48 +194,6 @@ def itinerary_codes_of(tables_of: Callable[..., EdgeTables], fly: Callable[..., 
     return itinerary_codes
 
 
-def locked_family_of(tables_of: Callable[..., EdgeTables], flight: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel that flies cycles that never stick, of balls that do not rebound."""
-
-    @compiled
-    def locked_family(
-        tones: Floats, turning: Floats, gamma: float, law: FrictionRestitution, window: int, after: float, n: int
-    ) -> tuple[bool, float, float, float, int]:
-        """``n`` flights that never stick, from a take-off ``after`` (>= 0, radians) the threshold of ``window``.
-
-        Returns ok, miss, multiplier, half, code. ``miss`` is landing minus take-off modulo ``2 pi``: 0 on a cycle;
-        ``half`` is the same half-way (0 where an even cycle folds onto one of half its length; NaN for odd ``n``);
-        ``code`` differs between itineraries. Not ``ok`` where the ball sticks before the last landing or the window is
-        too short.
-        """
-        tables = tables_of(tones, turning, gamma, law)
-        edge, n_windows = tables.up, tables.n_up
-        half = math.nan
-        code = 0
-        if window >= n_windows or edge[2 * window] + after >= edge[2 * window + 1]:
-            return False, 0.0, 0.0, half, code
-        start = fold(edge[2 * window] + after, edge[0])
-        landing = start
-        multiplier = 1.0
-        for k in range(n):
-            if k > 0 and branch_of(edge, n_windows, landing) % 2 == 1:
-                return False, 0.0, 0.0, half, code
-            if k > 0 and 2 * k == n:
-                half = nearest_turn(landing - start)
-            phi0 = landing
-            tau, landing, speed, tangent = flight(tones, gamma, tables, law, phi0, 0.0, k == 0 and after == 0.0)
-            if not speed > 0.0:
-                return False, 0.0, 0.0, half, code
-            landing = fold(landing, edge[0])
-            multiplier *= tangent[0]
-            turns = round((phi0 + tau - landing) / TWO_PI)
-            last = branch_of(edge, n_windows, landing) if k + 1 < n else 0
-            code = code * 1000003 + 2 * n_windows * turns + last + 1
-        return True, nearest_turn(landing - start), multiplier, half, code
-
-    return locked_family
-
-
 def close_cycle_of(flight: Callable[..., Any]) -> Callable[..., Any]:
     """The kernel that finds a cycle that never rests by Newton's method."""
 
@@ -293,7 +251,6 @@ class Cycles(NamedTuple):
     tables_of: Callable[..., EdgeTables]
     fly_until_closed: Callable[..., tuple[int, int, int, float, float]]
     itinerary_codes: Callable[..., None]
-    locked_family: Callable[..., tuple[bool, float, float, float, int]]
     close_cycle: Callable[..., tuple[bool, int, float, float]]
 
 
@@ -309,7 +266,6 @@ def cycles_of(
         tables_of,
         fly,
         itinerary_codes_of(tables_of, fly),
-        locked_family_of(tables_of, flight_and_tangent),
         close_cycle_of(flight_and_tangent),
     )
 

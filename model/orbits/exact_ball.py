@@ -139,11 +139,6 @@ class ExactBall:
         self.cycles.itinerary_codes(self.forcing.tones, turning, grid, self.law, room_for(max_flights), out)
         return out
 
-    def locked_family(self, gamma: float, window: int, after: float, n: int) -> tuple[bool, float, float, float, int]:
-        """See `model.orbits.cycles.locked_family_of`; for a ball that does not rebound."""
-        turning = windows.turning_points(self.forcing)
-        return self.cycles.locked_family(self.forcing.tones, turning, gamma, self.law, window, after, n)
-
     def close(self, gamma: float, near: State, n: int) -> LockedCycle | None:
         """See `model.orbits.attractor.Ball.close`."""
         tables = self._tables(gamma)

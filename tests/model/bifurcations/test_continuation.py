@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from model.bifurcations.continuation import follow_both_ways
+from model.bifurcations.continuation import follow
 from model.orbits.attractor import LockedCycle, State, doubling_near
 from model.orbits.exact_ball import FrictionBall, IdealBall
 from model.tones import Forcing
@@ -48,9 +48,9 @@ def test_a_locked_cycle_ends_at_a_fold_and_a_doubling(e):
     middle = 0.5 * (lock + doubling)
     start = State(math.acos(lock / middle), e * 2 * math.pi / (1 + e))
     cycle = ball.close(middle, start, 1)
-    branch = follow_both_ways(ball.close, middle, cycle, 0.5 * lock, 2.0 * doubling)
-    assert branch.ends == ("fold", "period doubling")
-    np.testing.assert_allclose((branch.low, branch.high), (lock, doubling), rtol=0, atol=1e-9)
+    found = [follow(ball.close, middle, cycle, limit) for limit in (0.5 * lock, 2.0 * doubling)]
+    assert [how for _, how in found] == ["fold", "period doubling"]
+    np.testing.assert_allclose([gamma for gamma, _ in found], (lock, doubling), rtol=0, atol=1e-9)
 
 
 def test_a_doubling_is_followed_in_the_second_tones_phase():

@@ -116,6 +116,14 @@ def test_no_window_is_missed(c):
     assert outside < 40
 
 
+def test_a_locked_cycle_is_followed_to_where_it_sticks():
+    """At c = 3 the locked 2-cycle begins where the orbits from rest stop sticking, whatever branch it lands in."""
+    ball = IdealBall(Forcing.superposition(3))
+    lock = next(b for b in bifurcations(ball, 0.45, 0.55, narrowest=1e-4) if b.type == "lock")
+    below, above = (attractor(ball, lock.gamma + d) for d in (-1e-11, 1e-11))
+    assert (below.flights, below.resets, above.flights, above.locked) == (2, 1, 2, True)
+
+
 def test_windows_do_not_overlap():
     """Each gamma belongs to at most one window, and they come in order."""
     windows = cycle_windows(ONE_SINE, 3.5, 4.0, narrowest=1e-4)
