@@ -18,19 +18,13 @@ EFFECT = Effect(
     summary="the accelerometer's amplifier has a high-pass",
     parameters=(
         Parameter(
-            "corner_hz",
-            "Hz",
-            0.0,
-            10.0,
-            0.02,
-            start_grid=(0.2, 2.0),
-            meaning="corner of a high-pass of first order",
+            "corner_hz", "Hz", 0.0, 10.0, 0.02, start_grid=(0.2, 2.0), meaning="corner of a high-pass of first order",
         ),
     ),
     confused_with={"contact_latency": "runs at several frequencies", "phase_lag": "landing times"},
     hides=ORDINARY_LAG,
     reference="coupling capacitors of charge amplifiers and IEPE supplies",
-)
+)  # fmt: skip
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:

@@ -19,31 +19,14 @@ EFFECT = Effect(
     parameters=(
         Parameter("delay_s", "s", 0.0, 5e-3, 1e-5, start_grid=(1e-4, 1e-3), meaning="motion to reading"),
         Parameter(
-            "low_pass_s",
-            "s",
-            0.0,
-            0.02,
-            1e-5,
-            start_grid=(1e-4, 1e-3),
-            meaning="time constant of the sensor's filter",
+            "low_pass_s", "s", 0.0, 0.02, 1e-5, start_grid=(1e-4, 1e-3), meaning="time constant of the sensor's filter",
         ),
         Parameter(
-            "sharpness",
-            "1",
-            0.0,
-            4.0,
-            0.5,
-            start_grid=(0.0, 0.5, 1.0),
-            is_shape=True,
+            "sharpness", "1", 0.0, 4.0, 0.5, start_grid=(0.0, 0.5, 1.0), is_shape=True,
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
         Parameter(
-            "impact_s",
-            "s",
-            -5e-3,
-            5e-3,
-            1e-5,
-            calibration=1e-3,
+            "impact_s", "s", -5e-3, 5e-3, 1e-5, calibration=1e-3, hook="impact_delay_s",
             meaning="later an impact's mark than motion, where no edge tells it",
         ),
     ),
@@ -51,12 +34,7 @@ EFFECT = Effect(
     confused_with={"phase_lag": "landing times"},
     hides={("accelerometer_high_pass", "corner_hz"): (0.0, 0.02)},
     reference="bandwidth of the sensor, multiplexed sampling",
-)
-
-
-def impact_delay_s(p: Mapping[str, float]) -> float:
-    """By how much later than slow motion the accelerometer shows impacts."""
-    return p["impact_s"]
+)  # fmt: skip
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Complexes:

@@ -15,23 +15,11 @@ EFFECT = Effect(
     summary="the ball sticks to the plate and leaves late",
     parameters=(
         Parameter(
-            "a_mps2",
-            "m/s^2",
-            0.0,
-            30.0,
-            0.2,
-            start_grid=(1.0,),
-            carries_term="threshold",
+            "a_mps2", "m/s^2", 0.0, 30.0, 0.2, start_grid=(1.0,), carries_term="threshold",
             meaning="pull-off force over mass",
         ),
         Parameter(
-            "dwell_s",
-            "s",
-            0.0,
-            1.0,
-            0.01,
-            is_shape=True,
-            start_grid=(0.01,),
+            "dwell_s", "s", 0.0, 1.0, 0.01, is_shape=True, start_grid=(0.01,),
             meaning="contact time over which it builds up; 0 at once",
         ),
     ),
@@ -39,7 +27,7 @@ EFFECT = Effect(
     confused_with={"contact_gap": "landing times, dwell time", "coulomb_friction": "landing times of long flights"},
     substitutes_term="threshold",
     reference="Johnson, Kendall and Roberts, Proc. R. Soc. A 324, 301 (1971)",
-)
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

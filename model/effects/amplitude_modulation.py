@@ -17,16 +17,8 @@ EFFECT = Effect(
     parameters=(
         Parameter("depth", "1", 0.0, 0.9, 0.003, hint="modulation_depth", meaning="relative amplitude of the swell"),
         Parameter(
-            "frequency_hz",
-            "Hz",
-            1e-3,
-            20.0,
-            0.002,
-            null_value=1.0,
-            start_grid=(1.0,),
-            hint="modulation_hz",
-            is_shape=True,
-            meaning="of the swell",
+            "frequency_hz", "Hz", 1e-3, 20.0, 0.002, null_value=1.0, start_grid=(1.0,), hint="modulation_hz",
+            is_shape=True, meaning="of the swell",
         ),
     ),
     confused_with={
@@ -35,7 +27,7 @@ EFFECT = Effect(
         "table_resonance": "its line is below the forcing, not on both sides of it",
     },
     reference="beating supplies, a hunting amplitude loop",
-)
+)  # fmt: skip
 
 
 def modulation(p: Mapping[str, float]) -> tuple[float, float]:

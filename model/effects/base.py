@@ -15,7 +15,8 @@ where ``p`` is the row of all parameters, the local g last, and ``k`` the place 
 ``plate_mode(p, k)``                   ``(omega_radps, damping_ratio, mass_ratio)`` of a plate mode struck by impacts
 ====================================== =========================================================================
 
-and, as plain functions of the effect's own parameters ``p`` by name, what it does to the plate and the instruments:
+and, as plain functions of the effect's own parameters ``p`` by name (or as the ``hook`` of a parameter that is the
+value itself), what it does to the plate and the instruments:
 
 ====================================== =========================================================================
 ``transfer(p, omega_radps, accel_g)``  complex factor on drive -> plate at the tones ``omega_radps`` (k,), where the
@@ -65,23 +66,10 @@ SIGNATURES = {
 """Arguments of the compiled hooks."""
 COMPILED_HOOKS = tuple(SIGNATURES)
 PLAIN_HOOKS = (
-    "transfer",
-    "accelerometer_response",
-    "contact_delay_s",
-    "closing_delay_s",
-    "impact_delay_s",
-    "harmonics",
-    "hum_mps2",
-    "pickup_mps2",
-    "modulation",
-    "flight_gain",
-    "offset_mps2",
-    "time_scale",
-    "gap_m",
-    "closure_s",
+    "transfer", "accelerometer_response", "contact_delay_s", "closing_delay_s", "impact_delay_s", "harmonics",
+    "hum_mps2", "pickup_mps2", "modulation", "flight_gain", "offset_mps2", "time_scale", "gap_m", "closure_s",
     "rebound_scatter",
-)
-
+)  # fmt: skip
 PLATE_ONLY_HOOKS = frozenset({"transfer", "harmonics", "hum_mps2", "offset_mps2", "time_scale", "closure_s"})
 """Hooks that change plate data and instruments, and never a flight over the plate that was measured."""
 
@@ -137,6 +125,8 @@ class Parameter:
         Quantity of the flight that stands here, another one in each flight that was measured; never fitted. It is a
         name of `analysis.residuals.covariates.COVARIATES`, and NaN where a flight's own is not known. Where no flight
         was measured (free-running predictions) the null value stands here.
+    hook
+        Hook of the plate or the instruments that this number itself is the value of; no function is written for it.
     meaning
         For a person, in a few words.
     """
@@ -161,6 +151,7 @@ class Parameter:
     drifts: bool = False
     carries_term: Term = ""
     covariate: str = ""
+    hook: str = ""
     meaning: str = ""
 
     def __str__(self) -> str:

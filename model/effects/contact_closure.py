@@ -6,28 +6,22 @@ not of the motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="contact_closure",
     summary="an impact closes the circuit late, and for a moment even when the ball leaves at once",
     parameters=(
-        Parameter("closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, plate_only=True, meaning="shortest closed time"),
-        Parameter("late_s", "s", -1.5e-4, 1.5e-4, 1e-5, calibration=5e-5, meaning="later a closing than an opening"),
+        Parameter(
+            "closure_s", "s", 0.0, 2e-3, 1e-4, calibration=1e-3, plate_only=True, hook="closure_s",
+            meaning="shortest closed time",
+        ),
+        Parameter(
+            "late_s", "s", -1.5e-4, 1.5e-4, 1e-5, calibration=5e-5, hook="closing_delay_s",
+            meaning="later a closing than an opening",
+        ),
     ),
     confused_with={"contact_latency": "landing times"},
     nuisance=True,
     reference="elastic contact, deformation of the wire",
-)
-
-
-def closure_s(p: Mapping[str, float]) -> float:
-    """Shortest time for which an impact closes the circuit."""
-    return p["closure_s"]
-
-
-def closing_delay_s(p: Mapping[str, float]) -> float:
-    """Delay of a closing, beyond that of an opening."""
-    return p["late_s"]
+)  # fmt: skip

@@ -6,8 +6,6 @@ The events happened earlier than they were seen. Where the circuit seems early, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from model.effects.base import ORDINARY_LAG, Effect, Parameter
 
 EFFECT = Effect(
@@ -15,15 +13,11 @@ EFFECT = Effect(
     summary="the contact circuit reports both edges late",
     parameters=(
         Parameter(
-            "delay_s", "s", -1e-5, 5e-3, 1e-5, calibration=2e-6, start_grid=(1e-4, 1e-3), meaning="event to edge"
+            "delay_s", "s", -1e-5, 5e-3, 1e-5, calibration=2e-6, start_grid=(1e-4, 1e-3), hook="contact_delay_s",
+            meaning="event to edge",
         ),
     ),
     confused_with={"phase_lag": "drive -> plate", "contact_gap": "landing times"},
     hides=ORDINARY_LAG,
     reference="filter of the contact circuit, multiplexed sampling",
-)
-
-
-def contact_delay_s(p: Mapping[str, float]) -> float:
-    """Delay of both edges."""
-    return p["delay_s"]
+)  # fmt: skip

@@ -12,18 +12,10 @@ from model.effects.base import Effect, Parameter, Row
 def _mu(way: str) -> Parameter:
     """Friction on the ``way`` up or down."""
     return Parameter(
-        f"mu_{way}",
-        "g",
-        0.0,
-        3.0,
-        0.02,
-        start_grid=(0.1, 0.3),
-        coarse_grid=(0.05, 0.12, 0.2, 0.3, 0.45),
-        coarse_step=0.03,
-        calibrated_by={"drop test": 1e-2},
-        carries_term="friction",
+        f"mu_{way}", "g", 0.0, 3.0, 0.02, start_grid=(0.1, 0.3), coarse_grid=(0.05, 0.12, 0.2, 0.3, 0.45),
+        coarse_step=0.03, calibrated_by={"drop test": 1e-2}, carries_term="friction",
         meaning=f"friction over weight, moving {way}",
-    )
+    )  # fmt: skip
 
 
 EFFECT = Effect(

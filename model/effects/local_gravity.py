@@ -13,14 +13,7 @@ EFFECT = Effect(
     summary="gravity at the place differs from the declared value",
     parameters=(
         Parameter(
-            "excess_mps2",
-            "m/s^2",
-            -3.0,
-            3.0,
-            0.02,
-            calibration=1e-3,
-            stated_by="g_mps2",
-            carries_term="force",
+            "excess_mps2", "m/s^2", -3.0, 3.0, 0.02, calibration=1e-3, stated_by="g_mps2", carries_term="force",
             meaning="true minus declared",
         ),
     ),
@@ -29,7 +22,7 @@ EFFECT = Effect(
         "coulomb_friction": "drops up and down",
     },
     reference="g varies by 0.5 % over the Earth; more is an inclined rod or a wrong profile",
-)
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

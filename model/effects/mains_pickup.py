@@ -20,24 +20,13 @@ EFFECT = Effect(
     summary="the accelerometer's cable picks up the mains",
     parameters=(
         Parameter(
-            "amplitude_mps2",
-            "m/s^2",
-            0.0,
-            50.0,
-            0.05,
-            power=0.5,
-            start_grid=(0.05, 0.5),
+            "amplitude_mps2", "m/s^2", 0.0, 50.0, 0.05, power=0.5, start_grid=(0.05, 0.5), hook="pickup_mps2",
             meaning="shown at 50 or 60 Hz, none of it the plate's, nor of its multiples",
         ),
     ),
     confused_with={"mains_hum": "landing times"},
     reference="ground loops, unshielded cables",
-)
-
-
-def pickup_mps2(p: Mapping[str, float]) -> float:
-    """Amplitude shown at the mains frequency."""
-    return p["amplitude_mps2"]
+)  # fmt: skip
 
 
 def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Floats:

@@ -17,28 +17,18 @@ EFFECT = Effect(
     summary="the ball's weight loads the shaker: the plate moves more while the ball is in the air",
     parameters=(
         Parameter(
-            "relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, meaning="amplitude in flight over contact, minus 1"
+            "relative", "1", -0.5, 0.5, 0.003, calibration=3e-4, hook="flight_gain",
+            meaning="amplitude in flight over contact, minus 1",
         ),
         Parameter(
-            "bare",
-            "1",
-            0.0,
-            1.0,
-            0.3,
-            start_grid=(1.0,),
-            plate_only=True,
+            "bare", "1", 0.0, 1.0, 0.3, start_grid=(1.0,), plate_only=True,
             meaning="1 where the drive was scaled without the ball",
         ),
     ),
     variants=(("relative",), ("relative", "bare")),
     confused_with={"harmonic_distortion": "steps without flights", "table_resonance": "a slow line after impacts"},
     reference="Newton's second law; mass ratio of ball and armature",
-)
-
-
-def flight_gain(p: Mapping[str, float]) -> float:
-    """Relative change of the plate's amplitude while the ball is off it."""
-    return p["relative"]
+)  # fmt: skip
 
 
 def transfer(p: Mapping[str, float], omega_radps: Any, accel_g: Any) -> Any:

@@ -17,41 +17,19 @@ EFFECT = Effect(
     summary="the plate follows the drive later than declared",
     parameters=(
         Parameter(
-            "delay_s",
-            "s",
-            -0.02,
-            0.02,
-            1e-4,
-            calibration=1e-5,
-            stated_by="drive.phase_deg",
+            "delay_s", "s", -0.02, 0.02, 1e-4, calibration=1e-5, stated_by="drive.phase_deg",
             meaning="of the plate behind the drive",
         ),
         Parameter(
-            "low_pass_s",
-            "s",
-            0.0,
-            0.02,
-            1e-4,
-            start_grid=(1e-4, 1e-3),
+            "low_pass_s", "s", 0.0, 0.02, 1e-4, start_grid=(1e-4, 1e-3),
             meaning="time constant of an amplifier's roll-off",
         ),
         Parameter(
-            "high_pass_hz",
-            "Hz",
-            0.0,
-            100.0,
-            0.1,
-            start_grid=(0.1, 1.0),
-            meaning="corner below which little passes",
+            "high_pass_hz", "Hz", 0.0, 100.0, 0.1, start_grid=(0.1, 1.0), meaning="corner below which little passes",
         ),
+        # to begin with: of first order; Butterworth; of damping 0.5
         Parameter(
-            "sharpness",
-            "1",
-            0.0,
-            4.0,
-            0.5,
-            start_grid=(0.0, 0.5, 1.0),  # of first order; Butterworth; of damping 0.5
-            is_shape=True,
+            "sharpness", "1", 0.0, 4.0, 0.5, start_grid=(0.0, 0.5, 1.0), is_shape=True,
             meaning="1 / (4 damping^2) of a filter of second order; 0: of first order",
         ),
     ),
@@ -59,7 +37,7 @@ EFFECT = Effect(
     confused_with={"contact_latency": "landing times", "drive_gain": "c = 1: two tones tell a filter from a gain"},
     hides=ORDINARY_LAG,
     reference="amplifier, shaker above its resonance",
-)
+)  # fmt: skip
 
 
 def transfer(p: Mapping[str, float], omega_radps: Floats, accel_g: Floats) -> Complexes:

@@ -19,14 +19,7 @@ EFFECT = Effect(
         ),
         Parameter("magnet_mps2", "m/s^2", -50.0, 50.0, 0.2, start_grid=(-1.0, 1.0), meaning="pull at the plate"),
         Parameter(
-            "range_m",
-            "m",
-            1e-4,
-            0.1,
-            1e-3,
-            null_value=2e-3,
-            start_grid=(1e-3, 4e-3),
-            is_shape=True,
+            "range_m", "m", 1e-4, 0.1, 1e-3, null_value=2e-3, start_grid=(1e-3, 4e-3), is_shape=True,
             meaning="height over which the magnet's pull falls by e",
         ),
     ),
@@ -34,7 +27,7 @@ EFFECT = Effect(
     special_cases={"local_gravity": {"excess_mps2": "magnet_mps2"}},  # a pull of long range is a constant one
     confused_with={"viscous_damping": "irregular flights at high gamma", "local_gravity": "short and long flights"},
     reference="Hooke's law; the near field of a small magnet, as an exponential",
-)
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

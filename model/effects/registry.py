@@ -14,6 +14,7 @@ import difflib
 import functools
 import importlib
 import importlib.metadata
+import operator
 import pkgutil
 from collections.abc import Iterator, Mapping
 from types import ModuleType
@@ -104,7 +105,9 @@ def _checked(module: ModuleType) -> tuple[Effect, dict[str, Any]]:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"hooks are {', '.join(known)}"
             raise EffectFileError(f"{file}: no hook is called {name!r}; {hint} (a function of its own begins with _)")
-    hooks = {k: getattr(module, k) for k in known if hasattr(module, k)}
+    _refuse_unknown(file, "hook", {q.hook for q in e.parameters if q.hook}, set(PLAIN_HOOKS))
+    plain = {q.hook: operator.itemgetter(q.name) for q in e.parameters if q.hook}
+    hooks = {k: getattr(module, k, None) or plain[k] for k in known if hasattr(module, k) or k in plain}
     if not hooks and not e.is_trend:
         raise EffectFileError(f"{file}: wanted at least one hook, found none; hooks are {', '.join(known)}")
     names = {q.name for q in e.parameters}

@@ -7,20 +7,23 @@ search frees it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from model.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="restitution_scatter",
     summary="the rebound scatters from impact to impact about its mean",
-    parameters=(Parameter("sd", "1", 0.0, 0.3, 0.01, meaning="standard deviation of the restitution of an impact"),),
+    parameters=(
+        Parameter(
+            "sd",
+            "1",
+            0.0,
+            0.3,
+            0.01,
+            hook="rebound_scatter",
+            meaning="standard deviation of the restitution of an impact",
+        ),
+    ),
     confused_with={"restitution": "a loss with impact speed shifts rebounds of one speed alike"},
     library=False,
     reference="Montaine, Heckel, Kruelle, Schwager and Poeschel, arXiv:1104.0049 (2011)",
 )
-
-
-def rebound_scatter(p: Mapping[str, float]) -> float:
-    """Standard deviation of the coefficient of restitution, from impact to impact."""
-    return p["sd"]

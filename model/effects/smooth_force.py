@@ -16,12 +16,7 @@ EFFECT = Effect(
     summary="a force as a smooth function of one quantity of the flight",
     parameters=(
         Parameter(
-            "of",
-            "1",
-            0.0,
-            5.0,
-            1.0,
-            is_shape=True,
+            "of", "1", 0.0, 5.0, 1.0, is_shape=True,
             meaning="0 none, 1 height, 2 velocity, 3 absolute velocity, 4 time since take-off, 5 since impact",
         ),
         Parameter("against", "1", 0.0, 1.0, 1.0, is_shape=True, meaning="1: against the motion, as friction is"),
@@ -37,7 +32,7 @@ EFFECT = Effect(
         CurveOf("force", "since_takeoff_s", {"of": 4.0}),
     ),
     library=False,
-)
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

@@ -19,32 +19,18 @@ EFFECT = Effect(
         ),
         Parameter("mu_extra", "g", 0.0, 3.0, 0.03, start_grid=(0.1,), meaning="what is added at standstill"),
         Parameter(
-            "v_s_mps",
-            "m/s",
-            1e-3,
-            2.0,
-            0.05,
-            null_value=0.1,
-            start_grid=(0.03, 0.1, 0.3),
-            is_shape=True,
+            "v_s_mps", "m/s", 1e-3, 2.0, 0.05, null_value=0.1, start_grid=(0.03, 0.1, 0.3), is_shape=True,
             meaning="speed over which it weakens",
         ),
         Parameter(
-            "exponent",
-            "1",
-            0.5,
-            2.0,
-            0.2,
-            null_value=2.0,
-            start_grid=(1.0, 2.0),
-            is_shape=True,
+            "exponent", "1", 0.5, 2.0, 0.2, null_value=2.0, start_grid=(1.0, 2.0), is_shape=True,
             meaning="how abruptly it weakens",
         ),
     ),
     confused_with={"coulomb_friction": "slow and fast passages", "adhesion": "landing times of fast flights"},
     special_cases={"coulomb_friction": {"mu_up": "mu_kinetic", "mu_down": "mu_kinetic"}},
     reference="Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1083 (1994)",
-)
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

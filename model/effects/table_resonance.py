@@ -22,44 +22,22 @@ EFFECT = Effect(
     parameters=(
         Parameter("mass_ratio", "1", 0.0, 1.0, 0.01, start_grid=(0.05,), meaning="ball over moving mass of the mode"),
         Parameter(
-            "frequency_hz",
-            "Hz",
-            1.0,
-            500.0,
-            0.3,
-            null_value=8.0,
-            start_grid=tuple(3.0 * 1.13**k for k in range(22)),
-            hint="slow_line_hz",
-            is_shape=True,
-            meaning="of the mode",
+            "frequency_hz", "Hz", 1.0, 500.0, 0.3, null_value=8.0, start_grid=tuple(3.0 * 1.13**k for k in range(22)),
+            hint="slow_line_hz", is_shape=True, meaning="of the mode",
         ),
         Parameter(
-            "damping",
-            "1",
-            0.0,
-            0.9,
-            0.02,
-            null_value=0.05,
-            start_grid=(0.05, 0.3),
-            is_shape=True,
+            "damping", "1", 0.0, 0.9, 0.02, null_value=0.05, start_grid=(0.05, 0.3), is_shape=True,
             meaning="damping over critical",
         ),
         Parameter(
-            "loaded",
-            "1",
-            0.0,
-            1.0,
-            0.3,
-            start_grid=(1.0,),
-            is_shape=True,
-            plate_only=True,
+            "loaded", "1", 0.0, 1.0, 0.3, start_grid=(1.0,), is_shape=True, plate_only=True,
             meaning="1 where the drive was scaled with the ball at rest on the plate",
         ),
     ),
     variants=(("mass_ratio", "frequency_hz", "damping"), ("mass_ratio", "frequency_hz", "damping", "loaded")),
     confused_with={"amplitude_modulation": "the low-frequency line of the accelerometer"},
     reference="seed paper: a slow resonance of the whole shaker above gamma_peak 4",
-)
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

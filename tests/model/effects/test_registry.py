@@ -14,7 +14,7 @@ from model.effects.registry import effect, registry, resolve, trend_name
 
 FILE = """
 from model.effects.base import Effect, Parameter
-EFFECT = Effect(name="{name}", summary="a breeze", parameters=(Parameter("size", "1", 0.0, 1.0, 0.1),),
+EFFECT = Effect(name="{name}", summary="a breeze", parameters=(Parameter("size", "1", 0.0, 1.0, 0.1{own}),),
                 reference="a fan"{more})
 {hooks}
 """
@@ -26,8 +26,8 @@ Reader = Callable[..., dict[str, object]]
 def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Reader:
     """Names in a library with one file more: ``breeze.py``."""
 
-    def made(*, name: str = "breeze", more: str = "", hooks: str = HOOK) -> dict[str, object]:
-        (tmp_path / "breeze.py").write_text(FILE.format(name=name, more=more, hooks=hooks), encoding="utf-8")
+    def made(*, name: str = "breeze", more: str = "", hooks: str = HOOK, own: str = "") -> dict[str, object]:
+        (tmp_path / "breeze.py").write_text(FILE.format(name=name, more=more, hooks=hooks, own=own), encoding="utf-8")
         monkeypatch.setattr(model.effects, "__path__", [*model.effects.__path__, str(tmp_path)])
         importlib.invalidate_caches()
         try:
@@ -37,6 +37,11 @@ def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Reader:
             vars(model.effects).pop("breeze", None)
 
     return made
+
+
+def test_a_parameter_can_be_the_value_of_a_hook(read: Reader) -> None:
+    """No function is needed for what is a number of the effect as it is."""
+    assert read(hooks="", own=", hook='gap_m'")["breeze"]["gap_m"]({"size": 0.3}) == 0.3  # type: ignore[index]
 
 
 def test_a_file_with_a_hook_is_an_effect(read: Reader) -> None:
@@ -49,12 +54,13 @@ def test_a_file_with_a_hook_is_an_effect(read: Reader) -> None:
     [
         ({"hooks": "def forces(p):\n    return 0.0\n"}, "no hook is called 'forces'; did you mean force?"),
         ({"hooks": ""}, "wanted at least one hook, found none"),
+        ({"own": ", hook='gap'"}, "hook names 'gap', which does not exist; known are accelerometer_response"),
         ({"name": "wind"}, "the effect is called 'wind'; wanted the file's name, 'breeze'"),
         ({"more": ", variants=(('length',),)"}, "variants names 'length', which does not exist; known are size"),
         ({"more": ", tied={'both': ('size', 'length')}"}, "tied names 'length'"),
         ({"more": ", confused_with={'gravitty': 'a scale'}"}, "names 'gravitty', which does not exist"),
     ],
-    ids=["misspelt hook", "no hook", "other name", "variant", "tied", "confused"],
+    ids=["misspelt hook", "no hook", "hook of a parameter", "other name", "variant", "tied", "confused"],
 )
 def test_a_file_that_cannot_be_meant_is_refused(read: Reader, change: dict[str, str], words: str) -> None:
     """The message names the file, what was found and what was wanted."""
