@@ -11,7 +11,7 @@ depends only on its own value, so that every covariate can use the same table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -36,6 +36,8 @@ from analysis.residuals.values import Values
 from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
 from kernels.arrays import Bools, Floats, Integers
 
+CURVE_FOLDS = 8  # of the cross-validation over steps
+
 
 @dataclass(frozen=True)
 class StackedResiduals:
@@ -46,6 +48,8 @@ class StackedResiduals:
     sigma_s: Floats  # uncertainty without excess
     period_s: Floats  # of the forcing
     train: Bools  # True where a fit may look
+    step: Integers  # the flight's step
+    fit_steps: Bools  # steps that the fit may use, (m,)
 
     @classmethod
     def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
@@ -55,17 +59,22 @@ class StackedResiduals:
         event = np.concatenate([opening, landing])
         step = observations.measured.step[event]
         sigma = np.concatenate([u.opening_total_s[opening], u.landing_total_s[landing]])
-        return cls(
-            event, np.arange(len(event)) < len(opening), sigma, observations.steps.plate.period_s[step], train[step]
-        )
+        first, period_s = np.arange(len(event)) < len(opening), observations.steps.plate.period_s[step]
+        return cls(event, first, sigma, period_s, train[step], step, train)
 
     def landings(self) -> StackedResiduals:
         """Only the landings: unlike openings they do not depend on the contact's gap, which a wrong model bends."""
-        return StackedResiduals(**{name: values[~self.first] for name, values in vars(self).items()})
+        return replace(self, **{name: rows[~self.first] for name, rows in vars(self).items() if name != "fit_steps"})
 
     def without(self, rows: Bools) -> StackedResiduals:
         """The same with a fit that may not look at ``rows`` (k,)."""
         return replace(self, train=self.train & ~rows)
+
+    def folds(self) -> Iterator[Bools]:
+        """Rows (k,) of each fold of the cross-validation over the steps of the fit."""
+        steps = np.flatnonzero(self.fit_steps)
+        for i in range(CURVE_FOLDS):
+            yield np.isin(self.step, steps[i::CURVE_FOLDS])
 
     def residuals(self, model: ForwardModel, values: Values) -> Floats:
         """Residuals of this stack at ``values``, clipped at `FARTHEST_PERIODS`."""
@@ -82,16 +91,16 @@ class StackedResiduals:
             out[rows] = np.hypot(self.sigma_s[rows], max(np.sqrt(max(size**2 - usual**2, 0.0)), LEAST_EXCESS_S))
         return out
 
-    def by_step(self, r: Floats, step: Integers, m: int) -> Floats:
-        """Loss of each of ``m`` steps, each excess at its best on the steps of the fit; ``step`` by flight."""
-        out = np.zeros(m)
+    def by_step(self, r: Floats) -> Floats:
+        """Loss of each step, (m,), each excess at its best on the steps of the fit."""
+        out = np.zeros(len(self.fit_steps))
         for rows in (self.first, ~self.first):
             look = rows & self.train
             if look.any():
                 excess = excess_noise(r[look], self.sigma_s[look], self.period_s[look])[0]
                 total = np.hypot(self.sigma_s[rows], excess)
                 loss = robust_loss(r[rows] / total, log_odds(total, self.period_s[rows])) + np.log(total)
-                out += np.bincount(step[self.event[rows]], loss, minlength=m)
+                out += np.bincount(self.step[rows], loss, minlength=len(out))
         return out
 
     def cut(self, opening_s: Floats, landing_s: Floats) -> Floats:
@@ -160,14 +169,9 @@ def descend(
 ) -> tuple[X, Floats]:
     """The fitted point and its residuals.
 
-    Parameters
-    ----------
-    problem, start, stack
-    tails
-        Quantiles of the residuals that set the robust width, a pass each. The fit ends early where a step with slopes
-        of its own point gains nothing and the quantile stays the same.
-    far_nats
-        Gain of a step after which slopes are taken anew.
+    ``tails`` are quantiles of the residuals that set the robust width, a pass each. The fit ends early where a step
+    with slopes of its own point gains nothing and the quantile stays the same. Slopes are taken anew after a step that
+    gains more than ``far_nats``.
     """
     x, r = start, problem.residuals(start)
     slopes, here, gained = np.zeros((0, 0)), False, np.inf

@@ -5,7 +5,7 @@ A curve is judged on steps that it was not fitted to, with everything else refit
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -57,7 +57,6 @@ NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
     "impact_mps": "previous_impact_mps",
 }
 ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # candidates of the smoothing parameter
-CURVE_FOLDS = 8  # of the cross-validation over steps
 
 
 @dataclass(frozen=True)
@@ -208,31 +207,21 @@ class TermSearch:
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
         # residuals, each step's with the curve that the others give; these curves
         held, curves = r.copy(), []
-        for fold in (f[stack.event] for f in self._folds()):
+        for fold in stack.folds():
             step = newton_step(stack.without(fold), r, jacobian, penalty=penalty_of_curve(curve))
             other = curve.moved(curve.values + step)
             curves.append(other.values)
             held[fold] = stack.residuals(AugmentedModel(self.model, [other], self.dwell), values)[fold]
-        losses = {"events": self._by_step(stack, held), "plate": plate_loss(augmented, values)}
+        losses = {"events": stack.by_step(held), "plate": plate_loss(augmented, values)}
         explanation = Hypothesis(self.named, fitted, Whitener.of(augmented, values), losses)
         covariance, scatter = covariance_of(curve, stack, r, jacobian), stack.scatter(held)
         return RefinedTerm(curve, covariance, np.array(curves), scatter, augmented, explanation)
-
-    def _by_step(self, stack: StackedResiduals, r: Floats) -> Floats:
-        observations = self.model.observations
-        return stack.by_step(r, observations.measured.step, len(observations.steps))
-
-    def _folds(self) -> Iterator[Bools]:
-        """Folds of the cross-validation over the steps of the fit: masks of flights, (n,)."""
-        fit_steps, step = np.flatnonzero(self.train), self.model.observations.measured.step
-        for i in range(CURVE_FOLDS):
-            yield np.isin(step, fit_steps[i::CURVE_FOLDS])
 
     def _cross_validated_roughness(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:
         """The curve with the smoothing parameter of least loss in 8-fold cross-validation over steps (linearised)."""
         r = stack.residuals(AugmentedModel(self.model, [curve], self.dwell), values)
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
-        folds = [f[stack.event] for f in self._folds()]
+        folds = list(stack.folds())
 
         def unseen(roughness: float) -> float:
             bent, held = replace(curve, roughness=roughness), r.copy()
@@ -240,7 +229,7 @@ class TermSearch:
                 held[fold] += jacobian[fold] @ newton_step(
                     stack.without(fold), r, jacobian, penalty=penalty_of_curve(bent)
                 )
-            return float(self._by_step(stack, held)[self.train].sum())
+            return float(stack.by_step(held)[self.train].sum())
 
         return replace(curve, roughness=min(ROUGHNESS, key=unseen))
 
@@ -254,7 +243,6 @@ def plate_loss(model: ForwardModel, values: Values) -> Floats:
 
 def named_loss(model: ForwardModel, explanation: Hypothesis, train: Bools) -> Floats:
     """Loss of a named hypothesis by step, computed as in `TermSearch.refine`."""
-    values, observations = explanation.fitted.values, model.observations
+    values = explanation.fitted.values
     stack = StackedResiduals.of(model, values, train)
-    events = stack.by_step(stack.residuals(model, values), observations.measured.step, len(observations.steps))
-    return np.asarray(events + plate_loss(model, values))
+    return np.asarray(stack.by_step(stack.residuals(model, values)) + plate_loss(model, values))

@@ -24,7 +24,7 @@ from analysis.attribution.choice import LogScoreDifference, penalised_best, tied
 from analysis.attribution.fit import Fitted, Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.fit import Problem, StackedResiduals, descend, newton_step
-from analysis.discovery.search import CURVE_FOLDS, RefinedTerm, plate_loss
+from analysis.discovery.search import RefinedTerm, plate_loss
 from analysis.discovery.terms import AugmentedModel, Curve, Term, hat_functions
 from analysis.linear_algebra import lstsq, pinv
 from analysis.residuals.noise.whitening import Whitener
@@ -139,17 +139,7 @@ def _nearest_lines() -> Floats:
 def curve_of(
     term: Term, span: tuple[float, float], tables: Mapping[str, Floats], at: Callable[[Floats], Floats]
 ) -> Curve:
-    """A term whose values are a function of its covariate.
-
-    Parameters
-    ----------
-    term, span
-        The term, and the range over which it varies if it does so within the flight.
-    tables
-        Covariates of every flight.
-    at
-        The function.
-    """
+    """A term whose values are a function ``at`` of its covariate: of every flight in ``tables``, or over ``span``."""
     if term.columns:
         return Curve(term, np.array(span), np.ones(1), at(tables[term.of])[:, None])
     # a function goes on beyond the knots, which leave out the farthest flights: by a quarter of the range
@@ -199,16 +189,8 @@ class Forms:
 def search_forms(best: RefinedTerm, tables: Mapping[str, Floats], limits: Thresholds) -> Forms:
     """Formulas fitted in place of a curve, the two best of them together with everything else.
 
-    A curve that only nears the law biases the calibrations that were fitted with it.
-
-    Parameters
-    ----------
-    best
-        The curve, fitted jointly with everything else.
-    tables
-        Covariates of every flight.
-    limits
-        Thresholds of ties.
+    A curve that only nears the law biases the calibrations that were fitted with it. ``tables`` are covariates of every
+    flight.
     """
 
     def penalised(x: _Fit) -> float:  # a parameter costs what it costs among named effects
@@ -341,10 +323,8 @@ class _FormFits:
 
     def held_out(self, p: _Fit) -> Floats:
         """Stacked residuals, each step's with the values that the others give."""
-        observations = self.augmented.observations
-        fit_steps, held = np.flatnonzero(self.train), p.r.copy()
-        for i in range(CURVE_FOLDS):
-            fold = np.isin(observations.measured.step, fit_steps[i::CURVE_FOLDS])[self.stack.event]
+        held = p.r.copy()
+        for fold in self.stack.folds():
             step = newton_step(self.stack.without(fold), p.r, p.slopes)
             other = self.model(p.form, self._within(p.form, p.values + step * self._units(p.form)))
             held[fold] = self.stack.residuals(other, p.others.values)[fold]
@@ -352,9 +332,8 @@ class _FormFits:
 
     def explanation(self, p: _Fit, held: Floats) -> Hypothesis:
         """The named effects with the form; ``held`` are its held-out residuals."""
-        observations, model = self.augmented.observations, self.model(p.form, p.values)
-        events = self.stack.by_step(held, observations.measured.step, len(observations.steps))
-        losses = {"events": events, "plate": plate_loss(model, p.others.values)}
+        model = self.model(p.form, p.values)
+        losses = {"events": self.stack.by_step(held), "plate": plate_loss(model, p.others.values)}
         fitted = replace(p.others, fitter=Fitter(model, self.named.fitter.priors, self.train))
         return Hypothesis(self.named.candidates, fitted, self.named.whitener, losses)
 

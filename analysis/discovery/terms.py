@@ -260,21 +260,9 @@ def ranges_of(tables: Mapping[str, Floats], judged: Bools) -> dict[str, tuple[fl
 
 
 class AugmentedModel(ForwardModel):
-    """A forward model with further terms.
+    """A forward model with further terms; ``without`` is the one without them.
 
-    Parameters
-    ----------
-    model
-        The forward model without them.
-    curves
-        The terms.
-    dwell_s
-        Time from impact to take-off of each flight, (n,), for what depends on the time since the impact.
-
-    Attributes
-    ----------
-    without : ForwardModel
-        The forward model without the terms.
+    ``dwell_s`` is the time from impact to take-off of each flight, (n,), for what depends on the time since the impact.
     """
 
     def __init__(self, model: ForwardModel, curves: Sequence[Curve], dwell_s: Floats) -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.attribution.fit import Fitter, of_same_events
-from analysis.explore.explanations import Explanation, Weighed, slopes_of
+from analysis.explore.explanations import Explanation, Weighed, slopes_at
 from analysis.linear_algebra import inv, lstsq
 from analysis.loop.design import HOLD_CYCLES, simulate_steps
 from analysis.residuals.forward_model import ForwardModel
@@ -82,7 +82,7 @@ class Pool:
             simulate_steps(option.setup, np.array(option.gammas), model, truth, carried=True), model.declared
         )
         whitener = Whitener.of(made, truth)
-        raw, slopes = slopes_of(made, fitter, whitener, truth, known.keys)
+        raw, slopes = slopes_at(made, fitter, whitener, truth, [(key, ()) for key in known.keys])
         columns = [whitener.white_slopes(slopes, raw)]
         columns += [
             whitened_difference(whitener, raw, whitener.stacked(made.residuals(x.values)))[:, None] for x in some
@@ -180,12 +180,8 @@ def sharpest(pools: Sequence[Pool], known: Weighed, key: ParameterId, seconds: f
 def limits_of(pools: Sequence[Pool], known: Weighed, key: ParameterId) -> tuple[float, tuple[ParameterId, ...]]:
     """How sharp a parameter of the most probable explanation can become, and what limits it.
 
-    Returns
-    -------
-    float
-        Its least deviation after any number of steps, over its deviation now.
-    tuple
-        Calibrations, each of which would at least halve that deviation, were it known exactly.
+    The first is its least deviation after any number of steps, over its deviation now; the second are calibrations,
+    each of which would at least halve that deviation, were it known exactly.
     """
     rows, before = known.known_under(known.explanations[0])
     some, before = rows.tolist(), before + 1e-9 * np.eye(len(rows))

@@ -37,59 +37,36 @@ LARGEST_STEP = 1.0  # secant of a coordinate
 STUDENT = 0.75  # mean square slope of the robust loss, and mean curvature, where residuals are Student's own
 
 
-def slopes_of(
-    model: ForwardModel,
-    fitter: Fitter,
-    whitener: Whitener,
-    at: Values,
-    keys: Sequence[ParameterId],
-    step: float = STEP,
+def slopes_at(
+    model: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place], step: float = STEP,
     raw: Floats | None = None,
-) -> tuple[Floats, Floats]:
-    """Bare residuals at the values ``at``, (r,), and their derivatives to the coordinates of ``keys``, (r, K).
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Bare residuals at the values ``at``, (r,), and derivatives to coordinates, each at its place's shapes, (r, K).
 
-    ``step`` is that of the finite differences; ``raw`` are the residuals there where they are known.
+    ``step`` is that of the finite differences; ``raw`` are the residuals where they are known.
     """
-    base = {k: at.get(k, null_value_of(k)) for k in {*at, *keys}}
-    raw = whitener.stacked(model.residuals(base)) if raw is None else raw
-    out = np.zeros((len(raw), len(keys)))
-    for j, key in enumerate(keys):
+    raw = whitener.stacked(model.residuals(dict(at))) if raw is None else raw
+    out = np.zeros((len(raw), len(places)))
+    origins: dict[tuple[tuple[ParameterId, float], ...], Floats] = {(): raw}  # residuals where derivatives begin
+    for j, (key, shapes) in enumerate(places):
+        base = {key: null_value_of(key), **at, **dict(shapes)}
+        if shapes not in origins:
+            names = {name for (name, _), _ in shapes}
+            # shapes change nothing as long as the sizes of their effects are zero
+            idle = all(x == null_value_of(k) for k, x in at.items() if k[0] in names)
+            origins[shapes] = raw if idle else whitener.stacked(model.residuals(base))
         x = fitter.to_x(key, base[key])
         low, high = fitter.bounds(key, released=True)
         h = step if x + step <= high or x - step < low else -step
-        change = whitener.stacked(model.residuals({**base, **fitter.values((key,), np.array([x + h]))})) - raw
-        out[:, j] = of_same_events(change, whitener) / h
+        there = whitener.stacked(model.residuals({**base, **fitter.values((key,), np.array([x + h]))}))
+        out[:, j] = of_same_events(there - origins[shapes], whitener) / h
     return raw, out
-
-
-def slopes_at(
-    model: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place]
-) -> tuple[Floats, Floats]:
-    """As `slopes_of`, each derivative at ``at`` with the shapes of its own place."""
-    raw = whitener.stacked(model.residuals(dict(at)))
-    out = np.zeros((len(raw), len(places)))
-    for shapes in dict.fromkeys(shapes for _, shapes in places):
-        rows = [j for j, place in enumerate(places) if place[1] == shapes]
-        here, keys, known = {**at, **dict(shapes)}, [places[j][0] for j in rows], _unchanged(raw, at, shapes)
-        out[:, rows] = slopes_of(model, fitter, whitener, here, keys, raw=known)[1]
-    return raw, out
-
-
-def _unchanged(raw: Floats, at: Values, shapes: Sequence[tuple[ParameterId, float]]) -> Floats | None:
-    """The residuals at ``at`` where ``shapes`` change nothing, as the sizes of their effects are zero; else None."""
-    names = {name for (name, _), _ in shapes}
-    return raw if all(x == null_value_of(key) for key, x in at.items() if key[0] in names) else None
 
 
 def secants_at(
-    model: ForwardModel,
-    fitter: Fitter,
-    whitener: Whitener,
-    at: Values,
-    places: Sequence[Place],
-    raw: Floats,
+    model: ForwardModel, fitter: Fitter, whitener: Whitener, at: Values, places: Sequence[Place], raw: Floats,
     slopes: Floats,
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Derivatives, (r, K), with secants for what can only grow from where it is.
 
     A size that begins at nothing is told by what it does at a size that the run resolves: one standard deviation by
@@ -104,8 +81,7 @@ def secants_at(
             continue
         known = float(np.sum(whitener.white_slopes(slopes[:, [j]], raw) ** 2))
         step = min(max(known**-0.5, STEP), LARGEST_STEP) if known > 0.0 else LARGEST_STEP
-        here, unchanged = {**at, **dict(shapes)}, _unchanged(raw, at, shapes)
-        out[:, [j]] = slopes_of(model, fitter, whitener, here, [key], step, unchanged)[1]
+        out[:, [j]] = slopes_at(model, fitter, whitener, at, [(key, shapes)], step, raw)[1]
     return out
 
 
@@ -178,21 +154,15 @@ class Weighed:
 def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequence[Hypothesis] = ()) -> Weighed:
     """Explanations of the observations of ``model``, weighed.
 
-    Parameters
-    ----------
-    model, fitter
-        The observations and their fits.
-    best
-        The best set so far (the declared model where nothing was found).
-    ties
-        Other sets that the data do not distinguish from it; they share its probability.
+    ``best`` is the best set so far (the declared model where nothing was found); ``ties`` are other sets that the data
+    do not distinguish from it, and share its probability.
     """
     library = [c for c in candidates_of(model) if not set(c.names) & set(best.names) and len(c.names) == 1]
     at = {**_shapes(library), **best.fitted.values}
     sizes = [tuple(k for k in c.free if not parameter_of(k).is_shape) for c in library]
     shared = tuple(dict.fromkeys((*fitter.priors, *best.free)))
     keys = tuple(dict.fromkeys((*shared, *(k for own in sizes for k in own))))
-    raw, slopes = slopes_of(model, fitter, best.whitener, at, keys)
+    raw, slopes = slopes_at(model, fitter, best.whitener, at, [(key, ()) for key in keys])
     gradient, information = gradient_and_information(best.whitener, raw, slopes)
     stated, sharpness = fitter.prior_rows(keys)
     stiffness = sharpness**2

@@ -26,7 +26,7 @@ from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.attribution.proposals import Proposals
 from analysis.attribution.selection import SelectionResult
 from analysis.explore.choice import MOST_EXPLANATIONS, Block, Option, Pool, best_block, divergences
-from analysis.explore.explanations import Explanation, Weighed, slopes_of, weighed
+from analysis.explore.explanations import Explanation, Weighed, slopes_at, weighed
 from analysis.linear_algebra import inv, solve
 from analysis.loop.close_loop import FittedLoop
 from analysis.loop.design import simulate_steps
@@ -208,7 +208,7 @@ class _Intervals:
     ) -> _Intervals:
         """Of the observations of ``model``; ``m`` intervals together are missed by chance with `MISSED_P`."""
         ev, whitener = model.observations, Whitener.of(model, values, lean=True)
-        _, stacked = slopes_of(model, _free_of_priors(model), whitener, values, keys)
+        _, stacked = slopes_at(model, _free_of_priors(model), whitener, values, [(key, ()) for key in keys])
         slopes = np.zeros((len(ev), len(keys)))
         landing = np.flatnonzero(whitener.order >= len(whitener.opening))
         slopes[whitener.landing[whitener.order[landing] - len(whitener.opening)]] = stacked[landing]
@@ -311,7 +311,7 @@ def held_against(stake: Stake, observations: Observations, numbers: Sequence[Int
             median, half = 1e6 * float(np.median(missed)), 1e6 * intervals.half_s(events)
         steps.append(StepMet(step, median, half, len(events)))
     whitener = Whitener.of(model, values, lean=True)
-    raw, slopes = slopes_of(model, _free_of_priors(model), whitener, values, keys)
+    raw, slopes = slopes_at(model, _free_of_priors(model), whitener, values, [(key, ()) for key in keys])
     flights = _flights(whitener, raw, slopes, stake, intervals.usable)
     n, sigma = len(whitener.step), observations.plate.sigma
     z = np.clip(raw[n:] / sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)

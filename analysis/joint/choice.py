@@ -125,17 +125,8 @@ class Candidates:
         """A candidate with its gains as runs linearised at its value have them, too.
 
         Runs linearised where it is nothing weigh down what its own signal throws off, and so promise too little of it;
-        linearised at its value they promise too much. The mean of both is the difference of the log likelihoods
-        themselves, to third order (trapezoid rule).
-
-        Parameters
-        ----------
-        first
-            As `tested` had it.
-        gain, gains
-            In the fit of all runs, and of each run left out, (R,), linearised at its value.
-        depth
-            Number of effects named before.
+        linearised at its value they promise too much: ``gain`` in the fit of all runs, ``gains`` (R,) of each left out.
+        The mean of both is the difference of the log likelihoods themselves, to third order (trapezoid rule).
         """
         x = self.found.x.copy()
         x[self.model.places_of(first.option)] = first.sizes
@@ -204,16 +195,9 @@ def left_out_losses(model: Aligned, found: Population, free: Integers) -> Floats
 def parameters_over_runs(
     model: Aligned, found: Population, days: Floats, limits: Thresholds, declared: Mapping[ParameterId, Prior]
 ) -> tuple[OverRuns, ...]:
-    """Every parameter over the runs, named effects first.
+    """Every parameter over the runs, named effects first, from the last pass.
 
-    Parameters
-    ----------
-    model, found
-        Of the last pass.
-    days
-        When each run began, (R,), as `days_since_first` has it.
-    declared
-        Priors of calibrations before any run.
+    ``days`` are when each run began, (R,), see `days_since_first`; ``declared`` priors of calibrations before any run.
     """
     columns = model.columns[: model.named - len(PLACES)]
     # Bonferroni's share: so many parameters are tested for constancy

@@ -89,35 +89,17 @@ class Population:
 
 
 def fit_population(
-    runs: Sequence[Quadratic],
-    start: Floats,
-    spread: Floats,
-    prior: Priors,
-    free: Integers,
-    *,
-    fixed_spread: bool = False,
+    runs: Sequence[Quadratic], start: Floats, spread: Floats, prior: Priors, free: Integers
 ) -> Population:
-    """Means, shared parameters and spreads of greatest posterior probability.
+    """Means, shared parameters and spreads of greatest posterior probability, from one quadratic a run.
 
-    Parameters
-    ----------
-    runs
-        One quadratic a run.
-    start
-        Values of what is not free, (K,).
-    spread
-        Widths of the spreads' half-normal priors, where they begin, (q,); a spread of zero stays zero.
-    prior
-        Of means and shared parameters.
-    free
-        Places of what is fitted: all calibrations first.
-    fixed_spread
-        Keep the spreads as given.
+    What is ``free``, all calibrations first, is fitted; the rest stays at ``start`` (K,). ``spread`` (q,) are the
+    widths of the spreads' half-normal priors, where they begin; a spread of zero stays zero.
     """
     spread, width = spread.copy(), np.maximum(spread, 1e-300)
     # EM converges slowly where a spread is small: up to 300 rounds
-    for _ in range(0 if fixed_spread else 300):
-        found = _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
+    for _ in range(300):
+        found = at_spread(runs, start, spread, prior, free)
         squares = np.mean([_own_squares(run, found) for run in runs], axis=0)
         # where -n log s - S / (2 s^2) - s^2 / (2 w^2) is greatest: S is the sum of the deviations' squares over the n
         # runs, w the width of the half-normal prior (Gelman 2006)
@@ -128,11 +110,12 @@ def fit_population(
         # the spreads, as parts of the widest one, stand still
         if change < 1e-3:
             break
-    return _solved([run.without_own(spread) for run in runs], start, spread, prior, free)
+    return at_spread(runs, start, spread, prior, free)
 
 
-def _solved(runs: Sequence[Quadratic], start: Floats, spread: Floats, prior: Priors, free: Integers) -> Population:
-    """Means and shared parameters at given spreads."""
+def at_spread(runs: Sequence[Quadratic], start: Floats, spread: Floats, prior: Priors, free: Integers) -> Population:
+    """As `fit_population`, at given spreads."""
+    runs = [run.without_own(spread) for run in runs]
     normal, push = normal_equations(runs, start, prior, free)
     covariance = np.asarray(pinv(normal, rcond=1e-13, hermitian=True), dtype=np.float64)
     x = start.copy()
@@ -231,16 +214,8 @@ def one_run_alone(values: Floats, sigmas: Floats, null: float, width: float) -> 
     """The only run that shows a parameter to differ from what does nothing; None where more do, or none does.
 
     Of a run, a value counts that is farther off than `CALIBRATION_SIGMAS`; of the others together, one that Wald's test
-    tells from ``null`` at `NULL_P`, with their scatter.
-
-    Parameters
-    ----------
-    values, sigmas
-        Of each run, (R,); a sigma that is infinite leaves the run out.
-    null
-        Value that does nothing.
-    width
-        Standard deviation of what is stated from run to run: a calibration within it is no discovery. 0 for an effect.
+    tells from ``null`` at `NULL_P`, with their scatter. ``values`` and ``sigmas`` are of each run, (R,), an infinite
+    sigma leaves it out. ``width`` is the deviation stated from run to run: a calibration within it is no discovery.
     """
     known = np.flatnonzero(np.isfinite(sigmas))
     far = np.abs(values[known] - null) / np.hypot(sigmas[known], width)

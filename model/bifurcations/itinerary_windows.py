@@ -64,14 +64,7 @@ def windows(
 ) -> list[Window]:
     """Every window wider than ``search.narrowest`` of a cycle of at most ``search.longest`` flights, in order.
 
-    Parameters
-    ----------
-    codes
-        Of the orbits from rest.
-    locked_from
-        The windows of locked cycles that begin at the edges of a window with a reset.
-    locked_within
-        The windows of locked cycles that are met in stretches not yet covered, sampled at a spacing.
+    ``codes`` are those of the orbits from rest; `model.bifurcations.locked_windows` has the other two.
     """
     low, high, narrowest, longest = search.low, search.high, search.narrowest, search.longest
     pieces: list[Window] = []

@@ -6,8 +6,8 @@ cycle, so a diagram needs no transient thrown away and shows no point twice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,7 +46,7 @@ class Rows:
         return Rows(*(getattr(self, name)[order] for name in FIELDS))
 
 
-FIELDS = ("gamma", "kind", "period", "flights", "resets", "locked", "tau")
+FIELDS = tuple(field.name for field in fields(Rows))
 
 
 def joined(parts: list[Rows]) -> Rows:
@@ -57,15 +57,19 @@ def joined(parts: list[Rows]) -> Rows:
 def empty_rows(gammas: Floats, keep: int) -> Rows:
     """Rows to be filled."""
     m = len(gammas)
+    period, flights, resets = np.zeros((3, m), dtype=np.int32)
+    tau = np.full((m, keep), np.nan)
     return Rows(
-        np.array(gammas, dtype=np.float64),
-        np.zeros(m, dtype=np.int8),
-        np.zeros(m, dtype=np.int32),
-        np.zeros(m, dtype=np.int32),
-        np.zeros(m, dtype=np.int32),
-        np.zeros(m, dtype=bool),
-        np.full((m, keep), np.nan),
+        np.array(gammas, dtype=np.float64), np.zeros(m, dtype=np.int8), period, flights, resets, np.zeros(m, bool), tau
     )
+
+
+def rows_of(gammas: Floats, found: Iterable[Attractor], keep: int) -> Rows:
+    """Attractors as rows, one at a time."""
+    rows = empty_rows(gammas, keep)
+    for i, each in enumerate(found):
+        put(rows, i, each)
+    return rows
 
 
 def diagram(ball: Ball, gammas: ArrayLike) -> Rows:
@@ -78,40 +82,28 @@ def diagram(ball: Ball, gammas: ArrayLike) -> Rows:
     elif isinstance(ball, FrictionBall):
         laws = np.tile(ball.law, (grid.size, 1))
     else:
-        rows = empty_rows(grid, KEEP)
-        for i, gamma in enumerate(grid):
-            put(rows, i, attractor(ball, float(gamma)))
-        return rows
+        return rows_of(grid, (attractor(ball, gamma) for gamma in grid.tolist()), KEEP)
     return exact_rows(ball.forcing, grid, laws, lambda _: ball, KEEP)
 
 
 def exact_rows(
-    forcing: Forcing,
-    gammas: Floats,
-    laws: Floats | None,
-    ball_at: Callable[[int], Ball],
-    keep: int,
+    forcing: Forcing, gammas: Floats, laws: Floats | None, ball_at: Callable[[int], Ball], keep: int
 ) -> Rows:
     """Rows of exact balls, ``laws`` (m, 4): few one at a time, many in lanes; what those leave open as `attractor`."""
     lengthening = 1.0 if laws is None else lengthened(laws[:, 1], laws[:, 2])
     check_gamma(forcing, gammas, lengthening)
-    tones, turning = forcing.tones, windows.turning_points(forcing)
-    rows = empty_rows(gammas, keep)
     # the kernels in lanes take half a minute to compile, once: few rows are flown one at a time
     if gammas.size < 1000:
-        for i, gamma in enumerate(gammas):
-            put(rows, i, attractor(ball_at(i), float(gamma)))
-        return rows
+        return rows_of(gammas, (attractor(ball_at(i), gamma) for i, gamma in enumerate(gammas.tolist())), keep)
     from model.surveys import cycle_batch  # many modules, only for many rows
 
+    tones, turning, rows = forcing.tones, windows.turning_points(forcing), empty_rows(gammas, keep)
     each = np.zeros((gammas.size, 4)) if laws is None else np.ascontiguousarray(laws)
     outcome = np.empty((gammas.size, cycle_batch.OUTCOME_SIZE), dtype=np.int64)
     batch = cycle_batch.ideal_batch if laws is None else cycle_batch.friction_batch
     batch(cycle_batch.Points(tones, turning, gammas, each, True, outcome, rows.tau), MAX_FLIGHTS)
     rows.kind[:] = outcome[:, cycle_batch.CHATTERING] + 2 * outcome[:, cycle_batch.CHAOTIC]
-    rows.period[:] = outcome[:, PERIOD]
-    rows.flights[:] = outcome[:, FLIGHTS]
-    rows.resets[:] = outcome[:, RESETS]
+    rows.period[:], rows.flights[:], rows.resets[:] = outcome[:, [PERIOD, FLIGHTS, RESETS]].T
     rows.locked[:] = outcome[:, cycle_batch.LOCKED]
     for row in np.flatnonzero(outcome[:, FLIGHTS] == cycle_batch.OPEN).tolist():
         put(rows, row, attractor(ball_at(row), float(gammas[row])))
@@ -120,11 +112,8 @@ def exact_rows(
 
 def put(rows: Rows, i: int, found: Attractor) -> None:
     """Write one attractor into row ``i``."""
-    rows.kind[i] = KINDS.index(found.kind)
-    rows.period[i] = found.period or 0
-    rows.flights[i] = found.flights
-    rows.resets[i] = found.resets
-    rows.locked[i] = found.locked
+    rows.kind[i], rows.locked[i] = KINDS.index(found.kind), found.locked
+    rows.period[i], rows.flights[i], rows.resets[i] = found.period or 0, found.flights, found.resets
     n = min(found.tau.size, rows.tau.shape[1])
     rows.tau[i] = np.nan
     rows.tau[i, :n] = found.tau[:n]
@@ -133,10 +122,7 @@ def put(rows: Rows, i: int, found: Attractor) -> None:
 def swept(ball: Ball, gammas: ArrayLike, *, keep: int = KEEP) -> Rows:
     """The attractors of a sweep through ``gammas`` in the order given, the state carried from each to the next."""
     grid = np.asarray(gammas, dtype=np.float64)
-    rows = empty_rows(grid, keep)
-    for i, found in enumerate(sweep(ball, grid.tolist(), AT_REST)):
-        put(rows, i, found)
-    return rows
+    return rows_of(grid, sweep(ball, grid.tolist(), AT_REST), keep)
 
 
 def adaptive(rows_at: Callable[[Floats], Rows], low: float, high: float, steps: int, *, halvings: int = 12) -> Rows:

@@ -24,7 +24,7 @@ from model.effects.registry import resolve
 from model.flight.windows import MOST_WINDOWS, largest_gamma
 from model.orbits.attractor import Ball, attractor
 from model.orbits.make_ball import EXACT, law_of, make_ball
-from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, put, swept
+from model.surveys.diagram import FIELDS, KEEP, KINDS, Rows, empty_rows, exact_rows, rows_of, swept
 from model.surveys.workers import outcomes
 from model.tones import STANDARD_GRAVITY_MPS2, Forcing
 
@@ -128,17 +128,9 @@ def compute(job: Job, start: int, stop: int) -> Rows:
             starts = np.unique([0, *first])
             each = [law_of(resolve(job.effects_at(columns, int(i))), job.frequency_hz, job.g_mps2) for i in starts]
             laws = np.repeat(each, np.diff([*starts, gammas.size]), axis=0)
-        return exact_rows(
-            job.forcing,
-            gammas,
-            laws,
-            lambda i: job.ball(job.effects_at(columns, i)),
-            job.keep,
-        )
-    rows = empty_rows(gammas, job.keep)
-    for i, gamma in enumerate(gammas):
-        put(rows, i, attractor(job.ball(job.effects_at(columns, i)), float(gamma)))
-    return rows
+        return exact_rows(job.forcing, gammas, laws, lambda i: job.ball(job.effects_at(columns, i)), job.keep)
+    balls = (job.ball(job.effects_at(columns, i)) for i in range(gammas.size))
+    return rows_of(gammas, map(attractor, balls, gammas.tolist()), job.keep)
 
 
 def _piece(job: Job, start: int, stop: int) -> tuple[Job, int, int]:

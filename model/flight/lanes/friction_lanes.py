@@ -192,16 +192,10 @@ def _branch_of_landing(flat: Floats, rows: Any, gamma: Number, segment: Segment,
 def land_in_lanes(
     tones: Floats, flat: Floats, rows: Any, gamma: Number, segment: Segment, stop: Any, wanted: Any
 ) -> Any:  # fmt: skip
-    """Where the falls of the ``wanted`` lanes end on the plate.
+    """Where the falls of the ``wanted`` lanes end on the plate: tau, phase, h', (s, s', q) at the phase, plain.
 
-    Returns tau, phase, h', (s, s', q) at the phase, plain.
-
-    Parameters
-    ----------
-    rows
-        The first row of ``flat`` that holds the edges, from the last of the turn before on, and the windows.
-    stop
-        Where the ball would stand still below the plate: tau (or infinite), h, q.
+    ``rows`` are the first row of ``flat`` that holds the edges, from the last of the turn before on, and the windows;
+    ``stop`` is where the ball would stand still below the plate: tau (or infinite), h, q.
     """
     phi0, s0, slope0, a0, v0, h0, level = segment
     (lo, s_lo, slope_lo), (hi, s_hi, slope_hi), turns = _branch_of_landing(flat, rows, gamma, segment, stop[0])

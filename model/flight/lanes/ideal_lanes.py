@@ -76,16 +76,10 @@ def _dip(tones: Floats, gamma: Number, take_off: Any, unsure: Any, left: Any, ri
 
 @inlined
 def land_lanes(tones: Floats, highest: float, table: Floats, gamma: Any, place: Any, take_off: Any) -> Any:
-    """First landings after take-offs in the windows of each lane.
+    """First landings after take-offs in the windows of each lane: x, turns, speed, (s, s') there, plain.
 
-    Returns x, turns, speed, (s, s') there, plain.
-
-    Parameters
-    ----------
-    place
-        Of each lane's table and its last edge, and the branch of the take-off, a window.
-    take_off
-        Phase, s and s' there.
+    ``place`` holds the places of each lane's table and its last edge, and the branch of the take-off, a window;
+    ``take_off`` phase, s and s' there.
     """
     (base, last, i), (phi0, s0, slope0) = place, take_off
     v = gamma * slope0

@@ -112,16 +112,8 @@ def root_in_branch(
 
     From a good start, by steps of third order; for a standstill one of Halley's comes before, for which the sine and
     cosine are turned. Seldom must any lane do so twice. Returns phase, (h, h', s, s', q) there, lanes that have not
-    converged.
-
-    Parameters
-    ----------
-    take_off
-        Start of the segment: its phase (less the turns since), s and s' there, speed, height and pull.
-    bracket
-        ``(lo, hi)``.
-    x
-        Where to begin.
+    converged. ``take_off`` is the start of the segment: its phase (less the turns since), s and s' there, speed, height
+    and pull; ``x`` is where to begin.
     """
     lo, hi = bracket
     end = (x, x, x, x, x)

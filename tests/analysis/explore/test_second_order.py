@@ -15,7 +15,6 @@ from analysis.explore.explanations import (
     gradient_and_information,
     secants_at,
     slopes_at,
-    slopes_of,
 )
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import NEVER
@@ -79,6 +78,6 @@ def test_derivatives_at_a_shape_are_those_of_the_model_there(
     whitener, place = Whitener.of(model, {}), (ratio, tuple((("table_resonance", q), x) for q, x in shapes))
     at = {ratio: size, ("table_resonance", "frequency_hz"): 7.0, ("table_resonance", "damping"): 0.2} if size else {}
     raw, slopes = slopes_at(model, fitter, whitener, at, [place])
-    there = slopes_of(model, fitter, whitener, {**at, **dict(place[1])}, [ratio])
+    there = slopes_at(model, fitter, whitener, {**at, **dict(place[1])}, [(ratio, ())])
     np.testing.assert_array_equal(slopes, there[1])
     assert np.array_equal(raw, there[0], equal_nan=True) == (size == 0.0)

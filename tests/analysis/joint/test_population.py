@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.joint.population import Priors, Quadratic, each_on_its_own, fit_population
+from analysis.joint.population import Priors, Quadratic, at_spread, each_on_its_own, fit_population
 
 Q, SHARED = 3, 2
 
@@ -50,7 +50,7 @@ def test_the_combination_is_the_joint_least_squares_fit(seed, runs, size):
     prior = Priors(np.r_[rng.standard_normal(Q), 0.0, 0.0], np.r_[np.full(Q, 2.0), 0.0, 0.0])
     free = np.arange(Q + SHARED)
     quadratics = [run for run, _, _ in made]
-    found = fit_population(quadratics, np.zeros(Q + SHARED), spread, prior, free, fixed_spread=True)
+    found = at_spread(quadratics, np.zeros(Q + SHARED), spread, prior, free)
     x, covariance = brute_force(made, spread, prior)
     k = Q + SHARED
     assert found.x == pytest.approx(x[:k], abs=1e-7)
@@ -84,10 +84,7 @@ def test_a_spread_changes_the_weights_of_runs():
     information = np.array([[100.0, 99.0], [99.0, 100.0]])
     runs = [Quadratic(np.zeros(2), np.zeros(2), information) for _ in range(10)]
     prior = Priors(np.zeros(2), np.array([1e8, 0.0]))
-    one, own = (
-        fit_population(runs, np.zeros(2), np.array([s]), prior, np.arange(2), fixed_spread=True).sigma(1)
-        for s in (0.0, 1.0)
-    )
+    one, own = (at_spread(runs, np.zeros(2), np.array([s]), prior, np.arange(2)).sigma(1) for s in (0.0, 1.0))
     assert own > 3.0 * one
 
 
