@@ -87,7 +87,8 @@ def _give_symbols() -> None:
     symbols = {f"numba_{name}": address for name, address in helpers.items()}
     symbols |= {name if name.startswith("_") else f"NRT_{name}": at for name, at in memory.c_helpers.items()}
     symbols |= {name: address for name, address in helpers.items() if name in C_MATH or name[:-1] in C_MATH}
-    symbols |= {f"PyExc_{name}": id(each) for name, each in vars(builtins).items() if _raised(each)}
+    types = ((name, each) for name, each in vars(builtins).items() if isinstance(each, type))
+    symbols |= {f"PyExc_{name}": id(each) for name, each in types if issubclass(each, BaseException)}
     symbols["_Py_NoneStruct"] = id(None)
     symbols["numba_unpickle"] = ctypes.cast(_unpickle, ctypes.c_void_p).value
     for name, address in symbols.items():
@@ -103,10 +104,6 @@ C_MATH = frozenset((
 ))
 # fmt: on
 """Functions that numba takes from Python's C library, of which a process may have two."""
-
-
-def _raised(value: object) -> bool:
-    return isinstance(value, type) and issubclass(value, BaseException)
 
 
 _unpickled: dict[tuple[int, bytes], Any] = {}

@@ -75,7 +75,8 @@ def windows(
     # coarse first: what a wide window covers is not searched again; in the end no gap can hold a window
     spacings = [s for s in (100.0 * search.coarse, search.coarse, search.coarse / 10.0) if s > narrowest]
     for spacing in [*spacings, 0.9 * narrowest]:
-        pieces = _joined(pieces + _windows_of(codes, _grid(stretches, spacing), narrowest, longest))
+        grids = [np.linspace(a, b, max(int(np.ceil((b - a) / spacing)), 2) + 1) for a, b in stretches]
+        pieces = _joined(pieces + _windows_of(codes, grids, narrowest, longest))
         closed = [w for w in pieces if w.width > narrowest]
         for window in closed:
             # an edge found again on a finer grid differs in its last digits
@@ -114,19 +115,11 @@ def _reached(locked: list[Window], sticking: list[Window], lowest: float, highes
             high = top if other is None else min(top, other.low)
             if high - low > 8 * np.spacing(high) and round(low, DIGITS) not in seen:
                 seen.add(round(low, DIGITS))
-                out.append(_part(window, low, high))
+                how = (window.how[0] if low == window.low else "", window.how[1] if high == window.high else "")
+                out.append(replace(window, low=low, high=high, how=how))
             low = top if other is None else max(low, other.high)
             first += 1
     return sorted(out, key=lambda w: w.low)
-
-
-def _part(window: Window, low: float, high: float) -> Window:
-    how = (window.how[0] if low == window.low else "", window.how[1] if high == window.high else "")
-    return replace(window, low=low, high=high, how=how)
-
-
-def _grid(stretches: list[tuple[float, float]], spacing: float) -> list[Floats]:
-    return [np.linspace(a, b, max(int(np.ceil((b - a) / spacing)), 2) + 1) for a, b in stretches]
 
 
 def _between(found: list[Window], low: float, high: float, narrowest: float) -> list[tuple[float, float]]:

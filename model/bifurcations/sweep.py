@@ -8,7 +8,7 @@ equation. Decision 10.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -51,16 +51,6 @@ class Bifurcation:
     after: Side
 
 
-@dataclass(frozen=True)
-class _Sweep:
-    ball: Ball
-    carry: bool
-    sharp: float
-
-    def look(self, gamma: float, start: State) -> Attractor:
-        return attractor(self.ball, gamma, start if self.carry else AT_REST, 2048)
-
-
 def check_range(low: float, high: float) -> None:
     """Refuse a range of gamma that is empty, negative or not finite (ValueError)."""
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 <= low < high):
@@ -97,27 +87,31 @@ def observed_bifurcations(
     ends = (high, low) if sweep == "down" else (low, high)
     exact = not isinstance(ball, IntegratedBall)
     # coarser for a ball whose integration has a tolerance
-    walk = _Sweep(ball, sweep is not None, max(sharp, 1e-12 if exact else 1e-9))
+    finest = max(sharp, 1e-12 if exact else 1e-9)
+
+    def look(gamma: float, start: State) -> Attractor:
+        return attractor(ball, gamma, AT_REST if sweep is None else start, 2048)
+
     # each orbit of such a ball costs an integration: a quarter of the steps
     grid = np.linspace(*ends, (steps if exact else steps // 4) + 1)
-    here = walk.look(float(grid[0]), AT_REST)
+    here = look(float(grid[0]), AT_REST)
     for a, b in pairwise(grid):
         start, at = float(a), here
         # more than eight changes in one step are the cascade before chaos: its end is what counts
         for _ in range(8):
-            end = walk.look(float(b), at.last)
+            end = look(float(b), at.last)
             if key(end) == key(at):
                 break
-            gamma, past, left, right = _bisect(walk, start, float(b), at)
+            gamma, past, left, right = _bisect(look, start, float(b), at, finest)
             # what comes and goes within the narrowest window counts as one change
             ahead = past + math.copysign(min(narrowest, abs(b - past)), b - a)
-            after = walk.look(ahead, right.last)
+            after = look(ahead, right.last)
             if key(after) != key(at):
                 yield _typed(ball, gamma, left, after)
             start, at = ahead, after
             if abs(b - start) <= narrowest:
                 break
-        here = walk.look(float(b), at.last)
+        here = look(float(b), at.last)
 
 
 def key(found: Attractor) -> tuple[object, ...]:
@@ -128,12 +122,14 @@ def key(found: Attractor) -> tuple[object, ...]:
     return found.kind, found.period, found.resets, found.locked, flights
 
 
-def _bisect(walk: _Sweep, a: float, b: float, at: Attractor) -> tuple[float, float, Attractor, Attractor]:
+def _bisect(
+    look: Callable[[float, State], Attractor], a: float, b: float, at: Attractor, finest: float
+) -> tuple[float, float, Attractor, Attractor]:
     """The first change met from ``a`` towards ``b``: gamma, the first gamma beyond, and both attractors."""
-    left, right = at, walk.look(b, at.last)
-    while abs(b - a) > walk.sharp:
+    left, right = at, look(b, at.last)
+    while abs(b - a) > finest:
         middle = 0.5 * (a + b)
-        found = walk.look(middle, left.last)
+        found = look(middle, left.last)
         if key(found) == key(at):
             a, left = middle, found
         else:

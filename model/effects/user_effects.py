@@ -98,7 +98,10 @@ def load(path: Path) -> ModuleType:
         exec(code, module.__dict__)
     except Exception as error:
         del sys.modules[module.__name__]
-        raise EffectFileError(f"{path}{_line(path, error)}: {type(error).__name__}: {error}") from error
+        # the last line of the file that the error came through
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        where = f", line {lines[-1]}" if lines else ""
+        raise EffectFileError(f"{path}{where}: {type(error).__name__}: {error}") from error
     return module
 
 
@@ -112,9 +115,3 @@ def check_signature(path: str, hook: str, function: object, wanted: str) -> None
     if len(found) != len(wanted.split(",")):
         line = plain.__code__.co_firstlineno
         raise EffectFileError(f"{path}, line {line}: {hook}({', '.join(found)}); wanted {hook}({wanted})")
-
-
-def _line(path: Path, error: Exception) -> str:
-    """The last line of the file that an error came through, as ``, line 7``."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    return f", line {lines[-1]}" if lines else ""

@@ -188,25 +188,14 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
         return Attractor(
             "periodic", tail.periods, n, 0, True, tail.tau, tail.phase, tail.speed, tail.multiplier, exponent, path.last
         )
-    shown = slice(-CHAOS_SHOWN, None)
-    resets = int(path.reset[shown].sum())
+    tau, phase, speed = (x[-CHAOS_SHOWN:] for x in (path.tau, path.phase, path.speed))
+    resets = int(path.reset[-CHAOS_SHOWN:].sum())
     # Lyapunov's exponent: the mean of log|slope|, without the first quarter, which is on its way to the attractor
     slope = path.slope[path.slope.size // 4 :]
     with np.errstate(divide="ignore"):
         growth = float(np.mean(np.log(np.abs(slope)))) if slope.size else math.nan
-    return Attractor(
-        "chaotic",
-        None,
-        path.tau[shown].size,
-        resets,
-        False,
-        path.tau[shown],
-        path.phase[shown],
-        path.speed[shown],
-        None,
-        growth if math.isfinite(growth) else None,
-        path.last,
-    )
+    exponent = growth if math.isfinite(growth) else None
+    return Attractor("chaotic", None, tau.size, resets, False, tau, phase, speed, None, exponent, path.last)
 
 
 def _locked(ball: Ball, gamma: float, path: Path) -> LockedCycle | None:

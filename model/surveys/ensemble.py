@@ -133,13 +133,6 @@ def compute(job: Job, start: int, stop: int) -> Rows:
     return rows_of(gammas, map(attractor, balls, gammas.tolist()), job.keep)
 
 
-def _piece(job: Job, start: int, stop: int) -> tuple[Job, int, int]:
-    """The same points as a job as small as can be: what is sent to a worker."""
-    if job.axes:
-        return job, start, stop
-    return replace(job, gammas=job.gammas[start:stop]), 0, stop - start
-
-
 def run(
     job: Job,
     path: Path,
@@ -169,7 +162,10 @@ def run(
         done: Bools = file["chunk_done"][:]
         todo = [(i * chunk, min((i + 1) * chunk, job.size)) for i in np.flatnonzero(~done).tolist()]
         finished = job.size - sum(stop - start for start, stop in todo)
-        pieces = (((start, stop), _piece(job, start, stop)) for start, stop in todo)
+        # a worker is sent a job as small as can be
+        pieces = (
+            ((a, b), (job, a, b) if job.axes else (replace(job, gammas=job.gammas[a:b]), 0, b - a)) for a, b in todo
+        )
         for outcome in outcomes(compute, pieces, workers=workers, cluster=cluster):
             (start, stop), rows = outcome.key, outcome.value()
             for name in FIELDS[1:]:
