@@ -67,7 +67,7 @@ def read(name: str) -> bytes | None:
 
 def write(name: str, data: bytes) -> None:
     """Store ``data`` under ``name`` where the first place allows it; says once where the second had to do."""
-    for place in places()[_unfit() :]:
+    for place in places()[len(_given_up) :]:
         try:
             _make(place)
             # whole under its final name or not at all: other processes read while this one writes
@@ -76,28 +76,18 @@ def write(name: str, data: bytes) -> None:
                 file.write(data)
             Path(part).replace(place / f"{name}.bin")
         except OSError as error:
-            _give_up(place, error)
+            _given_up.append(place)
+            if multiprocessing.parent_process() is None:  # once, not in every worker
+                left = places()[len(_given_up) :]
+                where = f"they are stored in {left[0]} instead" if left else "every run compiles them anew"
+                _log.warning("compiled kernels cannot be stored in %s (%s): %s; %s names another folder", place,
+                             error.strerror or error, where, GIVEN)  # fmt: skip
             continue
         return
 
 
 _given_up: list[Path] = []
-
-
-def _unfit() -> int:
-    """How many of the places cannot be written."""
-    return len(_given_up)
-
-
-def _give_up(place: Path, error: OSError) -> None:
-    """Turn to the next place, and say so once: not in every worker."""
-    _given_up.append(place)
-    if multiprocessing.parent_process() is not None:
-        return
-    left = places()[_unfit() :]
-    where = f"they are stored in {left[0]} instead" if left else "every run compiles them anew"
-    _log.warning("compiled kernels cannot be stored in %s (%s): %s; %s names another folder", place,
-                 error.strerror or error, where, GIVEN)  # fmt: skip
+"""Places that cannot be written."""
 
 
 @functools.cache

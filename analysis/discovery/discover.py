@@ -184,13 +184,9 @@ def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
 
 
 def _discovery(
-    forms: Forms,
-    gain: LogScoreDifference,
-    others: Sequence[RefinedTerm],
-    instead_of: tuple[str, ...],
-    tables: Mapping[str, Floats],
-    limits: Thresholds,
-) -> Discovery:
+    forms: Forms, gain: LogScoreDifference, others: Sequence[RefinedTerm], instead_of: tuple[str, ...],
+    tables: Mapping[str, Floats], limits: Thresholds,
+) -> Discovery:  # fmt: skip
     """The chosen term as numbers and names."""
     best, model, fitted = forms.best, forms.explanation.model, forms.explanation.fitted
     curve, covariate = best.curve, Covariate(*label(best.curve.term))
@@ -204,22 +200,12 @@ def _discovery(
     names.pop(covariate.words, None)
     rows, left_out = scored_rows(model, fitted.values, ~fitted.fitter.train)
     return Discovery(
-        curve.term.name,
-        covariate,
-        describe(curve),
-        Band(curve.points, values, low, high, curve.term.unit),
-        seen[np.isfinite(seen)],
-        gain,
-        _similar_effects(best, limits.similar_correlation),
-        tuple(names),
-        held_out_errors(model, fitted.values, rows, left_out),
-        noise_floors_us(model, fitted.values, rows)[0],
-        curve.term.of,
-        forms.tried,
-        forms.suggested,
-        instead_of,
+        curve.term.name, covariate, describe(curve), Band(curve.points, values, low, high, curve.term.unit),
+        seen[np.isfinite(seen)], gain, _similar_effects(best, limits.similar_correlation), tuple(names),
+        held_out_errors(model, fitted.values, rows, left_out), noise_floors_us(model, fitted.values, rows)[0],
+        curve.term.of, forms.tried, forms.suggested, instead_of,
         goodness_of_fit(model, fitted.values, limits).p_lack_of_fit,
-    )
+    )  # fmt: skip
 
 
 def _similar_effects(best: RefinedTerm, least: float) -> tuple[tuple[str, float], ...]:

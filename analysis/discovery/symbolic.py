@@ -251,7 +251,7 @@ class _FormFits:
         # no point of the curve counts as known better than to 2 % of its spread
         weight = 1.0 / np.hypot(self.band, 0.02 * max(float(np.ptp(y)), float(np.max(np.abs(y))), 1e-12))
         best: tuple[Floats, float] = np.zeros(len(form.parameters)), np.inf
-        for shape in itertools.product(*(self._grid(kind) for _, kind in form.parameters if kind not in SIZES)):
+        for shape in itertools.product(*(self.kinds[kind][2] for _, kind in form.parameters if kind not in SIZES)):
             columns = np.column_stack([form.at(x, (*unit, *shape)) for unit in np.eye(form.sizes)])
             size = lstsq(columns * weight[:, None], y * weight, rcond=None)[0]
             far = float(np.mean(((columns @ size - y) * weight) ** 2))
@@ -259,30 +259,30 @@ class _FormFits:
                 best = np.array([*size, *shape]), far
         return best
 
-    def _grid(self, kind: str) -> Floats:
-        """Values of a shape parameter that are tried."""
+    @functools.cached_property
+    def kinds(self) -> dict[str, tuple[float, tuple[float, float], Floats]]:
+        """Of each kind of parameter one unit of its coordinate, its bounds, and the values that are tried."""
         low, high = self.span
-        if kind == "width":
-            return (high - low) * np.geomspace(0.03, 3.0, 12)
-        if kind == "place":
-            return np.linspace(low, high, 24)[:-1]
-        return np.array([0.25, 0.5, 0.75, 1.5, 2.0, 3.0])
+        wide, reach = high - low, max(abs(low), abs(high))
+        y = max(float(np.max(np.abs(self.curve.values))), 10.0 * self.curve.term.nudge)
+        free, none = (-np.inf, np.inf), np.empty(0)
+        return {
+            "value": (y, free, none),
+            "slope": (y / reach, free, none),
+            "curvature": (y / reach**2, free, none),
+            "width": (wide, (0.01 * wide, 10.0 * wide), wide * np.geomspace(0.03, 3.0, 12)),
+            "place": (wide, (low - wide, high + wide), np.linspace(low, high, 24)[:-1]),
+            "power": (1.0, (0.1, 6.0), np.array([0.25, 0.5, 0.75, 1.5, 2.0, 3.0])),
+        }
 
     def _units(self, form: Form) -> Floats:
         """Size of each parameter that is one unit of its coordinate."""
-        reach = max(abs(self.span[0]), abs(self.span[1]))
-        y = max(float(np.max(np.abs(self.curve.values))), 10.0 * self.curve.term.nudge)
-        wide = self.span[1] - self.span[0]
-        unit = {"value": y, "slope": y / reach, "curvature": y / reach**2, "width": wide, "place": wide, "power": 1.0}
-        return np.array([unit[kind] for _, kind in form.parameters])
+        return np.array([self.kinds[kind][0] for _, kind in form.parameters])
 
     def _within(self, form: Form, values: Floats) -> Floats:
         """Values within what their kinds allow."""
-        low, high = self.span
-        wide = high - low
-        bounds = {"width": (0.01 * wide, 10.0 * wide), "place": (low - wide, high + wide), "power": (0.1, 6.0)}
-        ends = np.array([bounds.get(kind, (-np.inf, np.inf)) for _, kind in form.parameters])
-        return np.clip(values, ends[:, 0], ends[:, 1])
+        low, high = np.array([self.kinds[kind][1] for _, kind in form.parameters]).T
+        return np.clip(values, low, high)
 
     # -- a form fitted to the events ---------------------------------------------------------------------------------
     def model(self, form: Form, values: Floats) -> AugmentedModel:
@@ -351,14 +351,7 @@ class _FormFits:
         sign = np.array([up if kind in SIZES else 1.0 for _, kind in p.form.parameters])
         form = p.form
         return FittedForm(
-            form.name,
-            form.expression,
-            form.names,
-            tuple(kind for _, kind in form.parameters),
-            form.units(self.curve.term),
-            tuple((sign * p.values).tolist()),
-            tuple(sigmas.tolist()),
-            loss,
-            error,
+            form.name, form.expression, form.names, tuple(kind for _, kind in form.parameters),
+            form.units(self.curve.term), tuple((sign * p.values).tolist()), tuple(sigmas.tolist()), loss, error,
             as_good,
-        )
+        )  # fmt: skip

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, candidates_of, null_value_of, parameter_of
+from analysis.attribution.candidates import candidates_of, null_value_of, parameter_of
 from analysis.attribution.chance import Place
 from analysis.attribution.fit import Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
@@ -158,7 +158,14 @@ def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
     do not distinguish from it, and share its probability.
     """
     library = [c for c in candidates_of(model) if not set(c.names) & set(best.names) and len(c.names) == 1]
-    at = {**_shapes(library), **best.fitted.values}
+    # candidates begin with their shapes at the first start, their sizes at nothing
+    begin = {
+        k: start.get(k, null_value_of(k)) if parameter_of(k).is_shape else null_value_of(k)
+        for c in library
+        for start in c.starts[:1] or ({},)
+        for k in c.free
+    }
+    at = {**begin, **best.fitted.values}
     sizes = [tuple(k for k in c.free if not parameter_of(k).is_shape) for c in library]
     shared = tuple(dict.fromkeys((*fitter.priors, *best.free)))
     keys = tuple(dict.fromkeys((*shared, *(k for own in sizes for k in own))))
@@ -197,16 +204,6 @@ def _within(fitter: Fitter, keys: Sequence[ParameterId], x: Floats) -> Floats:
     """Coordinates of ``keys``, none beyond its bounds."""
     bounds = np.array([fitter.bounds(k, released=True) for k in keys]).reshape(-1, 2)
     return np.clip(x, bounds[:, 0], bounds[:, 1])
-
-
-def _shapes(library: Sequence[Candidate]) -> dict[ParameterId, float]:
-    """Where the candidates begin: shapes at their first start, sizes at their null values."""
-    return {
-        k: start.get(k, null_value_of(k)) if parameter_of(k).is_shape else null_value_of(k)
-        for c in library
-        for start in c.starts[:1] or ({},)
-        for k in c.free
-    }
 
 
 @dataclass(frozen=True)
