@@ -20,7 +20,7 @@ def __getattr__(name: str) -> Any:
     """`njit` when it is first asked for: commands that only print help import no numpy for `kernels.errors`."""
     if name != "njit":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from kernels.kernel import njit as compiled
+    from kernels.store import njit as compiled
 
     keep_freed_blocks()
     globals()["njit"] = compiled

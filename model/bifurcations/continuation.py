@@ -32,10 +32,9 @@ def next_cycle(close: Close, parameter: float, cycle: LockedCycle) -> LockedCycl
     return new if any(np.max(np.abs(np.roll(new.tau, k) - cycle.tau)) < 0.3 for k in range(new.tau.size)) else None
 
 
-def follow(close: Close, at: float, cycle: LockedCycle, limit: float) -> tuple[float, End]:
+def follow(close: Close, at: float, cycle: LockedCycle, limit: float, step: float = 1e-4) -> tuple[float, End]:
     """Follow a stable ``cycle``, known at the parameter ``at``, to where it ends or to ``limit``, and what ends it."""
     direction = 1.0 if limit > at else -1.0
-    step = 1e-4
     trail = [(at, cycle)]
     while True:
         here, known = trail[-1]

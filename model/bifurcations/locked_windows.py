@@ -33,7 +33,7 @@ def locked_from(ball: ExactBall, window: Window, low: float, high: float) -> lis
         near = ball.fly(gamma, State(float(resets[0]) - 1e-6), window.flights).last
         cycle = ball.close(gamma, near, window.flights)
         if cycle is not None and cycle.periods == window.period and abs(cycle.multiplier) < 1.0:
-            end, why = follow(ball.close, gamma, cycle, limit)
+            end, why = follow(ball.close, gamma, cycle, limit, BEYOND)  # its window may be as narrow as 1e-7
             how = "" if why in ("limit", "grazing") else why  # what a landing does there, its itinerary tells
             ends = (edge, end, ("", how)) if beyond > 0.0 else (end, edge, (how, ""))
             out.append(_window(cycle, *ends))

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 import pytest
 
-from kernels import folder, kernel, machine_code, njit
+from kernels import folder, machine_code, njit, store
 from kernels.folder import fingerprint, fingerprint_of_sources, without_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -307,7 +307,7 @@ def test_a_kernel_that_wants_what_is_not_there_is_compiled_anew(places) -> None:
     """Code with a symbol that this process lacks is not linked, which would end the process."""
     assert compiled_with(3.0, {})(2.0) == 7.0
     (file,) = places[0].glob("*outer*.bin")
-    kept = machine_code.StoredKernel(*pickle.loads(file.read_bytes()[kernel.DIGEST_BYTES :]))
+    kept = machine_code.StoredKernel(*pickle.loads(file.read_bytes()[store.DIGEST_BYTES :]))
     assert machine_code.load(pickle.dumps(tuple(kept)))(2.0) == 7.0
     lacking = kept._replace(wanted=[*kept.wanted, "a symbol of nobody"])
     assert machine_code.load(pickle.dumps(tuple(lacking))) is None
