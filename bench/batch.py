@@ -181,16 +181,9 @@ def run_batch(
 ) -> list[Row]:  # fmt: skip
     """Rows of all recordings, in their order.
 
-    Parameters
-    ----------
-    batch
-        What to do.
-    journal
-        Rows of this and earlier batches; every new one is added at once.
-    workers, cluster
-        As of `model.surveys.workers.outcomes`; on a cluster the recordings need the same paths as here.
-    say
-        Called with the number done, the number of all, the recording and its row.
+    Every new row is added to ``journal`` at once, where those of earlier batches are. ``workers`` and ``cluster`` are
+    as of `model.surveys.workers.outcomes`; on a cluster the recordings need the same paths as here. ``say`` is called
+    with the number done, the number of all, the recording and its row.
     """
     keys = {path: batch.key(path) for path in batch.recordings}
     done: dict[Path, Row] = {}

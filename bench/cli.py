@@ -1,8 +1,8 @@
-"""The table of commands and the entry point; each command is a file of its own in `bench/commands`.
+"""The table of commands and the entry point; commands are functions of the files in `bench/commands`.
 
-Nothing heavy is imported before a command runs, so `bench --help` stays instant. A command is
-registered as ``name: (module, one-line help)``; its module is imported only when it is called. A module holds the
-function ``command``, or ``app`` where the command has commands of its own.
+Nothing heavy is imported before a command runs, so `bench --help` stays instant. A command is registered as ``name:
+(module:function, one-line help)``; its module is imported only when it is called. Without a function's name it is
+``command``, or ``app`` where the command has commands of its own.
 """
 
 from __future__ import annotations
@@ -23,34 +23,40 @@ from kernels import BLAS_THREADS
 from kernels.errors import InputError
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "profile": ("bench.commands.profile", "List, show and make profiles of rigs."),
-    "plan": ("bench.commands.plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
-    "devices": ("bench.commands.devices", "List sound cards and serial ports, and which profile fits."),
-    "check": ("bench.commands.check", "Before a run: is the rig wired as its profile says?"),
-    "calibrate": ("bench.commands.calibrate", "Measure a rig's scales and write them into its profile."),
-    "ramp": ("bench.commands.ramp", "Run a profile's ramp and record it."),
-    "live": ("bench.commands.live", "A page to start, watch and stop runs, in a browser."),
-    "explore": ("bench.commands.explore", "Let the rig choose its own steps until one explanation stands."),
-    "import": ("bench.commands.import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
-    "export": ("bench.commands.export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
-    "reprocess": ("bench.commands.reprocess", "Recording to flights, plate motion and pictures."),
-    "compare": ("bench.commands.compare", "Hold a recording against the model, step by step."),
-    "predict": ("bench.commands.predict", "Predicted orbits, diagrams and bifurcations."),
-    "close-loop": ("bench.commands.close_loop", "Find the residual, name the missing effect, report before and after."),
-    "stake": ("bench.commands.stake", "Hold a later run against the prediction that a verdict staked on it."),
-    "batch": ("bench.commands.batch", "Folders of recordings, one row each; resumable, on many cores."),
-    "report": ("bench.commands.report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
-    "drop": ("bench.commands.drop", "Drop tests by camera, sound or contact."),
-    "info": ("bench.commands.info", "Contents of a recording: note, keys, profile, steps, state."),
-    "runs": ("bench.commands.runs", "Table of the recordings in a folder, filtered and sorted."),
-    "tag": ("bench.commands.tag", "Tag a recording, or take tags away."),
-    "note": ("bench.commands.note", "Add a note to a recording."),
-    "verify": ("bench.commands.verify", "Check whether a recording is complete, stopped, incomplete or damaged."),
-    "recover": ("bench.commands.recover", "Rebuild a verified recording from one that was cut off or is damaged."),
-    "mcp": ("bench.commands.mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
-    "virtual": ("bench.commands.virtual", "The simulated plant as a process of its own, behind a real driver."),
-    "paper": ("bench.commands.paper", "The seed paper, figure by figure, each number with the effect that moves it."),
-    "demo": ("bench.commands.demo", "The main job on a simulated rig, end to end."),
+    "profile": ("profile", "List, show and make profiles of rigs."),
+    "plan": ("plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
+    "devices": ("rig:devices", "List sound cards and serial ports, and which profile fits."),
+    "check": ("rig:check", "Before a run: is the rig wired as its profile says?"),
+    "calibrate": ("rig:calibrate", "Measure a rig's scales and write them into its profile."),
+    "ramp": ("ramp", "Run a profile's ramp and record it."),
+    "live": ("live", "A page to start, watch and stop runs, in a browser."),
+    "explore": ("explore", "Let the rig choose its own steps until one explanation stands."),
+    "import": ("import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
+    "export": ("export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
+    "reprocess": ("reprocess", "Recording to flights, plate motion and pictures."),
+    "compare": ("compare", "Hold a recording against the model, step by step."),
+    "predict": ("predict", "Predicted orbits, diagrams and bifurcations."),
+    "close-loop": ("close_loop", "Find the residual, name the missing effect, report before and after."),
+    "stake": ("stake", "Hold a later run against the prediction that a verdict staked on it."),
+    "batch": ("batch", "Folders of recordings, one row each; resumable, on many cores."),
+    "report": ("report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
+    "drop": ("drop", "Drop tests by camera, sound or contact."),
+    "info": ("recordings:info", "Contents of a recording: note, keys, profile, steps, state."),
+    "runs": ("runs", "Table of the recordings in a folder, filtered and sorted."),
+    "tag": ("notes:tag", "Tag a recording, or take tags away."),
+    "note": ("notes:note", "Add a note to a recording."),
+    "verify": (
+        "recordings:verify",
+        "Check whether a recording is complete, stopped, incomplete or damaged.",
+    ),
+    "recover": (
+        "recordings:recover",
+        "Rebuild a verified recording from one that was cut off or is damaged.",
+    ),
+    "mcp": ("mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
+    "virtual": ("virtual", "The simulated plant as a process of its own, behind a real driver."),
+    "paper": ("paper", "The seed paper, figure by figure, each number with the effect that moves it."),
+    "demo": ("demo", "The main job on a simulated rig, end to end."),
 }
 
 
@@ -67,15 +73,17 @@ class LazyGroup(TyperGroup):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import the module of ``cmd_name`` and build its command from the module's ``command`` or ``app``."""
+        """Import the module of ``cmd_name`` and build its command from the function there, or ``app``."""
         if cmd_name not in COMMANDS:
             return None
-        module_name, summary = COMMANDS[cmd_name]
-        module: Any = importlib.import_module(module_name)
+        place, summary = COMMANDS[cmd_name]
+        module_name, _, function = place.partition(":")
+        module: Any = importlib.import_module(f"bench.commands.{module_name}")
         if hasattr(module, "app"):
             return typer.main.get_command(module.app)
+        command = getattr(module, function or "command")
         single = typer.Typer(add_completion=False, rich_markup_mode=None)
-        single.command(name=cmd_name, help=module.command.__doc__ or summary)(module.command)
+        single.command(name=cmd_name, help=command.__doc__ or summary)(command)
         return typer.main.get_command(single)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

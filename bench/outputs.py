@@ -106,14 +106,8 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
 
     Raises `InputError` with the option, the path, and what to do.
 
-    Parameters
-    ----------
-    outputs
-        Every output of the command.
-    inputs
-        Files, folders and names of profiles that the command reads.
-    overwrite
-        Whether files that are there may be replaced.
+    ``outputs`` are all of the command; ``inputs`` are files, folders and names of profiles that it reads. With
+    ``overwrite`` files that are there may be replaced.
     """
     read = [path for given in inputs if given is not None for path in _files(given)]
     taken: list[tuple[str, Path]] = []

@@ -11,19 +11,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from analysis.loop.result import ClosedLoop
-from analysis.report.wording import (
-    capital,
-    coverage_in_words,
-    discovered_in_words,
-    lost_in_words,
-    microseconds,
-    others_in_words,
-    plain,
-    rejected_in_words,
-    size_of,
-    what_is_left,
-    why_this_verdict,
-)
+from analysis.report import wording
+from analysis.report.wording import capital, microseconds, plain
 from analysis.residuals.plate_data.plate_observables import KINDS
 from analysis.statistics import mad_sigma
 from model.effects.registry import effect
@@ -34,7 +23,17 @@ LISTED = 3  # candidates, kinds of plate data and rival sets of effects named in
 def headline(loop: ClosedLoop) -> str:
     """The verdict in plain sentences, the finding first; ends with a full stop."""
     if loop.verdict == "explained":
-        return f"{capital(_found(loop))}. {_errors(loop)} {_lost(loop)}{_certainty(loop)} {_rivals(loop)}"
+        first, left = plain(loop.selection.effects[0].name), wording.what_is_left(loop)
+        certainty = capital(left)
+        if gain := gains(loop).get(first):
+            certainty = (
+                f"{capital(first)} predicts steps not fitted better by {gain[0]:.0f} +- {gain[1]:.0f} nats; {left}"
+            )
+        rivals = "No other named set of effects does as well."
+        if others := wording.others_in_words(loop):
+            more = f" or {len(others) - LISTED} more" if len(others) > LISTED else ""
+            rivals = f"The data cannot tell it from {' or '.join(others[:LISTED])}{more}."
+        return f"{capital(_found(loop))}. {_errors(loop)} {_lost(loop)}{certainty}. {rivals}"
     if loop.verdict == "nothing_missing":
         declared = ", ".join(plain(n) for n in loop.setup.declared) or "no effect beyond the ideal ball"
         return (
@@ -43,12 +42,14 @@ def headline(loop: ClosedLoop) -> str:
             f"{microseconds(loop.errors.landing_floor_us)} us. {_lost(loop)}"
         ).rstrip()
     best = f" Best so far, not believed: {_found(loop)}." if loop.selection.effects else ""
-    why = capital(why_this_verdict(loop)[0])
+    why = capital(wording.why_this_verdict(loop)[0])
     return f"Something is left that no named effect accounts for.{best} {_errors(loop)} {_lost(loop)}{why}"
 
 
 def _found(loop: ClosedLoop) -> str:
-    named = [f"{plain(f.name)} ({size_of(f)})" if f.parameters else plain(f.name) for f in loop.selection.effects]
+    named = [
+        f"{plain(f.name)} ({wording.size_of(f)})" if f.parameters else plain(f.name) for f in loop.selection.effects
+    ]
     listed = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
     return f"{listed} {'explain' if len(named) > 1 else 'explains'} the recording"
 
@@ -56,15 +57,12 @@ def _found(loop: ClosedLoop) -> str:
 def _errors(loop: ClosedLoop) -> str:
     """Errors before and after, against the noise: of landings, and of the kind of data that gained most."""
     noise = f"noise gives {microseconds(loop.errors.landing_floor_us)} us"
-    after, before = loop.errors.after.landing_rms_us, loop.errors.before.landing_rms_us
+    after, before = (microseconds(errors.landing_rms_us) for errors in (loop.errors.after, loop.errors.before))
     if not loop.selection.names:
-        return f"Landings on held-out steps are missed by {microseconds(after)} us rms; {noise}."
-    said = (
-        f"Landings on held-out steps are missed by {microseconds(after)} us rms instead of {microseconds(before)} us; "
-        f"{noise}."
-    )
+        return f"Landings on held-out steps are missed by {after} us rms; {noise}."
+    said = f"Landings on held-out steps are missed by {after} us rms instead of {before} us; {noise}."
     fallen = [
-        before / after,
+        loop.errors.before.landing_rms_us / loop.errors.after.landing_rms_us,
         loop.errors.before.takeoff_nmad_us / loop.errors.after.takeoff_nmad_us,
         _plate_z(loop) / loop.remainder.plate_rms_z,
     ]
@@ -73,12 +71,9 @@ def _errors(loop: ClosedLoop) -> str:
     if most == 0 or fallen[most] < 1.2:
         return said
     if most == 1:
-        return (
-            f"Take-offs are missed by {microseconds(loop.errors.after.takeoff_nmad_us)} us instead of "
-            f"{microseconds(loop.errors.before.takeoff_nmad_us)} us (robust; noise "
-            f"{microseconds(loop.errors.takeoff_floor_us)} us). "
-            f"{said}"
-        )
+        us = (loop.errors.after.takeoff_nmad_us, loop.errors.before.takeoff_nmad_us, loop.errors.takeoff_floor_us)
+        after, before, floor = map(microseconds, us)
+        return f"Take-offs are missed by {after} us instead of {before} us (robust; noise {floor} us). {said}"
     return (
         f"The plate is off by {loop.remainder.plate_rms_z:.1f} standard deviations rms instead of "
         f"{_plate_z(loop):.1f}. {said}"
@@ -87,7 +82,7 @@ def _errors(loop: ClosedLoop) -> str:
 
 def _lost(loop: ClosedLoop) -> str:
     """A sentence on the few landings that decide the error, with the space after it; or nothing."""
-    words = lost_in_words(loop)
+    words = wording.lost_in_words(loop)
     return f"{words}. " if words else ""
 
 
@@ -97,29 +92,11 @@ def _plate_z(loop: ClosedLoop) -> float:
     return float(np.sqrt(np.mean((plate.before / plate.sigma) ** 2))) if len(plate) else float("nan")
 
 
-def _certainty(loop: ClosedLoop) -> str:
-    """Gain of the first effect on steps not fitted, and whether what is left looks like noise."""
-    left = what_is_left(loop)
-    gain = gains(loop).get(plain(loop.selection.effects[0].name))
-    if gain is None:
-        return f"{capital(left)}."
-    first = capital(plain(loop.selection.effects[0].name))
-    return f"{first} predicts steps not fitted better by {gain[0]:.0f} +- {gain[1]:.0f} nats; {left}."
-
-
-def _rivals(loop: ClosedLoop) -> str:
-    others = others_in_words(loop)
-    if not others:
-        return "No other named set of effects does as well."
-    more = f" or {len(others) - LISTED} more" if len(others) > LISTED else ""
-    return f"The data cannot tell it from {' or '.join(others[:LISTED])}{more}."
-
-
 def reasoning(loop: ClosedLoop) -> list[str]:
     """Sentences in the order of the argument."""
-    coverage = [f"{words}." for words in coverage_in_words(loop)]
-    found = [] if loop.discovered is None else [f"{words}." for words in discovered_in_words(loop.discovered)]
-    return [*_residual_sentences(loop), *_candidate_sentences(loop), *coverage, *why_this_verdict(loop), *found]
+    coverage = [f"{words}." for words in wording.coverage_in_words(loop)]
+    found = [] if loop.discovered is None else [f"{words}." for words in wording.discovered_in_words(loop.discovered)]
+    return [*_residual_sentences(loop), *_candidate_sentences(loop), *coverage, *wording.why_this_verdict(loop), *found]
 
 
 def gains(loop: ClosedLoop) -> Mapping[str, tuple[float, float]]:
@@ -177,7 +154,7 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
         )
     out += [f"{words}." for words in loop.selection.rounds]
     if loop.selection.rejected is not None:
-        out.append(f"{rejected_in_words(loop)}.")
+        out.append(f"{wording.rejected_in_words(loop)}.")
     for name in map(plain, loop.selection.names):
         rivals = [plain(o) for o in effect(name.replace(" ", "_")).effect.confused_with]
         behind = [
@@ -192,7 +169,7 @@ def _candidate_sentences(loop: ClosedLoop) -> list[str]:
 
 def what_would_separate(loop: ClosedLoop) -> list[tuple[str, str, str]]:
     """An added effect, another that the data cannot tell from it, and what would separate them."""
-    others = others_in_words(loop)
+    others = wording.others_in_words(loop)
     return [
         (plain(f.name), plain(other), how)
         for f in loop.selection.effects

@@ -72,38 +72,31 @@ def file_rows(recording: Recording, found: VerifyReport) -> Rows:
     seal = "every byte agrees with its seal" if a.get("sealed") and found.state != "damaged" else "no seal that agrees"
     flags = {f.name: int(np.sum(blocks["flags"] & f.value > 0)) for f in BlockFlag}
     noted = ", ".join(f"{str(name).lower()} in {n}" for name, n in flags.items() if n)
+    seconds = recording.n_samples / recording.rate_hz
+    length = f"{recording.n_samples} a channel at {recording.rate_hz:.9g} Hz ({seconds:.3f} s)"
+    lost = "no sample" + (", but samples are missing that no gap accounts for" if found.suspect else "")
+    if len(gaps := recording.gaps):
+        listed = ", ".join(f"{missing} before sample {first}" for first, missing in gaps[:LISTED])
+        more = f", and {len(gaps) - LISTED} gaps more" if len(gaps) > LISTED else ""
+        lost = f"{found.lost_samples} samples in {len(gaps)} gaps: {listed}{more}"
     rows: Rows = [
         ("file", recording.path.name),
         ("state", STATES[found.state] + (f" ({a.get('ended')}: {a['why']})" if a.get("why") else "")),
         ("seal", f"{seal}; read from end to end for this page"),
         ("begun, ended", f"{_when(a.get('started'))}, {_when(a.get('ended_at'))}"),
-        (
-            "samples",
-            f"{recording.n_samples} a channel at {recording.rate_hz:.9g} Hz "
-            f"({recording.n_samples / recording.rate_hz:.3f} s); channels {', '.join(recording.channels)}",
-        ),
-        ("lost", _losses(recording, found)),
+        ("samples", f"{length}; channels {', '.join(recording.channels)}"),
+        ("lost", lost),
         ("blocks", f"{len(blocks)}; {noted or 'none overflown, late, clipped, filled or damaged'}"),
         ("software", software_words(str(a.get("software_version") or "unknown"), str(a.get("software_commit") or ""))),
     ]
     for key, words in (
-        ("imported_from", "imported from"),
-        ("imported_sha256", "SHA-256 of that file"),
-        ("recovered_from", "recovered from"),
-        ("scenario_sha256", "SHA-256 of the hidden scenario"),
-    ):
+        ("imported_from", "imported from"), ("imported_sha256", "SHA-256 of that file"),
+        ("recovered_from", "recovered from"), ("scenario_sha256", "SHA-256 of the hidden scenario"),
+    ):  # fmt: skip
         if a.get(key):
             rows.append((words, str(a[key])))
     rows += [(f"key {key}", str(value)) for key, value in a["extra"].items()]
     return [*rows, *(("remark", line) for line in found.where[:LISTED])]
-
-
-def _losses(recording: Recording, found: VerifyReport) -> str:
-    if not len(recording.gaps):
-        return "no sample" + (", but samples are missing that no gap accounts for" if found.suspect else "")
-    listed = [f"{lost} before sample {first}" for first, lost in recording.gaps[:LISTED]]
-    more = f", and {len(recording.gaps) - LISTED} gaps more" if len(recording.gaps) > LISTED else ""
-    return f"{found.lost_samples} samples in {len(recording.gaps)} gaps: {', '.join(listed)}{more}"
 
 
 def _when(text: object) -> str:
@@ -158,17 +151,9 @@ def calibration_rows(recording: Recording) -> Rows:
         age = (day - quantity.date).days if day is not None and quantity.date is not None else None
         remark = "never calibrated" if quantity.date is None else ""
         remark = f"older than {most} days" if age is not None and age > most else remark
-        rows.append(
-            (
-                key,
-                f"{quantity.value:.6g}",
-                f"{quantity.uncertainty:.2g}" if quantity.uncertainty else "not stated",
-                str(quantity.date or "-"),
-                "-" if age is None else f"{age} days",
-                quantity.source,
-                remark,
-            )
-        )
+        uncertainty = f"{quantity.uncertainty:.2g}" if quantity.uncertainty else "not stated"
+        when = str(quantity.date or "-"), "-" if age is None else f"{age} days"
+        rows.append((key, f"{quantity.value:.6g}", uncertainty, *when, quantity.source, remark))
     return rows
 
 
@@ -220,10 +205,7 @@ def _templates() -> Environment:
     made.policies["json.dumps_kwargs"] = {"allow_nan": False}
     made.filters.update(signs=signs, capital=wording.capital, plain=wording.plain, us=wording.microseconds)
     made.globals.update(
-        words=wording,
-        narrative=narrative,
-        covariates=COVARIATES,
-        effect=lambda name: effect(name).effect,
+        words=wording, narrative=narrative, covariates=COVARIATES, effect=lambda name: effect(name).effect
     )
     return made
 
@@ -255,10 +237,8 @@ def write_report(
 
     Parameters
     ----------
-    loop
-        The closed loop, as computed or as loaded from a file.
-    folder
-        Made where it does not exist.
+    loop, folder
+        The closed loop, as computed or as loaded from a file, and a folder, made where it does not exist.
     recording
         The first one: its first bifurcation, measured and predicted, is reported where it is given.
     progress
@@ -267,11 +247,8 @@ def write_report(
         The discovered term as an effect, and the loop with it.
     """
     say = progress or (lambda what, part: None)
-    software = {
-        "date": datetime.date.today().isoformat(),
-        "software_version": software_version(),
-        "software_commit": software_commit(),
-    }
+    date, version, commit = datetime.date.today().isoformat(), software_version(), software_commit()
+    software = {"date": date, "software_version": version, "software_commit": commit}
     first: Mapping[str, FirstBifurcation] = {}
     if recording is not None:
         say("report: first bifurcations", 0.0)

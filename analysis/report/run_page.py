@@ -23,23 +23,13 @@ from numpy.typing import NDArray
 
 from analysis.flights.table import FlightFlag
 from analysis.loop.verdict import short_verdict
+from analysis.report import page
 from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
-from analysis.report.figures.measured import Measured
-from analysis.report.figures.style import FLIGHT_ROWS, STYLE
+from analysis.report.figures import style
+from analysis.report.figures.flights import Measured
 from analysis.report.narrative import headline
-from analysis.report.page import (
-    Drawn,
-    Progress,
-    calibration_rows,
-    file_rows,
-    fill,
-    first_bifurcations,
-    rig_rows,
-    software_words,
-    source_words,
-    whole_page,
-)
+from analysis.report.page import Drawn, Progress
 from analysis.report.wording import GammaScale, fixed, gamma_scale, microseconds, plain
 from analysis.statistics import mad_sigma
 from daq.files.disk import whole
@@ -59,28 +49,22 @@ MOST_VECTOR_POINTS = 15_000  # in one figure; with more of them the dots are one
 MOST_HOVER_POINTS = 60_000  # in one figure that the pointer can name; of more, every second, third, ... one
 
 
-@dataclass(frozen=True)
-class InlineFigure:
-    """A drawn figure."""
+def inline_figure(row: style.Figure, draw: Callable[[Figure], None], key: str = "", flights: str = "") -> Drawn | None:
+    """A new figure, filled by ``draw``, as inline SVG; None where that draws no axes.
 
-    svg: str  # element ``<svg>``
-    # place of each named point in the SVG's units and its flight's row, base64 of little-endian numbers
-    points: Mapping[str, str]
-    remark: str  # what the number of points made necessary, in words; else empty
-
-
-def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
-    """A new figure, filled by ``draw``, as inline SVG; None where that draws no axes."""
+    ``row``, ``key`` and ``flights`` are those of `Drawn`; its points are the named ones, of a page's many some.
+    """
     import matplotlib
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):  # the reader's machine lacks TeX's fonts
+    with matplotlib.rc_context({**style.STYLE, "svg.fonttype": "path"}):  # the reader's machine lacks TeX's fonts
         figure = Figure(layout="constrained")
         draw(figure)
         if not figure.axes:
             return None
         dots = [line for ax in figure.axes for line in ax.lines]
-        named = [line for line in dots if hasattr(line, FLIGHT_ROWS)]
+        named = [line for line in dots if hasattr(line, style.FLIGHT_ROWS)]
         sizes = [0 if line.get_rasterized() else int(np.isfinite(line.get_xydata()).all(axis=1).sum()) for line in dots]
         n = sum(sizes)
         if n > MOST_VECTOR_POINTS:
@@ -97,25 +81,21 @@ def inline_figure(draw: Callable[[Figure], None]) -> InlineFigure | None:
         remarks.append(f"Its {n} points are drawn as a picture; axes and text are vectors.")
     if known[0] < known[1]:
         remarks.append(f"The pointer knows {known[0]} of the {known[1]} points, evenly chosen.")
-    return InlineFigure(element, points, " ".join(remarks))
+    return Drawn(row, Markup(element), " ".join(remarks), key, flights, points if points["row"] else None)
 
 
 def _points(figure: Figure, lines: list[Any]) -> tuple[dict[str, str], tuple[int, int]]:
-    """Places and rows of the named points, and how many of them the page holds, of how many."""
+    """Places (in the SVG's units) and rows of the named points, and how many of them the page holds, of how many."""
     places, rows = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     for line in lines:
         places.append(line.get_transform().transform(np.column_stack([line.get_xdata(), line.get_ydata()])))
-        rows.append(getattr(line, FLIGHT_ROWS))
+        rows.append(getattr(line, style.FLIGHT_ROWS))
     place, row = np.concatenate(places) * (72.0 / figure.dpi), np.concatenate(rows)
     seen = np.isfinite(place).all(axis=1)
     place, row = place[seen], row[seen]
-    stride = -(-len(row) // MOST_HOVER_POINTS) if len(row) else 1
-    shown = place[::stride]
-    coded = {
-        "x": packed(shown[:, 0], "<f4"),
-        "y": packed(72.0 * figure.get_figheight() - shown[:, 1], "<f4"),
-        "row": packed(row[::stride], "<i4"),
-    }
+    stride = max(1, -(-len(row) // MOST_HOVER_POINTS))
+    shown, y = place[::stride], 72.0 * figure.get_figheight()
+    coded = {"x": packed(shown[:, 0], "<f4"), "y": packed(y - shown[:, 1], "<f4"), "row": packed(row[::stride], "<i4")}
     return coded, (len(shown), len(row))
 
 
@@ -148,34 +128,23 @@ class Section:
 def section_of(
     shown: Measured, found: VerifyReport, number: int, without_loop: str = "", progress: Progress | None = None
 ) -> Section:
-    """The section of one recording.
+    """The section of one recording, which has the state ``found``; ``number``, from 1, is part of every name in it.
 
-    Parameters
-    ----------
-    shown
-        The recording and what was made of it.
-    found
-        Its state.
-    number
-        Of the section, from 1; part of every name in it.
-    without_loop
-        Why the loop was not closed, in words.
-    progress
-        Called with what is being done and the fraction done.
+    ``without_loop`` says why the loop was not closed; ``progress`` is called with what is done and the fraction done.
     """
     recording, flights, loop = shown.recording, shown.flights, shown.loop
     scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
     simulated = bool(recording.attrs.get("simulated"))
     sentence = headline(loop) if loop is not None else f"The loop was not closed: {without_loop}."
     first, *more = re.split(r"(?<=[^. ]\.) (?=[A-Z])", sentence, maxsplit=1)
-    html = fill(
+    html = page.fill(
         "section.html", number=number, recording=recording, simulated=simulated, closed=loop, scale=scale,
         first_sentence=first, more=" ".join(more),
         drawn=_drawn(shown, number, progress or (lambda what, part: None)),
-        source=source_words(recording.path.name, simulated=simulated),
-        steps=_step_table(shown, scale), rig=rig_rows(recording), calibrations=calibration_rows(recording),
-        notebook=_notebook(recording), file=file_rows(recording, found), term_effect=None, level=4,
-        first={} if loop is None else first_bifurcations(loop, flights),
+        source=page.source_words(recording.path.name, simulated=simulated),
+        steps=_step_table(shown, scale), rig=page.rig_rows(recording), calibrations=page.calibration_rows(recording),
+        notebook=_notebook(recording), file=page.file_rows(recording, found), term_effect=None, level=4,
+        first={} if loop is None else page.first_bifurcations(loop, flights),
         pointed=_flights_behind(shown, number, scale), by_hand=in_words(flights.edges.by_hand),
     )  # fmt: skip
     return Section(recording.path.name, html, _summary(shown, found, scale), sentence)
@@ -183,21 +152,14 @@ def section_of(
 
 def _drawn(shown: Measured, number: int, say: Progress) -> list[Drawn]:
     """Figures of the recording and of its closed loop, as elements."""
-    from markupsafe import Markup
-
     figures = [(figure, partial(figure.draw, shown), "flights") for figure in of_recording.FIGURES]
     if shown.loop is not None:
         figures += [(figure, partial(figure.draw, shown.loop), "loop") for figure in of_loop.FIGURES]
     out = []
     for i, (figure, draw, table) in enumerate(figures):
         say(f"{shown.recording.path.name}: figure of {figure.name}", i / len(figures))
-        made = inline_figure(draw)
-        if made is not None:
-            points = dict(made.points) if made.points["row"] else None
-            out.append(
-                Drawn(figure, Markup(made.svg), made.remark, f"{figure.name}{number}", f"{table}-{number}", points)
-            )
-    return out
+        out.append(inline_figure(figure, draw, f"{figure.name}{number}", f"{table}-{number}"))
+    return [one for one in out if one is not None]
 
 
 def _notebook(recording: Recording) -> dict[str, Any]:
@@ -322,11 +284,11 @@ def write_page(sections: Sequence[Section], path: Path) -> None:
 
     Raises `InputError` when the file cannot be written.
     """
-    text = whole_page(
+    text = page.whole_page(
         "run.html", title=f"Report: {', '.join(one.name for one in sections)}", kind="runs",
         heading=f"Report of {'a run' if len(sections) == 1 else f'{len(sections)} runs'}", sections=sections,
         made=f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M}",
-        software=software_words(software_version(), software_commit()), heads=COMPARED,
+        software=page.software_words(software_version(), software_commit()), heads=COMPARED,
     )  # fmt: skip
     try:
         with whole(path) as part, part.open("w", encoding="utf-8", newline="\n") as file:

@@ -11,7 +11,6 @@ agent that goes too far by mistake, not against a program that writes files on t
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 import re
 import subprocess
@@ -111,12 +110,8 @@ def bench_command(arguments: Sequence[str], folder: Path) -> Answer:
 class Door:
     """The tools of an agent, on one folder of runs; every refusal is an InputError with a sentence.
 
-    Parameters
-    ----------
-    folder
-        The runs' folder; no call reads or writes a file outside it that an agent names, but for what is shipped.
-    command
-        Runs a `bench` command.
+    No call reads or writes a file outside ``folder`` that an agent names, but for what is shipped. ``command`` runs a
+    `bench` command.
     """
 
     def __init__(self, folder: Path, command: Command = bench_command) -> None:
@@ -125,18 +120,6 @@ class Door:
         self.folder, self._command = folder.resolve(), command
 
     TOOLS = ("profiles", "catalogue", "plan", "check", "ramp", "explore", "close_loop")
-
-    def ask(self, tool: str, arguments: dict[str, Any]) -> Answer:
-        """A tool by its name; raises InputError for arguments that it does not have, too."""
-        if tool not in self.TOOLS:
-            raise InputError(f"{tool!r}: no such tool; there are {', '.join(self.TOOLS)}")
-        method = getattr(self, tool)
-        try:
-            bound = inspect.signature(method).bind(**arguments)
-        except TypeError as error:
-            raise InputError(f"{tool}: {error}; it takes {', '.join(inspect.signature(method).parameters)}") from error
-        answer: Answer = method(*bound.args, **bound.kwargs)
-        return answer
 
     def profiles(self) -> Answer:
         """Profiles and scenarios that the other tools take: shipped ones, and those in the runs' folder."""

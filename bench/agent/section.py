@@ -36,8 +36,8 @@ def section(place: Place) -> Section:
                 disarm(place.folder)
             else:
                 arm(place.folder, door.text_of(name), name)
-        except InputError as error:
-            raise HTTPException(422, str(error)) from error
+        except InputError:
+            raise
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise HTTPException(422, "wanted JSON with profile: a name, or null") from error
         return state(request)

@@ -13,42 +13,42 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from bench.gates.state import GATES, Inputs, Message, Result, State, inputs_of, load_state, now, save_state
-from bench.gates.view import scales_of, view_of
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from bench.gates.state import GATES, Inputs, Message, Result, State, inputs_of, now, save_state
+from bench.gates.view import Passed, scales_of, view_of
 from bench.gates.work import KINDS, Job, row_of, work
-from bench.live.pages import Desk
+from bench.live.pages import Desk, desk_of
 from bench.live.processes import asked_of
 from bench.live.watched_run import SILENT_S
-from bench.profiles.edit import value_of, with_values
+from bench.profiles.edit import fields_of, value_of, with_values
 from bench.profiles.find import refuse_forbidden, scenario_names
 from bench.profiles.improved import profile_in, with_preset
 from bench.terminal.run_console import spawned
-from bench.web.browsers import Browser
+from bench.web.browsers import Browser, socket_route
+from bench.web.section import Place, Section, templates_of
 from daq.files.disk import write_whole
 from daq.recording import verify
 from daq.setup.errors import InputError
 from daq.setup.values import read_toml_text
 from rig.profile import Profile, parse_profile
 
+HERE = Path(__file__).parent
 
-class Gates:
-    """The six gates of one rig.
 
-    Parameters
-    ----------
-    folder
-        Of the runs; profiles that the page edits and its state are there.
-    live
-        Shows runs, and starts them.
-    offered
-        A profile's path or name, taken where none was chosen in the folder yet; None leaves the choice to the person.
+class Gates(Passed):
+    """The six gates of one rig: what browsers do, and the jobs and runs that they start; `live` shows the runs.
+
+    ``offered``: a profile's path or name, taken where none was chosen in the folder yet; None leaves the choice to the
+    person.
     """
 
     def __init__(self, folder: Path, live: Desk, offered: str | None) -> None:
-        self.folder, self.live, self._offered = folder, live, offered
-        self.state, self.fault = load_state(folder)  # the fault: why there is no profile, or no state
-        self.profile: Profile | None = None
-        self.job: Message | None = None  # what is being done: gate, kind, words, whether it waits for an answer
+        super().__init__(folder)
+        self.live, self._offered = live, offered
         self._pipe: Any = None
         self._process: Any = None
         self._tried: Inputs = {}  # what the job began with
@@ -56,7 +56,7 @@ class Gates:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Look after jobs and runs while the server runs."""
-        self._read_profile()
+        self.read_profile()
         if self._offered is not None and not self.state.profile:
             lost = self.fault
             try:
@@ -123,47 +123,10 @@ class Gates:
 
     # the profile
 
-    @property
-    def path(self) -> Path:
-        """The profile's file."""
-        return self.folder / self.state.profile
-
-    def profiles(self) -> list[str]:
-        """Names of the profiles in the folder."""
-        return sorted(path.name for path in self.folder.glob("*.toml"))
-
-    @property
-    def rig(self) -> Message:
-        """What a simulated rig hides, and its seed; empty for a device."""
-        if self.profile is None or self.profile.backend.kind != "simulated":
-            return {}
-        return {"scenario": self.state.scenario, "seed": self.state.seed}
-
-    def is_green(self, gate: str) -> bool:
-        """Whether a gate was passed with exactly the present inputs, and so were those before it."""
-        result = self.state.results.get(gate)
-        if result is None or not result.passed or self.profile is None:
-            return False
-        before = GATES[: GATES.index(gate)]
-        if gate == "verdict":
-            ramp = self.state.results.get("ramp")
-            return ramp is not None and result.file == ramp.file and self.is_green("ramp")
-        present = inputs_of(gate, self.profile, self.rig, self.state.device)
-        return result.inputs == present and (not before or self.is_green(before[-1]))
-
     def _keep(self, state: State) -> None:
         """Take over a state, once it is on the disk."""
         save_state(self.folder, state)
         self.state = state
-
-    def _read_profile(self) -> None:
-        if not self.state.profile:
-            return
-        self.profile, self.fault = None, ""
-        try:
-            self.profile = parse_profile(read_toml_text(self.path), self.state.profile)
-        except (InputError, OSError) as error:
-            self.fault = str(error)
 
     def _choose(self, said: Message) -> None:
         """Take a profile of the folder, or make one like a shipped one, a file or a recording's."""
@@ -177,7 +140,7 @@ class Gates:
             raise InputError(f"{name or 'no name'}: no such profile in {self.folder}; choose one of the list")
         undo = self.state.undo if name == self.state.profile else ()
         self._keep(replace(self.state, profile=name, scenario=scenario, seed=seed, undo=undo, queue=(), rounds=()))
-        self._read_profile()
+        self.read_profile()
 
     def _write(self, text: str, undo: tuple[str, ...] | None = None) -> None:
         """Replace the profile by one that is checked; what it was can be had again by undo."""
@@ -186,7 +149,7 @@ class Gates:
         before = read_toml_text(self.path)
         write_whole(self.path, text)
         self._keep(self.state.edited(before) if undo is None else replace(self.state, undo=undo))
-        self._read_profile()
+        self.read_profile()
 
     def _change(self, values: Message) -> None:
         self._write(with_values(read_toml_text(self.path), values, self.state.profile))
@@ -229,7 +192,7 @@ class Gates:
     def _refuse_closed(self, gate: str) -> None:
         """Refuse a gate while something else is under way, or one before it is not green."""
         self._refuse_busy()
-        self._read_profile()  # an editor may have changed the file
+        self.read_profile()  # an editor may have changed the file
         self._known()
         for before in GATES[: GATES.index(gate)]:
             if not self.is_green(before):
@@ -285,7 +248,7 @@ class Gates:
     def _conclude(self, answer: Message) -> None:
         """The outcome of a job becomes the result of its gate."""
         job, self.job = self.job or {}, None
-        self._read_profile()  # a calibration has changed it
+        self.read_profile()  # a calibration has changed it
         gate, state = job["gate"], replace(self.state, device=answer.get("device", self.state.device))
         if self.profile is None:
             self.tell()
@@ -364,7 +327,7 @@ class Gates:
         result = Result(passed, run["inputs"], now(), rows, out.name if is_there else "")
         queue = self.state.queue
         self._keep(replace(self.state.passed("ramp", result), run=None, queue=queue[1:]))
-        self._read_profile()
+        self.read_profile()
         self._repeat(queue, result, ended["how"])
         self.tell()
 
@@ -387,4 +350,22 @@ class Gates:
         if name not in self.profiles():
             raise InputError(f"{name}: no improved profile in {self.folder}; close the loop again")
         self._keep(replace(self.state, profile=name, undo=()))
-        self._read_profile()
+        self.read_profile()
+
+
+def section(place: Place) -> Section:
+    """The page, the profile's keys, and the socket; ``place.options["gates"]["offered"]``: a profile to begin with."""
+    gates = Gates(place.folder, desk_of(place), place.options.get("gates", {}).get("offered"))
+    templates = templates_of(HERE / "templates")
+
+    async def show(request: Request) -> Response:
+        return templates.TemplateResponse(request, "gates.html")
+
+    def fields(request: Request) -> Response:
+        """Every key of the profile, with its value, unit, limits and help."""
+        if not gates.state.profile:
+            raise HTTPException(404, "no profile is chosen")
+        return JSONResponse({"fields": fields_of(read_toml_text(gates.path))})
+
+    routes = [Route("/gates", show), Route("/gates/fields", fields), socket_route("/gates/socket", gates.talk)]
+    return Section("gates", "Start", "/gates", routes, HERE / "static", gates.running)

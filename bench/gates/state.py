@@ -24,16 +24,8 @@ _WIRED = ("terminal", "coupling", "range_v", "serial_number", "sign")  # of a ch
 def inputs_of(gate: str, profile: Profile, rig: Mapping[str, Any], device: Mapping[str, Any]) -> Inputs:
     """What a gate is passed with, by name: its own inputs and those of the gates before it.
 
-    Parameters
-    ----------
-    gate
-        One of `GATES` before ``verdict``, which judges the recording.
-    profile
-        The profile.
-    rig
-        What a simulated rig hides, and its seed; empty for a device.
-    device
-        The card as the first gate found it.
+    ``gate`` is one before ``verdict``, which judges the recording. ``rig`` is what a simulated rig hides, and its seed,
+    empty for a device; ``device`` the card as the first gate found it.
     """
     whole = profile.model_dump(mode="json")
     backend = dict(whole["backend"])

@@ -3,35 +3,67 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
-from typing import Any, Protocol
+from pathlib import Path
 
-from bench.gates.state import GATES, State, changed, inputs_of
+from bench.gates.state import GATES, Message, changed, inputs_of, load_state
 from bench.profiles.find import planned, scenario_names, shipped_names
 from bench.profiles.improved import PRESETS
 from daq.files.json_values import json_object
 from daq.setup.errors import InputError
 from daq.setup.setup import quantities
-from rig.profile import Profile
+from daq.setup.values import read_toml_text
+from rig.profile import Profile, parse_profile
 
-Message = dict[str, Any]
 
+class Passed:
+    """One rig and its gates as they were passed; ``folder`` is that of the runs, with its profiles and the state."""
 
-class Shown(Protocol):
-    """What is shown of `bench.gates.desk.Gates`."""
-
-    state: State
-    profile: Profile | None
-    fault: str
-    job: Message | None
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.state, self.fault = load_state(folder)  # the fault: why there is no profile, or no state
+        self.profile: Profile | None = None
+        self.job: Message | None = None  # what is being done: gate, kind, words, whether it waits for an answer
 
     @property
-    def rig(self) -> Mapping[str, Any]: ...
-    def profiles(self) -> list[str]: ...
-    def is_green(self, gate: str) -> bool: ...
+    def path(self) -> Path:
+        """The profile's file."""
+        return self.folder / self.state.profile
+
+    def read_profile(self) -> None:
+        """Read the profile that was chosen; the fault says why there is none."""
+        if not self.state.profile:
+            return
+        self.profile, self.fault = None, ""
+        try:
+            self.profile = parse_profile(read_toml_text(self.path), self.state.profile)
+        except (InputError, OSError) as error:
+            self.fault = str(error)
+
+    def profiles(self) -> list[str]:
+        """Names of the profiles in the folder."""
+        return sorted(path.name for path in self.folder.glob("*.toml"))
+
+    @property
+    def rig(self) -> Message:
+        """What a simulated rig hides, and its seed; empty for a device."""
+        if self.profile is None or self.profile.backend.kind != "simulated":
+            return {}
+        return {"scenario": self.state.scenario, "seed": self.state.seed}
+
+    def is_green(self, gate: str) -> bool:
+        """Whether a gate was passed with exactly the present inputs, and so were those before it."""
+        result = self.state.results.get(gate)
+        if result is None or not result.passed or self.profile is None:
+            return False
+        before = GATES[: GATES.index(gate)]
+        if gate == "verdict":
+            ramp = self.state.results.get("ramp")
+            return ramp is not None and result.file == ramp.file and self.is_green("ramp")
+        present = inputs_of(gate, self.profile, self.rig, self.state.device)
+        return result.inputs == present and (not before or self.is_green(before[-1]))
 
 
-def view_of(gates: Shown) -> Message:
+def view_of(gates: Passed) -> Message:
     """The message of kind ``gates``."""
     state, profile = gates.state, gates.profile
     chosen: Message = {"profile": state.profile, "scenario": state.scenario, "seed": state.seed, "fault": gates.fault}
@@ -62,7 +94,7 @@ def view_of(gates: Shown) -> Message:
     })  # fmt: skip
 
 
-def _gate(gates: Shown, gate: str) -> Message:
+def _gate(gates: Passed, gate: str) -> Message:
     """One gate: green, open or closed, what was found, and what was changed since."""
     result, before = gates.state.results.get(gate), GATES[: GATES.index(gate)]
     is_open = all(gates.is_green(one) for one in before)

@@ -11,10 +11,16 @@ from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from analysis.explore.choice import Option
+from analysis.explore.stake import Outcome, held_against, staked, steps_of, with_outcome
+from analysis.loop.close_loop import FittedLoop
+from analysis.loop.result import ClosedLoop, is_verdict, load_verdict, save_verdict
+from analysis.residuals.observations import Observations, observations_from
+from analysis.residuals.values import ParameterId
 from bench.jobs.loops.runs_and_files import verdict_file
 from bench.profiles.edit import toml_value, with_values
 from bench.profiles.find import planned, refuse_forbidden
@@ -24,17 +30,9 @@ from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup, Stake, stake_in
+from daq.setup.values import read_toml_text
 from rig.profile import Profile, parse_profile
 from rig.programme.ramp import NextSteps, plan, stop_fade_samples
-
-if TYPE_CHECKING:
-    from analysis.explore.choice import Option
-    from analysis.explore.stake import Outcome
-    from analysis.loop.close_loop import FittedLoop
-    from analysis.loop.result import ClosedLoop
-    from analysis.residuals.observations import Observations
-    from analysis.residuals.values import ParameterId
-
 
 LEAST_STEPS = 2  # held, of a block that is gone on with
 
@@ -115,8 +113,6 @@ def offers(text: str, aims: Aims) -> list[Option]:
 
     Raises `InputError` where the limits allow none.
     """
-    from analysis.explore.choice import Option
-
     profile = parse_profile(text, "profile")
     found = []
     for ratio in aims.ratios:
@@ -190,17 +186,9 @@ def staked_block(
 ) -> Chosen | None:
     """The block that a verdict is staked on, its profile with the prediction; None where none can be.
 
-    Parameters
-    ----------
-    text
-        The profile of the rig.
-    fitted, recordings
-        The fits behind the verdict, and what it is on.
-    options, aims
-        Forcings that may be driven, and how long each step is held.
+    ``text`` is the profile of the rig, ``fitted`` the fits behind the verdict on ``recordings``; ``options`` are the
+    forcings that may be driven, and ``aims`` say how long each step is held.
     """
-    from analysis.explore.stake import staked
-
     written = f"{software_version()} {software_commit()}".strip(), now_utc()
     found = staked(fitted, options, aims.steps, written, recordings)
     if found is None:
@@ -251,8 +239,6 @@ def stake_toml(stake: Stake) -> str:
 
 def read_stake(path: Path) -> tuple[Stake, str]:
     """The stake in a file, and the file's text; raises `InputError` where there is none, or it does not fit."""
-    from daq.setup.values import read_toml_text
-
     text = read_toml_text(path)
     parse_profile(text, str(path))
     stake = stake_in(text, str(path))
@@ -266,16 +252,10 @@ def outcome_of(
 ) -> Outcome:
     """What a later recording says to the stake in the profile ``text``.
 
+    Raises `InputError` where it was begun before the prediction was written, is of another rig, or lacks a staked step.
+
     ``known`` is that of `analysis.residuals.observations.observations_from`.
-
-    Raises
-    ------
-    InputError
-        Where it was begun before the prediction was written, is of another rig, or lacks a staked step.
     """
-    from analysis.explore.stake import held_against, steps_of
-    from analysis.residuals.observations import observations_from
-
     with open_recording(recording) as opened:
         _refuse_earlier(stake, str(opened.attrs.get("started") or ""), recording)
         staked, own = parse_profile(text, "the stake").setup(), opened.setup
@@ -291,9 +271,6 @@ def outcome_of(
 
 def amended(stake: Stake, outcome: Outcome, recording: Path) -> Path | None:
     """The saved verdict that the stake is of, after what came of it was written there; None where there is none."""
-    from analysis.explore.stake import with_outcome
-    from analysis.loop.result import is_verdict, load_verdict, save_verdict
-
     path = verdict_file([Path(name) for name in stake.recordings])
     if not (path.exists() and is_verdict(path)):
         return None

@@ -11,10 +11,22 @@ import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.attribution.candidates import null_value_of, parameter_of, priors_of
+from analysis.attribution.fit import Fitter
+from analysis.attribution.hypothesis import Hypothesis
+from analysis.attribution.selection import StepwiseSelection
+from analysis.explore.choice import Block, Option, Pool, best_block, bistable, limits_of, sharpest
+from analysis.explore.explanations import Weighed, weighed
+from analysis.explore.stake import Outcome, with_outcome
+from analysis.loop.close_loop import FittedLoop, completed, judge_loop
+from analysis.loop.result import ClosedLoop
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.observations import Observations, observations_from
+from analysis.residuals.values import ParameterId
+from analysis.thresholds import FROZEN
 from bench.jobs.blocks import (
     LEAST_STEPS,
     Aims,
@@ -30,19 +42,11 @@ from bench.jobs.blocks import (
     staked_block,
     tells,
 )
+from daq.instrument.stored import refuse_doubtful
 from daq.setup.errors import InputError
 from daq.setup.setup import Stake, stake_in
+from model.effects.registry import resolve
 from rig.profile import parse_profile
-
-if TYPE_CHECKING:
-    from analysis.attribution.hypothesis import Hypothesis
-    from analysis.explore.choice import Block, Option, Pool
-    from analysis.explore.explanations import Weighed
-    from analysis.explore.stake import Outcome
-    from analysis.loop.close_loop import FittedLoop
-    from analysis.loop.result import ClosedLoop
-    from analysis.residuals.observations import Observations
-    from analysis.residuals.values import ParameterId
 
 
 @dataclass(frozen=True)
@@ -71,14 +75,10 @@ def explore(
 
     Raises `InputError` for a profile that cannot be driven, or recordings that cannot be read.
 
-    Parameters
-    ----------
-    text, aims, anyway
-        The profile (TOML), when to stop, and whether to judge recordings that contradict the profile, too.
-    folder
-        For ``block-01.h5`` and on; blocks there are taken as driven, but for one stopped too early to tell anything.
-    drive, ask, say
-        Drives a block; asked before each (None: go on unasked); called with each choice and what came of it.
+    ``text`` is the profile (TOML). ``folder`` is for ``block-01.h5`` and on; blocks there are taken as driven, but for
+    one stopped too early to tell anything. ``drive`` drives a block; ``ask`` is asked before each (None: go on
+    unasked); ``say`` is called with each choice and what came of it. With ``anyway`` recordings that contradict the
+    profile are judged, too.
     """
     offered = functools.cache(lambda hold_cycles: offers(text, replace(aims, hold_cycles=hold_cycles)))
     offered(aims.hold_cycles)  # what cannot be driven is refused before anything is judged
@@ -144,9 +144,6 @@ class _Judged:
 
     def completed(self, last: _HeldStake | None) -> ClosedLoop | None:
         """The closed loop with a discovered term; ``last``, what was staked last, withdraws a verdict if not met."""
-        from analysis.explore.stake import with_outcome
-        from analysis.loop.close_loop import completed
-
         if (loop := self.loop) is None:
             return None
         if last is not None and last.stake.named == loop.selection.names:
@@ -156,16 +153,6 @@ class _Judged:
 
 def _judge(made: Sequence[Path], known: dict[Path, Observations], *, anyway: bool) -> _Judged:
     """The closed loop on all blocks; with fewer steps than a verdict needs, only the best set."""
-    from analysis.attribution.candidates import priors_of
-    from analysis.attribution.fit import Fitter
-    from analysis.attribution.selection import StepwiseSelection
-    from analysis.loop.close_loop import FittedLoop, judge_loop
-    from analysis.residuals.forward_model import ForwardModel
-    from analysis.residuals.observations import observations_from
-    from analysis.thresholds import FROZEN
-    from daq.instrument.stored import refuse_doubtful
-    from model.effects.registry import resolve
-
     if not anyway:
         refuse_doubtful([path for path in made if path not in known])
     observations = observations_from(made, known=known)
@@ -217,9 +204,6 @@ def _next(
     text: str, judged: _Judged | None, blocks: Sequence[Chosen], offered: Callable[[int], Sequence[Option]], aims: Aims
 ) -> tuple[Chosen | None, str]:
     """The next block; or why there is none. ``offered`` gives the options by the cycles for which steps are held."""
-    from analysis.explore.choice import Pool, best_block
-    from analysis.explore.explanations import weighed
-
     aims = _held(aims, None if judged is None else judged.loop)
     options = offered(aims.hold_cycles)
     if judged is None:
@@ -280,8 +264,6 @@ def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:
 
 def _in_words(block: Block, pools: Sequence[Pool], wanted: Sequence[ParameterId]) -> str:
     """Why a block was chosen."""
-    from analysis.explore.choice import bistable
-
     a, b = (" + ".join(names) or "the declared model" for names in block.separates)
     about = f"about {a} or {b}" if block.sharpening < 0.5 else f"about the size of {_in_list(wanted)}"
     words = f"{block.nats:.2g} nats in {block.seconds:.1f} s of rig time, above all {about}"
@@ -297,8 +279,6 @@ def _not_shown(loop: ClosedLoop, aims: Aims, known: Weighed) -> dict[ParameterId
     An effect that is more probable than all else together, and not named yet, is to be shown at its own size, with
     twice the evidence at least that there is now: a verdict asks for more than probability.
     """
-    from analysis.attribution.candidates import null_value_of, parameter_of
-
     limits = {(name.partition(".")[0], name.partition(".")[2]): size for name, size in loop.detection.sizes.items()}
     over = {key: size / (aims.limit * parameter_of(key).scale) for key, size in limits.items()}
     first = known.explanations[0]
@@ -313,9 +293,6 @@ def _can_be_shown(
     hidden: Mapping[ParameterId, float], pools: Sequence[Pool], known: Weighed, left_s: float
 ) -> list[ParameterId]:
     """Of detection limits above what is asked for, those that the rig time left would bring down to it."""
-    from analysis.attribution.candidates import parameter_of
-    from analysis.explore.choice import sharpest
-
     return [
         key
         for key, multiple in hidden.items()
@@ -335,8 +312,6 @@ def _loose(best: Hypothesis, aims: Aims) -> list[ParameterId]:
 
 def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: Sequence[Pool], known: Weighed) -> str:
     """Why no step would make the parameters as sharp as asked for, or an empty text."""
-    from analysis.explore.choice import limits_of
-
     if loop.verdict != "explained" or len(loop.selection.ties) > 1:
         return ""
     for key in _loose(best, aims):

@@ -17,8 +17,7 @@ from analysis.flights.assemble import flights_of
 from analysis.flights.compare import compare, first_bifurcation
 from analysis.flights.table import FlightFlag, write_csv
 from analysis.report.figures import style
-from analysis.report.figures.flights import draw_bifurcations, draw_return_maps
-from analysis.report.figures.measured import Measured
+from analysis.report.figures.flights import Measured, draw_bifurcations, draw_return_maps
 from analysis.report.figures.theory import draw_branches, draw_orbit
 from analysis.report.wording import gamma_scale
 from bench.jobs.run_ramp import record
@@ -209,15 +208,10 @@ def draw_all(shown: Mapping[str, Measured], pictures: Path, seed: int) -> None:
 def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None]) -> dict[str, Numbers]:
     """Make the page ``paper.md`` in ``out``, its pictures and tables in ``paper``, its recordings in ``runs``.
 
-    Parameters
-    ----------
-    text : str
-        Profile of the rig whose runs are shown; ``runs`` already holds those of a rig that is not simulated.
-    out, progress : Path, callable
-    seed : int
-        Of the simulated rigs' noise, and of their instruments.
-
     Raises `InputError` for a run that cannot be made here, and a folder that cannot be written.
+
+    ``text`` is the profile of the rig whose runs are shown; ``runs`` already holds those of a rig that is not
+    simulated. ``seed`` is of the simulated rigs' noise, and of their instruments.
     """
     from jinja2 import Environment, StrictUndefined
 

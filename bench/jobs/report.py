@@ -18,6 +18,9 @@ import numpy as np
 
 from analysis.flights.assemble import Flights, flights_of
 from analysis.flights.compare import Comparison
+from analysis.flights.table import FlightFlag
+from analysis.loop.close_loop import close_loop
+from analysis.loop.result import ClosedLoop, load_verdict
 from bench.jobs.loops.runs_and_files import keep_verdict, verdict_file
 from bench.terminal.console import DEFECTS
 from bench.terminal.progress import progress_bar
@@ -28,7 +31,6 @@ from daq.recording.verify import verify
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
-    from analysis.loop.result import ClosedLoop
     from analysis.report.run_page import Section
 
 
@@ -41,8 +43,7 @@ def report(
 
     Raises `InputError` when a recording cannot be read.
     """
-    from analysis.flights.table import FlightFlag
-    from analysis.report.figures.measured import measured
+    from analysis.report.figures.flights import measured
     from analysis.report.run_page import section_of
 
     sections, answers = [], []
@@ -73,9 +74,6 @@ def _loop(
     recording: Recording, flights: Flights, *, say: Callable[[str], None], bar: Callable[[str, float], None]
 ) -> tuple[ClosedLoop | None, str, str]:
     """The saved answer where it belongs to the recording, else a new one; its source; or why there is none."""
-    from analysis.loop.close_loop import close_loop
-    from analysis.loop.result import load_verdict
-
     saved = verdict_file([recording.path])
     if saved.is_file():
         try:
@@ -186,7 +184,7 @@ def flights_with_progress(opened: Recording, *, quiet: bool) -> Flights:
 
 def draw(opened: Recording, table: Flights, folder: Path, held: Comparison | None = None) -> None:
     """Every picture of a recording, into ``folder``; ``held`` is its comparison with the declared model, if known."""
-    from analysis.report.figures.measured import measured
+    from analysis.report.figures.flights import measured
     from analysis.report.figures.recording import FIGURES
     from analysis.report.figures.style import badge_of, save_picture
 

@@ -158,14 +158,8 @@ def continued(profile: Profile, first: Path | None, step: int | None = None) -> 
 
     Raises `InputError` when ``first`` was driven by another ramp, has nothing left, or there is no such step.
 
-    Parameters
-    ----------
-    profile
-        The whole ramp's, as for the first recording.
-    first
-        The recording that was stopped; None: the whole ramp is left.
-    step
-        Repeat only this step, numbered as `bench plan` does (from 0).
+    ``profile`` is the whole ramp's, as for ``first``, the recording that was stopped (None: the whole ramp is left);
+    ``step``, numbered as `bench plan` does (from 0), is repeated and no other.
     """
     if first is None:
         if step is not None:

@@ -84,17 +84,10 @@ def cut_to(recording: Recording, n_samples: int) -> None:
 
 
 def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[list[ReducedStep], Observations]:
-    """All steps of a run so far, and the observations for its verdict.
+    """All steps of a run so far, and the observations for its verdict; raises `InputError` for too few samples.
 
-    Raises `InputError` where the samples are too few.
-
-    Parameters
-    ----------
-    recording
-        Open: the run's, however long it is yet.
-    played_first
-        By step, the index of its first sample among the played ones, from which phases count; where it is not known,
-        that among the recorded ones.
+    ``recording`` is open: the run's, however long it is yet. ``played_first`` has, by step, the index of its first
+    sample among the played ones, from which phases count; where it is not known, that among the recorded ones does.
     """
     flights = flights_of(recording)
     seen = observed(recording, flights, with_mode=False)
@@ -184,20 +177,10 @@ def predicted(setup: Setup, gammas: tuple[float, ...]) -> Iterator[dict[str, Any
 
 
 def verdict_of(seen: Observations, step: int, look: int, upcoming: tuple[float, ...]) -> dict[str, Any]:
-    """The verdict after a step.
+    """The verdict after a step: ``within`` noise or not, ``headline``, ``candidates``, ``lines``, ``floor_us``.
 
-    Returns a message: ``within`` noise or not, ``headline``, ``candidates`` and ``lines`` in words, ``floor_us``.
-
-    Parameters
-    ----------
-    seen
-        Observations of the steps that are over.
-    step
-        The last one's number, from 0.
-    look
-        The number of this verdict among those of the run, from 1.
-    upcoming
-        Gammas of the steps to come.
+    ``seen`` are the observations of the steps that are over, of which the last is ``step``, from 0; ``look`` is the
+    number of this verdict among those of the run, from 1; ``upcoming`` are the gammas of the steps to come.
     """
     found = judge_so_far(seen, look)
     out: dict[str, Any] = {"kind": "verdict", "step": step, "within": True, "candidates": []}

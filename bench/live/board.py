@@ -84,15 +84,8 @@ class Lane:
 class Board:
     """Shared memory of a run and its page; raises `OSError` where there is no such board, or no room for one.
 
-    Parameters
-    ----------
-    name
-        Of an existing board to attach to; None makes one, which ends with its maker.
-
-    Attributes
-    ----------
-    events, commands : Lane
-        From the run to the page, and from the page to the run.
+    ``name`` is of an existing board to attach to; None makes one, which ends with its maker. The lane ``events`` leads
+    from the run to the page, ``commands`` from the page to the run.
     """
 
     def __init__(self, name: str | None = None) -> None:

@@ -21,14 +21,8 @@ if TYPE_CHECKING:
 class Onlookers:
     """One page for several runs, one after another, and the printed verdicts; a context in which they are driven.
 
-    Parameters
-    ----------
-    folder
-        Of the recordings.
-    page
-        Address and port; None for no page.
-    watch
-        Whether the verdict after each step is printed on standard error.
+    ``folder`` is of the recordings; ``page`` the address and port, None for no page; with ``watch`` the verdict after
+    each step is printed on standard error.
     """
 
     def __init__(self, folder: Path, page: tuple[str, int | None] | None, *, watch: bool = False) -> None:

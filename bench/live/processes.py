@@ -25,7 +25,7 @@ from rig.profile import Profile, parse_profile
 from rig.programme.ramp import NextSteps
 
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section", "bench.agent.section")
-GATES = "bench.gates.section"  # where runs are started from the page
+GATES = "bench.gates.desk"  # where runs are started from the page
 LINGER_S = 3.0  # in which browsers get the last word of a run
 
 

@@ -32,16 +32,9 @@ class WatchedRun:
     """A run that is being watched.
 
     ``tell`` sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may
-    miss.
-
-    Attributes
-    ----------
-    successor
-        Board, profile (path) and reason of the run that follows; None before it was announced.
-    ended
-        How the run ended (``how``, ``why``, ``n_samples``); None while it is under way.
-    out
-        Name of the recording; empty before the run has begun.
+    miss. ``successor`` has board, profile (path) and reason of the run that follows, once it was announced; ``ended``
+    how the run ended (``how``, ``why``, ``n_samples``), None while it is under way; ``out`` the name of the recording,
+    empty before.
     """
 
     def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:

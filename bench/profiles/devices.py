@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from serial.tools.list_ports import comports
+
 from bench.profiles.find import load, shipped_names
 from rig.backends.base import BackendError
 from rig.backends.kinds.soundcard import CardOptions
@@ -19,8 +21,6 @@ def found_devices(profiles: Sequence[str]) -> dict[str, Any]:
     ``profiles``, paths or names, are held against it besides the shipped ones; raises `InputError` where one cannot be
     read.
     """
-    from serial.tools.list_ports import comports
-
     known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *profiles])]
     try:
         there, why = cards(), ""

@@ -122,17 +122,11 @@ def _table(node: Mapping[str, Any], kind: str | None) -> dict[str, Any] | None:
 def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
     """The profile ``text`` with each of ``values`` at its dotted key.
 
-    Raises `InputError` when ``text`` is not TOML, or a key leads through something that is no table.
+    Raises `InputError`, which calls the text ``where``, when it is not TOML, or a key leads through something that is
+    no table.
 
-    Parameters
-    ----------
-    text
-        TOML.
-    values
-        Numbers, strings, dates, lists and tables by dotted key, ``ramp.gamma``; tables that are missing are made. None
-        takes a key away.
-    where
-        Name of the text, for messages.
+    ``values`` are numbers, strings, dates, lists and tables by dotted key, ``ramp.gamma``; tables that are missing are
+    made. None takes a key away.
     """
     try:
         document, wanted = tomlkit.parse(text), tomllib.loads(text)
@@ -170,12 +164,8 @@ def declare(text: str, measured: Iterable[MeasuredValue], on: datetime.date, whe
 def write_into(path: Path, measured: Iterable[MeasuredValue], on: datetime.date) -> None:
     """Put each value at its dotted key in the profile ``path``.
 
-    Raises
-    ------
-    InputError
-        When the file would not be a profile any more; it is left as it was.
-    OSError
-        When it cannot be read or written.
+    Raises `InputError` when the file would not be a profile any more (it is left as it was), `OSError` when it cannot
+    be read or written.
     """
     text = declare(path.read_bytes().decode("utf-8"), measured, on, str(path))
     parse_profile(text, str(path))

@@ -36,14 +36,7 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     Raises `InputError` when the recording holds no profile. Returns what was written, and what was found and is not
     declared, a line each.
 
-    Parameters
-    ----------
-    loop, recording
-        The closed loop and the first of its recordings.
-    path
-        The new file.
-    text
-        The profile by which the loop was closed, where that is not the recording's own.
+    ``recording`` is the first of the loop's; ``text`` is the profile by which it was closed, where that is not its own.
     """
     text = profile_text(recording) if text is None else text
     if not text.strip():

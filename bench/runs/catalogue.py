@@ -28,20 +28,13 @@ VERSION = 4
 
 
 class Catalogue(Closing):
-    """The runs below a folder. Any number of processes and threads may use it at once.
+    """The runs below ``folder``, made absolute. Any number of processes and threads may use it at once.
 
     Raises `InputError` where there is no such folder.
 
-    With ``anew`` it is made from the files: it is empty here, and unchanged for others, until `update` is done.
-
-    Attributes
-    ----------
-    folder
-        Absolute.
-    path
-        Its file; None where the catalogue is only in memory.
-    said
-        What a person should know of that, in a sentence; empty where there is nothing.
+    With ``anew`` it is made from the files: it is empty here, and unchanged for others, until `update` is done. Its
+    file is ``path``, None where it is only in memory; ``said`` is what a person should know of that, in a sentence, or
+    empty.
     """
 
     def __init__(self, folder: Path, *, anew: bool = False) -> None:

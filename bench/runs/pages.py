@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
@@ -129,9 +130,9 @@ class Pages:
         """Rows of the table for the query in the address."""
         catalogue = self.catalogue
         if time.monotonic() - self._updated_s > FRESH_S:
-            _asked(catalogue.update)
+            catalogue.update()
             self._updated_s = time.monotonic()
-        query = _asked(lambda: _query(request))
+        query = _query(request)
         return _json({"said": catalogue.said or None, "runs": catalogue.runs(query), **catalogue.counts()})
 
     def details(self, request: Request) -> Response:
@@ -165,14 +166,14 @@ class Pages:
             width = int(request.query_params["width"])
         except (KeyError, ValueError) as error:
             raise HTTPException(422, "wanted start_s, stop_s and width") from error
-        return _json(_asked(lambda: scope.view(start_s, stop_s, width)))
+        return _json(scope.view(start_s, stop_s, width))
 
     def flights(self, request: Request) -> Response:
         """Steps of a run, with their flights."""
         row = self._row(request)
         if row["ended"] == "damaged" and not row["n_samples"]:
             raise HTTPException(422, row["why"])
-        made = _asked(lambda: self.workshop.flights(row, self.catalogue.file_of(row)))
+        made = self.workshop.flights(row, self.catalogue.file_of(row))
         return _json({"state": "working"} if made is None else {"state": "ready", "steps": made["steps"]})
 
     def events(self, request: Request) -> Response:
@@ -182,8 +183,8 @@ class Pages:
             stretch = sorted(float(given[key]) for key in ("from_s", "to_s"))
         except (KeyError, ValueError) as error:
             raise HTTPException(422, "expected from_s and to_s") from error
-        file = _asked(lambda: self.catalogue.file_of(row))
-        made = _asked(lambda: self.workshop.flights(row, file))
+        file = self.catalogue.file_of(row)
+        made = self.workshop.flights(row, file)
         if made is None:
             return _json({"state": "working"})
         first, end = (int(i) for i in np.searchsorted(made["events"]["shown_s"], stretch))
@@ -197,8 +198,8 @@ class Pages:
         loop = next(iter(self.catalogue.loops(row["identity"])), None)
         if loop is None:
             raise HTTPException(404, "no closed loop of this run is saved; bench close-loop RECORDING makes one")
-        files = _asked(lambda: (self.catalogue.file_of(row), self.catalogue.file_of(loop)))
-        found = _asked(lambda: self.workshop.evidence(row, *files))
+        files = self.catalogue.file_of(row), self.catalogue.file_of(loop)
+        found = self.workshop.evidence(row, *files)
         if found is None:
             return _json({"state": "working"})
         if "step" not in request.query_params:
@@ -213,8 +214,6 @@ class Pages:
 
     async def remark(self, request: Request) -> Response:
         """Tags added or taken away, a note added; or an event changed by hand (`bench.runs.scope.change_of`)."""
-        from starlette.concurrency import run_in_threadpool
-
         row, body = self._row(request), await request.body()
         try:
             answer = json.loads(body)
@@ -234,7 +233,7 @@ class Pages:
         return change_of(answer, scope.recorded_s)
 
     def _changed(self, row: Row, change: Change) -> Response:
-        changed = _asked(lambda: self.catalogue.change_remarks(row, change))
+        changed = self.catalogue.change_remarks(row, change)
         notes = [asdict(note) for note in self.catalogue.notebook(row)]
         return _json({"tags": list(changed.tags), "notes": notes, "said": in_words(changed.events)})
 
@@ -243,7 +242,7 @@ class Pages:
         id = request.path_params["id"]
         row = self.catalogue.run(id) if ID.fullmatch(id) else None
         if row is None and ID.fullmatch(id):  # perhaps recorded since the table was last brought up to date
-            _asked(self.catalogue.update)
+            self.catalogue.update()
             row = self.catalogue.run(id)
         if row is None:
             raise HTTPException(404, "no such run")
@@ -258,18 +257,17 @@ class Pages:
 
     def _scope(self, row: Row) -> Scope | None:
         """The scope of a run; None while its extremes are being made."""
-        file = _asked(lambda: self.catalogue.file_of(row))
+        file = self.catalogue.file_of(row)
         scope = self._scopes.get(row["id"])
         if scope is not None and scope.is_current():
             return scope
-        path = _asked(lambda: self.workshop.pyramid(row, file))
+        path = self.workshop.pyramid(row, file)
         if path is None:
             return None
         if scope is not None:
             scope.close()
-        made: Scope = _asked(lambda: Scope(path, file))
-        self._scopes[row["id"]] = made
-        return made
+        self._scopes[row["id"]] = Scope(path, file)
+        return self._scopes[row["id"]]
 
 
 def _remark(answer: Any) -> Change:
@@ -299,14 +297,6 @@ def _query(request: Request) -> Query:
         until=given.get("until", ""), text=given.get("text", ""), lost=given.get("lost") == "1",
         sort=given.get("sort", "-date"), limit=limit,
     )  # fmt: skip
-
-
-def _asked(job: Callable[[], Any]) -> Any:
-    """The result of a job; a refusal becomes an answer to the browser, with its reason."""
-    try:
-        return job()
-    except (InputError, OSError) as error:
-        raise HTTPException(422, str(error)) from error
 
 
 def _json(answer: Any) -> Response:

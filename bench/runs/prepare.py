@@ -22,6 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from analysis.flights.assemble import flights_of
+from analysis.flights.classify import classify
+from analysis.flights.table import FlightFlag
 from analysis.loop.result import ClosedLoop, load_verdict
 from analysis.loop.verdict import VERDICTS, short_verdict
 from analysis.statistics import Z95
@@ -85,14 +88,8 @@ def evidence(loop: ClosedLoop, identity: str, gaps: Integers, rate_hz: float) ->
 
     Raises `InputError` where the loop is of other recordings.
 
-    Parameters
-    ----------
-    loop
-        As it was saved.
-    identity
-        Of the recording (`daq.recording.header.stored_id`).
-    gaps, rate_hz
-        Of the recording; times are also given as its scope counts them.
+    ``identity`` (`daq.recording.header.stored_id`), ``gaps`` and ``rate_hz`` are of the recording; times are also given
+    as its scope counts them.
     """
     own = [i for i, source in enumerate(loop.sources) if source.identity == identity]
     if not own or not identity:
@@ -160,14 +157,8 @@ FLIGHTS_VERSION = 4
 def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Path:
     """Make the pyramid of a recording, where there is none yet, and give its place.
 
-    Parameters
-    ----------
-    recording
-        Its file.
-    by_identity
-        Place under the recording's identity; None where it has none.
-    by_file
-        Place under the file's size and time of change, for a recording that is not whole.
+    That is ``by_identity``, under the recording's identity (None where it has none), or ``by_file``, under the file's
+    size and time of change, for a recording that is not whole.
     """
     with open_recording(recording) as opened:
         target = by_file if by_identity is None or opened.is_less or opened.damage else by_identity
@@ -181,10 +172,6 @@ def make_flights(recording: Path, target: Path, changes: tuple[EventChange, ...]
 
     There is no file where the recording's ``changes`` by hand became others before the flights were found.
     """
-    from analysis.flights.assemble import flights_of
-    from analysis.flights.classify import classify
-    from analysis.flights.table import FlightFlag
-
     with open_recording(recording) as opened:
         flights, steps, rate_hz, gaps = flights_of(opened), opened.steps, opened.rate_hz, opened.gaps
         events = events_of(flights, gaps, opened.n_samples / rate_hz)
@@ -217,8 +204,6 @@ def make_flights(recording: Path, target: Path, changes: tuple[EventChange, ...]
 
 def make_evidence(recording: Path, loop: Path, target: Path) -> Path:
     """What a saved closed loop says of a recording, flight by flight, as JSON in the file ``target``."""
-    from analysis.loop.result import load_verdict
-
     with open_recording(recording) as opened:
         found = evidence(load_verdict(loop), stored_id(opened), opened.gaps, opened.rate_hz)
     write_whole(target, json.dumps(json_values(found)))

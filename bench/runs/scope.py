@@ -11,10 +11,12 @@ import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from analysis.flights.events_corrected import given_by_hand
+from analysis.flights.table import FlightFlag, Flights
 from daq.pyramid import Pyramid
 from daq.recording import Recording, open_recording
 from daq.recording.notebook import Remarks, made_now, with_event
@@ -22,9 +24,6 @@ from daq.recording.opening import open_quickly
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Floats, Integers
-
-if TYPE_CHECKING:
-    from analysis.flights.table import Flights
 
 
 def on_scope(time_s: Floats, gaps: Integers, rate_hz: float) -> Floats:
@@ -43,9 +42,6 @@ def on_recording(shown_s: float, gaps: Integers, rate_hz: float) -> float:
 
 def events_of(flights: Flights, gaps: Integers, length_s: float) -> dict[str, list[Any]]:
     """Columns kind, at_s, shown_s and by_hand of all events in order; an impact within a flight is one event."""
-    from analysis.flights.events_corrected import given_by_hand
-    from analysis.flights.table import FlightFlag
-
     rate_hz, heard = flights.plate.rate_hz, flights.has(FlightFlag.ACCELEROMETER)
     pause = np.append(flights.takeoff_s[1:], np.inf) - flights.landing_s
     impact = heard & np.append(heard[1:], False) & (pause * rate_hz < 1.0)

@@ -9,16 +9,8 @@ from collections.abc import Callable, Sequence
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import short_verdict
-from analysis.report.wording import (
-    discovered_in_words,
-    microseconds,
-    moved_calibrations,
-    others_in_words,
-    plus_minus,
-    rejected_in_words,
-    verdict_line,
-    why_this_verdict,
-)
+from analysis.report import wording
+from analysis.report.wording import microseconds, plus_minus
 from daq.setup.errors import InputError
 from model.effects.registry import unit_of
 
@@ -29,15 +21,15 @@ def show(loop: ClosedLoop) -> None:
     from rich.table import Table
 
     out = Console(highlight=False)
-    out.print(f"\nverdict: {verdict_line(loop)}", style="bold", soft_wrap=True)
-    for line in why_this_verdict(loop):
+    out.print(f"\nverdict: {wording.verdict_line(loop)}", style="bold", soft_wrap=True)
+    for line in wording.why_this_verdict(loop):
         out.print(f"  {line}", soft_wrap=True)
     if loop.discovered is not None:
-        for line in discovered_in_words(loop.discovered):
+        for line in wording.discovered_in_words(loop.discovered):
             out.print(f"  {line}", soft_wrap=True, markup=False)
     if loop.selection.rejected is not None:
-        out.print(f"  {rejected_in_words(loop)}", soft_wrap=True)
-    others = others_in_words(loop)
+        out.print(f"  {wording.rejected_in_words(loop)}", soft_wrap=True)
+    others = wording.others_in_words(loop)
     if others:
         out.print(f"  the data cannot tell this from: {'; '.join(others)}", soft_wrap=True)
     b, a = loop.errors.before, loop.errors.after
@@ -50,7 +42,7 @@ def show(loop: ClosedLoop) -> None:
         table.add_row(name, microseconds(before), microseconds(after), floor)
     table.add_row("flight time (%)", f"{100 * b.flight_time_relative:.3f}", f"{100 * a.flight_time_relative:.3f}", "")
     out.print(table)
-    for line in (*loop.selection.rounds, *moved_calibrations(loop), *loop.notes):
+    for line in (*loop.selection.rounds, *wording.moved_calibrations(loop), *loop.notes):
         out.print(f"  {line}", soft_wrap=True)
 
 

@@ -53,18 +53,18 @@ def make_app(access: Access, sections: Sequence[Section]) -> Starlette:
     templates = templates_of(FRAME)
 
     async def refusal(request: Request, error: Exception) -> Response:
-        """A page, or JSON where a script asked."""
-        if not isinstance(error, HTTPException):
-            raise error
-        status = error.status_code
+        """A page, or JSON where a script asked; a refusal of a job or of the disk is 422, with its reason."""
+        if not isinstance(request, Request):
+            raise error  # of a websocket
+        status, detail = (error.status_code, error.detail) if isinstance(error, HTTPException) else (422, str(error))
         if "text/html" not in request.headers.get("accept", ""):
-            return JSONResponse({"error": error.detail}, status)
-        return templates.TemplateResponse(request, "error.html", {"status": status, "detail": error.detail}, status)
+            return JSONResponse({"error": detail}, status)
+        return templates.TemplateResponse(request, "error.html", {"status": status, "detail": detail}, status)
 
     app = Starlette(
         routes=[Route("/", first), *folders, *(route for section in sections for route in section.routes)],
         middleware=[Middleware(Guard, access=access)],
-        exception_handlers={HTTPException: refusal},
+        exception_handlers=dict.fromkeys((HTTPException, InputError, OSError), refusal),
         lifespan=running,
     )
     app.state.sections = tuple(sections)
@@ -75,18 +75,10 @@ PORT = 8625
 
 
 def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None) -> tuple[socket.socket, Access]:
-    """A listening socket and the access that goes with it; a token is made where one is needed.
+    """A listening socket and the access that goes with it; raises `InputError` when the address cannot be bound.
 
-    Raises `InputError` when the address cannot be bound.
-
-    Parameters
-    ----------
-    host
-        Address to listen at.
-    port
-        None takes the first free one from `PORT` on; 0 any.
-    token
-        For browsers of other machines; None makes one where ``host`` is not the own machine's.
+    Port None takes the first free one from `PORT` on, 0 any. ``token`` is for browsers of other machines; None makes
+    one where ``host`` is not the own machine's.
     """
     # another server of a second run may have the first ports
     ports = [port] if port is not None else range(PORT, PORT + 20)
@@ -165,19 +157,10 @@ Greet = Callable[[Browser], Awaitable[None]]
 
 
 class Watchers:
-    """The second server, while it is open.
+    """The second server, while it is open; ``url`` is the link with its token, empty while it is closed.
 
-    Parameters
-    ----------
-    hub, greet
-        Browsers of the page, and what each gets when it opens the page.
-    show, static
-        The page that watchers see, and the folder of its files, served under ``/static/live/``.
-
-    Attributes
-    ----------
-    url
-        The link with its token; empty while it is closed.
+    Watchers are browsers of ``hub``; each gets what ``greet`` sends. They see the page ``show``, whose files, in the
+    folder ``static``, are served under ``/static/live/``.
     """
 
     def __init__(self, hub: Hub, greet: Greet, show: Callable[[Request], Awaitable[Response]], static: Path) -> None:

@@ -5,15 +5,16 @@ The model lies under the measurement and uses the plate's motion as measured; fl
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.flights.compare import Comparison, ball_on
+from analysis.flights.compare import Comparison, ball_on, compare
 from analysis.flights.table import FlightFlag, Flights
+from analysis.loop.result import ClosedLoop
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
-from analysis.report.figures.measured import Measured
 from analysis.report.figures.theory import draw_unstable, draw_zones, zones_over
 from analysis.report.wording import gamma_scale
 from analysis.residuals.held import held_steps
@@ -27,7 +28,24 @@ from model.surveys.diagram import diagram
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from analysis.loop.result import ClosedLoop
+
+@dataclass(frozen=True)
+class Measured:
+    """An open recording and what was made of it."""
+
+    recording: Recording  # open
+    flights: Flights
+    compared: Comparison | None = None  # with the model; None where no flight was seen
+    loop: ClosedLoop | None = None  # None where the loop was not closed
+
+
+def measured(
+    recording: Recording, flights: Flights, compared: Comparison | None = None, loop: ClosedLoop | None = None
+) -> Measured:
+    """A recording with its flights, compared with the declared model unless ``compared`` is given."""
+    if compared is None and len(flights):
+        compared = compare(flights, recording.setup, steps_table=recording.steps)
+    return Measured(recording, flights, compared, loop)
 
 
 def draw_bifurcations(shown: Measured, figure: Figure) -> None:
@@ -221,8 +239,15 @@ def draw_history(measured: Measured, figure: Figure) -> None:
     figure.set_size_inches(8.0, 3.8)
     ax = figure.subplots()
     scale = gamma_scale(recording.setup.forcing, flights.plate.ratio)
-    if measured.compared is not None:
-        _draw_levels(ax, recording, measured.compared)
+    label = "model's cycle"
+    for own in () if measured.compared is None else measured.compared.steps:
+        levels = np.unique(own.predicted_s)
+        # more than twelve flight times of a cycle would fill the history with lines
+        if own.periodic and 0 < len(levels) <= 12:
+            row = recording.steps[own.step]
+            ends = (row["first_sample"] + np.array([row["settle_samples"], row["n_samples"]])) / recording.rate_hz
+            ax.hlines(1e3 * levels, *ends, color=style.MODEL, lw=2.6, alpha=0.8, zorder=0, label=label)
+            label = "_nolegend_"
     settling = shown & flights.has(FlightFlag.SETTLING)
     doubtful = shown & ~settling & flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
     for rows, mark, size, colour, words in (
@@ -240,20 +265,6 @@ def draw_history(measured: Measured, figure: Figure) -> None:
     ax.set_ylim(0.0, 1.08 * float(1e3 * flights.duration_s[shown].max()))
     _name_steps(ax, recording, flights, scale.factor, scale.symbol)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=8, frameon=False, ncols=4)  # over no flight
-
-
-def _draw_levels(ax: Any, recording: Recording, compared: Comparison) -> None:
-    """The predicted flight times of each step that has a cycle, over its hold."""
-    label: str | None = "model's cycle"
-    for own in compared.steps:
-        levels = np.unique(own.predicted_s)
-        # more than twelve flight times of a cycle would fill the history with lines
-        if not own.periodic or not 0 < len(levels) <= 12:
-            continue
-        row = recording.steps[own.step]
-        ends = (row["first_sample"] + np.array([row["settle_samples"], row["n_samples"]])) / recording.rate_hz
-        ax.hlines(1e3 * levels, *ends, color=style.MODEL, lw=2.6, alpha=0.8, zorder=0, label=label)
-        label = None
 
 
 def _name_steps(ax: Any, recording: Recording, flights: Flights, factor: float, symbol: str) -> None:

@@ -8,31 +8,20 @@ a line connects the medians of bins.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from analysis.loop.result import ClosedLoop, Predictions
-from analysis.report.figures.style import (
-    AFTER,
-    BAND,
-    BEFORE,
-    ERROR_BAR,
-    FLOOR,
-    IMPROVED,
-    NEUTRAL,
-    PLATE,
-    Figure,
-    clipped_dots,
-    plain_decades,
-)
+from analysis.report.figures import style
+from analysis.report.figures.style import AFTER, BEFORE, FLOOR, Figure
 from analysis.report.narrative import gains
 from analysis.report.wording import gamma_scale, plain
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_data.plate_observables import GAIN, KINDS, PHASE
 from analysis.statistics import mad_sigma
-from kernels.arrays import Bools, Floats, Integers
+from kernels.arrays import Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
@@ -42,7 +31,14 @@ LANDINGS = (
     "gamma", "flight_s", "height_m", "takeoff_phase_rad", "launch_mps", "plate_speed_at_takeoff_mps",
     "impact_mps", "previous_flight_s", "time_in_run_s",
 )  # fmt: skip
-TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
+TAKEOFFS = (
+    "gamma",
+    "dwell_s",
+    "previous_impact_mps",
+    "takeoff_phase_rad",
+    "previous_flight_s",
+    "time_in_run_s",
+)
 COLUMNS = 3  # of panels
 PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
 
@@ -54,36 +50,22 @@ def sides(loop: ClosedLoop) -> list[tuple[str, Predictions, str]]:
     return [("before", loop.flights.before, BEFORE), ("after", loop.flights.after, AFTER)]
 
 
-def draw_landings(loop: ClosedLoop, figure: Canvas) -> None:
-    """Landing residuals, before and after, against nine covariates."""
-    rows, floor = loop.flights.scored, loop.errors.landing_floor_us
-    _draw(loop, figure, "landing", LANDINGS, rows, lambda p: p.landing_residual_s, floor)
+def draw_residuals(event: str, loop: ClosedLoop, figure: Canvas) -> None:
+    """Residuals of landings or take-offs, before and after, against covariates; nothing where none was seen.
 
-
-def draw_takeoffs(loop: ClosedLoop, figure: Canvas) -> None:
-    """Take-off residuals, before and after, against six covariates; nothing where no take-off was seen."""
-    rows, floor = loop.flights.from_rest, loop.errors.takeoff_floor_us
-    _draw(loop, figure, "take-off", TAKEOFFS, rows, lambda p: p.takeoff_residual_s, floor)
-
-
-def _draw(
-    loop: ClosedLoop,
-    figure: Canvas,
-    event: str,
-    against: tuple[str, ...],
-    rows: Bools,
-    residual_of: Callable[[Predictions], Floats],
-    floor_us: float,
-) -> None:
-    """Blocks of three covariates: the row of residuals before over the row after (one where nothing was added)."""
-    x = loop.flights.covariates
+    Blocks of three covariates: the row of residuals before over the row after (one where nothing was added).
+    """
+    x, flights, landing = loop.flights.covariates, loop.flights, event == "landing"
+    against: tuple[str, ...] = LANDINGS if landing else TAKEOFFS
+    rows = flights.scored if landing else flights.from_rest
+    floor_us = loop.errors.landing_floor_us if landing else loop.errors.takeoff_floor_us
     shown = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     if rows.any():
         # a covariate that spreads by less than 1e-6 of itself counts as constant
         against = tuple(c for c in against if np.nanstd(x[c][rows]) > 1e-6 * np.nanmax(np.abs(x[c][rows]), initial=0.0))
     if not rows.any() or not against:
         return
-    shown_sides = sides(loop)
+    shown_sides, residual = sides(loop), f"{event.replace('-', '')}_residual_s"
     blocks = -(-len(against) // COLUMNS)
     figure.set_size_inches(9.6, 1.75 * blocks * len(shown_sides) + 0.9)
     axes = figure.subplots(blocks * len(shown_sides), COLUMNS, sharey="row", squeeze=False)
@@ -92,7 +74,7 @@ def _draw(
         values = (shown.factor if covariate == "gamma" else about.scale) * x[covariate][rows]
         column = axes[len(shown_sides) * (i // COLUMNS) : len(shown_sides) * (i // COLUMNS + 1), i % COLUMNS]
         for ax, (side, predicted, colour) in zip(column, shown_sides, strict=True):
-            _panel(ax, values, 1e6 * residual_of(predicted)[rows], np.flatnonzero(rows), colour, floor_us)
+            _panel(ax, values, 1e6 * getattr(predicted, residual)[rows], np.flatnonzero(rows), colour, floor_us)
             if i % COLUMNS == 0:
                 ax.set_ylabel(f"{side}, µs", color=colour)
         for ax in column[:-1]:
@@ -118,7 +100,7 @@ def _panel(ax: Any, x: Floats, residual_us: Floats, flights: Integers, colour: s
     limit = 1.15 * max(float(np.percentile(np.abs(y), 95.0)), 4.0 * floor, 1e-3)
     ax.axhspan(-floor, floor, color=FLOOR, alpha=0.35, lw=0)
     ax.axhline(0.0, color=FLOOR, lw=0.6)
-    beyond = clipped_dots(ax, x, y, limit, flights[known], color=colour)
+    beyond = style.clipped_dots(ax, x, y, limit, flights[known], color=colour)
     if beyond:
         place = {"xycoords": "axes fraction", "ha": "right", "bbox": PAPER}
         ax.annotate(f"{beyond} beyond", (0.98, 0.04), fontsize=6.5, color=colour, **place)
@@ -158,21 +140,15 @@ def draw_plate_residuals(loop: ClosedLoop, figure: Canvas) -> None:
         ax.set(xlabel=scale.symbol, ylabel=quantity)
         if not rows.any():
             ax.text(0.5, 0.5, "the drive's scale is not known", ha="center", transform=ax.transAxes, fontsize=8)
-    _plate_in_sigmas(axes[2], loop, [(residual, colour) for residual, colour, *_ in models])
     axes[0].legend(frameon=False, fontsize=8)
-
-
-def _plate_in_sigmas(ax: Any, loop: ClosedLoop, models: list[tuple[Floats, str]]) -> None:
-    """Every plate datum in standard deviations, one row for each kind."""
-    data = loop.plate
-    present = [k for k in range(len(KINDS)) if np.any(data.kind == k)]
-    for residual, colour in models:
+    ax, present = axes[2], [k for k in range(len(KINDS)) if np.any(data.kind == k)]  # a row for each kind
+    for residual, colour, *_ in models:
         for at, kind in enumerate(present):
             z = (residual / data.sigma)[data.kind == kind]
             height = at if len(models) == 1 else at + (0.16 if colour == AFTER else -0.16)
             ax.plot(z, np.full(len(z), height), "|", ms=7, color=colour)
     ax.axvspan(-2.0, 2.0, color=FLOOR, alpha=0.35, lw=0)
-    largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, _ in models)
+    largest = max(float(np.max(np.abs(residual / data.sigma))) for residual, *_ in models)
     ax.set_xscale("symlog", linthresh=4.0)
     ticks = [t for t in (-1000, -100, -10, -2, 0, 2, 10, 100, 1000) if abs(t) <= max(largest, 2.0)]
     ax.set_xticks(ticks, [str(t).replace("-", "−") for t in ticks])
@@ -198,7 +174,7 @@ def draw_errors(loop: ClosedLoop, figure: Canvas) -> None:
         ax.semilogy(
             gamma[held], error[held], "D", ms=size, mfc="none", mew=1.5, color=colour, label=f"{name}, held out"
         )
-    plain_decades(ax.yaxis)
+    style.plain_decades(ax.yaxis)
     ax.set_xlabel(shown.label)
     ax.set_ylabel("landing error (robust), µs")
     ax.legend(frameon=False, fontsize=8, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
@@ -229,20 +205,13 @@ def draw_candidates(loop: ClosedLoop, figure: Canvas) -> None:
     for which, colour, hatch, label in (
         (accepted, AFTER, "", "added"),
         (refused & ~accepted, "white", "////", "best rejected"),
-        (~accepted & ~refused, NEUTRAL, "", "others"),
+        (~accepted & ~refused, style.NEUTRAL, "", "others"),
     ):
         if which.any():
             ax.barh(
-                at[which],
-                gain[which],
-                xerr=error[which],
-                color=colour,
-                ecolor=ERROR_BAR,
-                capsize=2,
-                hatch=hatch,
-                edgecolor=AFTER if hatch else "none",
-                label=label,
-            )
+                at[which], gain[which], xerr=error[which], color=colour, ecolor=style.ERROR_BAR, capsize=2,
+                hatch=hatch, edgecolor=AFTER if hatch else "none", label=label,
+            )  # fmt: skip
     for place, (_, (g, e)) in zip(at, rows, strict=True):
         if not g > 0.0:
             ax.annotate("none", (e, float(place)), (6, 0), textcoords="offset points", va="center", fontsize=7)
@@ -252,7 +221,7 @@ def draw_candidates(loop: ClosedLoop, figure: Canvas) -> None:
     ax.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0, ncols=4)
     ax.set_yticks(at, [name for name, _ in rows])
     ax.set_xscale("symlog", linthresh=10.0)
-    plain_decades(ax.xaxis)
+    style.plain_decades(ax.xaxis)
     ax.set_xlim(left=0.0)
     ax.set_xlabel("gain on held-out steps of one effect added, nats")
 
@@ -265,30 +234,22 @@ def draw_discovery(loop: ClosedLoop, figure: Canvas) -> None:
     figure.set_size_inches(6.4, 3.8)
     ax = figure.subplots()
     x = found.covariate.scale * found.curve.knots
-    ax.fill_between(x, found.curve.low, found.curve.high, color=BAND, lw=0, label="95 % band")
+    ax.fill_between(x, found.curve.low, found.curve.high, color=style.BAND, lw=0, label="95 % band")
     ax.plot(x, found.curve.values, "-", lw=1.8, color=AFTER, label="estimate")
     if found.form is not None:
-        ax.plot(x, found.form.at(found.curve.knots), "--", lw=1.2, color=IMPROVED, label=f"formula: {found.form.name}")
+        ax.plot(
+            x, found.form.at(found.curve.knots), "--", lw=1.2, color=style.IMPROVED, label=f"formula: {found.form.name}"
+        )
     inside = found.covariate.scale * found.seen
     inside = inside[(inside >= x[0]) & (inside <= x[-1])]
     ax.plot(
-        inside,
-        np.full(len(inside), 0.015),
-        "|",
-        ms=7,
-        color=PLATE,
-        alpha=0.5,
-        transform=ax.get_xaxis_transform(),
-        label="flights (how far they go)",
-    )
-    ax.set_xlabel(
-        f"{found.covariate.words}, {found.covariate.unit}"
-        if found.covariate.unit not in ("", "1")
-        else found.covariate.words
-    )
+        inside, np.full(len(inside), 0.015), "|", ms=7, color=style.PLATE, alpha=0.5,
+        transform=ax.get_xaxis_transform(), label="flights (how far they go)",
+    )  # fmt: skip
     name = "force on the ball (positive: up)" if found.term == "force" else found.term
-    unit = found.curve.unit.replace("^2", "\u00b2")
-    ax.set_ylabel(f"{name}, {unit}" if unit not in ("", "1") else name)
+    about = ((found.covariate.words, found.covariate.unit), (name, found.curve.unit.replace("^2", "\u00b2")))
+    x_label, y_label = (f"{what}, {unit}" if unit not in ("", "1") else what for what, unit in about)
+    ax.set(xlabel=x_label, ylabel=y_label)
     ax.set_title("\n".join(textwrap.wrap(found.description.replace("^2", "\u00b2"), 72)), fontsize=9, loc="left")
     ax.legend(frameon=False, fontsize=8)
 
@@ -308,11 +269,11 @@ FIGURES = (
         "What was discovered beyond the named effects, with its 95 % band.",
     ),
     Figure(
-        "residuals", draw_landings, "residuals",
+        "residuals", partial(draw_residuals, "landing"), "residuals",
         "Landings: measured minus predicted, against what might cause them.",
     ),
     Figure(
-        "takeoffs", draw_takeoffs, "residuals",
+        "takeoffs", partial(draw_residuals, "take-off"), "residuals",
         "Take-offs: measured minus predicted, against what might cause them.",
     ),
     Figure(

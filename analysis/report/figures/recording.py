@@ -13,8 +13,13 @@ import numpy as np
 
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
-from analysis.report.figures.flights import draw_bifurcations, draw_history, draw_return_maps, draw_trajectory
-from analysis.report.figures.measured import Measured
+from analysis.report.figures.flights import (
+    Measured,
+    draw_bifurcations,
+    draw_history,
+    draw_return_maps,
+    draw_trajectory,
+)
 from analysis.report.figures.style import Figure
 from analysis.report.wording import gamma_scale
 from daq.recording import Recording

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -52,8 +51,7 @@ def write_pictures(found: JointVerdict, folder: Path, *, simulated: bool) -> Pat
     return folder / "runs.png"
 
 
-@dataclass(frozen=True)
-class ChosenSteps:
+class ChosenSteps(NamedTuple):
     """A block of steps: c, gammas in the order of the run, rig time, and the reason in words."""
 
     ratio: int

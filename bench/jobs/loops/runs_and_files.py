@@ -22,12 +22,16 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.loop.close_loop import FittedLoop, fit_loop
-from analysis.loop.result import ClosedLoop
+from analysis.loop.close_loop import FittedLoop, close_loop, fit_loop
+from analysis.loop.result import ClosedLoop, is_verdict, save_verdict
 from analysis.loop.term_effect import TermEffect, check_new, effect_source
 from bench.outputs import PYTHON, File, check_outputs
-from bench.terminal.console import EXIT_USAGE, warn
+from bench.profiles.find import load_measuring
+from bench.profiles.improved import possible_runs, profile_of, profile_text, write_improved
+from bench.terminal.console import EXIT_USAGE, speaker, warn, write_json
+from bench.terminal.progress import progress_bar
 from daq.files.disk import Journal, write_whole
+from daq.instrument.stored import refuse_doubtful
 from daq.recording import open_recording
 from daq.recording.opening import same_modules
 from daq.setup.errors import InputError
@@ -52,8 +56,6 @@ def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
     Returns why it could not be saved, in a sentence; empty where it is saved. A folder that cannot be written, as of an
     archive, or a file of that name that is no closed loop, costs no verdict.
     """
-    from analysis.loop.result import is_verdict, save_verdict
-
     path = verdict_file(recordings)
     try:
         if path.exists() and not is_verdict(path):
@@ -142,25 +144,8 @@ def keep_term(
 
     Raises `InputError` where there is no term that can become an effect.
 
-    Parameters
-    ----------
-    loop
-        A closed loop with a discovered term.
-    path
-        The effect's file.
-    recordings, profile
-        As the loop was closed with.
-    improved
-        Improved profile of the loop with the effect; None: none is written.
-    quiet
-        Whether no progress is shown.
-
-    Returns
-    -------
-    TermEffect
-        What became of it.
-    list of str
-        Lines about the improved profile.
+    ``recordings`` and ``profile`` are as the loop was closed with; ``improved`` is where the improved profile of the
+    loop with the effect goes, if anywhere. Returns what became of the term, and lines about the improved profile.
     """
     write_whole(path, effect_source(loop, path.stem))
     # the library is read, and its kernels are compiled, once in a process: the new effect needs another
@@ -174,11 +159,7 @@ def _close_again(
     recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
 ) -> tuple[tuple[Any, ...], list[str]]:
     """The second loop as `TermEffect` holds it, by the library as it is now; lines about the improved profile."""
-    from analysis.loop.close_loop import close_loop
     from analysis.report.wording import verdict_line
-    from bench.profiles.find import load_measuring
-    from bench.profiles.improved import write_improved
-    from bench.terminal.progress import progress_bar
 
     setup, text = (None, None) if profile is None else load_measuring(profile)
     with progress_bar(quiet) as bar:
@@ -211,24 +192,12 @@ def judge_runs(
     Raises `InputError` or `OSError` for recordings or a profile that will not do, and files that cannot be read or
     written.
 
-    Parameters
-    ----------
-    recordings, profile
-        Of one rig; a profile replaces the recordings' own.
-    summaries
-        File of the runs' summaries, to go on after an interruption.
-    json, report
-        Where the verdict and its pictures go.
-    anyway
-        Judge recordings that contradict their profiles, too.
+    The recordings are of one rig; ``profile`` replaces their own. ``summaries`` is the file of the runs' summaries, to
+    go on after an interruption; verdict and pictures go to ``json`` and ``report``.
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.result import joint_json
-    from bench.profiles.find import load_measuring
-    from bench.terminal.console import speaker, write_json
     from bench.terminal.loop_display import show_runs, write_outputs
-    from bench.terminal.progress import progress_bar
-    from daq.instrument.stored import refuse_doubtful
 
     quiet = json == "-"
     setup = None if profile is None else load_measuring(profile)[0]
@@ -278,15 +247,9 @@ def until_clear(
     Raises `InputError` when the first recording was not made on the simulated rig.
 
     ``scenario`` is what the simulated rig hides, which the analysis never reads; ``seed`` is of the new runs' noise.
-
-    Returns
-    -------
-    The last loop and its fitted model, all recordings, and why a next run could not be made (empty: none failed).
+    Returns the last loop and its fitted model, all recordings, and why a next run could not be made (empty: none
+    failed).
     """
-    from bench.profiles.improved import possible_runs, profile_of, profile_text
-    from bench.terminal.progress import progress_bar
-    from daq.recording import open_recording
-
     made = list(recordings)
     with open_recording(made[0]) as opened:
         if not opened.attrs.get("simulated"):

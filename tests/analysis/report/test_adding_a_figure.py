@@ -10,7 +10,7 @@ import pytest
 
 from analysis.flights.assemble import flights_of
 from analysis.report.figures import recording as table
-from analysis.report.figures.measured import measured
+from analysis.report.figures.flights import measured
 from analysis.report.figures.style import Figure
 from analysis.report.run_page import section_of
 from bench.jobs.report import draw

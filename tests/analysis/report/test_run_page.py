@@ -24,9 +24,9 @@ from analysis.flights.table import FlightFlag, Flights
 from analysis.loop.result import ClosedLoop, Source, save_verdict
 from analysis.report.figures import loop as of_loop
 from analysis.report.figures import recording as of_recording
-from analysis.report.figures.flights import draw_bifurcations
-from analysis.report.figures.measured import Measured
-from analysis.report.figures.measured import measured as as_shown
+from analysis.report.figures import style
+from analysis.report.figures.flights import Measured, draw_bifurcations
+from analysis.report.figures.flights import measured as as_shown
 from analysis.report.figures.style import name_flights
 from analysis.report.narrative import headline
 from analysis.report.run_page import MOST_HOVER_POINTS, inline_figure, section_of, write_page
@@ -159,9 +159,9 @@ def test_many_flights_stay_a_small_page() -> None:
         (line,) = ax.plot(np.arange(n), np.sin(np.arange(n)), "o", ms=2)
         name_flights(line, np.arange(n))
 
-    made = inline_figure(draw)
-    assert made is not None
-    assert len(made.svg) + sum(map(len, made.points.values())) < 2_000_000
+    made = inline_figure(style.Figure("dots", draw, "flights", "Dots."), draw)
+    assert made is not None and made.points is not None
+    assert len(made.element) + sum(map(len, made.points.values())) < 2_000_000
     rows = np.frombuffer(base64.b64decode(made.points["row"]), "<i4")
     assert len(rows) <= MOST_HOVER_POINTS and np.all(np.diff(rows) == 2)
     assert "100000 points are drawn as a picture" in made.remark and "50000 of the 100000" in made.remark
@@ -173,8 +173,8 @@ def test_few_flights_are_vectors() -> None:
     def draw(figure: Any) -> None:
         figure.subplots().plot(np.arange(1000.0), np.arange(1000.0), "o")
 
-    made = inline_figure(draw)
-    assert made is not None and "<image" not in made.svg and made.remark == ""
+    made = inline_figure(style.Figure("dots", draw, "flights", "Dots."), draw)
+    assert made is not None and "<image" not in made.element and made.remark == ""
 
 
 def test_the_headline_has_all_that_is_asked(closed_loop: ClosedLoop) -> None:

@@ -10,8 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from analysis.flights.assemble import flights_of
-from analysis.report.figures.flights import draw_bifurcations
-from analysis.report.figures.measured import measured
+from analysis.report.figures.flights import draw_bifurcations, measured
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.held import held_steps
 from analysis.residuals.observations import observed

@@ -27,7 +27,7 @@ from tests.bench.gates.passed import passed
 def opened(folder: Path) -> Gates:
     """The gates of a folder, as a server that has just started has them."""
     gates = Gates(folder, Desk(None), None)
-    gates._read_profile()
+    gates.read_profile()
     return gates
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import bench.commands.note as note_command
 from bench.cli import app
+from bench.commands import notes
 from daq.setup.errors import InputError
 from model.effects.registry import effect
 
@@ -18,7 +18,7 @@ from model.effects.registry import effect
 @pytest.mark.parametrize("fails", [lambda: np.concatenate([]), lambda: np.linalg.cholesky(-np.eye(2)), lambda: {}["x"]])
 def test_error_of_a_library_is_a_defect_with_its_traceback_in_a_file(fails, monkeypatch, tmp_path: Path) -> None:
     """A library's own error ends with status 1 and one line that names the file of its traceback."""
-    monkeypatch.setattr(note_command, "command", lambda: fails())
+    monkeypatch.setattr(notes, "note", lambda: fails())
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     result = CliRunner().invoke(app, ["note"])
     assert result.exit_code == 1 and result.stderr.startswith("error: this is a defect of shakerbench")

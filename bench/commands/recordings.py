@@ -1,4 +1,4 @@
-"""`bench info`: what a recording is, without analysing it."""
+"""`bench info`, `bench verify`, `bench recover`: what a recording is, in which state, and a whole one made of it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.outputs import JSON, File, Json, Overwrite, check_outputs
+from bench.outputs import HDF5, JSON, File, Json, Overwrite, check_outputs
 from bench.terminal.console import ACHIEVED, EXIT_FAILED, new_table, print_lines, print_table, write_json
 from daq.setup.errors import InputError
 
@@ -19,7 +19,7 @@ ROOT = ("note", "started", "ended", "ended_at", "why", "simulated", "backend", "
         "recovered", "recovered_from", "imported_from")  # fmt: skip
 
 
-def command(
+def info(
     recording: Path = typer.Argument(metavar="REC.h5", help="Recording to look at."),
     json: Json = None,
     overwrite: Overwrite = False,
@@ -137,3 +137,55 @@ def _short(value: Any, digits: int = 5) -> str:
     if value is None:
         return "-"
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def verify(
+    recording: Path = typer.Argument(..., metavar="FILE", help="Recording to check."),
+    json: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Say whether a recording is complete, stopped, incomplete or damaged, and where. Every byte is read.
+
+    Leaves with 0 for complete or stopped, 1 for incomplete or damaged, 2 when FILE is no recording.
+
+    Example: bench verify run.h5
+    """
+    from daq.files.json_values import json_values
+    from daq.recording.verify import verify as verified
+
+    check_outputs(File("--json", json, JSON), inputs=[recording], overwrite=overwrite)
+    report = verified(recording)
+    if write_json({"file": recording, **json_values(report)}, json):
+        seconds = report.n_samples / report.rate_hz if report.n_samples else 0.0
+        summary = f"{report.state}: {recording} ({report.n_samples} samples, {seconds:.3f} s)"
+        print_lines(summary, *(f"  {line}" for line in report.where))
+    if report.state in ("incomplete", "damaged"):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def recover(
+    recording: Path = typer.Argument(..., metavar="FILE", help="Recording, cut off or damaged; it is only read."),
+    out: Path = typer.Option(None, "--out", "-o", metavar="REC.h5", help="File to create [NAME.recovered.h5]."),
+    json: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Rebuild a verified recording from one that was cut off by a kill, a crash or a full disk, or that is damaged.
+
+    Every block whose writing had been acknowledged is there; what is damaged is put right from the checksums, or is a
+    gap. The new file says that it was recovered, and what was damaged. Leaves with 1 where something is gone.
+
+    Example: bench recover run.h5 --out run.recovered.h5
+    """
+    from daq.recording.recover import default_out
+    from daq.recording.recover import recover as recovered
+
+    out = out or default_out(recording)
+    check_outputs(
+        File("--out", out, HDF5, lasting=True), File("--json", json, JSON), inputs=[recording], overwrite=overwrite
+    )
+    found = recovered(recording, out)
+    if write_json(found, json):
+        summary = f"{found.path}: {found.n_samples} samples, {found.n_steps} steps recovered"
+        print_lines(summary, *(f"  {line}" for line in found.damage))
+    if found.is_less:
+        raise typer.Exit(EXIT_FAILED)

@@ -1,0 +1,123 @@
+"""`bench devices`, `bench check`, `bench calibrate`: what is plugged in, whether it is wired so, and its scales."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from bench.outputs import JSON, Edited, File, Json, Overwrite, Scenario, Seed, check_outputs
+from bench.terminal.console import fail, print_lines, print_table, write_json
+from daq.setup.errors import InputError
+
+KINDS = ("accelerometer", "drive", "contact")
+
+
+def devices(
+    profiles: list[str] = typer.Argument(None, metavar="[PROFILE]...", help="Profiles to hold against what is there."),
+    json: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """List sound cards and serial ports, and which profiles (the shipped ones, and those named) fit them.
+
+    Example: bench devices my_rig.toml
+
+    Exits 0, also when nothing is there; 2 when a profile cannot be read.
+    """
+    from rich.table import Table
+
+    from bench.profiles.devices import found_devices
+
+    check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
+    found = found_devices(profiles or [])
+    if not write_json(found, json):
+        return
+    listed, ports, why = found["cards"], found["ports"], found["problem"]
+    table = Table("sound card", "driver", "in", "out", "rate (Hz)", "profiles that fit", box=None, pad_edge=False)
+    for card in listed:
+        keys = ("name", "driver", "inputs", "outputs", "rate_hz")
+        table.add_row(*(str(card[key]) for key in keys), ", ".join(card["profiles"]))
+    if listed:
+        print_table(table)
+    else:
+        print_lines(f"no sound card{': ' + why if why else ''}")
+    print_lines(*(f"serial port {p['port']}  {p['description']}" for p in ports) if ports else ["no serial port"])
+
+
+def check(
+    profile: str = typer.Argument(help="A profile's path, or the name of a shipped one."),
+    scenario: Scenario = None,
+    seed: Seed = 0,
+    tap: bool = typer.Option(False, "--tap", help="Wait for one hit on the resting table, and say how it rings."),
+    json: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Play a chirp, a quiet tone and a short flight, and say of each channel whether it is what the profile says.
+
+    Examples: bench check soundcard
+
+    bench check soundcard --tap
+
+    Exits 0 when everything passed, 1 when something did not, 2 when the call was wrong.
+    """
+    from rich.table import Table
+
+    from bench.jobs.run_ramp import check_rig, open_rig
+
+    check_outputs(File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite)
+    checked, backend = open_rig(profile, "check", scenario, seed)
+    findings = check_rig(checked, backend, tap=tap)
+    if write_json({"profile": checked.name, "findings": findings}, json):
+        table = Table("", "what", "seen", "what to do", box=None, pad_edge=False)
+        words = {True: "[green]pass[/]", False: "[red]FAIL[/]", None: "[yellow]?[/]"}
+        for found in findings:
+            table.add_row(words[found.passed], found.what, found.seen, "" if found.passed else found.remedy)
+        print_table(table)
+    if bad := [finding.what for finding in findings if finding.passed is False]:
+        fail(f"not as the profile says: {', '.join(bad)}")
+
+
+def calibrate(
+    kind: str = typer.Argument(help="accelerometer, drive or contact; in this order on a new rig."),
+    into: Path = typer.Option(..., "--into", metavar="PROFILE", help="The profile's file, used and written."),
+    scenario: Scenario = None,
+    seed: Seed = 0,
+    json: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure the rig's scales and write them into its profile, each with its uncertainty, date and source.
+
+    accelerometer: flip test (rest, upside down, rest; nothing is driven). drive: gain and phase of the plate for a
+    volt, the block resting on it. contact: levels of the circuit, and how late it is to the impacts.
+
+    Example: bench calibrate accelerometer --into my_rig.toml
+
+    Exits 0 when the values were written, 1 when the device failed, 2 when the call was wrong or nothing could be
+    measured; the profile is then left as it was.
+    """
+    from rich.table import Table
+
+    from bench.jobs.calibrate import calibrate_into
+
+    if kind not in KINDS:
+        raise InputError(f"{kind}: wanted one of {', '.join(KINDS)}")
+    check_outputs(Edited("--into", into), File("--json", json, JSON), inputs=[scenario], overwrite=overwrite)
+    profile, backend, measured = calibrate_into(into, kind, scenario, seed, _ask)
+    answer = {"profile": into, "simulated": backend.simulated, "measured": measured}
+    if not write_json(answer, json):
+        return
+    table = Table("key", "before", "measured", "uncertainty", box=None, pad_edge=False)
+    for one in measured:
+        before: object = profile
+        for name in one.key.split("."):
+            before = before.get(name) if isinstance(before, dict) else getattr(before, name, None)
+        shown = "-" if before is None else f"{getattr(before, 'value', before):.6g}"
+        table.add_row(one.key, shown, f"{one.value:.6g}", f"{one.uncertainty:.2g}")
+    print_table(table)
+    typer.echo(f"written into {into}")
+
+
+def _ask(over: bool) -> None:
+    """Have the operator turn the sensor."""
+    how = "upside down (its axis plumb)" if over else "as it is mounted (its axis plumb)"
+    typer.prompt(f"Lay the accelerometer {how}, let it lie still, and press Enter", default="", show_default=False)
