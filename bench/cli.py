@@ -23,8 +23,8 @@ from kernels import BLAS_THREADS
 from kernels.errors import InputError
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "profile": ("profile", "List, show and make profiles of rigs."),
-    "plan": ("plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
+    "profile": ("profile:app", "List, show and make profiles of rigs."),
+    "plan": ("profile:plan", "Print every step of a profile's ramp, and refuse what a limit forbids."),
     "devices": ("rig:devices", "List sound cards and serial ports, and which profile fits."),
     "check": ("rig:check", "Before a run: is the rig wired as its profile says?"),
     "calibrate": ("rig:calibrate", "Measure a rig's scales and write them into its profile."),
@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
     "export": ("export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
     "reprocess": ("reprocess", "Recording to flights, plate motion and pictures."),
-    "compare": ("compare", "Hold a recording against the model, step by step."),
+    "compare": ("reprocess:compare", "Hold a recording against the model, step by step."),
     "predict": ("predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("close_loop", "Find the residual, name the missing effect, report before and after."),
     "stake": ("stake", "Hold a later run against the prediction that a verdict staked on it."),
@@ -53,9 +53,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "recordings:recover",
         "Rebuild a verified recording from one that was cut off or is damaged.",
     ),
-    "mcp": ("mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
+    "mcp": ("live:mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
     "virtual": ("virtual", "The simulated plant as a process of its own, behind a real driver."),
-    "paper": ("paper", "The seed paper, figure by figure, each number with the effect that moves it."),
+    "paper": ("demo:paper", "The seed paper, figure by figure, each number with the effect that moves it."),
     "demo": ("demo", "The main job on a simulated rig, end to end."),
 }
 
@@ -79,9 +79,9 @@ class LazyGroup(TyperGroup):
         place, summary = COMMANDS[cmd_name]
         module_name, _, function = place.partition(":")
         module: Any = importlib.import_module(f"bench.commands.{module_name}")
-        if hasattr(module, "app"):
-            return typer.main.get_command(module.app)
         command = getattr(module, function or "command")
+        if isinstance(command, typer.Typer):
+            return typer.main.get_command(command)
         single = typer.Typer(add_completion=False, rich_markup_mode=None)
         single.command(name=cmd_name, help=command.__doc__ or summary)(command)
         return typer.main.get_command(single)

@@ -150,7 +150,7 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
             raise InputError(f"{named}: the folder {folder} does not exist; create it first, or name another")
         if not folder.is_dir():
             raise InputError(f"{named}: {folder} is a file; wanted a folder")
-        _probe(folder)
+        probe(folder)
         return
     if not path.is_file() or (output.continues is not None and output.continues(path)):
         return  # to a device or a pipe nothing is lost
@@ -168,7 +168,7 @@ def _check_folder(output: Folder, path: Path, named: str, read: list[Path], over
     nearest = next((p for p in (path, *path.absolute().parents) if p.exists()), path)
     if not nearest.is_dir():
         raise InputError(f"{named}: {nearest} is a file; wanted a folder; choose another name")
-    _probe(nearest)
+    probe(nearest)
     there = sorted({p for pattern in output.makes for p in path.glob(pattern)}) if path.is_dir() else []
     for one in there:
         _refuse_input(one, named, read)
@@ -188,7 +188,7 @@ def _check_suffix(form: Form, path: Path, named: str) -> None:
         raise InputError(f"{named}: wanted a name ending in {' or '.join(form.suffixes)}, {form.name} is written there")
 
 
-def _probe(folder: Path) -> None:
+def probe(folder: Path) -> None:
     """Write into ``folder`` a file without a name; raises OSError."""
     with tempfile.TemporaryFile(dir=folder):
         pass

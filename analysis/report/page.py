@@ -318,23 +318,16 @@ def _loop_page(
     definition = scale.definition
     if loop.discovered is not None and loop.discovered.covariate.words == "gamma" and scale.factor != 1.0:
         definition += " Only the discovered curve is over gamma = A w^2/g."
+    provenance = []  # date, rig, note and versions of each recording, and of this page
+    for m in loop.sources:
+        note, when = f"; note: {m.note}" if m.note else "", m.started[:19].replace("T", " ")
+        made = f"{when + ' UTC' if when else 'date unknown'}; {software_words(m.software_version, m.software_commit)}"
+        provenance.append((m.file, f"{m.rig}, back end {m.backend}; {made}{note}"))
+    own = software_words(software["software_version"], software["software_commit"])
+    provenance.append(("this page", f"{software['date']}; {own}"))
     return whole_page(
         "loop.html", title=f"Closed loop: {files}", kind="loop", heading="Closed loop", closed=loop, scale=scale,
         first=first, drawn=drawn, term_effect=term_effect, level=2, simulated=simulated, files=files,
-        source=source_words(files, simulated=simulated), provenance=_provenance(loop, software),
+        source=source_words(files, simulated=simulated), provenance=provenance,
         definition=definition,
     )  # fmt: skip
-
-
-def _provenance(loop: ClosedLoop, software: dict[str, str]) -> list[tuple[str, str]]:
-    """Date, rig, note and versions of each recording, and of this page."""
-    rows = []
-    for m in loop.sources:
-        note = f"; note: {m.note}" if m.note else ""
-        when = m.started[:19].replace("T", " ")
-        version = software_words(m.software_version, m.software_commit)
-        rows.append(
-            (m.file, f"{m.rig}, back end {m.backend}; {when + ' UTC' if when else 'date unknown'}; {version}{note}")
-        )
-    own = software_words(software["software_version"], software["software_commit"])
-    return [*rows, ("this page", f"{software['date']}; {own}")]

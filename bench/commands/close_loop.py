@@ -144,6 +144,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.loop.design import ranking_json
     from analysis.loop.tables import loop_json
     from analysis.report.wording import term_effect_in_words
+    from bench.jobs.blocks import write_stake
     from bench.jobs.loops.runs_and_files import conclude, drawn, keep_term
     from bench.profiles.improved import possible_runs, write_improved, write_next
 
@@ -153,9 +154,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
 
     def keep(path: Path) -> None:
         nonlocal term_effect
-        term_effect, lines = keep_term(loop, path, recordings, wanted.profile, wanted.improved, quiet=quiet)
-        for line in (*term_effect_in_words(term_effect), *lines):
-            say(line)
+        term_effect, improved = keep_term(loop, path, recordings, wanted.profile, wanted.improved, quiet=quiet)
+        lines([*term_effect_in_words(term_effect), *improved])
 
     def rank() -> None:
         ranked.extend(possible_runs(loop, fitted, recordings[0]))
@@ -165,8 +165,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     def report(folder: Path) -> None:
         say(f"report: {drawn(loop, folder, quiet=quiet, recording=recordings[0], term_effect=term_effect)}")
 
-    def improve(path: Path) -> None:
-        for line in write_improved(loop, recordings[0], path, text):
+    def lines(found: list[str]) -> None:
+        for line in found:
             say(line)
 
     def following(path: Path) -> None:
@@ -175,12 +175,6 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"next run: {path} ({ranked[0].design.description})")
         else:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")
-
-    def staking(path: Path) -> None:
-        from bench.jobs.blocks import write_stake  # with what a stake needs, where one is asked for
-
-        for line in write_stake(loop, fitted, recordings, text, path):
-            say(line)
 
     # the order matters: ranking and the term's effect are part of the JSON; the profile is then that of the second loop
     writers: list[tuple[str, Callable[[], object]]] = []
@@ -191,8 +185,12 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     writers.append(("verdict as JSON", lambda: as_json(loop_json(loop, ranking_json(ranked), term_effect))))
     for name, write, path in (
         ("report", report, wanted.report),
-        ("improved profile", improve, wanted.improved if wanted.effect_file is None else None),
-        ("next run's profile", following, wanted.next_run), ("stake", staking, wanted.stake),
+        (
+            "improved profile", lambda path: lines(write_improved(loop, recordings[0], path, text)),
+            wanted.improved if wanted.effect_file is None else None,
+        ),
+        ("next run's profile", following, wanted.next_run),
+        ("stake", lambda path: lines(write_stake(loop, fitted, recordings, text, path)), wanted.stake),
     ):  # fmt: skip
         if path is not None:
             writers.append((name, partial(write, path)))

@@ -1,4 +1,4 @@
-"""`bench demo`: the main job end to end on a simulated rig that hides something undeclared."""
+"""`bench demo`: the main job end to end on a simulated rig that hides something; `bench paper`: the seed paper."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import Folder, Scenario, check_outputs
+from bench.outputs import Folder, Overwrite, Scenario, check_outputs
 from bench.terminal.console import DEFECTS, EXIT_FAILED, fail, write_json
 from bench.terminal.progress import progress_bar
 from daq.setup.errors import InputError
@@ -204,3 +204,26 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         ("improved profile", write_profile),
     )
     return loop, conclude(loop, [recording], outputs)
+
+
+def paper(
+    out: Path = typer.Option(Path("paper"), "--out", metavar="FOLDER", help="For page, pictures, tables and runs."),
+    profile: str = typer.Option("paper", "--profile", help="The rig whose runs are shown: a path or a shipped name."),
+    seed: int = typer.Option(1, "--seed", min=0, help="Of the simulated rigs' noise and instruments."),
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw each figure of the seed paper, measured ones from a rig's runs, and say which effect moves which number.
+
+    Example: bench paper --out paper
+
+    Recordings in FOLDER/runs are used, those that are missing are made on the simulated rig. For a real rig, make them
+    first: bench paper --profile rig.toml writes the profile of each run, and says how to record it. No device is
+    driven here.
+    """
+    from bench.jobs.paper import paper as made
+    from bench.profiles.find import load
+
+    check_outputs(Folder("--out", out, makes=("paper.md", "paper/*")), inputs=[profile], overwrite=overwrite)
+    with progress_bar() as say:
+        made(load(profile)[1], out, seed, say)
+    typer.echo(f"{out / 'paper.md'}: the page; its pictures and tables are in {out / 'paper'}")

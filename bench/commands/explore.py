@@ -17,7 +17,7 @@ from daq.setup.errors import InputError
 if TYPE_CHECKING:
     from bench.jobs.blocks import Chosen, Driven
     from bench.jobs.explore import Explored
-    from bench.live.onlooker import Onlookers
+    from bench.live.processes import Onlookers
     from bench.terminal.run_console import TypedLines
 
 
@@ -55,7 +55,7 @@ def command(
     """
     from bench.jobs.blocks import Aims, run_seconds
     from bench.jobs.explore import explore
-    from bench.live.onlooker import Onlookers
+    from bench.live.processes import Onlookers
     from bench.profiles.find import load
     from bench.terminal.run_console import typed_lines
 

@@ -328,20 +328,15 @@ class Gates(Passed):
         queue = self.state.queue
         self._keep(replace(self.state.passed("ramp", result), run=None, queue=queue[1:]))
         self.read_profile()
-        self._repeat(queue, result, ended["how"])
-        self.tell()
-
-    def _repeat(self, queue: tuple[Message, ...], result: Result, how: str) -> None:
-        """Drive the first of a queue; where that cannot be, none is driven, and the ramp's rows say why."""
-        if not queue:
-            return
         try:
-            if how != "complete" or not self.is_green("ramp"):
+            if queue and (ended["how"] != "complete" or not self.is_green("ramp")):
                 raise InputError("the run before was not complete, or the rig has changed since")
-            self._drive(queue[0])
-        except (InputError, OSError) as error:
-            rows = (*result.rows, row_of("once more", f"{len(queue)} not driven: {error}", None))
-            self._keep(replace(self.state.passed("ramp", replace(result, rows=rows)), queue=()))
+            if queue:
+                self._drive(queue[0])
+        except (InputError, OSError) as error:  # none of the queue is driven, and the ramp's rows say why
+            all_rows = (*result.rows, row_of("once more", f"{len(queue)} not driven: {error}", None))
+            self._keep(replace(self.state.passed("ramp", replace(result, rows=all_rows)), queue=()))
+        self.tell()
 
     def _again(self, said: Message) -> None:
         """Take the improved profile of the last verdict, to drive it."""

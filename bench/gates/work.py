@@ -8,9 +8,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from bench.jobs.run_ramp import check_rig, open_rig
 from bench.terminal.run_console import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError
+from rig.checks.check import Check
 
 Message = dict[str, Any]
 Ask = Callable[[str], None]
@@ -56,11 +58,9 @@ def work(pipe: Connection, job: Job) -> None:
 
 def _card(job: Job, ask: Ask, tell: Ask) -> Message:
     """What is plugged in, what its inputs carry, and the loop-back."""
-    from bench.jobs.run_ramp import open_rig
     from bench.profiles.devices import fits, found_devices
     from rig.backends.kinds.soundcard import CardOptions
     from rig.backends.portaudio import Card
-    from rig.checks.check import Check
 
     profile, backend = open_rig(job.profile, "check", _scenario(job), job.seed)
     device: Message = {"name": f"the {backend.name} rig"}
@@ -82,9 +82,6 @@ def _card(job: Job, ask: Ask, tell: Ask) -> Message:
 
 def _wiring(job: Job, ask: Ask, tell: Ask) -> Message:
     """Which terminal is what, by hand or by the drive."""
-    from bench.jobs.run_ramp import open_rig
-    from rig.checks.check import Check
-
     check = Check(*open_rig(job.profile, "check", _scenario(job), job.seed))
     if job.kind == "drive":
         return {"rows": [asdict(one) for one in check.wiring()]}
@@ -106,8 +103,6 @@ def _calibrate(job: Job, ask: Ask, tell: Ask) -> Message:
 
 def _check(job: Job, ask: Ask, tell: Ask) -> Message:
     """`bench check`."""
-    from bench.jobs.run_ramp import check_rig, open_rig
-
     return {"rows": [asdict(one) for one in check_rig(*open_rig(job.profile, "check", _scenario(job), job.seed))]}
 
 

@@ -257,7 +257,17 @@ def outcome_of(
     ``known`` is that of `analysis.residuals.observations.observations_from`.
     """
     with open_recording(recording) as opened:
-        _refuse_earlier(stake, str(opened.attrs.get("started") or ""), recording)
+        started = str(opened.attrs.get("started") or "")
+        try:
+            began, written = (datetime.datetime.fromisoformat(x) for x in (started, stake.written))
+            earlier = began < written
+        except (ValueError, TypeError):  # imported without a date, or without its zone
+            earlier = str(recording) in stake.recordings
+        if earlier:
+            raise InputError(
+                f"{recording}: was begun {started or 'before'}, the prediction was written {stake.written}; only a "
+                "later run can meet it: drive the stake with bench ramp"
+            )
         staked, own = parse_profile(text, "the stake").setup(), opened.setup
         for name in (f for f in Setup.model_fields if f not in IN_WORDS):
             for key, wanted, found in _differing(getattr(staked, name), getattr(own, name), name):
@@ -279,20 +289,6 @@ def amended(stake: Stake, outcome: Outcome, recording: Path) -> Path | None:
         return None
     save_verdict(with_outcome(loop, outcome, recording.name), path)
     return path
-
-
-def _refuse_earlier(stake: Stake, started: str, recording: Path) -> None:
-    """Refuse a recording that was there when the prediction was written."""
-    try:
-        began, written = (datetime.datetime.fromisoformat(x) for x in (started, stake.written))
-        earlier = began < written
-    except (ValueError, TypeError):  # imported without a date, or without its zone
-        earlier = str(recording) in stake.recordings
-    if earlier:
-        raise InputError(
-            f"{recording}: was begun {started or 'before'}, the prediction was written {stake.written}; only a later "
-            "run can meet it: drive the stake with bench ramp"
-        )
 
 
 def _differing(a: Any, b: Any, key: str) -> Iterator[tuple[str, Any, Any]]:

@@ -18,7 +18,7 @@ from starlette.routing import Route
 
 from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.processes import AskedRun, run_profile
-from bench.live.scope_data import MinMax, PlateHeight
+from bench.live.scope_data import MinMax
 from bench.live.watched_run import WatchedRun
 from bench.profiles.find import load
 from bench.web.browsers import Browser, Hub, socket_route
@@ -83,8 +83,7 @@ class Desk:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Look after the run while the server runs."""
-        MinMax(1, 1)
-        PlateHeight(1.0, 1.0, 1.0, 1.0)  # compiled before a run needs them
+        MinMax(1, 1)  # compiled before a run needs it
         if self._watched is not None:
             profile, board_name = self._watched
             with contextlib.suppress(OSError):

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import sosfilt
 
 from daq.pyramid import empty_extremes, fold_samples
-from kernels import njit
 from kernels.arrays import Floats
 
 Codes = NDArray[np.int16]
@@ -61,35 +61,17 @@ class PlateHeight:
     """
 
     def __init__(self, rate_hz: float, frequency_hz: float, mps2_per_code: float, least_m: float) -> None:
-        self._constants = np.array([1.0 / rate_hz, 2.0 * np.pi * 0.1 * frequency_hz / rate_hz, mps2_per_code, least_m])
-        self._state = np.zeros(4)
-        self.add(np.zeros(1, np.int16))
-        self._state[:] = 0.0
+        leak, dt = 2.0 * np.pi * 0.1 * frequency_hz / rate_hz, 1.0 / rate_hz
+        # twice a leaky integral, and a high-pass before and after: an offset and its drift would grow without bound
+        section = [dt * (1.0 - leak), dt * (leak - 1.0), 0.0, 1.0, 2.0 * (leak - 1.0), (1.0 - leak) ** 2]
+        self._sections, self._state = np.array([section, section]), np.zeros((2, 2))
+        self._scale = mps2_per_code / least_m
 
     def add(self, codes: Codes) -> Codes:
         """Displacement at each of the accelerometer's codes (n,), as codes."""
-        out = np.empty(len(codes), np.int16)
-        _integrate(codes, self._constants, self._state, out)
+        height, self._state = sosfilt(self._sections, codes * self._scale, zi=self._state)
+        out: Codes = np.clip(height, -32767.0, 32767.0).astype(np.int16)
         return out
-
-
-@njit()
-def _integrate(codes: Codes, constants: Floats, state: Floats, out: Codes) -> None:
-    """``state``: slow part of the acceleration, velocity, displacement, slow part of the displacement."""
-    dt, leak, scale, least = constants
-    rest, v, x, slow = state
-    for i in range(codes.size):
-        a = codes[i] * scale
-        # twice a leaky integral: offset and drift of the accelerometer would grow without bound
-        rest += leak * (a - rest)
-        v += (a - rest) * dt - leak * v
-        x += v * dt - leak * x
-        slow += leak * (x - slow)
-        out[i] = min(max((x - slow) / least, -32767.0), 32767.0)
-    state[0] = rest
-    state[1] = v
-    state[2] = x
-    state[3] = slow
 
 
 SCOPE, FLIGHTS, SPECTRUM = range(1, 4)  # kinds of message

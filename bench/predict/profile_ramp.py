@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from bench.predict.diagram import Progress
-from bench.predict.request import GivenProfile, Request, ball_for, orbit_json
+from bench.predict.request import GivenProfile, Progress, Request, ball_for, orbit_json
 from bench.profiles.find import load, load_measuring
 from bench.terminal.console import CYCLES, print_lines
 from daq.setup.errors import InputError

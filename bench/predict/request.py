@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,12 +109,6 @@ def ball_for(request: Request) -> Ball:
     return make_ball(forcing, parse_effects(request.effects), frequency_hz=request.frequency_hz, g_mps2=request.g_mps2)
 
 
-def check_adaptive(steps: int) -> None:
-    """Refuse more gammas than an adaptive diagram, which is in memory, can be refined from."""
-    if steps > 20_000:
-        raise InputError(f"an adaptive diagram begins with at most 20,000 --steps, not {steps:,}")
-
-
 def seconds_of(tau: list[float], frequency_hz: float | None) -> list[float] | None:
     """Flight times in seconds; None without a frequency."""
     return None if frequency_hz is None else [t / (2.0 * math.pi * frequency_hz) for t in tau]
@@ -158,3 +154,18 @@ def orbit_json(found: Attractor, ratio: int, gamma: float, frequency_hz: float |
     row["tau"] = [float(t) for t in found.tau]
     row["flight_time_s"] = seconds_of(row["tau"], frequency_hz)
     return row
+
+
+class Progress:
+    """A line on standard error, at most once a second; ``what`` is counted."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+        self.began = self.said = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Say how far it is."""
+        now = time.monotonic()
+        if now - self.said >= 1.0:
+            self.said = now
+            sys.stderr.write(f"{done} of {total} {self.what}, {now - self.began:.0f} s\n")

@@ -98,17 +98,12 @@ def _walk(node: Mapping[str, Any], path: str, held: Any, kind: str) -> Iterator[
 
 def _branches(node: Mapping[str, Any]) -> list[dict[str, Any]]:
     """A node and the alternatives in it, references followed."""
-    found = [dict(_followed(node))]
+    while "$ref" in node:
+        node = _schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    found = [dict(node)]
     for one in (*found[0].get("anyOf", ()), *found[0].get("oneOf", ())):
         found += _branches(one)
     return found
-
-
-def _followed(node: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A node, or what its reference leads to."""
-    while "$ref" in node:
-        node = _schema()["$defs"][node["$ref"].rpartition("/")[2]]
-    return node
 
 
 def _table(node: Mapping[str, Any], kind: str | None) -> dict[str, Any] | None:
@@ -136,7 +131,12 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
         *tables, key = dotted.split(".")
         table: MutableMapping[str, Any] = document
         for depth, name in enumerate(tables):
-            table = _table_of(table, name, where, holds_tables=depth + 1 < len(tables))
+            if name not in table:
+                inline = isinstance(table, InlineTable)
+                table[name] = tomlkit.inline_table() if inline else tomlkit.table(depth + 1 < len(tables))
+            if not isinstance(table[name], MutableMapping):
+                raise InputError(f"{where}: {name}: expected a table, found {table[name]!r}")
+            table = table[name]
         if value is None:
             table.pop(key, None)
         elif isinstance(value, Mapping):
@@ -157,8 +157,19 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
 
 
 def declare(text: str, measured: Iterable[MeasuredValue], on: datetime.date, where: str) -> str:
-    """The profile ``text`` with ``measured``, rounded, with uncertainty, date and source; raises as `with_values`."""
-    return with_values(text, {one.key: _quantity(one, on) for one in measured}, where)
+    """The profile ``text`` with ``measured``, with uncertainty, date and source; raises as `with_values`.
+
+    The uncertainty has two digits, the value one more than it can carry.
+    """
+    found = {}
+    for one in measured:
+        value, uncertainty = float(one.value), float(one.uncertainty)
+        if 0.0 < uncertainty < math.inf:
+            places = 1 - math.floor(math.log10(uncertainty))
+            value, uncertainty = round(value, places + 1), round(uncertainty, places)
+        source = " ".join(one.source.split())
+        found[one.key] = {"value": value, "uncertainty": uncertainty, "date": on, "source": source}
+    return with_values(text, found, where)
 
 
 def write_into(path: Path, measured: Iterable[MeasuredValue], on: datetime.date) -> None:
@@ -171,30 +182,6 @@ def write_into(path: Path, measured: Iterable[MeasuredValue], on: datetime.date)
     parse_profile(text, str(path))
     with whole(path) as part:
         part.write_bytes(text.encode("utf-8"))
-
-
-def _table_of(
-    parent: MutableMapping[str, Any], name: str, where: str, *, holds_tables: bool
-) -> MutableMapping[str, Any]:
-    """The table ``name`` of ``parent``, made where there is none."""
-    if name not in parent:
-        parent[name] = tomlkit.inline_table() if isinstance(parent, InlineTable) else tomlkit.table(holds_tables)
-    found = parent[name]
-    if not isinstance(found, MutableMapping):
-        raise InputError(f"{where}: {name}: expected a table, found {found!r}")
-    return found
-
-
-def _quantity(one: MeasuredValue, on: datetime.date) -> dict[str, Any]:
-    """Value, uncertainty, date and source as a profile holds them.
-
-    The uncertainty has two digits, the value one more than it can carry.
-    """
-    value, uncertainty = float(one.value), float(one.uncertainty)
-    if 0.0 < uncertainty < math.inf:
-        places = 1 - math.floor(math.log10(uncertainty))
-        value, uncertainty = round(value, places + 1), round(uncertainty, places)
-    return {"value": value, "uncertainty": uncertainty, "date": on, "source": " ".join(one.source.split())}
 
 
 def toml_value(value: Any) -> str:

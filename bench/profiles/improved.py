@@ -50,7 +50,15 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     believed = loop.verdict != "unexplained"
     edited = declare(text, found if believed else [], on, str(path))
     doubtful = [] if believed else found
-    left = not_declared(loop)
+    # no profile can hold a trend during the run, nor a term without a name
+    middle = "; its middle is declared" if believed else ""
+    left = [
+        f"{p.effect}.{p.parameter} changed by {p.value:.3g} from start to end of this run{middle}"
+        for p in loop.selection.added
+        if p.trend
+    ]
+    if loop.discovered is not None:
+        left.append(f"{loop.discovered.description} (discovered, without a name)")
     comments = [f"not declared: {words}" for words in left]
     if doubtful:
         comments += [
@@ -65,19 +73,6 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
         return [f"improved profile: {path} (unchanged: nothing was found to declare)"]
     refused = [f"{m.key.removeprefix('declared.')} = {m.value:.4g}: the verdict is unexplained" for m in doubtful]
     return [f"improved profile: {path}", *(f"  not declared in it: {words}" for words in (*refused, *left))]
-
-
-def not_declared(loop: ClosedLoop) -> list[str]:
-    """What was found and no profile can hold: a trend during the run, and a term without a name."""
-    middle = "" if loop.verdict == "unexplained" else "; its middle is declared"
-    left = [
-        f"{p.effect}.{p.parameter} changed by {p.value:.3g} from start to end of this run{middle}"
-        for p in loop.selection.added
-        if p.trend
-    ]
-    if loop.discovered is not None:
-        left.append(f"{loop.discovered.description} (discovered, without a name)")
-    return left
 
 
 WHERE = "the recording's profile"

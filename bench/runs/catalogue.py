@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.outputs import probe
 from bench.runs.folder import PLACE, Found, files_below, run_of, stated_quantities
 from bench.runs.query import Query, Row
 from daq.files.disk import Closing, write_whole
@@ -51,8 +51,7 @@ class Catalogue(Closing):
         self._take_in()
         try:
             path.parent.mkdir(exist_ok=True)
-            with tempfile.TemporaryFile(dir=path.parent):
-                pass
+            probe(path.parent)
         except OSError as error:
             why = error.strerror or error
             self.path = None

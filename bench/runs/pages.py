@@ -153,14 +153,19 @@ class Pages:
     def open(self, request: Request) -> Response:
         """Facts that a run's scope needs; they are made at the first call and asked for again."""
         row = self._row(request)
-        scope = self._scope(row)
-        return _json({"state": "working"} if scope is None else {"state": "ready", **scope.facts()})
+        file, scope = self.catalogue.file_of(row), self._scopes.get(row["id"])
+        if scope is None or not scope.is_current():
+            path = self.workshop.pyramid(row, file)
+            if path is None:
+                return _json({"state": "working"})
+            if scope is not None:
+                scope.close()
+            scope = self._scopes[row["id"]] = Scope(path, file)
+        return _json({"state": "ready", **scope.facts()})
 
     def view(self, request: Request) -> Response:
         """A stretch of a run."""
-        scope = self._scopes.get(self._row(request)["id"])
-        if scope is None:
-            raise HTTPException(409, "open the run first")
+        scope = self._opened(self._row(request))
         try:
             start_s, stop_s = (float(request.query_params[key]) for key in ("start_s", "stop_s"))
             width = int(request.query_params["width"])
@@ -217,7 +222,10 @@ class Pages:
         row, body = self._row(request), await request.body()
         try:
             answer = json.loads(body)
-            change = self._event(row, answer) if request.url.path.endswith("/events") else _remark(answer)
+            if request.url.path.endswith("/events"):  # in the time of the page's scope
+                change = change_of(answer, self._opened(row).recorded_s)
+            else:
+                change = _remark(answer)
         except InputError as error:
             raise HTTPException(422, str(error)) from error
         except (ValueError, AttributeError, KeyError, TypeError, RecursionError) as error:
@@ -225,12 +233,11 @@ class Pages:
             raise HTTPException(422, f"wanted JSON with {wanted}") from error
         return await run_in_threadpool(self._changed, row, change)
 
-    def _event(self, row: Row, answer: Any) -> Change:
-        """The change of an event that a page asks for, in the time of its scope."""
-        scope = self._scopes.get(row["id"])
-        if scope is None:
+    def _opened(self, row: Row) -> Scope:
+        """The scope of a run that was opened before."""
+        if (scope := self._scopes.get(row["id"])) is None:
             raise HTTPException(409, "open the run first")
-        return change_of(answer, scope.recorded_s)
+        return scope
 
     def _changed(self, row: Row, change: Change) -> Response:
         changed = self.catalogue.change_remarks(row, change)
@@ -254,20 +261,6 @@ class Pages:
         if len(ids) > MOST_RUNS or not all(ID.fullmatch(one) for one in ids):
             raise HTTPException(404, f"wanted at most {MOST_RUNS} runs by their short names")
         return ids
-
-    def _scope(self, row: Row) -> Scope | None:
-        """The scope of a run; None while its extremes are being made."""
-        file = self.catalogue.file_of(row)
-        scope = self._scopes.get(row["id"])
-        if scope is not None and scope.is_current():
-            return scope
-        path = self.workshop.pyramid(row, file)
-        if path is None:
-            return None
-        if scope is not None:
-            scope.close()
-        self._scopes[row["id"]] = Scope(path, file)
-        return self._scopes[row["id"]]
 
 
 def _remark(answer: Any) -> Change:

@@ -28,6 +28,7 @@ from analysis.flights.table import FlightFlag
 from analysis.loop.result import ClosedLoop, load_verdict
 from analysis.loop.verdict import VERDICTS, short_verdict
 from analysis.statistics import Z95
+from bench.outputs import probe
 from bench.runs.folder import PLACE, quantity
 from bench.runs.query import Row
 from bench.runs.scope import events_of, on_scope
@@ -225,8 +226,7 @@ class Workshop:
         self.place = folder / PLACE / "made"
         try:
             self.place.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=self.place):
-                pass
+            probe(self.place)
         except OSError:
             self._temporary = tempfile.TemporaryDirectory(prefix="shakerbench-")
             self.place = Path(self._temporary.name)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+DOUBTFUL = "measured: double hit, or unsure"  # in legends
+
+
 @dataclass(frozen=True)
 class Measured:
     """An open recording and what was made of it."""
@@ -65,20 +68,14 @@ def draw_bifurcations(shown: Measured, figure: Figure) -> None:
     true = ~flights.has(poor) & (flights.step >= 0)
     marked = flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
     x, y = values[np.maximum(flights.step, 0)], 1e3 * flights.duration_s
-    plain = true & ~marked
-    (line,) = ax.plot(x[plain], y[plain], "o", ms=3.2, mew=0, color=style.MEASURED, alpha=0.75, label="measured")
-    style.name_flights(line, np.flatnonzero(plain))
-    if np.any(true & marked):
-        (line,) = ax.plot(
-            x[true & marked],
-            y[true & marked],
-            "x",
-            ms=4.0,
-            mew=0.9,
-            color=style.DOUBTFUL,
-            label="measured: double hit, or unsure",
-        )
-        style.name_flights(line, np.flatnonzero(true & marked))
+    looks: tuple[tuple[Any, str, dict[str, Any]], ...] = (
+        (true & ~marked, "o", {"ms": 3.2, "mew": 0, "color": style.MEASURED, "alpha": 0.75, "label": "measured"}),
+        (true & marked, "x", {"ms": 4.0, "mew": 0.9, "color": style.DOUBTFUL, "label": DOUBTFUL}),
+    )
+    for rows, mark, look in looks:
+        if mark == "o" or rows.any():
+            (line,) = ax.plot(x[rows], y[rows], mark, **look)
+            style.name_flights(line, np.flatnonzero(rows))
     if held := held_steps(recording, flights):
         ball = ball_on(plates[-1], recording.setup, recording.setup.declared_values())[0]
         draw_unstable(ax, ball, low, high, scale, 1e3 / plates[-1].omega_radps)
@@ -217,15 +214,8 @@ def _draw_predicted(
             return
         s = np.linspace(0.0, found.tau[i] / omega, 80)
         x, v = (float(f(flights.plate.true_time_s(t))) for f in (motion.position_at, motion.velocity_at))
-        ax.plot(
-            1e3 * (t + s - begin),
-            1e3 * (x + v * s - 0.5 * g * s**2),
-            "--",
-            lw=1.6,
-            color=style.MODEL,
-            label=None if shown else "ball, model's cycle",
-            zorder=5,
-        )
+        y, label = x + v * s - 0.5 * g * s**2, None if shown else "ball, model's cycle"
+        ax.plot(1e3 * (t + s - begin), 1e3 * y, "--", lw=1.6, color=style.MODEL, label=label, zorder=5)
         shown = True
         t += float(found.tau[i]) / omega
 
@@ -252,7 +242,7 @@ def draw_history(measured: Measured, figure: Figure) -> None:
     doubtful = shown & ~settling & flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE)
     for rows, mark, size, colour, words in (
         (shown & ~settling & ~doubtful, "o", 2.6, style.MEASURED, "measured"),
-        (doubtful, "x", 3.6, style.DOUBTFUL, "measured: double hit, or unsure"),
+        (doubtful, "x", 3.6, style.DOUBTFUL, DOUBTFUL),
         (settling, "+", 3.6, style.FLOOR, "while a step settles"),
     ):
         if rows.any():
@@ -263,18 +253,13 @@ def draw_history(measured: Measured, figure: Figure) -> None:
             style.name_flights(line, np.flatnonzero(rows))
     ax.set(xlabel="time in the run (s)", ylabel="flight time (ms)")
     ax.set_ylim(0.0, 1.08 * float(1e3 * flights.duration_s[shown].max()))
-    _name_steps(ax, recording, flights, scale.factor, scale.symbol)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=8, frameon=False, ncols=4)  # over no flight
-
-
-def _name_steps(ax: Any, recording: Recording, flights: Flights, factor: float, symbol: str) -> None:
-    """Steps on a second axis above, by their gamma, not more of them than have room."""
     plates = [p for p in flights.plate.steps if p is not None and p.gamma > 0]
-    top = ax.secondary_xaxis("top")
-    every = max(1, -(-len(plates) // 12))
-    chosen = plates[::every]
+    top = ax.secondary_xaxis("top")  # steps by their gamma, not more of them than have room
+    chosen = plates[:: max(1, -(-len(plates) // 12))]
     first = recording.steps["first_sample"] / recording.rate_hz
     for t in first:
         ax.axvline(float(t), color="0.85", lw=0.6, zorder=-1)
-    top.set_xticks([float(first[p.step]) for p in chosen], [f"{factor * p.gamma:.3f}" for p in chosen], fontsize=7)
-    top.set_xlabel(f"{symbol} of the step that begins", fontsize=8)
+    names = [f"{scale.factor * p.gamma:.3f}" for p in chosen]
+    top.set_xticks([float(first[p.step]) for p in chosen], names, fontsize=7)
+    top.set_xlabel(f"{scale.symbol} of the step that begins", fontsize=8)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=8, frameon=False, ncols=4)  # over no flight
