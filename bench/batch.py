@@ -15,22 +15,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
 
+from bench.profiles.find import load_measuring
 from daq.files.disk import Journal, whole
 from daq.files.json_values import json_object
+from daq.recording import Recording, open_recording
 from daq.recording.notebook import state_of
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
+from daq.setup.setup import Setup
 from model.surveys.workers import outcomes
-
-if TYPE_CHECKING:
-    from daq.recording import Recording
-    from daq.setup.setup import Setup
-
 
 Row = dict[str, Any]
 
@@ -44,9 +42,6 @@ def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, any
 
     ``parts`` is what to do, of `PARTS`; ``profile`` replaces the recording's own.
     """
-    from bench.profiles.find import load_measuring
-    from daq.recording import open_recording
-
     began = time.process_time()
     row: Row = {"failed": None}
     try:

@@ -13,9 +13,11 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from analysis.flights.assemble import flights_of
 from analysis.flights.compare import FirstBifurcation, first_bifurcation
@@ -38,11 +40,6 @@ from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import quantities
 from model.effects.registry import effect, resolve
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
-    from markupsafe import Markup
-
 
 LISTED = 12  # gaps and remarks in one row
 
@@ -186,8 +183,6 @@ class Drawn:
 
 def signs(text: str) -> Markup:
     """Plain text as HTML, with the figures' signs for microseconds, gamma and plus or minus."""
-    from markupsafe import Markup, escape
-
     out = str(escape(text))
     for pattern, sign in SIGNS.items():
         out = re.sub(pattern, sign, out)
@@ -196,8 +191,6 @@ def signs(text: str) -> Markup:
 
 @functools.cache
 def _templates() -> Environment:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
     made = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -212,15 +205,11 @@ def _templates() -> Environment:
 
 def fill(template: str, **values: Any) -> Markup:
     """The template of that name, filled; texts in ``values`` are escaped."""
-    from markupsafe import Markup
-
     return Markup(_templates().get_template(template).render(values))
 
 
 def whole_page(template: str, **values: Any) -> str:
     """A page that needs nothing but itself: `fill` with style, script, and a policy that allows no other script."""
-    from markupsafe import Markup
-
     script = (TEMPLATES / "hover.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
@@ -305,8 +294,6 @@ def _loop_page(
     term_effect: TermEffect | None,
 ) -> str:  # fmt: skip
     """The page, with the figures that are in ``folder`` put in."""
-    from markupsafe import Markup
-
     scale = gamma_scale(loop.setup.forcing, loop.steps.ratio)
     simulated = any(source.simulated for source in loop.sources)
     files = ", ".join(source.file for source in loop.sources)

@@ -16,9 +16,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib
 import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.flights.table import FlightFlag
@@ -40,11 +43,6 @@ from daq.recording.verify import VerifyReport
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-    from matplotlib.figure import Figure
-
-
 MOST_VECTOR_POINTS = 15_000  # in one figure; with more of them the dots are one picture under vector axes
 MOST_HOVER_POINTS = 60_000  # in one figure that the pointer can name; of more, every second, third, ... one
 
@@ -54,10 +52,6 @@ def inline_figure(row: style.Figure, draw: Callable[[Figure], None], key: str = 
 
     ``row``, ``key`` and ``flights`` are those of `Drawn`; its points are the named ones, of a page's many some.
     """
-    import matplotlib
-    from markupsafe import Markup
-    from matplotlib.figure import Figure
-
     with matplotlib.rc_context({**style.STYLE, "svg.fonttype": "path"}):  # the reader's machine lacks TeX's fonts
         figure = Figure(layout="constrained")
         draw(figure)

@@ -24,6 +24,8 @@ from typing import Any
 
 from bench.profiles.edit import with_values
 from bench.profiles.find import find_profile, find_scenario, load, planned, refusal, scenario_names, shipped_names
+from bench.runs.catalogue import Catalogue
+from bench.runs.query import Query
 from daq.files.disk import write_whole
 from daq.recording.opening import same_modules
 from daq.setup.errors import InputError
@@ -132,9 +134,6 @@ class Door:
 
     def catalogue(self, text: str = "", limit: int = 20) -> Answer:
         """Recordings with their verdicts, the newest first; each word of ``text`` must occur in a row."""
-        from bench.runs.catalogue import Catalogue
-        from bench.runs.query import Query
-
         with Catalogue(self.folder) as catalogue:
             catalogue.update()
             rows = catalogue.runs(Query(text=_text(text, "text"), limit=_whole(limit, "limit", 1, 1000)))

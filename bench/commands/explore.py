@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -142,8 +144,6 @@ class Driver:
 
     def __call__(self, block: Chosen, path: Path, number: int) -> Driven:
         """Drive a block into the new recording ``path``; ``number`` are recorded before it."""
-        from contextlib import nullcontext
-        from functools import partial
 
         from bench.jobs.blocks import Driven, by_person
         from bench.jobs.run_ramp import make_backend, record
@@ -185,7 +185,6 @@ def _asker(typed: TypedLines | None) -> Callable[[Chosen], Chosen | None]:
 
 def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     """Show the verdict, draw where and why the rig measured, write the report; whether everything could be written."""
-    from dataclasses import replace
 
     from analysis.report.figures.several import ChosenSteps, draw_choices
     from analysis.report.figures.style import badge_of, save_picture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import typer
@@ -31,7 +32,6 @@ def command(
 
     Exits 0 when it was ended, 2 when the call was wrong or JACK is not there.
     """
-    import time
 
     from bench.profiles.find import find_scenario, load
     from bench.terminal.run_console import stop_on_signals

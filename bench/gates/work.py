@@ -12,6 +12,7 @@ from bench.jobs.run_ramp import check_rig, open_rig
 from bench.terminal.run_console import leave_keys_to_the_parent
 from daq.setup.errors import InputError
 from rig.backends.base import BackendError
+from rig.backends.kinds.soundcard import CardOptions
 from rig.checks.check import Check
 
 Message = dict[str, Any]
@@ -59,7 +60,6 @@ def work(pipe: Connection, job: Job) -> None:
 def _card(job: Job, ask: Ask, tell: Ask) -> Message:
     """What is plugged in, what its inputs carry, and the loop-back."""
     from bench.profiles.devices import fits, found_devices
-    from rig.backends.kinds.soundcard import CardOptions
     from rig.backends.portaudio import Card
 
     profile, backend = open_rig(job.profile, "check", _scenario(job), job.seed)

@@ -9,9 +9,11 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, StrictUndefined
+from matplotlib.figure import Figure as Canvas
 
 from analysis.flights.assemble import flights_of
 from analysis.flights.compare import compare, first_bifurcation
@@ -35,9 +37,6 @@ from model.surveys.diagram import adaptive, diagram
 from model.tones import Forcing
 from rig.backends.simulated import SimulatedBackend
 from rig.sim.scenario import Scenario, ordinary_instrument
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Canvas
 
 Table = Mapping[str, Floats]
 PAPER_HZ = 20.0  # the paper's "omega = 20"
@@ -213,8 +212,6 @@ def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None
     ``text`` is the profile of the rig whose runs are shown; ``runs`` already holds those of a rig that is not
     simulated. ``seed`` is of the simulated rigs' noise, and of their instruments.
     """
-    from jinja2 import Environment, StrictUndefined
-
     (out / "runs").mkdir(parents=True, exist_ok=True)
     names, shipped = [*RUNS, *(name for name in MODELS if name not in RUNS)], load("paper")[1]
     plans = [write_plan(out / "runs" / f"{name}.toml", text if name in RUNS else shipped) for name in names]

@@ -21,16 +21,17 @@ import typer
 
 from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.run_side import RunSide
+from bench.profiles.edit import with_values
+from bench.profiles.find import load, refuse_forbidden
 from bench.terminal.run_console import free_keys, leave_keys_to_the_parent, spawned
 from bench.web.packages import require_packages
 from daq.setup.errors import InputError
-from rig.execution.operator import StopRequest
+from rig.execution.operator import Status, StopRequest
 from rig.profile import Profile, parse_profile
 from rig.programme.ramp import NextSteps
 
 if TYPE_CHECKING:
     from bench.jobs.run_ramp import Onlooker
-    from rig.execution.operator import Status
 
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section", "bench.agent.section")
 GATES = "bench.gates.desk"  # where runs are started from the page
@@ -230,9 +231,6 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
     Where a person chooses the next steps, they are driven as a run of their own, with the same limits and interlock,
     and so on; each has a board, which the page of the run before is shown.
     """
-    from bench.profiles.edit import with_values
-    from bench.profiles.find import load
-
     board, first = Board(board_name), asked.out
     side = RunSide(board)
     try:
@@ -262,7 +260,6 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
 def _drive(checked: Profile, text: str, side: RunSide, scenario: str | None, asked: AskedRun) -> NextSteps | None:
     """One run; the steps that a person chose to follow it, or None."""
     from bench.jobs.run_ramp import make_backend, record
-    from bench.profiles.find import refuse_forbidden
 
     def check(steps: NextSteps) -> None:
         if steps.ratio not in (None, checked.forcing.ratio):

@@ -14,6 +14,7 @@ from bench.jobs.loops.runs_and_files import SAVED
 from daq.recording.header import Header, Unread
 from daq.recording.notebook import ENDING, entries_of
 from daq.setup.errors import InputError
+from model.effects.registry import unit_of
 
 PLACE = ".shakerbench"
 """Folder, in the runs' folder, of what can be made again: the catalogue, the pyramids, the flights."""
@@ -137,8 +138,6 @@ def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
 
 def stated_quantities(header: Header) -> list[dict[str, Any]]:
     """Scales and effects that the profile of a recording states, as `quantity` has them."""
-    from model.effects.registry import unit_of
-
     setup = header.setup
     accelerometer, drive = setup["channels"]["accelerometer"], setup["drive"]
     stated = [("accelerometer.sensitivity", accelerometer["sensitivity"], accelerometer["unit"])]

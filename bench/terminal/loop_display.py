@@ -6,6 +6,9 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 
+from rich.console import Console
+from rich.table import Table
+
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import short_verdict
@@ -17,9 +20,6 @@ from model.effects.registry import unit_of
 
 def show(loop: ClosedLoop) -> None:
     """Print verdict, errors before and after, and the course of the search."""
-    from rich.console import Console
-    from rich.table import Table
-
     out = Console(highlight=False)
     out.print(f"\nverdict: {wording.verdict_line(loop)}", style="bold", soft_wrap=True)
     for line in wording.why_this_verdict(loop):
@@ -63,9 +63,6 @@ def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
 
 def show_runs(found: JointVerdict) -> None:
     """Print the verdict, what the runs share, what belongs to each, and the course of the search."""
-    from rich.console import Console
-    from rich.table import Table
-
     out = Console(highlight=False)
     names = f": {' + '.join(found.names)}" if found.names else ""
     out.print(

@@ -28,18 +28,14 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from daq.setup.errors import InputError
-from rig.execution.operator import StopRequest
+from rig.execution.operator import Status, StopRequest
 from rig.programme.ramp import NextSteps
 from rig.programme.sequencer import State, Stop
-
-if TYPE_CHECKING:
-    from rig.execution.operator import Status
-
 
 LIMITS = {
     "drive_v": "drive", "plate_mps2": "acceleration", "velocity_mps": "velocity", "displacement_m": "displacement",

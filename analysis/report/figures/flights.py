@@ -6,9 +6,10 @@ The model lies under the measurement and uses the plate's motion as measured; fl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from analysis.flights.compare import Comparison, ball_on, compare
 from analysis.flights.table import FlightFlag, Flights
@@ -24,10 +25,6 @@ from model.effects.registry import Effects, ball_effects
 from model.orbits.attractor import attractor
 from model.orbits.exact_ball import IdealBall
 from model.surveys.diagram import diagram
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 DOUBTFUL = "measured: double hit, or unsure"  # in legends
 

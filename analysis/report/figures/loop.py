@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import textwrap
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure as Canvas
 
 from analysis.loop.result import ClosedLoop, Predictions
 from analysis.report.figures import style
@@ -22,10 +23,6 @@ from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.plate_data.plate_observables import GAIN, KINDS, PHASE
 from analysis.statistics import mad_sigma
 from kernels.arrays import Floats, Integers
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Canvas
-
 
 LANDINGS = (
     "gamma", "flight_s", "height_m", "takeoff_phase_rad", "launch_mps", "plate_speed_at_takeoff_mps",

@@ -7,9 +7,10 @@ transfer function is shown relative to its median, so that ``g_per_volt`` need n
 from __future__ import annotations
 
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure as Canvas
 
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
@@ -24,9 +25,6 @@ from analysis.report.figures.style import Figure
 from analysis.report.wording import gamma_scale
 from daq.recording import Recording
 from kernels.arrays import Floats
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Canvas
 
 
 def draw_plate(shown: Measured, figure: Canvas) -> None:

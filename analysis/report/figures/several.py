@@ -5,17 +5,15 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from analysis.joint.result import JointVerdict
 from analysis.report.figures.style import BAND, HARMONICS, INK, MEASURED, MODEL, badge_text, save_picture
 from analysis.report.wording import plain
 from analysis.statistics import Z95
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def draw_runs(found: JointVerdict, figure: Figure) -> None:

@@ -12,18 +12,19 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+import matplotlib
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as Canvas
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import FuncFormatter, LogFormatter
 
 from daq.files.disk import whole
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats, Integers
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Canvas
-
 
 INK = "#12355b"
 MEASURED, MODEL = INK, "#e07a5f"
@@ -95,11 +96,6 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], N
 
     Raises `InputError` when the folder cannot be written.
     """
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Canvas
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     enabled = gc.isenabled()
     gc.disable()  # a picture is ten thousand objects that all live until it is saved: a search finds no garbage
     try:
@@ -142,7 +138,6 @@ def save_picture(folder: Path, name: str, badge: str, draw: Callable[[Canvas], N
 
 def plain_decades(axis: Any) -> None:
     """Write the ticks of a logarithmic axis as plain numbers: 0.01, 100; very small or large ones as powers of ten."""
-    from matplotlib.ticker import FuncFormatter, LogFormatter  # matplotlib is slow to import
 
     class Minor(LogFormatter):
         """Names the ticks between decades that matplotlib names: on axes of about a decade."""

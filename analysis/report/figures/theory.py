@@ -7,9 +7,10 @@ can be held on.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from analysis.flights.table import Flights
 from analysis.report.figures import style
@@ -21,9 +22,6 @@ from model.orbits.attractor import Ball, attractor
 from model.orbits.exact_ball import ExactBall, IdealBall
 from model.orbits.landing_map import LandingMap, branch_of
 from model.tones import Forcing, relative_height
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def zones_over(forcing: Forcing, gammas: Floats) -> list[Floats]:
