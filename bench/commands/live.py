@@ -41,12 +41,13 @@ def command(
 
 def open_page(runs: Path, profile: str | None, host: str = "127.0.0.1", port: int | None = None) -> None:
     """Serve the desk until Ctrl-C; as `command`, in a folder that is there."""
-    from bench.live.processes import sections
+    from bench.live.processes import SECTIONS
     from bench.profiles.find import find_profile
 
     if profile is not None:
         find_profile(profile)
-    serve_pages(sections(starts=True), runs, host=host, port=port, options={"gates": {"offered": profile}})
+    modules = ("bench.gates.desk", *SECTIONS)  # the six gates, where runs are started from the page
+    serve_pages(modules, runs, host=host, port=port, options={"gates": {"offered": profile}})
 
 
 def mcp(runs: Path = typer.Option(Path(), "--runs", metavar="DIR", help="Folder of the recordings.")) -> None:

@@ -211,7 +211,8 @@ class Gates(Passed):
             names = (self.folder / f"{stem}-improved-{n}.toml" for n in count(1))
             improved = next(path for path in names if not path.exists())
         rig = self.rig
-        job = Job(gate, kind, self.path, rig.get("scenario") or None, rig.get("seed", 0), recording, improved)
+        scenario = Path(rig["scenario"]) if rig.get("scenario") else None
+        job = Job(gate, kind, self.path, scenario, rig.get("seed", 0), recording, improved)
         self._pipe, self._process = spawned(work, job, name=gate)  # no daemon: it may record
         self.job = {"gate": gate, "kind": kind, "words": "", "asks": False}
         self._tried = {} if gate == "verdict" else inputs_of(gate, self._known(), rig, self.state.device)
@@ -294,7 +295,7 @@ class Gates(Passed):
 
     def _drive(self, said: Message) -> None:
         seed = self.state.seed + len(self.state.rounds)  # a second run has other noise
-        asked = asked_of(said | {"seed": str(seed)}, self.folder, Path(self.state.profile).stem)
+        asked = asked_of(said, self.folder, Path(self.state.profile).stem, seed)
         inputs = inputs_of("ramp", self._known(), self.rig, self.state.device)
         refuse_forbidden(self.state.profile, self._known())
         run = self.live.start(self.path, self.rig.get("scenario") or None, asked)

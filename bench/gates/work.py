@@ -29,7 +29,7 @@ class Job:
     gate: str
     kind: str
     profile: Path
-    scenario: str | None
+    scenario: Path | None
     seed: int
     recording: Path | None = None
     improved: Path | None = None
@@ -62,7 +62,7 @@ def _card(job: Job, ask: Ask, tell: Ask) -> Message:
     from bench.profiles.devices import fits, found_devices
     from rig.backends.portaudio import Card
 
-    profile, backend = open_rig(job.profile, "check", _scenario(job), job.seed)
+    profile, backend = open_rig(job.profile, "check", job.scenario, job.seed)
     device: Message = {"name": f"the {backend.name} rig"}
     rows = []
     if isinstance(profile.backend, CardOptions):
@@ -82,7 +82,7 @@ def _card(job: Job, ask: Ask, tell: Ask) -> Message:
 
 def _wiring(job: Job, ask: Ask, tell: Ask) -> Message:
     """Which terminal is what, by hand or by the drive."""
-    check = Check(*open_rig(job.profile, "check", _scenario(job), job.seed))
+    check = Check(*open_rig(job.profile, "check", job.scenario, job.seed))
     if job.kind == "drive":
         return {"rows": [asdict(one) for one in check.wiring()]}
     words = {"tap": "Tap the plate lightly, some times", "lift": "Lift the ball off the plate, some times"}[job.kind]
@@ -97,13 +97,13 @@ def _calibrate(job: Job, ask: Ask, tell: Ask) -> Message:
         how = "upside down" if over else "as it is mounted"
         ask(f"Lay the accelerometer {how}, its axis plumb, and let it lie still.")
 
-    _, _, measured = calibrate_into(job.profile, job.kind, _scenario(job), job.seed, lay)
+    _, _, measured = calibrate_into(job.profile, job.kind, job.scenario, job.seed, lay)
     return {"rows": [row_of(one.key, f"{one.value:.6g} \u00b1 {one.uncertainty:.2g}", True) for one in measured]}
 
 
 def _check(job: Job, ask: Ask, tell: Ask) -> Message:
     """`bench check`."""
-    return {"rows": [asdict(one) for one in check_rig(*open_rig(job.profile, "check", _scenario(job), job.seed))]}
+    return {"rows": [asdict(one) for one in check_rig(*open_rig(job.profile, "check", job.scenario, job.seed))]}
 
 
 def _verdict(job: Job, ask: Ask, tell: Ask) -> Message:
@@ -124,10 +124,6 @@ def _verdict(job: Job, ask: Ask, tell: Ask) -> Message:
     numbers = {"verdict": loop.verdict, "effects": full["effects"], "floor_us": full["noise_floor_us"], **errors}
     said = {"headline": headline(loop), "lines": [*([problem] if problem else []), *lines]}
     return {"rows": [], "round": {"recording": job.recording.name, "improved": job.improved.name, **said, **numbers}}
-
-
-def _scenario(job: Job) -> Path | None:
-    return Path(job.scenario) if job.scenario else None
 
 
 def row_of(what: str, seen: str, passed: bool | None, remedy: str = "") -> Message:

@@ -9,6 +9,7 @@ import multiprocessing
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ class Desk:
         self.watch: WatchedRun | None = None
         self._watched = watched
         self._run: Any = None
-        self.watchers = Watchers(self.hub, self._greet, _show_watcher, HERE / "static")
+        self.watchers = Watchers(self.hub, self._greet, partial(_show, watching=True), HERE / "static")
 
     @property
     def busy(self) -> bool:
@@ -149,8 +150,8 @@ class Desk:
             self.watch.command({"do": wanted, "text": str(said.get("text", ""))[:LONGEST_NOTE]})
 
 
-async def _show_watcher(request: Request) -> Response:
-    return templates_of(HERE / "templates").TemplateResponse(request, "live.html", {"watching": True})
+async def _show(request: Request, *, watching: bool = False) -> Response:
+    return templates_of(HERE / "templates").TemplateResponse(request, "live.html", {"watching": watching})
 
 
 def desk_of(place: Place) -> Desk:
@@ -161,10 +162,6 @@ def desk_of(place: Place) -> Desk:
 
 def section(place: Place) -> Section:
     """The section that watches a run."""
-    desk, templates = desk_of(place), templates_of(HERE / "templates")
-
-    async def show(request: Request) -> Response:
-        return templates.TemplateResponse(request, "live.html", {"watching": False})
-
-    routes = [Route("/live", show), socket_route("/live/socket", desk.talk)]
+    desk = desk_of(place)
+    routes = [Route("/live", _show), socket_route("/live/socket", desk.talk)]
     return Section("live", "Live", "/live", routes, HERE / "static", desk.running)

@@ -5,7 +5,6 @@ None of them depends on another one once it is under way.
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import re
 from collections.abc import Iterator
@@ -34,18 +33,7 @@ if TYPE_CHECKING:
     from bench.jobs.run_ramp import Onlooker
 
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section", "bench.agent.section")
-GATES = "bench.gates.desk"  # where runs are started from the page
 LINGER_S = 3.0  # in which browsers get the last word of a run
-
-
-def sections(*, starts: bool = False) -> tuple[str, ...]:
-    """Modules of the desk's sections that there are, with the six gates where the page ``starts`` runs.
-
-    Raises `InputError` without the packages of the page.
-    """
-    require_packages()
-    names = (GATES, *SECTIONS) if starts else SECTIONS
-    return tuple(name for name in names if importlib.util.find_spec(name.rpartition(".")[0]) is not None)
 
 
 class PageProcess:
@@ -57,7 +45,8 @@ class PageProcess:
     """
 
     def __init__(self, profile: Profile, board: Board, folder: Path, host: str, port: int | None) -> None:
-        made_of = sections(), profile, board.name, str(folder), host, port
+        require_packages()
+        made_of = SECTIONS, profile, board.name, str(folder), host, port
         ours, self._process = spawned(_serve_run, *made_of, name="page")
         self.url, fault = "", "it does not start"
         try:
@@ -68,11 +57,6 @@ class PageProcess:
         if not self.url:
             self._process.terminate()
             raise InputError(f"the page cannot be served: {fault}")
-
-    @property
-    def pid(self) -> int | None:
-        """Of the process."""
-        return self._process.pid
 
     def close(self) -> None:
         """Let the page say how the run ended, and end it."""
@@ -206,10 +190,10 @@ class AskedRun:
     seed: int = 0
 
 
-def asked_of(said: Message, folder: Path, stem: str) -> AskedRun:
-    """What the page asks of a run before it starts: name, note, keys and seed; the name is dated where none is given.
+def asked_of(said: Message, folder: Path, stem: str, seed: int) -> AskedRun:
+    """What the page asks of a run before it starts: name, note and keys; the name is dated where none is given.
 
-    Raises `InputError` for a name that is taken, or none of a file, keys that are none, and a seed that is no number.
+    Raises `InputError` for a name that is taken, or none of a file, and keys that are none.
     """
     name = str(said.get("name", "")).strip().removesuffix(".h5") or f"{stem}-{datetime.now():%Y%m%d-%H%M%S}"
     if not re.fullmatch(r"[\w.+ -]{1,100}", name) or name.startswith("."):
@@ -217,12 +201,9 @@ def asked_of(said: Message, folder: Path, stem: str) -> AskedRun:
     out = folder / f"{name}.h5"
     if out.exists():
         raise InputError(f"name {name}: {out.name} is there, and a recording is never overwritten; take another name")
-    seed = str(said.get("seed", "")).strip() or "0"
-    if not seed.isdecimal() or len(seed) > 9:
-        raise InputError(f"seed {seed!r}: wanted a whole number, as 7")
     keys = free_keys([one.strip() for one in re.split(r"[,\n]", str(said.get("keys", ""))) if one.strip()])
     note = str(said.get("note", "")).strip()[:LONGEST_NOTE]
-    return AskedRun(out, note or None, keys, int(seed))
+    return AskedRun(out, note or None, keys, seed)
 
 
 def run_profile(profile: str, board_name: str, scenario: str | None, asked: AskedRun) -> None:

@@ -284,12 +284,9 @@ def _query(request: Request) -> Query:
         limit, c = int(given.get("limit", "-1")), int(given["c"]) if given.get("c") else None
     except ValueError as error:
         raise InputError("wanted numbers for c, gamma and limit") from error
-    return Query(
-        profile=given.get("profile", ""), c=c, gamma=gamma, tags=tuple(given.get("tags", "").split()),
-        verdict=given.get("verdict", ""), ended=given.get("ended", ""), since=given.get("since", ""),
-        until=given.get("until", ""), text=given.get("text", ""), lost=given.get("lost") == "1",
-        sort=given.get("sort", "-date"), limit=limit,
-    )  # fmt: skip
+    words = {name: given.get(name, "") for name in ("profile", "verdict", "ended", "since", "until", "text")}
+    tags, lost, sort = tuple(given.get("tags", "").split()), given.get("lost") == "1", given.get("sort", "-date")
+    return Query(**words, c=c, gamma=gamma, tags=tags, lost=lost, sort=sort, limit=limit)
 
 
 def _json(answer: Any) -> Response:

@@ -12,14 +12,13 @@ from typing import Any
 from bench.terminal.console import print_lines
 from daq.setup.errors import InputError
 
-MISSING = 'the page needs packages that are not installed ({}); run: pip install "shakerbench[live]"'
-
 
 def require_packages() -> None:
     """Refuse to go on without them; raises `InputError` with what is missing, and how it is installed."""
     missing = [name for name in ("starlette", "uvicorn", "websockets") if importlib.util.find_spec(name) is None]
     if missing:
-        raise InputError(MISSING.format(", ".join(missing)))
+        words = f"the page needs packages that are not installed ({', '.join(missing)})"
+        raise InputError(f'{words}; run: pip install "shakerbench[live]"')
 
 
 def serve_pages(

@@ -25,7 +25,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from bench.web.access import LOOPBACK, Access, Guard, is_loopback
-from bench.web.browsers import Browser, Hub, socket_route
+from bench.web.browsers import Browser, Greet, Hub, socket_route
 from bench.web.section import FRAME, Place, Section, templates_of
 from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
@@ -74,11 +74,10 @@ def make_app(access: Access, sections: Sequence[Section]) -> Starlette:
 PORT = 8625
 
 
-def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None) -> tuple[socket.socket, Access]:
-    """A listening socket and the access that goes with it; raises `InputError` when the address cannot be bound.
+def bind(host: str = LOOPBACK, port: int | None = None) -> tuple[socket.socket, Access]:
+    """A listening socket and the access that goes with it, which has a token where other machines may come in.
 
-    Port None takes the first free one from `PORT` on, 0 any. ``token`` is for browsers of other machines; None makes
-    one where ``host`` is not the own machine's.
+    Port None takes the first free one from `PORT` on, 0 any. Raises `InputError` when the address cannot be bound.
     """
     # another server of a second run may have the first ports
     ports = [port] if port is not None else range(PORT, PORT + 20)
@@ -95,8 +94,8 @@ def bind(host: str = LOOPBACK, port: int | None = None, token: str | None = None
             listening.close()
             last = error if isinstance(error, OSError) else OSError(str(error))
             continue
-        known = token or (None if is_loopback(host) else secrets.token_urlsafe(24))
-        return listening, Access(host, listening.getsockname()[1], known)
+        token = None if is_loopback(host) else secrets.token_urlsafe(24)
+        return listening, Access(host, listening.getsockname()[1], token)
     raise InputError(f"--host {host} --port {ports[0]}: cannot listen there ({last}); name another --port")
 
 
@@ -153,7 +152,6 @@ class Server(uvicorn.Server):
 
 
 MOST_PER_S = 30  # requests of one address: a page needs a dozen
-Greet = Callable[[Browser], Awaitable[None]]
 
 
 class Watchers:
