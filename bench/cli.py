@@ -2,7 +2,7 @@
 
 Nothing heavy is imported before a command runs, so `bench --help` stays instant. A command is registered as ``name:
 (module:function, one-line help)``; its module is imported only when it is called. Without a function's name it is
-``command``, or ``app`` where the command has commands of its own.
+``command``; ``app`` is a command with commands of its own.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "ramp": ("ramp", "Run a profile's ramp and record it."),
     "live": ("live", "A page to start, watch and stop runs, in a browser."),
     "explore": ("explore", "Let the rig choose its own steps until one explanation stands."),
-    "import": ("import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
-    "export": ("export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
+    "import": ("exchange:import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
+    "export": ("exchange:export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
     "reprocess": ("reprocess", "Recording to flights, plate motion and pictures."),
     "compare": ("reprocess:compare", "Hold a recording against the model, step by step."),
     "predict": ("predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("close_loop", "Find the residual, name the missing effect, report before and after."),
-    "stake": ("stake", "Hold a later run against the prediction that a verdict staked on it."),
+    "stake": ("close_loop:stake", "Hold a later run against the prediction that a verdict staked on it."),
     "batch": ("batch", "Folders of recordings, one row each; resumable, on many cores."),
     "report": ("report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
     "drop": ("drop", "Drop tests by camera, sound or contact."),
     "info": ("recordings:info", "Contents of a recording: note, keys, profile, steps, state."),
     "runs": ("runs", "Table of the recordings in a folder, filtered and sorted."),
-    "tag": ("notes:tag", "Tag a recording, or take tags away."),
-    "note": ("notes:note", "Add a note to a recording."),
+    "tag": ("runs:tag", "Tag a recording, or take tags away."),
+    "note": ("runs:note", "Add a note to a recording."),
     "verify": (
         "recordings:verify",
         "Check whether a recording is complete, stopped, incomplete or damaged.",
@@ -54,7 +54,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Rebuild a verified recording from one that was cut off or is damaged.",
     ),
     "mcp": ("live:mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
-    "virtual": ("virtual", "The simulated plant as a process of its own, behind a real driver."),
+    "virtual": ("rig:virtual", "The simulated plant as a process of its own, behind a real driver."),
     "paper": ("demo:paper", "The seed paper, figure by figure, each number with the effect that moves it."),
     "demo": ("demo", "The main job on a simulated rig, end to end."),
 }

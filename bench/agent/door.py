@@ -24,8 +24,7 @@ from typing import Any
 
 from bench.profiles.edit import with_values
 from bench.profiles.find import find_profile, find_scenario, load, planned, refusal, scenario_names, shipped_names
-from bench.runs.catalogue import Catalogue
-from bench.runs.query import Query
+from bench.runs.catalogue import Catalogue, Query
 from daq.files.disk import write_whole
 from daq.recording.opening import same_modules
 from daq.setup.errors import InputError

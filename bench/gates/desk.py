@@ -18,8 +18,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from bench.gates.state import GATES, Inputs, Message, Result, State, inputs_of, now, save_state
-from bench.gates.view import Passed, scales_of, view_of
+from bench.gates.state import GATES, Inputs, Message, Passed, Result, State, now, save_state, scales_of, view_of
 from bench.gates.work import KINDS, Job, row_of, work
 from bench.live.pages import Desk, desk_of
 from bench.live.processes import asked_of
@@ -34,7 +33,7 @@ from daq.files.disk import write_whole
 from daq.recording import verify
 from daq.setup.errors import InputError
 from daq.setup.values import read_toml_text
-from rig.profile import Profile, parse_profile
+from rig.profile import parse_profile
 
 HERE = Path(__file__).parent
 
@@ -178,11 +177,6 @@ class Gates(Passed):
         """Turn the accelerometer's sign."""
         self._change({"channels.accelerometer.sign": -self._known().channels.accelerometer.sign})
 
-    def _known(self) -> Profile:
-        if self.profile is None:
-            raise InputError(self.fault or "choose a profile first")
-        return self.profile
-
     # jobs of the gates
 
     def _refuse_busy(self) -> None:
@@ -215,7 +209,7 @@ class Gates(Passed):
         job = Job(gate, kind, self.path, scenario, rig.get("seed", 0), recording, improved)
         self._pipe, self._process = spawned(work, job, name=gate)  # no daemon: it may record
         self.job = {"gate": gate, "kind": kind, "words": "", "asks": False}
-        self._tried = {} if gate == "verdict" else inputs_of(gate, self._known(), rig, self.state.device)
+        self._tried = {} if gate == "verdict" else self.inputs(gate)
 
     def _answer(self, said: Message) -> None:
         """A person has done what was asked."""
@@ -265,7 +259,7 @@ class Gates(Passed):
             done = {row["what"].partition(":")[0] for row in rows if row["passed"]}
             passed = {"tap", "lift"} <= done and all(row["passed"] is not False for row in rows)
         if gate == "calibrate":  # passed when a person takes what is now in the profile
-            passed, inputs = False, inputs_of(gate, self.profile, self.rig, state.device)
+            passed, inputs = False, self.inputs(gate)
         result = Result(passed, inputs, now(), tuple(rows))
         if gate == "verdict" and "round" in answer:
             result = replace(result, file=answer["round"]["recording"])
@@ -281,7 +275,7 @@ class Gates(Passed):
         doubtful = ", ".join(row["key"] for row in scales_of(profile) if row["state"] != "good")
         if doubtful and said.get("anyway") is not True:
             raise InputError(f"{doubtful}: not calibrated, or long ago; calibrate, or say that you take them")
-        inputs = inputs_of("calibrate", profile, self.rig, self.state.device)
+        inputs = self.inputs("calibrate")
         self._keep(self.state.passed("calibrate", Result(True, inputs, now())))
 
     # runs
@@ -296,7 +290,7 @@ class Gates(Passed):
     def _drive(self, said: Message) -> None:
         seed = self.state.seed + len(self.state.rounds)  # a second run has other noise
         asked = asked_of(said, self.folder, Path(self.state.profile).stem, seed)
-        inputs = inputs_of("ramp", self._known(), self.rig, self.state.device)
+        inputs = self.inputs("ramp")
         refuse_forbidden(self.state.profile, self._known())
         run = self.live.start(self.path, self.rig.get("scenario") or None, asked)
         self._keep(replace(self.state, run=run | {"inputs": inputs}))

@@ -204,9 +204,7 @@ def _next(
     text: str, judged: _Judged | None, blocks: Sequence[Chosen], offered: Callable[[int], Sequence[Option]], aims: Aims
 ) -> tuple[Chosen | None, str]:
     """The next block; or why there is none. ``offered`` gives the options by the cycles for which steps are held."""
-    if judged is not None and judged.loop is not None and judged.loop.verdict == "unexplained":
-        # longer holds separate tones as near as the mains and a harmonic
-        aims = replace(aims, hold_cycles=2 * aims.hold_cycles)
+    aims = _held(aims, None if judged is None else judged.loop)
     options = offered(aims.hold_cycles)
     if judged is None:
         return _farthest(text, options, (), aims, "nothing is known yet"), ""
@@ -246,6 +244,14 @@ def _next(
     if chosen.seconds > left_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
     return chosen, ""
+
+
+def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
+    """With longer steps where what was recorded so far is unexplained."""
+    if loop is None or loop.verdict != "unexplained":
+        return aims
+    # longer holds separate tones as near as the mains and a harmonic
+    return replace(aims, hold_cycles=2 * aims.hold_cycles)
 
 
 def _in_vain(block: Block, blocks: Sequence[Chosen]) -> bool:

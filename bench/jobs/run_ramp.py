@@ -35,7 +35,7 @@ from rig.sim.scenario import Scenario
 
 
 class Onlooker(Protocol):
-    """The watcher of a run, which may ask things of it: `bench.live.run_side.RunSide`, in a room above this one."""
+    """The watcher of a run, which may ask things of it: `bench.live.board.RunSide`, in a room above this one."""
 
     def recorder(self, path: Path, setup: Setup, **options: Any) -> RecorderProcess: ...
     def begin(

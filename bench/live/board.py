@@ -3,20 +3,34 @@
 The run puts events on one lane, the page puts commands on the other. A lane keeps the newest messages; a reader that
 was away too long learns how many it missed. If no one reads, a message costs the microseconds of its writing.
 Decision 142.
+
+`RunSide` is the run's end: what a watched run sends, and how it takes commands, between two blocks. A page that is
+slow, hangs or is gone changes nothing.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.terminal.run_console import steps_from
+from daq.files.json_values import json_object
 from daq.files.tables import crc32
+from daq.recorder.recorder_process import RecorderProcess
 from daq.recorder.shared_ring import shared_memory
+from daq.setup.clock import SYSTEM, Clock
+from daq.setup.errors import InputError
+from daq.setup.setup import Setup
+from rig.backends.base import Backend
+from rig.execution.operator import RunSummary, Status, StopRequest
+from rig.programme.sequencer import Stop
 
 EVENT_SLOTS, EVENT_BYTES = 512, 8192
 COMMAND_SLOTS, COMMAND_BYTES = 64, 8192
@@ -111,3 +125,131 @@ class Board:
             self._owner = False
             with contextlib.suppress(FileNotFoundError):  # already gone
                 self._memory.unlink()
+
+
+PAGE = "page"
+STATE_S = 0.05
+STOPS = {
+    "finish": (Stop.FINISH_STEP, "page: step finished"), "ramp_down": (Stop.RAMP_DOWN, "page: ramped down"),
+    "now": (Stop.NOW, "page: stopped now"),
+}  # fmt: skip
+
+
+class WatchedRecorder(RecorderProcess):
+    """A recorder whose frames and steps others can watch; as `RecorderProcess` in all else."""
+
+    def __init__(self, path: Path | str, setup: Setup, board: Board, **options: Any) -> None:
+        super().__init__(path, setup, private=False, **options)
+        self._board = board
+
+    def mark_step(self, step: np.void | Mapping[str, Any]) -> None:
+        """As `RecorderProcess.mark_step`; the row goes on the board too."""
+        super().mark_step(step)
+        names = step.dtype.names or () if isinstance(step, np.void) else tuple(step)
+        self._board.events.put({"kind": "step", **json_object({name: step[name] for name in names})})
+
+
+class RunSide:
+    """Events out and commands in, for one run (`bench.jobs.run_ramp.Onlooker`).
+
+    ``also`` is called after each block too.
+    """
+
+    def __init__(self, board: Board, also: Callable[[Status], None] | None = None, clock: Clock = SYSTEM) -> None:
+        self._board, self._also, self._clock = board, also, clock
+        self._request = StopRequest()
+        self._progress: Callable[[Status], None] = lambda status: None
+        self._sent_at = -math.inf
+        self._sent: tuple[object, ...] = ()
+        self._announced: Message = {}
+
+    def recorder(self, path: Path, setup: Setup, **options: Any) -> RecorderProcess:
+        """The recorder of a run that is watched."""
+        return WatchedRecorder(path, setup, self._board, **options)
+
+    def begin(
+        self, recorder: RecorderProcess, backend: Backend, request: StopRequest, progress: Callable[[Status], None]
+    ) -> Callable[[Status], None]:
+        """Announce the run and where its frames are; returns what is called after each block, ``progress`` included."""
+        self._request, self._progress = request, progress
+        ring = recorder.ring
+        self._announced = {
+            "kind": "run",
+            "out": str(recorder.path.absolute()),
+            "backend": backend.name,
+            "simulated": backend.simulated,
+            "channels": list(backend.channels),
+            "scales": {name: list(scale) for name, scale in backend.scales.items()},
+            "ring": [ring.slots, ring.block_samples, ring.channels, ring.name],
+            "leads": request.leads,
+        }
+        self._board.events.put(self._announced)
+        return self._after_block
+
+    def _after_block(self, status: Status) -> None:
+        """Take commands, send the state of the run where it is due or another one, draw."""
+        if self._board.commands.waiting:
+            for command in self._board.commands.read()[0]:
+                self._obey(command)
+        now = self._clock.monotonic_s()
+        state = (status.state, status.step.index, self._request.pause, self._request.wanted)
+        # twenty states a second at most: a simulation's blocks come far faster than a page shows them
+        if now - self._sent_at >= STATE_S or state != self._sent:
+            # due at even times: counted from the last one, a state would come with every sixth block, 17 a second
+            self._sent_at, self._sent = max(self._sent_at + STATE_S, now - STATE_S), state
+            self._board.events.put(state_of(status, self._request))
+        if self._also is not None:
+            self._also(status)
+        self._progress(status)
+
+    def end(self, summary: RunSummary | None, fault: str = "") -> None:
+        """Send how the run ended; without a summary ``fault`` says why it has none."""
+        ended: Message = {"kind": "ended", "how": "failed", "why": fault, "n_samples": 0}
+        if summary is not None:
+            names = ("how", "why", "n_samples", "steps_driven", "lost_samples")
+            ended |= {name: getattr(summary, name) for name in names}
+        self._board.events.put(ended)
+
+    def _obey(self, command: Message) -> None:
+        """Do what the page asks; what is not known is passed over."""
+        wanted, text, request = command.get("do"), str(command.get("text", "")), self._request
+        if wanted == "announce":  # a page that came late: what was said first may be overwritten
+            self._board.events.put(self._announced)
+            return
+        if wanted in STOPS:
+            request.ask(*STOPS[wanted])
+        elif wanted == "pause":
+            request.hold(PAGE)
+        elif wanted == "go_on":
+            request.go_on(PAGE)
+        elif wanted == "note" and text.strip():
+            request.notes = [*request.notes, text.strip()]
+        elif wanted == "next":
+            try:
+                request.take_over(PAGE, steps_from(text))
+            except InputError as error:
+                wanted, text = "refused", str(error)
+        else:
+            return
+        self._board.events.put({"kind": "taken", "do": wanted, "text": text[:LONGEST_NOTE]})
+
+
+def state_of(status: Status, request: StopRequest) -> Message:
+    """A run's state as an event; null for what is not known."""
+    same = (
+        "n_steps", "sample", "n_samples", "left_samples", "achieved_gamma", "achieved_gamma_uncertainty", "plate_mps2",
+        "lost_samples",
+    )  # fmt: skip
+    return {
+        "kind": "state",
+        "state": status.state.value,
+        "step": status.step.index,
+        "gamma": status.step.gamma,
+        "step_first": status.step.first_sample,
+        "step_end": status.step.end_sample,
+        **json_object({name: getattr(status, name) for name in same}),
+        "limits": {name: round(float(part), 4) for name, part in status.limits_in_use.items()},
+        "contact_age_cycles": round(float(status.contact_age_cycles), 2),
+        "pausing": request.pause,
+        "stopping": None if request.wanted is None else request.wanted.name.lower(),
+    }

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.live.board import LONGEST_NOTE, Board, Message
-from bench.live.run_side import RunSide
+from bench.live.board import LONGEST_NOTE, Board, Message, RunSide
 from bench.profiles.edit import with_values
 from bench.profiles.find import load, refuse_forbidden
 from bench.terminal.run_console import free_keys, leave_keys_to_the_parent, spawned

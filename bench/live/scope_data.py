@@ -52,7 +52,7 @@ class MinMax:
 
 
 class PlateHeight:
-    """Displacement of the plate from its accelerometer, as codes of `LEAST_M` metres: one more trace of the scope.
+    """Displacement of the plate from its accelerometer, as codes of ``least_m`` metres: one more trace of the scope.
 
     Acceleration is integrated twice; what is slower than a tenth of the forcing is forgotten.
 

@@ -23,10 +23,9 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from analysis.loop.verdict import short_verdict
-from bench.runs.catalogue import Catalogue
+from bench.runs.catalogue import ENDS, WITH_NONE, Catalogue, Query, Row
 from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
-from bench.runs.query import ENDS, WITH_NONE, Query, Row
 from bench.runs.scope import Scope, change_of
 from bench.web.section import Place, Section, templates_of
 from daq.files.json_values import json_values

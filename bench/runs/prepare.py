@@ -29,8 +29,8 @@ from analysis.loop.result import ClosedLoop, load_verdict
 from analysis.loop.verdict import VERDICTS, short_verdict
 from analysis.statistics import Z95
 from bench.outputs import probe
+from bench.runs.catalogue import Row
 from bench.runs.folder import PLACE, quantity
-from bench.runs.query import Row
 from bench.runs.scope import events_of, on_scope
 from daq.files.disk import write_whole
 from daq.files.json_values import json_object, json_values

@@ -56,8 +56,7 @@ def record(path: Path, seconds: float, channels: int = 3) -> None:
 
 def catalogue(folder: Path, n: int) -> None:
     """Copies of a small recording, each with a name and a start of its own, in folders of 50."""
-    from bench.runs.catalogue import Catalogue
-    from bench.runs.query import Query
+    from bench.runs.catalogue import Catalogue, Query
 
     record(folder / "small.h5", 2.0)
     for k in range(n):

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.live.board import Board
-from bench.live.run_side import RunSide
+from bench.live.board import Board, RunSide
 from bench.terminal.run_console import stop_on_signals
 from benchmarks.bench_simulation.cards import make_card
 from benchmarks.bench_simulation.devices import Ledger, PlainDevice, Plate

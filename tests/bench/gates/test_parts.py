@@ -14,8 +14,7 @@ import pytest
 
 from bench.gates import desk
 from bench.gates.desk import Gates
-from bench.gates.state import FILE, GATES, Result, State, changed, inputs_of, load_state, now
-from bench.gates.view import view_of
+from bench.gates.state import FILE, GATES, Result, State, changed, inputs_of, load_state, now, view_of
 from bench.gates.work import Job
 from bench.live.pages import Desk
 from bench.profiles.edit import with_values

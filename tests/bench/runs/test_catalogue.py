@@ -14,8 +14,7 @@ import pytest
 from analysis.loop.result import ClosedLoop, save_verdict
 from bench.jobs.loops.runs_and_files import keep_verdict
 from bench.runs import catalogue as catalogue_module
-from bench.runs.catalogue import VERSION, Catalogue
-from bench.runs.query import Query
+from bench.runs.catalogue import VERSION, Catalogue, Query
 from daq.recording import open_recording, verify
 from daq.recording.header import content_id, stored_id
 from daq.recording.notebook import side_file, with_note, with_tags

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.cli import app
-from bench.commands import notes
+from bench.commands import runs
 from daq.setup.errors import InputError
 from model.effects.registry import effect
 
@@ -18,7 +18,7 @@ from model.effects.registry import effect
 @pytest.mark.parametrize("fails", [lambda: np.concatenate([]), lambda: np.linalg.cholesky(-np.eye(2)), lambda: {}["x"]])
 def test_error_of_a_library_is_a_defect_with_its_traceback_in_a_file(fails, monkeypatch, tmp_path: Path) -> None:
     """A library's own error ends with status 1 and one line that names the file of its traceback."""
-    monkeypatch.setattr(notes, "note", lambda: fails())
+    monkeypatch.setattr(runs, "note", lambda: fails())
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     result = CliRunner().invoke(app, ["note"])
     assert result.exit_code == 1 and result.stderr.startswith("error: this is a defect of shakerbench")

@@ -12,6 +12,7 @@ from analysis.loop import close_loop
 from analysis.loop.result import ClosedLoop, load_verdict
 from bench.batch import examine
 from bench.cli import app
+from bench.jobs import report
 from bench.jobs.loops.runs_and_files import drawn, keep_verdict, verdict_file
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import record
@@ -38,7 +39,8 @@ def test_runs_judged_as_one_do_not_replace_the_first_ones_verdict(tmp_path: Path
 
 def test_batch_and_report_keep_it(closed_loop: ClosedLoop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A row of a batch and a page of a report leave the verdict beside the recording; the next report reads it."""
-    monkeypatch.setattr(close_loop, "close_loop", lambda paths, **_: closed_loop)
+    for place in (close_loop, report):
+        monkeypatch.setattr(place, "close_loop", lambda paths, **_: closed_loop)
     for name in ("batch", "report"):
         record(tmp_path / f"{name}.h5")
     examine(tmp_path / "batch.h5", ("close-loop",))
