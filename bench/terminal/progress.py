@@ -15,6 +15,26 @@ from kernels.kernel import watchers
 Progress = Callable[[str, float], None]
 
 
+class _Compiling:
+    """Watcher of compilations (`kernels.kernel.watchers`); stored kernels cause none.
+
+    At the beginning and at the end of each compilation ``say`` gets the kernel's name (empty when none is being
+    compiled) and the number of those done.
+    """
+
+    def __init__(self, say: Callable[[str, int], None]) -> None:
+        self._say, self._depth, self._done = say, 0, 0
+
+    def on_start(self, name: str) -> None:
+        self._depth += 1
+        self._say(name, self._done)
+
+    def on_end(self) -> None:
+        self._depth, self._done = self._depth - 1, self._done + 1
+        if self._depth == 0:
+            self._say("", self._done)
+
+
 @functools.cache
 def _announce() -> None:
     """Say at the first call that kernels are being compiled."""
@@ -38,23 +58,12 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
             doing = what
             bar.update(task, description=what, completed=part)
 
-        class Compiling:
-            """Watcher of compilations; stored kernels cause none. One may begin within another."""
+        def compiling(kernel: str, done: int) -> None:
+            if not quiet and not console.is_terminal:
+                _announce()
+            bar.update(task, description=f"compiling, once: {kernel} ({done} done)" if kernel else doing)
 
-            depth = done = 0
-
-            def on_start(self, name: str) -> None:
-                self.depth += 1
-                if not quiet and not console.is_terminal:
-                    _announce()
-                bar.update(task, description=f"compiling, once: {name} ({self.done} done)")
-
-            def on_end(self) -> None:
-                self.depth, self.done = self.depth - 1, self.done + 1
-                if self.depth == 0:
-                    bar.update(task, description=doing)
-
-        listener = Compiling()
+        listener = _Compiling(compiling)
         watchers.append(listener)
         try:
             yield say
