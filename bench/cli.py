@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("exchange:import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
     "export": ("exchange:export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
     "reprocess": ("reprocess", "Recording to flights, plate motion and pictures."),
-    "compare": ("reprocess:compare", "Hold a recording against the model, step by step."),
+    "compare": ("compare", "Hold a recording against the model, step by step."),
     "predict": ("predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("close_loop", "Find the residual, name the missing effect, report before and after."),
     "stake": ("close_loop:stake", "Hold a later run against the prediction that a verdict staked on it."),
@@ -53,9 +53,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "recordings:recover",
         "Rebuild a verified recording from one that was cut off or is damaged.",
     ),
-    "mcp": ("live:mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
+    "mcp": ("mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
     "virtual": ("rig:virtual", "The simulated plant as a process of its own, behind a real driver."),
-    "paper": ("demo:paper", "The seed paper, figure by figure, each number with the effect that moves it."),
+    "paper": ("paper", "The seed paper, figure by figure, each number with the effect that moves it."),
     "demo": ("demo", "The main job on a simulated rig, end to end."),
 }
 

@@ -1,18 +1,15 @@
-"""`bench demo`: the main job end to end on a simulated rig that hides something; `bench paper`: the seed paper."""
+"""`bench demo`: the main job end to end on a simulated rig that hides something undeclared."""
 
 from __future__ import annotations
 
 import datetime
-import shutil
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import typer
 
-from bench.outputs import Folder, Overwrite, Scenario, check_outputs
+from bench.outputs import Folder, Scenario, check_outputs
 from bench.terminal.console import DEFECTS, EXIT_FAILED, fail, write_json
 from bench.terminal.progress import progress_bar
 from daq.setup.errors import InputError
@@ -103,6 +100,9 @@ def _simulated(name: str) -> tuple[Profile, str]:
 
 def _sealed(seed: int, profile: Profile) -> Hidden:
     """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow."""
+    from dataclasses import replace
+
+    import numpy as np
 
     from rig.sim.scenario import left_open, ordinary_instrument, pool, sealed_scenario
 
@@ -114,6 +114,8 @@ def _sealed(seed: int, profile: Profile) -> Hidden:
 
 def _claim(folder: Path) -> None:
     """Make the folder, or clear what an unfinished demo left in it; `InputError` where it holds anything else."""
+    import shutil
+
     if folder.exists():
         if not folder.is_dir() or (any(folder.iterdir()) and not (folder / UNFINISHED).is_file()):
             raise InputError(f"{folder}: exists already; name a new folder by --out")
@@ -202,26 +204,3 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         ("improved profile", write_profile),
     )
     return loop, conclude(loop, [recording], outputs)
-
-
-def paper(
-    out: Path = typer.Option(Path("paper"), "--out", metavar="FOLDER", help="For page, pictures, tables and runs."),
-    profile: str = typer.Option("paper", "--profile", help="The rig whose runs are shown: a path or a shipped name."),
-    seed: int = typer.Option(1, "--seed", min=0, help="Of the simulated rigs' noise and instruments."),
-    overwrite: Overwrite = False,
-) -> None:
-    """Draw each figure of the seed paper, measured ones from a rig's runs, and say which effect moves which number.
-
-    Example: bench paper --out paper
-
-    Recordings in FOLDER/runs are used, those that are missing are made on the simulated rig. For a real rig, make them
-    first: bench paper --profile rig.toml writes the profile of each run, and says how to record it. No device is
-    driven here.
-    """
-    from bench.jobs.paper import paper as made
-    from bench.profiles.find import load
-
-    check_outputs(Folder("--out", out, makes=("paper.md", "paper/*")), inputs=[profile], overwrite=overwrite)
-    with progress_bar() as say:
-        made(load(profile)[1], out, seed, say)
-    typer.echo(f"{out / 'paper.md'}: the page; its pictures and tables are in {out / 'paper'}")
