@@ -273,7 +273,8 @@ class Regression:
         frequency, damping = (float(v) for v in np.exp(x[2 * which :][:2]))
         sizes = self.sizes(columns, modes)
         ratio, left, before = float(sizes[which]), self.left - columns @ sizes, self._unpushed(columns, which)
-        # far below all that shakes it a mode answers as a mass does: what a mass's load explains as well shows none
+        # far below all that shakes it a mode answers as a mass does: what a mass's load explains as well, to the 8 nats
+        # that chance gives once in 3,000, shows none
         loaded = self._unpushed(columns, which, self.carried)
         jacobian = np.column_stack([self.slopes(x), columns])
         # columns of one size: frequency, damping and free states differ by many powers of ten
@@ -292,7 +293,8 @@ class Regression:
         )
         at_bound = not 1.02 * LEAST_DAMPING < damping < 0.98 * MOST_DAMPING
         bound = at_bound or (damping > STRONG_DAMPING and frequency > forcing_hz)
-        if ratio <= 0.0 or min(gain, over_load) < GAIN_NATS or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
+        enough = gain >= GAIN_NATS and over_load >= 8.0
+        if ratio <= 0.0 or not enough or bound or not LOWEST_HZ < frequency < HIGHEST_HZ:
             return None
         rms, over = [float(np.sqrt(np.mean(v**2))) for v in (left, before)], over_noise(left, self.known)
         blurred = np.square([RESOLVED * damping, RESOLVED, (RESOLVED_RATIO + RESOLVED * damping) * ratio])

@@ -15,6 +15,7 @@ from analysis.plate.ringing.mode_motion import answer
 from analysis.plate.ringing.modes import Identified, identified_mode
 from analysis.plate.ringing.regression import PlateMode, Regression
 from benchmarks.analysis import shaker_parts
+from benchmarks.analysis.ringing import drawn
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
 from benchmarks.plants.instrument import Instrument
@@ -200,6 +201,16 @@ def test_a_plate_without_springs_that_carries_the_ball_has_no_mode(make: Maker) 
     effects = {"mass_loading": {"mass_ratio": 0.02}}
     recording = make(np.linspace(0.5, 2.6, 14).tolist(), hold=20, effects=effects)
     assert _identified(recording.path) == Identified()
+
+
+def test_a_mode_that_a_load_nearly_explains_is_identified_with_an_interval_as_wide(tmp_path: Path) -> None:
+    """Far below the drive the mass ratio is sure and the frequency is not; where volts named none, flights made 2.9 Hz of these 1.5."""
+    run = drawn(186013, without=False)
+    mode = _found(imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path))
+    assert mode is not None and mode.sure
+    assert mode.mass_ratio == pytest.approx(run.hidden["table_resonance.ratio"], rel=0.01)
+    off_hz = abs(mode.frequency_hz - run.hidden["table_resonance.hz"])
+    assert off_hz < 2.0 * mode.sigmas()[0] < 3.0
 
 
 def test_a_second_mode_is_found_in_what_the_first_one_leaves_and_nowhere_else() -> None:
