@@ -204,7 +204,7 @@ def test_a_plate_without_springs_that_carries_the_ball_has_no_mode(make: Maker) 
 
 
 def test_a_mode_that_a_load_nearly_explains_is_identified_with_an_interval_as_wide(tmp_path: Path) -> None:
-    """Far below the drive the mass ratio is sure and the frequency is not; where volts named none, flights made 2.9 Hz of these 1.5."""
+    """Far below the drive volts tell the mass ratio surely, the frequency hardly; flights made 2.9 Hz of these 1.5."""
     run = drawn(186013, without=False)
     mode = _found(imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path))
     assert mode is not None and mode.sure
