@@ -99,9 +99,9 @@ def gamma_scale(forcing: Forcing, ratios: ArrayLike) -> GammaScale:
     )  # fmt: skip
 
 
-# 95 % intervals that held the truth, of how many, on recordings of another plant; of all others together 208 of 226:
+# 95 % intervals that held the truth, of how many, on recordings of another plant; of all others together 278 of 281:
 # docs/results/closed-loop.md
-COVERAGE = {"harmonic_distortion": (19, 24), "restitution": (25, 27)}
+COVERAGE = {"amplitude_modulation": (19, 22)}
 
 
 def capital(text: str) -> str:
@@ -125,7 +125,7 @@ def coverage_in_words(loop: ClosedLoop) -> list[str]:
     """How often intervals of each added effect have held a known truth, a line each."""
     out = []
     for f in loop.selection.effects:
-        held, of = COVERAGE.get(f.name, (208, 226))
+        held, of = COVERAGE.get(f.name, (278, 281))
         out.append(f"95 % intervals of {plain(f.name)} held the truth in {held} of {of} cases where it was known")
     return out
 

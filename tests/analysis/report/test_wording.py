@@ -60,9 +60,9 @@ def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):
 
 
 def test_an_interval_comes_with_what_intervals_of_its_kind_have_held(closed_loop):
-    """Restitution has a count of its own, any other effect that of all others; nothing named, nothing said."""
+    """A modulation has a count of its own, any other effect that of all others; nothing named, nothing said."""
     said = []
-    for names in (("restitution",), ("spring",), ()):
+    for names in (("amplitude_modulation",), ("spring",), ()):
         effects = tuple(AddedEffect(name, {}) for name in names)
         loop = changed(closed_loop, effects=effects)
         said.append(coverage_in_words(loop))
