@@ -274,11 +274,7 @@ def _inverses(grams: Floats, counts: Integers, frequencies_hz: Floats) -> Floats
 
 
 def fit_tones(
-    x: npt.ArrayLike,
-    first_sample: int,
-    rate_hz: float,
-    frequencies_hz: npt.ArrayLike,
-    mask: Bools | None = None,
+    x: npt.ArrayLike, first_sample: int, rate_hz: float, frequencies_hz: npt.ArrayLike, mask: Bools | None = None
 ) -> ToneFit:
     """Joint least squares for the complex amplitudes of known tones and a constant.
 

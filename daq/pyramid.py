@@ -298,16 +298,8 @@ def empty_extremes(n: int, dtype: np.dtype[Any]) -> Extremes:
 def fold_samples(codes: NDArray[Any], skipped: int, bucket: int, low: NDArray[Any], high: NDArray[Any]) -> None:
     """Widen the extremes ``low``, ``high`` (k,) of buckets by samples (n,) that do not jump over lost ones.
 
-    Parameters
-    ----------
-    codes
-        Samples; one that is no number (NaN) is passed over.
-    skipped
-        Samples of the first bucket that came before.
-    bucket
-        Samples a bucket.
-    low, high
-        Extremes so far; ``low > high``: none yet.
+    A sample that is no number (NaN) is passed over; ``low > high``: none yet. ``skipped`` samples of the first bucket
+    came before.
     """
     at, k, n = 0, 0, len(codes)
     end = min(bucket - skipped, n)

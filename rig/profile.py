@@ -177,10 +177,7 @@ def parse_profile(text: str, name: str = "profile") -> Profile:
 
 
 def load_setup(path: Path | str) -> tuple[Setup, str]:
-    """Read the measuring part of a profile; ``[ramp]``, ``[limits]`` and ``[backend]`` may be absent.
-
-    Raises `daq.setup.errors.InputError` as `load_profile`.
-    """
+    """Read the measuring part of a profile; the tables that drive may be absent (raises InputError)."""
     whole, text = load_toml(Path(path), _MeasuringProfile)
     return Setup.model_validate(whole.model_dump(include=set(Setup.model_fields), exclude_unset=True)), text
 

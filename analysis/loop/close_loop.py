@@ -49,7 +49,7 @@ from analysis.residuals.prediction_errors import (
 from analysis.residuals.values import TREND, ParameterId, plate_effects
 from analysis.signals import LEAST_HZ
 from analysis.thresholds import FAR_CYCLES, FEWEST_TAKEOFFS, FROZEN, Thresholds
-from daq.instrument.stored import refuse_doubtful
+from daq.instrument.instrument import refuse_doubtful
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Bools

@@ -33,7 +33,7 @@ from analysis.residuals.covariates import COVARIATES
 from daq.channels.registry import CHANNELS
 from daq.files.json_values import json_text
 from daq.files.tables import BlockFlag
-from daq.instrument.stored import instrument_of
+from daq.instrument.instrument import instrument_of
 from daq.recording import Recording, open_recording
 from daq.recording.verify import VerifyReport
 from daq.setup.errors import InputError

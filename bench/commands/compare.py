@@ -37,7 +37,7 @@ def command(
     from bench.jobs.report import draw, flights_with_progress
     from bench.profiles.find import load_measuring
     from bench.terminal.comparison import comparison_json
-    from daq.instrument.stored import instrument_of
+    from daq.instrument.instrument import instrument_of
     from daq.recording import open_recording
 
     check_outputs(

@@ -56,7 +56,7 @@ def _described(opened: Recording, report: VerifyReport) -> dict[str, Any]:
     """Everything for a machine; what is not known is null."""
     from daq.files.json_values import json_object
     from daq.files.tables import STEP_DTYPE
-    from daq.instrument.stored import instrument_of
+    from daq.instrument.instrument import instrument_of
     from daq.recording.header import header_of
     from daq.recording.notebook import notebook, read_remarks, side_file
     from model.effects.user_effects import effect_files

@@ -31,7 +31,7 @@ def command(
     from analysis.flights.compare import plausibility_warnings
     from analysis.flights.table import write_csv
     from bench.jobs.report import draw, flights_with_progress
-    from daq.instrument.stored import instrument_of
+    from daq.instrument.instrument import instrument_of
     from daq.recording import open_recording
 
     check_outputs(

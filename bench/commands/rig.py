@@ -151,8 +151,7 @@ def virtual(
     from rig.backends.kinds.soundcard import card_options
     from rig.sim.scenario import Scenario as Hidden
     from rig.sim.scenario import load_scenario
-    from rig.virtual.jack import JackPlant, PlantLog, jack_server
-    from rig.virtual.serial import JackSerialPlant
+    from rig.virtual import JackPlant, JackSerialPlant, PlantLog, jack_server
 
     check_outputs(File("--log", log, NPZ), inputs=[profile, scenario], overwrite=overwrite)
     checked, _ = load(profile)

@@ -42,7 +42,7 @@ from bench.jobs.blocks import (
     staked_block,
     tells,
 )
-from daq.instrument.stored import refuse_doubtful
+from daq.instrument.instrument import refuse_doubtful
 from daq.setup.errors import InputError
 from daq.setup.setup import Stake, stake_in
 from model.effects.registry import resolve

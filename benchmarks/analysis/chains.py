@@ -16,8 +16,7 @@ from benchmarks.plants.instrument import Instrument
 from benchmarks.plants.third_instrument import CARDS, drawn
 from kernels.arrays import Floats
 from rig.backends.simulated import SimulatedBackend
-from rig.sim.catalogue import RIG_DEFAULTS
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import RIG_DEFAULTS, Scenario
 
 Values = dict[str, dict[str, float]]
 

@@ -17,10 +17,9 @@ import math
 import numpy as np
 
 from kernels import njit
-from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS, EffectEntry
 from rig.sim.instrument import SECTIONS, sections
 from rig.sim.plant import CHANNELS, _run
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import EFFECTS, RIG_DEFAULTS, EffectEntry, Scenario
 from rig.sim.state import initial_state
 
 N_CHANNELS = len(CHANNELS)

@@ -18,9 +18,9 @@ from benchmarks.bench_simulation.disk import Disk
 from benchmarks.bench_simulation.plan import DEVICE, DISK, RECORDER, Plan
 from benchmarks.bench_simulation.world import Stuck
 from benchmarks.forked import in_copy
+from benchmarks.read_here import read_here
 from daq.files.tables import BlockFlag
 from daq.recording import VerifyReport, open_recording, verify
-from daq.recording.opening import read_here
 from daq.recording.recover import recover
 from daq.recording.verify import report_of
 from daq.setup.errors import InputError

@@ -57,7 +57,7 @@ MUTANTS = {
     ),
     "card's count wraps": (
         "declared",
-        "rig.backends.card_ring",
+        "rig.backends.portaudio",
         "(counter - self._origin - self.received) % 2**32",
         "counter - self._origin - self.received",
     ),

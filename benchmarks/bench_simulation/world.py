@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from daq.setup.clock import Clock, Waitable
+from daq.setup.clock import Clock
 
 POLL_NS = 50_000_000  # a thread that waits for a port looks again after
 
@@ -90,7 +90,7 @@ class World(Clock):
     def sleep(self, seconds: float) -> None:
         self.advance(max(1, round(seconds * 1e9)))
 
-    def wait(self, changed: Waitable, seconds: float) -> bool:
+    def wait(self, changed: Any, seconds: float) -> bool:
         is_set: Callable[[], bool] | None = getattr(changed, "is_set", None)
         ns = max(1, round(seconds * 1e9))
         if is_set is not None:

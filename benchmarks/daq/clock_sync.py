@@ -26,7 +26,7 @@ from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
 from rig.profile import parse_profile
 from rig.sim.scenario import Scenario
-from rig.virtual.serial import SerialDevice
+from rig.virtual import SerialDevice
 from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE_HZ = 20000.0

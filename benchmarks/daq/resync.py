@@ -21,8 +21,8 @@ import numpy as np
 
 from benchmarks.daq.flips import compare, content, make
 from benchmarks.forked import in_copy
+from benchmarks.read_here import read_here
 from daq.recording import open_recording, verify
-from daq.recording.opening import read_here
 from daq.recording.recover import recover
 from daq.setup.errors import InputError
 

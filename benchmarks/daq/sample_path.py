@@ -22,9 +22,10 @@ import numpy as np
 
 import daq.clocks.loss_search
 import daq.clocks.sample_loss
-from daq.clocks.loss_search import InThread, LagFit, PlayedBuffer
+from daq.clocks.loss_search import LagFit, PlayedBuffer, Searcher
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block, BlockFlag
+from daq.setup.clock import SYSTEM
 
 RATE_HZ, FREQUENCY_HZ, BLOCK = 48_000.0, 25.37, 1024
 CHUNK = round(1.3 * RATE_HZ / FREQUENCY_HZ)  # as `rig.execution.loss_account.LossAccount` has it
@@ -35,13 +36,12 @@ FIT_SUMS = 16  # multiplications a frame, in the sums of a fit
 CASES = ("clean", "lost", "dry", "unplugged", "storm")
 
 
-class Caught(InThread):
+class Caught(Searcher):
     """Searches beside, which this benchmark waits for between blocks: it hands them over faster than a card does."""
 
     def wait(self) -> None:
         """Until the last search is done."""
-        if self._future is not None:
-            self._future.result()
+        self._future.result()
 
 
 class Counter:
@@ -130,7 +130,7 @@ def follow(case: str, seconds: float = 12.0, seed: int = 1, *, count: bool = Tru
     """
     played, heard, kept, flags = loop_back(case, seconds, seed)
     counter = Counter()
-    searcher = Caught()
+    searcher = Caught(SYSTEM.executor("search"))
     finder = LossDetector(RATE_HZ, CHUNK, searcher)
     finder.expect(LAG)
     parts, blocks, spent_s = [], [], 0.0

@@ -42,7 +42,7 @@ def plant(server: str, port: str, out: str, hidden: str) -> None:
     """The process of the plant: says when it is there, runs until its input closes, then writes down what happened."""
     from rig.profile import parse_profile
     from rig.sim.scenario import Scenario, load_scenario
-    from rig.virtual.serial import JackSerialPlant
+    from rig.virtual import JackSerialPlant
 
     events: dict[str, list[float]] = {"left_s": [], "landed_s": []}
     device_plant = JackSerialPlant(
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     from benchmarks.rig import jack_server
     from rig.backends.registry import open_backend
     from rig.profile import parse_profile
-    from rig.virtual.jack import jack_server as found_server
+    from rig.virtual import jack_server as found_server
 
     os.environ["JACK_DEFAULT_SERVER"] = SERVER
     kill_s: float | None = options.kill

@@ -16,9 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.sim.catalogue import EFFECTS
 from rig.sim.plant import Plant
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import EFFECTS, Scenario
 
 RATE_HZ = 20000.0
 BLOCK = 1024

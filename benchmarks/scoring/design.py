@@ -37,7 +37,7 @@ def jobs(seed_base: int, *, times: int = 1, varied: bool = False) -> list[Job]:
 
 
 def _once(seed_base: int, varied: bool) -> list[Job]:
-    from rig.sim.catalogue import BEYOND, NAMED
+    from rig.sim.scenario import BEYOND, NAMED
 
     named = [n.name for n in NAMED if n.name not in INVISIBLE + LATER]
     beyond = [n.name for n in BEYOND]

@@ -89,7 +89,7 @@ AT_RATIO: Mapping[int, Mapping[str, float]] = {
 def expected_names(plant: str, effect: str) -> tuple[str, ...]:
     """Names by which ``effect`` counts as found; none where it lies outside the library."""
     if plant == "own":
-        from rig.sim.catalogue import EFFECTS
+        from rig.sim.scenario import EFFECTS
 
         return (effect,) if EFFECTS[effect].named else ()
     name = OTHER_NAMED.get(effect) or OTHER_SAME.get(effect)
@@ -99,7 +99,7 @@ def expected_names(plant: str, effect: str) -> tuple[str, ...]:
 def expected_covariate(plant: str, effect: str) -> str:
     """Covariate of a smooth term beyond the library, as the report says it; empty where there is none."""
     if plant == "own":
-        from rig.sim.catalogue import EFFECTS
+        from rig.sim.scenario import EFFECTS
 
         return EFFECTS[effect].covariate
     return OTHER_OUTSIDE.get(effect, "")

@@ -62,21 +62,9 @@ def window_samples(rate_hz: float, frequency_hz: float) -> int:
 class ClockTracker:
     """Follow the lag while a run lasts.
 
-    Parameters
-    ----------
-    marker_lag
-        The lag that the start marker showed: played index less the device's counter.
-    at
-        The device's counter there.
-    window
-        Frames compared at once.
-    rate_hz
-        Nominal rate of both.
-
-    Attributes
-    ----------
-    readings : list
-        `CLOCK_DTYPE` rows, one for each window in which the drive determines the lag.
+    The start marker showed ``marker_lag`` (played index less the device's counter) at the device's counter ``at``;
+    ``window`` frames are compared at once. ``readings`` are `CLOCK_DTYPE` rows, one for each window in which the drive
+    determines the lag.
     """
 
     def __init__(self, marker_lag: float, at: int, window: int, rate_hz: float) -> None:

@@ -11,12 +11,11 @@ comes. With a device the search runs in a thread, with a simulated rig at once.
 
 from __future__ import annotations
 
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 
 import numpy as np
 
-from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Floats
 
 LARGEST = 20_000  # most samples lost at once that are searched for
@@ -55,10 +54,7 @@ class Stretch:
 
 
 class PlayedBuffer:
-    """The last played samples, by their index since the start; zero before it.
-
-    ``keep`` samples stay, `LATENCY` at least.
-    """
+    """The last ``keep`` played samples (`LATENCY` at least), by their index since the start; zero before it."""
 
     def __init__(self, keep: int) -> None:
         self._ring = np.zeros(max(keep, LATENCY))
@@ -320,17 +316,23 @@ class WhichLoss:
 Question = WhichLatency | WhichLoss
 
 
-class AtOnce:
-    """Search in the caller's own time; one question at a time."""
+class Searcher:
+    """Search in a thread of ``executor``, else in the caller's own time; one question at a time: nothing piles up."""
 
-    def __init__(self) -> None:
+    def __init__(self, executor: Executor | None = None) -> None:
+        self._executor = executor
         self._future: Future[Found] = Future()
         self._future.set_result(NOTHING)
 
     def ask(self, question: Question) -> bool:
-        """Answer it."""
-        self._future = Future()
-        self._future.set_result(question.answer())
+        """Answer it, or hand it over where the thread is free."""
+        if not self._future.done():
+            return False
+        if self._executor is not None:
+            self._future = self._executor.submit(question.answer)
+        else:
+            self._future = Future()
+            self._future.set_result(question.answer())
         return True
 
     def answer(self, *, wait: bool) -> Found | None:
@@ -338,23 +340,6 @@ class AtOnce:
         return self._future.result() if wait or self._future.done() else None
 
     def close(self) -> None:
-        """Do nothing: there is no thread."""
-
-
-class InThread(AtOnce):
-    """Search in a thread; one question at a time, so that nothing piles up."""
-
-    def __init__(self, clock: Clock = SYSTEM) -> None:
-        super().__init__()
-        self._thread = clock.executor("loss-search")
-
-    def ask(self, question: Question) -> bool:
-        """Hand it over, where the thread is free."""
-        if not self._future.done():
-            return False
-        self._future = self._thread.submit(question.answer)
-        return True
-
-    def close(self) -> None:
         """Let the thread end when its work is done."""
-        self._thread.shutdown(wait=False)
+        if self._executor is not None:
+            self._executor.shutdown(wait=False)

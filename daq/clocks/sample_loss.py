@@ -23,11 +23,11 @@ from daq.clocks.loss_search import (
     MISFIT,
     NOTHING,
     SURE_SAMPLES,
-    AtOnce,
     Found,
     LagFit,
     PlayedBuffer,
     Question,
+    Searcher,
     WhichLatency,
     WhichLoss,
     lag_at,
@@ -72,26 +72,15 @@ class BlockClock:
 class LossDetector:
     """Follow the looped-back drive block by block and declare what is missing.
 
-    Parameters
-    ----------
-    rate_hz
-        Samples a second.
-    chunk
-        Frames looked at together; blocks wait until there are so many.
-    searcher
-        Runs the searches: at once, or `daq.clocks.loss_search.InThread`, for a device.
-
-    Attributes
-    ----------
-    heard_samples, lost_samples : int
-        Frames that are settled, and samples found lost before them or declared by the device.
+    ``chunk`` frames are looked at together; blocks wait until there are so many. ``heard_samples`` are frames that are
+    settled, ``lost_samples`` those found lost before them or declared by the device.
     """
 
-    def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: AtOnce | None = None) -> None:
+    def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: Searcher | None = None) -> None:
         self._played = PlayedBuffer(LARGEST + 2 * LATENCY + 8 * chunk + round(2.0 * HELD_S * rate_hz))
         self._clock, self._adc = BlockClock(rate_hz), BlockClock(rate_hz)
         self._rate_hz, self._chunk = rate_hz, chunk
-        self._searcher = searcher or AtOnce()
+        self._searcher = searcher or Searcher()
         self._queue: deque[tuple[Block, Floats]] = deque()  # not looked at yet
         self._queued = self._declared = 0  # its frames and declared losses
         self._waiting: list[tuple[Block, Floats]] = []  # looked at, not settled
@@ -125,12 +114,7 @@ class LossDetector:
     def heard(self, block: Block, loopback_v: Floats) -> list[Block]:
         """Take in a block; gives back the blocks whose losses are settled, renumbered, to be recorded.
 
-        Parameters
-        ----------
-        block
-            Frames as the device gave them; losses that it declared itself are taken as said.
-        loopback_v
-            Its looped-back drive in volts ``(n,)``.
+        Losses that the device declared itself are taken as said; ``loopback_v`` (n,) is the block's looped-back drive.
         """
         self._queue.append((block, np.asarray(loopback_v, np.float64)))
         self._queued += len(block.codes) + block.lost_before

@@ -55,10 +55,7 @@ class WireCounts:
 
 
 def encode_frame(frame: SerialFrame) -> bytes:
-    """The bytes of a frame on the wire, its delimiter included; what `firmware/` does in C.
-
-    Raises `ValueError` when the frame has no rows, or too many values for one frame.
-    """
+    """The bytes of a frame on the wire, delimiter included; raises `ValueError` for no rows, or too many values."""
     rows, channels = frame.codes.shape
     if not 1 <= channels <= MAX_CHANNELS or not 1 <= rows * channels <= MAX_SAMPLES:
         raise ValueError(
@@ -86,10 +83,7 @@ def unpacked(wire: bytes) -> bytes | None:
 
 
 class FrameDecoder:
-    """Bytes, however cut, to the frames that are in them.
-
-    Frames with another number of columns than ``channels`` are not from this device.
-    """
+    """Bytes, however cut, to the frames of ``channels`` columns that are in them."""
 
     def __init__(self, channels: int) -> None:
         self.counts = WireCounts()

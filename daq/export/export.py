@@ -33,7 +33,7 @@ from daq.export.resample import Resampled
 from daq.files.column_file import CHUNK_SAMPLES
 from daq.files.disk import disk_file, whole
 from daq.recording.reader import Recording
-from daq.recording.writer import copy_columns
+from daq.recording.writer import columns_of
 from daq.setup.errors import InputError, package
 from kernels.arrays import Floats, Integers
 
@@ -127,10 +127,7 @@ CLASSES = {"f8": "double", "i8": "int64", "i1": "int8"}
 def export_matlab(recording: Recording | Resampled, part: Path) -> None:
     """Write the file; MATLAB opens it with ``load``."""
     n = recording.n_samples
-    with (
-        disk_file(part) as disk,
-        h5py.File(disk, "w", userblock_size=512, libver=("earliest", "v110")) as file,
-    ):
+    with disk_file(part) as disk, h5py.File(disk, "w", userblock_size=512, libver=("earliest", "v110")) as file:
         read = columns(recording)
         chunk = (1, max(1, min(CHUNK_SAMPLES, n)))
         for name in read:  # MATLAB counts the axes of a matrix in the opposite order
@@ -280,13 +277,7 @@ Kind = Literal["csv", "npz", "h5", "parquet", "nc", "mat", "uff", "tdms"]
 AS_RECORDED = ("h5", "uff", "tdms")  # kinds that hold the samples as they were taken, never at another rate
 
 
-def export(
-    recording: Recording | Resampled,
-    out: Path,
-    kind: Kind,
-    *,
-    overwrite: bool = False,
-) -> None:
+def export(recording: Recording | Resampled, out: Path, kind: Kind, *, overwrite: bool = False) -> None:
     """Write ``out``.
 
     Parameters
@@ -320,7 +311,7 @@ def export(
             f"{out}: {kind} holds the recording as it is; another rate is written as CSV, NPZ, Parquet, NetCDF or MAT."
         )
     if kind == "h5":
-        copy_columns(recording, out, recording.stored, overwrite=overwrite, compression="gzip")  # type: ignore[arg-type]
+        columns_of(recording, out, recording.stored, overwrite=overwrite, compression="gzip").rename()  # type: ignore[arg-type]
         return
     with whole(out) as part:
         if kind == "csv":

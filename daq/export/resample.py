@@ -19,10 +19,7 @@ from kernels.arrays import Floats, Integers
 
 
 class Resampled:
-    """``recording`` at ``rate_hz``; floats in volts.
-
-    Raises `InputError` when the two rates have no ratio of small numbers, or soxr is not installed.
-    """
+    """``recording`` at ``rate_hz``, in volts (raises InputError: no ratio of small numbers, or no soxr)."""
 
     def __init__(self, recording: Recording, rate_hz: float) -> None:
         try:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from daq.channels.registry import KINDS
 from daq.files.disk import DiskFile, dataset_of, objects_of, refuse_claims, sync, sync_folder
 from daq.files.seal import text_crc, write_seal
-from daq.files.tables import BLOCK_DTYPE, BLOCK_NAMES, SIDE_TABLES, STEP_DTYPE, STEP_NAMES, crc32
+from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from kernels.arrays import Integers
@@ -34,10 +34,7 @@ TABLES = {"steps": STEP_DTYPE, "blocks": BLOCK_DTYPE, **SIDE_TABLES}
 
 
 def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArray[np.void]:
-    """The table of a column file as one structured array; a field that the file lacks is zero.
-
-    Raises `InputError` when it is not a table, or claims more than the file holds.
-    """
+    """The table of a column file; a field that it lacks is zero (raises InputError: none, or more than the file)."""
     if table not in file:
         return np.zeros(0, dtype)
     group = file[table] if isinstance(file.get(table, getlink=True), h5py.HardLink) else None
@@ -57,7 +54,10 @@ def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArr
 
 
 PIECE_CHUNKS = 4  # written at a time, so that what each call of HDF5 costs counts little
-SIDE_DIMENSION = {"drive_changes": "change", "clock_readings": "reading", "clock_map": "node", "notes": "note"}
+DIMENSION = {
+    "steps": "step", "blocks": "block", "drive_changes": "change", "clock_readings": "reading", "clock_map": "node",
+    "notes": "note",
+}  # fmt: skip
 Compression = Literal["lz4", "gzip"]
 
 
@@ -218,14 +218,23 @@ class ColumnWriter:
             Attributes known only now (``ended``, ``why``, ...).
         """
         self.flush()
-        _write_table(self._file, "steps", "step", steps.astype(STEP_DTYPE), STEP_NAMES)
-        _write_table(self._file, "blocks", "block", blocks.astype(BLOCK_DTYPE), BLOCK_NAMES)
-        for name, rows in (side or {}).items():
-            if len(rows):
-                dtype = SIDE_TABLES[name]
-                _write_table(self._file, name, SIDE_DIMENSION[name], rows.astype(dtype), dtype.names or ())
+        for name, rows in {"steps": steps, "blocks": blocks, **(side or {})}.items():
+            if len(rows) or name not in SIDE_TABLES:
+                _write_table(self._file, name, rows.astype(TABLES[name]))
         self._attributes |= late
-        self._finish_attributes()
+        # the times are the axis of every channel
+        axis = self._sets["timestamp"]
+        started = str(self._attributes.get("started", ""))
+        axis.attrs["units"] = f"nanoseconds since {started.removesuffix('Z')}" if started else "1e-9 s"
+        axis.attrs["long_name"] = "time since the first sample"
+        axis.make_scale("timestamp")
+        for name, dataset in self._sets.items():
+            dataset.attrs["crc32"] = np.uint32(self._crc[name])
+            if name != "timestamp":
+                dataset.dims[0].attach_scale(axis)
+        self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION, "sealed": True}
+        self._attributes["attributes_crc32"] = text_crc(self._attributes)
+        self._file.attrs.update(self._attributes)
         self._close()
         self._disk.check()
         # the seal reads every byte that is now in the file: these are compared with what was read back before
@@ -270,21 +279,6 @@ class ColumnWriter:
                 time.sleep(0.05)
         sync_folder(self.path.parent)
 
-    def _finish_attributes(self) -> None:
-        """Root attributes and their checksum; the times as the axis of every channel."""
-        time = self._sets["timestamp"]
-        started = str(self._attributes.get("started", ""))
-        time.attrs["units"] = f"nanoseconds since {started.removesuffix('Z')}" if started else "1e-9 s"
-        time.attrs["long_name"] = "time since the first sample"
-        time.make_scale("timestamp")
-        for name, dataset in self._sets.items():
-            dataset.attrs["crc32"] = np.uint32(self._crc[name])
-            if name != "timestamp":
-                dataset.dims[0].attach_scale(time)
-        self._attributes |= {"format": FORMAT, "format_version": FORMAT_VERSION, "sealed": True}
-        self._attributes["attributes_crc32"] = text_crc(self._attributes)
-        self._file.attrs.update(self._attributes)
-
     def abandon(self) -> None:
         """Close and remove the unfinished file."""
         self._close()
@@ -296,12 +290,12 @@ class ColumnWriter:
         self._disk.close()
 
 
-def _write_table(file: Any, name: str, dimension: str, rows: NDArray[np.void], fields: tuple[str, ...]) -> None:
+def _write_table(file: Any, name: str, rows: NDArray[np.void]) -> None:
     """A table as a group of one-dimensional datasets, which every HDF5 reader understands."""
     group = file.create_group(name)
-    scale = group.create_dataset(dimension, data=np.arange(len(rows), dtype="<i8"))
-    scale.make_scale(dimension)
-    for field in fields:
+    scale = group.create_dataset(DIMENSION[name], data=np.arange(len(rows), dtype="<i8"))
+    scale.make_scale(DIMENSION[name])
+    for field in rows.dtype.names or ():
         data = np.ascontiguousarray(rows[field])
         options = {"chunks": (max(len(rows), 1),), "fletcher32": True, "maxshape": (None,)}
         dataset = group.create_dataset(field, data=data, **options)

@@ -71,10 +71,6 @@ class PatchedFile(io.RawIOBase):
         """True."""
         return True
 
-    def seekable(self) -> bool:
-        """True."""
-        return True
-
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         """As of any file."""
         self._at = offset + (0, self._at, self._end)[whence]
@@ -112,16 +108,9 @@ class DiskFile(PatchedFile):
         self.error: OSError | None = None
 
     def check(self) -> None:
-        """Raise the first refusal of the disk, if there was one.
-
-        Raises `OSError`, naming the file and what the disk answered.
-        """
+        """Raise the first refusal of the disk, if there was one, naming the file (raises OSError)."""
         if self.error is not None:
             raise refusal(self.error, self._path) from self.error
-
-    def writable(self) -> bool:
-        """True."""
-        return True
 
     def write(self, data: Any) -> int:
         """Write all of ``data``, to memory once the disk has refused."""
@@ -162,10 +151,7 @@ class DiskFile(PatchedFile):
 
 @contextmanager
 def disk_file(path: Path) -> Iterator[DiskFile]:
-    """A `DiskFile` for the length of a block.
-
-    Raises `OSError` when the disk refused at any time, also while the file was closed.
-    """
+    """A `DiskFile` for a block; raises `OSError` when the disk refused at any time, also while it was closed."""
     disk = DiskFile(path)
     try:
         yield disk
@@ -291,6 +277,8 @@ LONGEST_CHUNK_BYTES = 64 << 20
 
 def in_words(error: Exception) -> str:
     """What went wrong, in plain words where HDF5 says it in its own; those stay in the error's cause."""
+    if system := re.search(r"error message = '([^']*)'", str(error)):  # why the system refused, if it was that
+        return system[1]
     found = _HDF5.search(str(error))
     if found is None:
         return str(error)
@@ -308,12 +296,7 @@ def objects_of(group: Any, path: Path) -> list[str]:
 def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
     """A dataset of a recording, which holds numbers or short texts, in this file, and no more than the file can hold.
 
-    Raises
-    ------
-    InputError
-        When it does not.
-    KeyError
-        When there is none of that name.
+    Raises `InputError` when it does not, `KeyError` when there is none of that name.
     """
     where = f"{path}: {group.name.rstrip('/')}/{name}"
     if group.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
@@ -330,10 +313,7 @@ def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
 
 
 def refuse_claims(dataset: Any, path: Path, *, streamed: bool) -> None:
-    """Refuse a dataset that says it holds more than is stored; ``streamed``: it is read in pieces.
-
-    Raises `InputError`, naming what it claims.
-    """
+    """Refuse a dataset that claims more than is stored; ``streamed``: it is read in pieces (raises InputError)."""
     itemsize, chunks = dataset.dtype.itemsize, dataset.chunks
     where, n_bytes, size = f"{path}: {dataset.name}", dataset.size * itemsize, path.stat().st_size
     if chunks is not None:

@@ -86,12 +86,7 @@ def restored(
 ) -> dict[int, bytes]:
     """Sectors that differ from their CRC-32 and can be computed, by number.
 
-    Parameters
-    ----------
-    read, n_bytes, crcs
-        As of `parity_of`.
-    parity
-        Sectors of parity that are sound, by ``stripe * sectors in a stripe + number``.
+    ``parity`` holds its sound sectors by ``stripe * sectors in a stripe + number``; the rest is as of `parity_of`.
     """
     per_stripe, found = stripe_sectors(n_bytes), dict[int, bytes]()
     bad: dict[int, list[int]] = {}

@@ -159,11 +159,7 @@ def _seal_at(path: Path, size: int, footer: bytes) -> Seal | None:
         columns, extents, copy = (held[name] for name in ("columns", "extents", "copy"))
         further: dict[str, Any] = {}
         if "crcs" in held:
-            further = {
-                "crcs": held["crcs"],
-                "parity_crcs": held["parity_crcs"],
-                "parity_at": end + whole,
-            }
+            further = {"crcs": held["crcs"], "parity_crcs": held["parity_crcs"], "parity_at": end + whole}
     is_less = len(set(bodies)) > 1
     return Seal(end, tuple(map(str, columns)), extents.astype(EXTENT_DTYPE), copy.tobytes(), **further, is_less=is_less)
 

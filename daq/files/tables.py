@@ -59,7 +59,6 @@ NOTE_DTYPE = np.dtype([("first_sample", "<i8"), ("unix_ns", "<i8"), ("text", f"S
 text in UTF-8."""
 
 STEP_NAMES = STEP_DTYPE.names or ()
-BLOCK_NAMES = BLOCK_DTYPE.names or ()
 
 SIDE_TABLES = {"drive_changes": DRIVE_DTYPE, "clock_readings": CLOCK_DTYPE, "clock_map": MAP_DTYPE, "notes": NOTE_DTYPE}
 """Tables of a recording that only some runs have, by name."""

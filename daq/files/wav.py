@@ -84,15 +84,7 @@ def is_wav(path: Path) -> bool:
 
 
 def open_wav(path: Path) -> Wav:
-    """The samples of ``path``, not yet read.
-
-    Raises
-    ------
-    InputError
-        Not a WAV file of whole numbers or floats.
-    OSError
-        The file cannot be read.
-    """
+    """The samples of ``path``, not yet read; raises `OSError`, `InputError` for other than whole numbers or floats."""
     size = path.stat().st_size
     kind = channels = rate = bits = 0
     with path.open("rb") as file:

@@ -22,15 +22,7 @@ from numpy.typing import NDArray
 from daq.channels.registry import KINDS
 from daq.files.column_file import ColumnWriter
 from daq.files.tables import BLOCK_DTYPE
-from daq.importers.formats.columns import (
-    ACCELERATION_UNITS,
-    SET_ROLES,
-    VOLT_UNITS,
-    Column,
-    Source,
-    assign,
-    reasons,
-)
+from daq.importers.formats.columns import ACCELERATION_UNITS, SET_ROLES, VOLT_UNITS, Column, Source, assign, reasons
 from daq.importers.intake import Intake, Progress, Scratch, take_in
 from daq.importers.plausibility import (
     achieved_gamma,
@@ -42,8 +34,7 @@ from daq.importers.plausibility import (
     remarks,
 )
 from daq.importers.timebase import Timebase, timebase_of
-from daq.instrument.instrument import STORED, Instrument
-from daq.instrument.stored import examine
+from daq.instrument.instrument import STORED, Instrument, examine
 from daq.recording.reader import timestamps_ns
 from daq.recording.writer import root_attributes
 from daq.setup.clock import now_utc
@@ -136,7 +127,10 @@ def import_recording(
             base = _timebase(intake, scratch, rate_hz)
             even = partial(timestamps_ns, rate_hz=base.rate_hz, gaps=base.gaps[:, :2])
             writer.write_timestamps(even if base.uniform else partial(scratch.read, "timestamp"))
-            base, found, channel = _find_with_losses(volts, base, intake, progress)
+            found, channel = _find(volts, base, intake, progress)
+            if "time" not in columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
+                base = replace(base, gaps=lost)  # without a time column missing rows become gaps: the steps end there
+                found, channel = _find(volts, base, intake, progress)
             steps = _table(found, volts, channel, setup, base.rate_hz)
             warnings = [*rate_warnings(base.rate_hz, setup, steps), *range_warnings(intake.peak_v, setup)]
             sampling = setup.sampling.model_copy(update={"rate_hz": base.rate_hz})
@@ -211,17 +205,6 @@ def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timeba
         )
     refuse_other_unit(path, time, base.rate_hz, intake.setup)
     return base
-
-
-def _find_with_losses(
-    volts: Mapping[str, Read], base: Timebase, intake: Intake, progress: Progress | None
-) -> tuple[Timebase, list[FoundStep], str]:
-    """Timebase, steps, and the channel that shows them; without a time column rows that are missing become gaps."""
-    found, channel = _find(volts, base, intake, progress)
-    if "time" not in intake.columns and len(lost := lost_rows(volts[channel], found, base.rate_hz)):
-        base = replace(base, gaps=lost)  # the steps end there
-        found, channel = _find(volts, base, intake, progress)
-    return base, found, channel
 
 
 def _find(

@@ -178,16 +178,8 @@ class Intake:
 def take_in(intake: Intake, writer: ColumnWriter, scratch: Scratch, progress: Progress | None) -> None:
     """Stream every row into the writer, without its time, and into the scratch, checking as it goes.
 
-    Raises `InputError`, naming file, row and column of what cannot be used.
-
-    Parameters
-    ----------
-    intake
-        Of no rows yet.
-    writer, scratch
-        Take the channels; the scratch takes ``timestamp``, too: nanoseconds since the first row, where there is a time.
-    progress
-        Called with ``"reading"`` and the rows done.
+    The scratch takes ``timestamp``, too: nanoseconds since the first row, where there is a time. ``progress`` is called
+    with ``"reading"`` and the rows done. Raises `InputError`, naming file, row and column of what cannot be used.
     """
     source, columns = intake.source, intake.columns
     for piece in source.pieces(list(dict.fromkeys(column.name for column in columns.values()))):

@@ -157,15 +157,7 @@ LEAST_QUIET = 0.5  # part of a hold that remains
 def achieved_gamma(volts: Mapping[str, Read], step: FoundStep, rate_hz: float, setup: Setup) -> tuple[float, float]:
     """Gamma by the accelerometer and its standard uncertainty, the sensitivity's included.
 
-    Parameters
-    ----------
-    volts
-        Gives volts of samples ``a .. b``, by channel; ``accelerometer`` is there.
-    step
-        The step; its hold counts from where it has settled.
-    rate_hz
-    setup
-        Forcing, sensitivity and levels of the contact.
+    ``volts`` gives volts of samples ``a .. b``, by channel; a step's hold counts from where it has settled.
     """
     sensor = setup.channels.accelerometer
     volts_per_g = sensor.volts_per_mps2 * setup.g_mps2.value

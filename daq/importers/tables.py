@@ -81,16 +81,17 @@ def split_unit(heading: str, units: Container[str]) -> tuple[str, str]:
     return heading, ""
 
 
-def read_sheets(path: Path, wanted: str = "columns of numbers under their headings") -> list[Sheet]:
+def read_sheets(path: Path) -> list[Sheet]:
     """Sheets of a workbook (.xlsx, .xls), or a text table as the only one; those without a number are left out.
 
     Raises `InputError` for a table that is too large, unreadable or without numbers, or a workbook without its reader
     (`pip install shakerbench[tables]`).
-
-    ``wanted`` is what the file should hold, for the error where it holds no number.
     """
     if (size := path.stat().st_size) > LARGEST_BYTES:
-        raise InputError(f"{path}: {size >> 20} MB is no table; wanted {wanted}, at most {LARGEST_BYTES >> 20} MB")
+        raise InputError(
+            f"{path}: {size >> 20} MB is no table; wanted columns of numbers under their headings, at most "
+            f"{LARGEST_BYTES >> 20} MB"
+        )
     data, formulas = path.read_bytes(), False
     if data.startswith(_WORKBOOKS):
         sheets, formulas = _workbook(path, data)
@@ -104,7 +105,8 @@ def read_sheets(path: Path, wanted: str = "columns of numbers under their headin
         )
     if not sheets:
         raise InputError(
-            f"{path}: no table with numbers in it; expected {wanted}: export the measured columns with their headings"
+            f"{path}: no table with numbers in it; expected columns of numbers under their headings: export the "
+            "measured columns with their headings"
         )
     return sheets
 

@@ -1,4 +1,4 @@
 """Properties of a recording's instruments, measured from it, and contradictions to its profile.
 
-Other rooms take `stored`, `measure` and `channel_limits`.
+Other rooms take `instrument`, `measure` and `channel_limits`.
 """

@@ -106,18 +106,9 @@ def measure_noise(
 ) -> NoiseSpectrum | None:
     """Spectrum of the noise from the frames in which nothing but noise is.
 
-    None where too few samples are usable, or the channel stands still.
-
-    Parameters
-    ----------
-    volts
-        Pieces of a channel less what it shows: of the accelerometer less the plate's motion.
-    usable
-        Samples of each piece that count: where the motion is known, and no impact has been found.
-    rate_hz
-        Sampling rate.
-    frame
-        Samples of a periodogram: more show lower frequencies.
+    ``volts`` are pieces of a channel less what it shows (of the accelerometer less the plate's motion), ``usable`` the
+    samples of each that count: where the motion is known, and no impact has been found. A longer ``frame`` shows lower
+    frequencies. None where too few samples are usable, or the channel stands still.
     """
     rows = []
     for own, good in zip(volts, usable, strict=True):
@@ -280,12 +271,8 @@ RHYTHM_FRAME = 4096  # samples in which the rhythm of new readings is looked for
 def held_samples(stretches: Sequence[npt.NDArray[Any]]) -> float:
     """Samples for which a channel holds each of its readings; 1 where it does not.
 
-    Rounding alone makes equal neighbours, too, but new readings then come without a rhythm.
-
-    Parameters
-    ----------
-    stretches
-        Codes or volts, (n,) each; of each the first `RHYTHM_FRAME` samples count.
+    Rounding alone makes equal neighbours, too, but new readings then come without a rhythm. Of each stretch of codes or
+    volts (n,) the first `RHYTHM_FRAME` samples count.
     """
     holds = []
     for values in stretches:

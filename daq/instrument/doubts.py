@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from daq.channels.continuity import ContinuityChannel
-from daq.instrument.instrument import Doubt
 from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
 from daq.lock_in import ToneFit
 from daq.setup.setup import Setup
@@ -21,6 +21,26 @@ from kernels.arrays import Floats
 OTHER_SCALE = 1.5  # ratio of gamma at the plate to gamma commanded, up or down, that is a doubt
 TAKEOFF_G = (0.2, 3.0)  # accelerations of the plate at take-offs between which the scale is believed
 BIAS_G = 0.5  # of the accelerometer's zero
+
+DOUBT_KINDS = (
+    "accelerometer_sense", "contact_sense", "drive_sense", "drive_phase", "exchanged", "tones", "bias", "scale", "dead",
+    "contact", "resampled", "cut_off", "sweep",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A contradiction between a recording and its profile."""
+
+    kind: str  # one of `DOUBT_KINDS`
+    finding: str  # the contradiction, with its numbers
+    cure: str  # what to write or to do
+    makes_meaningless: bool  # whether a verdict on the model would be one on this contradiction
+
+    @property
+    def sentence(self) -> str:
+        """Finding and cure."""
+        return f"{self.finding}; {self.cure}"
 
 
 def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
@@ -36,40 +56,7 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
     if "accelerometer_sense" not in kinds:
         scale += tuple(_bias(seen, setup))
     found += scale
-    found += tuple(_cut_off(seen, setup))
-    growths = np.array([hold.growth for hold in seen.holds])
-    # of one sign in nearly all holds, upwards or downwards: neither noise nor a slow modulation
-    if len(growths) >= 6 and abs(np.median(growths)) > 5e-3 and abs(np.mean(np.sign(growths))) > 0.8:
-        found += (
-            Doubt(
-                "sweep",
-                f"the amplitude is swept: it changes by {np.median(growths):+.1%} within a hold (median), and "
-                "the model has it constant",
-                "drive in steps, each held for some cycles; flights and their diagram are right all the same",
-                True,
-            ),
-        )
-    if seen.interpolation_hz is not None:
-        found += (
-            Doubt(
-                "resampled",
-                f"the noise of several channels comes and goes at {1e-3 * seen.interpolation_hz:.3g} kHz, as where a "
-                "file was brought to another rate by linear interpolation",
-                "import the file as it was recorded: impacts are blurred, and their times with them",
-                False,
-            ),
-        )
-    if seen.held_samples > 1.0:
-        found += (
-            Doubt(
-                "resampled",
-                f"each reading of the accelerometer stands for {seen.held_samples:.3g} samples, as where a sensor is "
-                "slower than the recording, or a table was filled with the value before",
-                "lines are drawn between the readings: impacts are blurred, and their times with them",
-                False,
-            ),
-        )
-    return found
+    return (*found, *_cut_off(seen, setup), *_changed(seen))
 
 
 def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
@@ -326,6 +313,29 @@ def _cut_off(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             "gamma comes from the rest of each cycle there, less exactly: take a sensor or a range that goes farther",
             False,
         )
+
+
+def _changed(seen: Measured) -> Iterator[Doubt]:
+    """An amplitude that is swept, and readings that are not the sensor's own."""
+    growths = np.array([hold.growth for hold in seen.holds])
+    # of one sign in nearly all holds, upwards or downwards: neither noise nor a slow modulation
+    if len(growths) >= 6 and abs(np.median(growths)) > 5e-3 and abs(np.mean(np.sign(growths))) > 0.8:
+        finding = f"the amplitude is swept: it changes by {np.median(growths):+.1%} within a hold (median)"
+        cure = "drive in steps, each held for some cycles; flights and their diagram are right all the same"
+        yield Doubt("sweep", f"{finding}, and the model has it constant", cure, True)
+    blurred = "impacts are blurred, and their times with them"
+    if seen.interpolation_hz is not None:
+        finding = (
+            f"the noise of several channels comes and goes at {1e-3 * seen.interpolation_hz:.3g} kHz, as where a file "
+            "was brought to another rate by linear interpolation"
+        )
+        yield Doubt("resampled", finding, f"import the file as it was recorded: {blurred}", False)
+    if seen.held_samples > 1.0:
+        finding = (
+            f"each reading of the accelerometer stands for {seen.held_samples:.3g} samples, as where a sensor is "
+            "slower than the recording, or a table was filled with the value before"
+        )
+        yield Doubt("resampled", finding, f"lines are drawn between the readings: {blurred}", False)
 
 
 def _rest_g(seen: Measured, setup: Setup) -> float | None:

@@ -85,12 +85,7 @@ def volts_per_g(setup: Setup) -> float:
 
 
 def measure(
-    read: Mapping[str, Read],
-    n_samples: int,
-    rate_hz: float,
-    steps: NDArray[np.void],
-    gaps: Integers,
-    setup: Setup,
+    read: Mapping[str, Read], n_samples: int, rate_hz: float, steps: NDArray[np.void], gaps: Integers, setup: Setup
 ) -> Measured:
     """Measure the instruments.
 
@@ -264,13 +259,8 @@ def interpolation_hz(channels: Sequence[Sequence[Floats]], rate_hz: float) -> fl
     """Beat of two sample rates at which the noise of several channels comes and goes; None where it does not.
 
     A value interpolated linearly between two others has less noise the farther it is from both, so that the noise
-    varies with the beat of the two rates, in all channels alike.
-
-    Parameters
-    ----------
-    channels
-        Volts of stretches, (n,) each, for each channel.
-    rate_hz
+    varies with the beat of the two rates, in all channels alike. ``channels`` holds stretches of volts (n,) for each
+    channel.
     """
     lines = [line for stretches in channels if (line := _line(stretches)) is not None]
     for line in lines:

@@ -15,8 +15,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,26 +34,11 @@ IDLE_S = 0.001
 NOT_FOR_US = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")  # words to the run, which then closes the recording
 
 
-class Pipe(Protocol):
-    """What is used of `multiprocessing.connection.Connection`."""
-
-    def send(self, obj: Any) -> None: ...
-    def recv(self) -> Any: ...
-    def poll(self, timeout: float = 0.0) -> bool: ...
-
-
-class Process(Protocol):
-    """What is used of `multiprocessing.Process`."""
-
-    def is_alive(self) -> bool: ...
-    def join(self, timeout: float | None = None) -> None: ...
-
-
 Order = tuple[tuple[int, int, int, str], str, str, dict[str, Any]]
 """Of a recorder: its ring, path, setup as JSON, and options of `RecordingWriter`."""
 
 
-def spawn(order: Order) -> tuple[Pipe, Process]:
+def spawn(order: Order) -> tuple[Connection, BaseProcess]:
     """A process that records, and the pipe to it."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
@@ -92,7 +78,7 @@ class RecorderProcess(ClosedRun):
         ring_s: float | None = None,
         patience_s: float = 10.0,
         private: bool = True,
-        start: Callable[[Order], tuple[Pipe, Process]] = spawn,
+        start: Callable[[Order], tuple[Connection, BaseProcess]] = spawn,
         clock: Clock = SYSTEM,
         **options: Any,
     ) -> None:
@@ -106,7 +92,7 @@ class RecorderProcess(ClosedRun):
         shape = (self.ring.slots, block_samples, channels, self.ring.name)
         self._pipe, self._process = start((shape, str(path), setup.model_dump_json(), options))
         self.n_samples = 0
-        self._is_open = True
+        self.is_open = True
         self._fault = ""  # the recorder's message when it gave up
         try:
             self._answer("start", 60.0)
@@ -115,11 +101,6 @@ class RecorderProcess(ClosedRun):
             raise
         if private:
             self.ring.unname()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether `close` was not called yet."""
-        return self._is_open
 
     @property
     def safe_samples(self) -> int:
@@ -158,9 +139,9 @@ class RecorderProcess(ClosedRun):
 
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording once everything handed over is written; as `RecordingWriter.close`."""
-        if not self._is_open:
+        if not self.is_open:
             return
-        self._is_open = False
+        self.is_open = False
         try:
             self._pipe.send(("close", (how, why, expected_samples)))
             self._answer("close", 600.0)
@@ -234,17 +215,11 @@ def _record(
         pass
 
 
-def recording(pipe: Pipe, order: Order, clock: Clock = SYSTEM) -> Iterator[None]:
+def recording(pipe: Connection, order: Order, clock: Clock = SYSTEM) -> Iterator[None]:
     """Record what comes through the ring, until asked to close; the first turn opens the file, each other takes blocks.
 
-    Parameters
-    ----------
-    pipe
-        To the run: words come, "ready" and how it ended go.
-    order
-        What to record.
-    clock
-        The machine's, or that of a simulation, whose iterator takes turns with all else.
+    Through ``pipe`` words come from the run, and "ready" and how it ended go back. A simulation, whose iterator takes
+    turns with all else, has a clock of its own.
     """
     shape, path, setup_json, options = order
     try:
@@ -282,7 +257,7 @@ def recording(pipe: Pipe, order: Order, clock: Clock = SYSTEM) -> Iterator[None]
         ring.unname()
 
 
-def _obey(pipe: Pipe, writer: RecordingWriter, wait_s: float) -> tuple[Ending, str, int | None] | None:
+def _obey(pipe: Connection, writer: RecordingWriter, wait_s: float) -> tuple[Ending, str, int | None] | None:
     """Do what is asked; returns how to close when that is asked, or when the asking process is gone."""
     while pipe.poll(wait_s):
         wait_s = 0.0

@@ -33,16 +33,9 @@ def shared_memory(name: str | None, size: int) -> SharedMemory:
 
 
 class Ring:
-    """Slots for blocks of up to ``block_samples`` frames.
+    """Slots for blocks of up to ``block_samples`` frames, new or those of an existing ring ``name``.
 
     Raises `OSError` where the system's shared memory has no room for it.
-
-    Parameters
-    ----------
-    slots, block_samples, channels
-        How many blocks it holds, and how large they may be.
-    name
-        Of an existing ring to attach to; None makes one.
     """
 
     def __init__(self, slots: int, block_samples: int, channels: int, name: str | None = None) -> None:
@@ -82,10 +75,7 @@ class Ring:
         return int(self._counters[0] - self._counters[1])
 
     def put(self, block: Block) -> bool:
-        """Put a block in; False when the ring is full: the block is lost, and the next one will say so.
-
-        Raises `ValueError` for a block that is larger than a slot.
-        """
+        """Put a block in (raises ValueError: too large); False when the ring is full: the next one will say so."""
         n = len(block.codes)
         if n > self.block_samples:
             raise ValueError(f"wanted at most {self.block_samples} frames, got {n}")

@@ -26,30 +26,31 @@ from daq.recording.verify import report_of
 from daq.setup.errors import InputError
 
 
-def content_id(recording: Recording) -> tuple[tuple[str, int, int], ...]:
-    """Name, number of samples and CRC-32 of every channel, as stored; the same for each copy of a run.
-
-    Profile, note and compression do not enter: a copy that was calibrated anew holds the same run.
-    """
-    found = []
-    for name in recording.channels:
-        crc = 0
-        for start in range(0, recording.n_samples, CHUNK_SAMPLES):
-            crc = crc32(recording.codes(name, start, start + CHUNK_SAMPLES), crc)
-        found.append((name, recording.n_samples, crc))
-    return tuple(found)
-
-
 def stored_id(recording: Recording) -> str:
-    """Hash of `content_id` by the checksums that a closed recording stores; no sample is read.
+    """Hash of name, number of samples and CRC-32 of every channel, as a closed recording stores them; none is read.
 
-    The same for each copy of a run. Empty while a run lasts, and for one that was cut off.
+    The same for each copy of a run: profile, note and compression do not enter, so a copy that was calibrated anew
+    holds the same run. Empty while a run lasts, and for one that was cut off.
     """
-    if recording.frames is not None:
-        return ""
-    stored = recording.stored_checksums()
-    content = [(name, recording.stored_samples, crc) for name, crc in stored.items()]
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:32] if stored else ""
+    content = recording.stored_content()
+    return _hash(content) if content else ""
+
+
+def content_id(recording: Recording) -> str:
+    """The same of any recording: where a checksum is not stored, of its samples, all of which are read."""
+    content = recording.stored_content()
+    if not content or any(crc < 0 for _, _, crc in content):
+        content = []
+        for name in recording.channels:
+            crc = 0
+            for start in range(0, recording.n_samples, CHUNK_SAMPLES):
+                crc = crc32(recording.codes(name, start, start + CHUNK_SAMPLES), crc)
+            content.append((name, recording.n_samples, crc))
+    return _hash(content)
+
+
+def _hash(content: Sequence[tuple[str, int, int]]) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:32]
 
 
 def refuse_repeated(paths: Sequence[Path]) -> None:
@@ -57,26 +58,23 @@ def refuse_repeated(paths: Sequence[Path]) -> None:
 
     Raises `InputError`, naming the two: one file, by a second name or a link, or two files that hold the same samples.
     """
-    if len(paths) < 2:
-        return
-    seen: list[tuple[Path, int, tuple[tuple[str, int, int], ...] | None]] = []
-    for path in paths:
-        for other, _, _ in seen:
+    seen: dict[Path, tuple[int, str]] = {}  # number of samples, and `content_id` where it had to be known
+    for path in paths if len(paths) > 1 else ():
+        for other in seen:
             if path.exists() and other.exists() and path.samefile(other):
                 raise InputError(f"{other} and {path} are one file; name each recording once, or its run counts twice.")
         with open_recording(path) as recording:
             own = recording.n_samples
-            alike = [i for i, (_, n, _) in enumerate(seen) if n == own]
-            known = content_id(recording) if alike else None
-        for i in alike:  # samples are read only where two recordings have as many
-            other, n, content = seen[i]
-            if content is None:
+            # samples may have to be read for it: only where two recordings have as many
+            alike = [other for other, (n, _) in seen.items() if n == own]
+            content = content_id(recording) if alike else ""
+        for other in alike:
+            if not seen[other][1]:
                 with open_recording(other) as recording:
-                    content = content_id(recording)
-                seen[i] = (other, n, content)
-            if content == known:
+                    seen[other] = own, content_id(recording)
+            if seen[other][1] == content:
                 raise InputError(f"{other} and {path} hold the same samples; name each run once, or it counts twice.")
-        seen.append((path, own, known))
+        seen[path] = own, content
 
 
 SMALL_BYTES = 32 << 20

@@ -171,31 +171,11 @@ def read_remarks(path: Path) -> Remarks:
         ) from error
 
 
-def write_remarks(path: Path, remarks: Remarks) -> None:
-    """Write the side file, whole or not at all; one with nothing in it is removed (raises InputError)."""
-    stored = {"format": FORMAT, "version": VERSION, **asdict(remarks)}
-    try:
-        if remarks.tags or remarks.notes or remarks.events:
-            write_whole(path, json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
-        else:
-            path.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(_unwritable(path, error)) from error
-
-
 def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], Remarks]) -> Remarks:
-    """Change tags and notes of a recording, one process at a time.
+    """Change tags and notes of a recording, one process at a time; ``change`` gives those that are to be.
 
-    Raises `InputError` where the side file cannot be read or written or is of another recording, or ``change`` refuses.
-
-    Parameters
-    ----------
-    recording
-        Its file.
-    identity
-        Of the recording, as far as it is known.
-    change
-        Takes the remarks as they are and gives those that take their place.
+    ``identity`` is the recording's as far as it is known. Raises `InputError` where the side file cannot be read or
+    written or is of another recording, or ``change`` refuses.
     """
     path = side_file(recording)
     with _held(path.with_name(f"{path.name}.lock"), path):
@@ -207,7 +187,14 @@ def change_remarks(recording: Path, identity: str, change: Callable[[Remarks], R
             )
         changed = change(found)
         changed = replace(changed, identity=identity or changed.identity)
-        write_remarks(path, changed)
+        stored = {"format": FORMAT, "version": VERSION, **asdict(changed)}
+        try:  # whole or not at all; a file with nothing in it is removed
+            if changed.tags or changed.notes or changed.events:
+                write_whole(path, json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
+            else:
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(_unwritable(path, error)) from error
     return changed
 
 

@@ -8,7 +8,6 @@ hangs.
 from __future__ import annotations
 
 import contextlib
-import contextvars
 import importlib
 import json
 import os
@@ -16,8 +15,7 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -106,7 +104,13 @@ def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recordin
     lost = {name: list(spans) for name, spans in found.lost.items()}
     file = open_file(path, found, ended=ended)
     try:
-        require_recording(path, file)
+        if file.attrs.get("format") != FORMAT:
+            raise InputError(
+                f"{path}: is HDF5 but not a recording of this software (attribute format is "
+                f"{file.attrs.get('format')!r}); turn it into one: bench import {path} --profile P.toml --out REC.h5."
+            )
+        if int(file.attrs["format_version"]) > FORMAT_VERSION:
+            raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")
         for name, spans in found.mended.items():
             for first, last in spans:
                 try:  # HDF5's own checksum of the chunk must fit what was put right
@@ -153,17 +157,6 @@ def _frames_cut_short(path: Path) -> Any:
     return None
 
 
-def require_recording(path: Path, file: Any) -> None:
-    """Refuse HDF5 that is no recording, or one of a later format (raises InputError)."""
-    if file.attrs.get("format") != FORMAT:
-        raise InputError(
-            f"{path}: is HDF5 but not a recording of this software (attribute format is "
-            f"{file.attrs.get('format')!r}); turn it into one: bench import {path} --profile P.toml --out REC.h5."
-        )
-    if int(file.attrs["format_version"]) > FORMAT_VERSION:
-        raise InputError(f"{path}: written by a newer version (format {file.attrs['format_version']}); update.")
-
-
 PATIENCE_S = 2.0  # of silence, after which a process hangs
 
 Tell = Callable[[str], None]
@@ -181,41 +174,20 @@ class Answer:
 SERVE = "from daq.recording.opening import serve; serve()"
 
 
-_HERE = contextvars.ContextVar("_HERE", default=False)
-
-
-@contextmanager
-def read_here() -> Iterator[None]:
-    """Call in this process for the length of a block: for a simulation, of files that HDF5 survives (decision 461)."""
-    before = _HERE.set(True)
-    try:
-        yield
-    finally:
-        _HERE.reset(before)
-
-
 def same_modules() -> dict[str, str]:
     """Environment of a Python process that finds the modules of this one, not those of a folder, and speaks UTF-8."""
     places = [str(Path(entry or ".").resolve()) for entry in sys.path]
     return os.environ | {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1", "PYTHONIOENCODING": "utf-8"}
 
 
-def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Answer:
+def in_subprocess(function: str, *arguments: Any) -> Answer:
     """Call ``module:function`` in a process of its own.
 
     Raises `InputError` or `OSError` as the function did; whatever else ends it is in the answer.
 
-    It takes ``arguments``, and a function by which it says what it is about to do, at least every ``patience_s``.
+    It takes ``arguments``, and a function by which it says what it is about to do, at least every `PATIENCE_S`.
     Arguments and answer are what JSON knows.
     """
-    if _HERE.get():
-        said_here = [""]
-        try:
-            return Answer(json.loads(json.dumps(_named(function)(*arguments, said_here.append))))
-        except (RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
-            if isinstance(error, InputError):
-                raise
-            return Answer(None, f"reading it ended ({error})", said_here[-1])
     errors: list[str] = []
     said: queue.SimpleQueue[str | None] = queue.SimpleQueue()
 
@@ -236,7 +208,7 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
         for reader in readers:
             reader.start()
         try:
-            answer = _follow(said, patience_s)
+            answer = _follow(said)
         finally:
             process.kill()
             for reader in readers:
@@ -249,7 +221,7 @@ def in_subprocess(function: str, *arguments: Any, patience_s: float = PATIENCE_S
     return answer
 
 
-def _follow(said: queue.SimpleQueue[str | None], patience_s: float) -> Answer:
+def _follow(said: queue.SimpleQueue[str | None]) -> Answer:
     """Wait for the answer, as long as the process goes on."""
     at, wait_s = "", 60.0
     while True:
@@ -262,12 +234,12 @@ def _follow(said: queue.SimpleQueue[str | None], patience_s: float) -> Answer:
         message = json.loads(line)
         if "answer" in message:
             return Answer(message["answer"], at=at)
-        at, wait_s = message["at"], patience_s
+        at, wait_s = message["at"], PATIENCE_S
 
 
 def serve() -> None:
     """Body of the process: call what the command line names, within limits."""
-    function = _named(sys.argv[1])
+    function = named(sys.argv[1])
     limit_memory(768 << 20)  # above what the process has when it starts
 
     def say(message: dict[str, Any]) -> None:
@@ -282,7 +254,7 @@ def serve() -> None:
     os._exit(0)  # what HDF5 would do at the end of a file that is damaged is not waited for
 
 
-def _named(function: str) -> Callable[..., Any]:
+def named(function: str) -> Callable[..., Any]:
     """The function called ``module:function``."""
     module, _, name = function.partition(":")
     named: Callable[..., Any] = getattr(importlib.import_module(module), name)

@@ -161,17 +161,13 @@ class Recording(Closing):
             self.frames.blocks["flags"][which] |= int(flag)
             self.blocks = self.frames.blocks if self._holes is None else self._holes.blocks(self.frames.blocks)
 
-    @property
-    def stored_samples(self) -> int:
-        """Samples of the file, those that are left out included."""
-        return self.n_samples if self._holes is None else int(self._file["timestamp"].shape[0])
-
-    def stored_checksums(self) -> dict[str, int]:
-        """CRC-32 of all samples by channel, as a closed file stores them; empty of one that is not closed."""
+    def stored_content(self) -> list[tuple[str, int, int]]:
+        """Name, number of samples and CRC-32 of each channel, as a closed file stores them; empty of any other."""
         if self.frames is not None:
-            return {}
+            return []
+        n = self.n_samples if self._holes is None else int(self._file["timestamp"].shape[0])
         names = [str(name) for name in self.stored["channels"] if str(name) in self._file]
-        return {name: int(self._file[name].attrs.get("crc32", -1)) for name in names}
+        return [(name, n, int(self._file[name].attrs.get("crc32", -1))) for name in names]
 
     @property
     def is_less(self) -> bool:

@@ -10,17 +10,14 @@ from pathlib import Path
 
 from daq.recording.opening import UNCHECKED
 from daq.recording.verify import examine
-from daq.recording.writer import copy_columns
+from daq.recording.writer import columns_of
 from daq.setup.clock import now_utc
 from daq.setup.errors import InputError
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result of a recovery: the file, its size, blocks of the frames that are gone, damage.
-
-    ``is_less``: something that had been recorded is not there.
-    """
+    """Result of a recovery: the file, its size, blocks of the frames that are gone, damage."""
 
     path: Path
     n_samples: int
@@ -28,7 +25,7 @@ class Recovery:
     damaged_blocks: list[int]
     lost_samples: int = 0
     damage: list[str] = field(default_factory=list)
-    is_less: bool = False
+    is_less: bool = False  # something that had been recorded is not there
 
 
 def default_out(path: Path) -> Path:
@@ -70,7 +67,7 @@ def recover(path: Path, out: Path | None = None) -> Recovery:
         for key, value in attributes.items():
             if isinstance(value, str):  # damaged text may not encode
                 attributes[key] = value.encode(errors="replace").decode()
-        copy_columns(recording, out, attributes)
+        columns_of(recording, out, attributes).rename()
         lost = int(recording.gaps[:, 1].sum())
         n_samples, n_steps = recording.n_samples, len(recording.steps)
         return Recovery(out, n_samples, n_steps, list(looked.bad_blocks), lost, damage, recording.is_less)

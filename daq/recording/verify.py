@@ -123,10 +123,7 @@ def _by_marks(path: Path, looked: Survey) -> tuple[Recording, Survey] | None:
 
 @once_per_state
 def survey(path: Path) -> Survey:
-    """Read all of a recording, in other processes; once for a file that has not changed.
-
-    Raises `InputError` when it never was a recording.
-    """
+    """Read all of a recording, in other processes, once for each state (raises InputError: it never was one)."""
     before = path.stat()
     found = _survey(path, ended=True)
     after = path.stat()
@@ -281,10 +278,7 @@ class VerifyReport:
 
 
 def verify(path: Path | str) -> VerifyReport:
-    """Read a recording from end to end and say what state it is in.
-
-    Raises `InputError` when there is no such file, or it never was a recording.
-    """
+    """Read a recording from end to end and say what state it is in (raises InputError: no recording)."""
     try:
         recording, _ = examine(Path(path))
     except UnreadableError as error:

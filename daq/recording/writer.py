@@ -43,7 +43,10 @@ def root_attributes(
     extra: Mapping[str, Any] | None = None,
     scenario_sha256: str | None = None,
 ) -> dict[str, Any]:
-    """Root attributes that every recording carries, whoever writes it; texts are empty where nothing is known."""
+    """Root attributes that every recording carries, whoever writes it; texts are empty where nothing is known.
+
+    ``extra`` is anything JSON knows, ``scenario_sha256`` the hash of a hidden scenario.
+    """
     return {
         "setup_json": setup.model_dump_json(),
         "profile_text": profile_text,
@@ -63,20 +66,13 @@ def root_attributes(
 class ClosedRun(Closing):
     """A context manager that closes a run which its owner did not close: an exception says why."""
 
-    @property
-    def is_open(self) -> bool:
-        """Whether `close` was not called yet."""
-        raise NotImplementedError
-
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
-        """End the recording."""
+        """End the recording, once."""
         raise NotImplementedError
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not self.is_open:
-            return
         if error is None:
             self.close("complete")
         else:
@@ -204,6 +200,8 @@ class RecordingWriter(ClosedRun):
             Samples that the device must have given (played, or clocked). The recording is marked as suspect where
             recorded and declared as lost do not add up to that, within the uncertainty of the gaps.
         """
+        if not self.is_open:
+            return
         where = self.path
         try:
             if not self._frames.is_broken:
@@ -250,8 +248,8 @@ def require_space(path: Path, n_samples: int, n_channels: int) -> None:
         )
 
 
-def copy_columns(recording: Recording, out: Path, attributes: Mapping[str, Any], **options: Any) -> None:
-    """Write what an open recording holds as a column file.
+def columns_of(recording: Recording, out: Path, attributes: Mapping[str, Any], **options: Any) -> ColumnWriter:
+    """What an open recording holds as a column file, written and checked, but not yet under its name.
 
     ``attributes`` are root attributes; options as of `ColumnWriter`.
 
@@ -262,11 +260,6 @@ def copy_columns(recording: Recording, out: Path, attributes: Mapping[str, Any],
     OSError
         When the disk refuses.
     """
-    _columns_of(recording, out, attributes, **options).rename()
-
-
-def _columns_of(recording: Recording, out: Path, attributes: Mapping[str, Any], **options: Any) -> ColumnWriter:
-    """The column file of a recording, written and checked, but not yet under its name; see `copy_columns`."""
     names, piece = recording.channels, PIECE_CHUNKS * CHUNK_SAMPLES
     dtypes = {name: recording.codes(name, 0, 1).dtype for name in names}
     scales = {name: recording.scale(name) for name in names}
@@ -289,10 +282,9 @@ def columns_from_frames(source: Path, live: LiveColumns) -> None:
     ``live`` are the columns that were written while the run lasted.
     """
     with open_checked(source, Checked()) as recording:
-        if recording.frames is None:
-            raise InputError(f"{source}: is a column file already; nothing to do.")
         writer = live.finish(recording, dict(recording.stored))
         if writer is None:
-            recording.flag_blocks(recording.frames.damaged(PIECE_CHUNKS * CHUNK_SAMPLES), BlockFlag.DAMAGED)
-            writer = _columns_of(recording, source, recording.stored, overwrite=True)
+            bad = recording.frames.damaged(PIECE_CHUNKS * CHUNK_SAMPLES) if recording.frames is not None else []
+            recording.flag_blocks(bad, BlockFlag.DAMAGED)
+            writer = columns_of(recording, source, recording.stored, overwrite=True)
     writer.rename()  # once the frames are closed: Windows replaces no open file

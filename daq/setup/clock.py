@@ -11,19 +11,6 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from typing import Protocol
-
-
-class Waitable(Protocol):
-    """`threading.Event`, or a `threading.Condition` that is held."""
-
-    def wait(self, timeout: float) -> bool: ...
-
-
-class Joinable(Protocol):
-    """What runs in parallel with the caller until it ends."""
-
-    def join(self, timeout: float) -> None: ...
 
 
 class Clock:
@@ -45,7 +32,7 @@ class Clock:
         """Do nothing for a while."""
         time.sleep(seconds)
 
-    def wait(self, changed: Waitable, seconds: float) -> bool:
+    def wait(self, changed: threading.Event | threading.Condition, seconds: float) -> bool:
         """Wait for a change, no longer than ``seconds``; whether it came."""
         return changed.wait(seconds)
 
@@ -53,7 +40,7 @@ class Clock:
         """One thread that takes work in order."""
         return ThreadPoolExecutor(1, name)
 
-    def background(self, body: Iterator[None], name: str) -> Joinable:
+    def background(self, body: Iterator[None], name: str) -> threading.Thread:
         """Run ``body``, which yields after each wait, to its end in a thread of its own."""
         # a deque that holds nothing takes all that an iterator gives
         thread = threading.Thread(target=collections.deque, args=(body, 0), name=name, daemon=True)

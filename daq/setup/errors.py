@@ -17,10 +17,7 @@ def require_file(path: Path) -> None:
 
 @contextmanager
 def package(name: str, wanted_by: str) -> Iterator[None]:
-    """Say which package is missing where an import in the block fails: ``wanted_by`` is as ``TDMS needs``.
-
-    Raises `InputError` with what to install.
-    """
+    """Say what to install where an import in it fails; ``wanted_by`` is as ``TDMS needs`` (raises InputError)."""
     try:
         yield
     except ImportError as error:

@@ -242,8 +242,5 @@ class _WithStake(Frozen, extra="ignore"):
 
 
 def stake_in(profile_text: str, name: str) -> Stake | None:
-    """The stake in a profile's text; ``name`` stands for the file in messages.
-
-    Raises `daq.setup.errors.InputError` where the table does not fit.
-    """
+    """The stake in a profile's text; ``name`` stands for the file in messages (raises InputError: it does not fit)."""
     return parse_toml(profile_text, _WithStake, name).stake

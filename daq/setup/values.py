@@ -76,25 +76,20 @@ def parse_toml(text: str, model: type[Model], name: str) -> Model:
     except RecursionError as error:
         raise InputError(f"{name}: {_TOO_DEEP}") from error
     except ValidationError as error:
-        lines = _fault_lines(error, data, model)
+        lines: list[str] = []
+        for fault in error.errors(include_url=False):
+            place = _place(fault["loc"], data, missing=fault["type"] == "missing")
+            dotted = ""  # as ramp.gamma[2]
+            for key in place:
+                dotted += f"[{key}]" if isinstance(key, int) else f".{key}" if dotted else key
+            came = ""
+            if fault["type"] != "missing" and not isinstance(fault["input"], dict) and ", came " not in fault["msg"]:
+                text = json.dumps(fault["input"], default=str, ensure_ascii=False)
+                came = f", came {text if len(text) <= 60 else text[:57] + '...'}"
+            lines.append(f"{dotted or '(file)'}: {_wanted(fault, place, data, model)}{came}")
+        lines = list(dict.fromkeys(lines))
         count = "1 fault" if len(lines) == 1 else f"{len(lines)} faults"
         raise InputError(f"{name}: {count}\n" + "\n".join(f"  {line}" for line in lines)) from error
-
-
-def _fault_lines(error: ValidationError, data: dict[str, Any], model: type[BaseModel]) -> list[str]:
-    """One line a fault, in the file's words."""
-    lines: list[str] = []
-    for fault in error.errors(include_url=False):
-        place = _place(fault["loc"], data, missing=fault["type"] == "missing")
-        dotted = ""  # as ramp.gamma[2]
-        for key in place:
-            dotted += f"[{key}]" if isinstance(key, int) else f".{key}" if dotted else key
-        came = ""
-        if fault["type"] != "missing" and not isinstance(fault["input"], dict) and ", came " not in fault["msg"]:
-            text = json.dumps(fault["input"], default=str, ensure_ascii=False)
-            came = f", came {text if len(text) <= 60 else text[:57] + '...'}"
-        lines.append(f"{dotted or '(file)'}: {_wanted(fault, place, data, model)}{came}")
-    return list(dict.fromkeys(lines))
 
 
 def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> list[int | str]:

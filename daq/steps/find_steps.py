@@ -60,15 +60,7 @@ def given_step(signal: Signal, start: int, stop: int, frequency_hz: float) -> li
 def step_table(
     found: list[FoundStep], forcing: Forcing, rate_hz: float, gammas: Floats, achieved: Floats | None = None
 ) -> NDArray[np.void]:
-    """`STEP_DTYPE` rows of found steps.
-
-    Parameters
-    ----------
-    gammas
-        Gamma of each step, NaN where unknown, (n,).
-    achieved
-        Gamma measured at the plate and its uncertainty, (n, 2).
-    """
+    """`STEP_DTYPE` rows; ``gammas`` (n,) are NaN where unknown, ``achieved`` (n, 2) are at the plate, with sigma."""
     rows = np.zeros(len(found), STEP_DTYPE)
     for row, step in zip(rows, found, strict=True):
         settled = step.settled(rate_hz)

@@ -6,9 +6,9 @@ A back end never hides a fault: it raises `BackendError` and never falls back to
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Protocol, Self, runtime_checkable
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,18 +104,14 @@ class FlipsSensor(Protocol):
         """While it runs, the plate at rest: upside down, or back as it was mounted."""
 
 
-class Running:
+@contextmanager
+def running(backend: Backend) -> Iterator[None]:
     """A back end started on entry and stopped on exit, whatever happened between."""
-
-    def __init__(self, backend: Backend) -> None:
-        self._backend = backend
-
-    def __enter__(self) -> Self:
-        self._backend.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._backend.stop()
+    backend.start()
+    try:
+        yield
+    finally:
+        backend.stop()
 
 
 def checked_drive(drive_v: Floats) -> Floats:

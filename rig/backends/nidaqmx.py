@@ -110,10 +110,7 @@ class NiDaqmxBackend:
         self._given = 0
 
     def exchange(self, drive_v: Floats) -> Block:
-        """Append ``drive_v`` to the output buffer and wait for as many frames.
-
-        Raises `BackendError` when not started, or when the driver reports a fault; NI's own text is in it.
-        """
+        """Append ``drive_v`` to the output buffer, wait for as many frames (raises BackendError with NI's text)."""
         drive = checked_drive(drive_v)
         if self._inputs is None:
             raise BackendError("not started")

@@ -16,9 +16,9 @@ import serial
 from numpy.typing import NDArray
 
 from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_marker, window_samples
-from daq.clocks.serial_frames import FrameDecoder, SerialFrame, WireCounts
+from daq.clocks.serial_frames import FrameDecoder, SerialFrame
 from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
-from daq.setup.clock import SYSTEM, Clock, Joinable
+from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError, Port, checked_drive, open_port
@@ -47,6 +47,13 @@ class SerialReader:
         How the port is opened; a test hands in one of its own.
     clock
         The machine's, or that of a simulation.
+
+    Attributes
+    ----------
+    newest : int
+        The device's counter after the last row that came.
+    position : int
+        The device's counter at the next row to be taken.
     """
 
     def __init__(
@@ -56,7 +63,7 @@ class SerialReader:
         self.rows_in_frame = 1
         self._channels, self._opener = channels, opener
         self._most = round(HELD_S * rate_hz)
-        self._thread: Joinable | None = None
+        self._thread: threading.Thread | None = None
         self._changed = threading.Condition()
         self._begin()
 
@@ -64,24 +71,9 @@ class SerialReader:
         self._decoder = FrameDecoder(self._channels)
         self._frames: deque[SerialFrame] = deque()
         self._held = 0
-        self._newest = self._position = -1
+        self.newest = self.position = -1
         self._fault = ""
         self._stopping = False
-
-    @property
-    def counts(self) -> WireCounts:
-        """What came over the wire since the start."""
-        return self._decoder.counts
-
-    @property
-    def newest(self) -> int:
-        """The device's counter after the last row that came."""
-        return self._newest
-
-    @property
-    def position(self) -> int:
-        """The device's counter of the next row to be taken."""
-        return self._position
 
     def start(self) -> None:
         """Open the port and wait for the first good frame; raises `BackendError`."""
@@ -91,7 +83,7 @@ class SerialReader:
         port.reset_input_buffer()
         self._thread = self.clock.background(self._drain(port), f"serial {self.name}")
         # a port that is opened makes some devices start anew
-        self._wait(lambda: self._newest >= 0, 5.0)
+        self._wait(lambda: self.newest >= 0, 5.0)
 
     def stop(self) -> None:
         """Close the port; what was not taken is forgotten."""
@@ -107,9 +99,9 @@ class SerialReader:
 
         Raises `BackendError` when the device went away, fell silent, or sends nothing that follows.
         """
-        self._wait(lambda: self._newest >= until)
+        self._wait(lambda: self.newest >= until)
         with self._changed:
-            first, lost = self._position, 0
+            first, lost = self.position, 0
             if self._frames and first < self._frames[0].first_sample < until:
                 # a gap in the device's counter: the piece begins after it and says how much is missing
                 lost = self._frames[0].first_sample - first
@@ -124,13 +116,13 @@ class SerialReader:
                 if stop == frame.next_sample:
                     self._frames.popleft()
                     self._held -= len(frame.codes)
-            self._position = at
+            self.position = at
         return first, np.concatenate(pieces), lost
 
     def await_rows(self, counter: int, until_s: float) -> None:
         """Wait for the row before ``counter``, no longer than the monotonic clock's ``until_s``."""
         with self._changed:
-            while self._newest < counter and not self._fault:
+            while self.newest < counter and not self._fault:
                 left_s = until_s - self.clock.monotonic_s()
                 if left_s <= 0.0 or not self.clock.wait(self._changed, left_s):
                     return
@@ -138,17 +130,17 @@ class SerialReader:
     def _wait(self, ready: Callable[[], bool], patience_s: float = 0.5) -> None:
         """Until ``ready``, or what keeps it from coming; silence is counted from the last frame."""
         with self._changed:
-            until, seen = self.clock.monotonic_s() + patience_s, self._newest
+            until, seen = self.clock.monotonic_s() + patience_s, self.newest
             while not ready():
                 if self._thread is None:
                     raise BackendError("not started")
                 if self._fault:
                     raise BackendError(self._fault)
-                if self._newest != seen:
-                    until, seen = self.clock.monotonic_s() + patience_s, self._newest
+                if self.newest != seen:
+                    until, seen = self.clock.monotonic_s() + patience_s, self.newest
                 left_s = max(0.0, until - self.clock.monotonic_s())
                 if not self.clock.wait(self._changed, left_s) and self.clock.monotonic_s() >= until:
-                    counts, why = self.counts, "is the device running, and is it this port?"
+                    counts, why = self._decoder.counts, "is the device running, and is it this port?"
                     if counts.stale:
                         why = f"its counters do not go on ({counts.stale} stale frames): did the device start anew?"
                     elif counts.damaged:
@@ -176,11 +168,11 @@ class SerialReader:
     def _keep(self, frames: list[SerialFrame]) -> str:
         """Hold frames for `take`; what is wrong when there are too many."""
         with self._changed:
-            if self._newest < 0:
-                self._position = frames[0].first_sample
+            if self.newest < 0:
+                self.position = frames[0].first_sample
             self._frames.extend(frames)
             self._held += sum(len(frame.codes) for frame in frames)
-            self._newest = frames[-1].next_sample
+            self.newest = frames[-1].next_sample
             self.rows_in_frame = max(self.rows_in_frame, *(len(frame.codes) for frame in frames))
             self._changed.notify_all()
         return f"serial DAQ {self.name}: its samples were not taken for {HELD_S:g} s" if self._held > self._most else ""

@@ -45,13 +45,7 @@ class SimulatedBackend:
     simulated = True
 
     def __init__(
-        self,
-        rate_hz: float,
-        scenario: Scenario,
-        seed: int,
-        *,
-        real_time: bool = False,
-        further: Collection[str] = (),
+        self, rate_hz: float, scenario: Scenario, seed: int, *, real_time: bool = False, further: Collection[str] = ()
     ) -> None:
         self.rate_hz = rate_hz
         self.scenario_sha256: str | None = scenario.sha256
@@ -75,10 +69,7 @@ class SimulatedBackend:
         self._began_ns = time.monotonic_ns()
 
     def exchange(self, drive_v: Floats) -> Block:
-        """Move the plant by ``drive_v`` (n,) and return what its converters read.
-
-        Raises `BackendError` when not started.
-        """
+        """Move the plant by ``drive_v`` (n,) and return what its converters read (raises BackendError: not started)."""
         drive = checked_drive(drive_v)
         if not self._running:
             raise BackendError("not started")

@@ -19,10 +19,9 @@ from daq.files.tables import Block, volts_per_code
 from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
-from rig.backends.card_ring import CardRing
 from rig.backends.kinds.base import OpenOptions
 from rig.backends.kinds.soundcard import card_options
-from rig.backends.portaudio import CardStream, open_stream
+from rig.backends.portaudio import CardRing, CardStream, open_stream
 from rig.profile import Profile
 
 SILENCE_S = 0.5  # without a callback: the card is stuck, or gone

@@ -16,10 +16,10 @@ from scipy.optimize import least_squares
 
 from daq.clocks.clock_sync import find_marker, start_marker
 from daq.files.tables import step_row
-from daq.instrument.stored import examine
+from daq.instrument.instrument import examine
 from daq.lock_in import fit_tones
 from kernels.arrays import Floats
-from rig.backends.base import Backend, Running
+from rig.backends.base import Backend, running
 from rig.profile import Profile
 from rig.programme.ramp import Fade, PhaseClock, drive_amplitudes, forbidden, peaks, plan, synthesise
 from rig.programme.sequencer import largest_block
@@ -109,7 +109,7 @@ class Check:
 
     def run(self) -> list[Finding]:
         """Start the rig, look, and let it go; raises `BackendError` where it does not answer."""
-        with Running(self._backend):
+        with running(self._backend):
             rest = self._rest(0.5)
             findings, delay = self._loopback()
             tone, quiet = self._tone(QUIET_PEAK, delay)
@@ -124,13 +124,13 @@ class Check:
 
     def card(self) -> list[Finding]:
         """What each input carries at rest, and the loop-back; raises `BackendError`."""
-        with Running(self._backend):
+        with running(self._backend):
             rest = self._rest(0.5)
             return [*self._loopback()[0], *self._noise(rest)]
 
     def wiring(self) -> list[Finding]:
         """Exchanged inputs and senses, by a quiet tone and a short flight, no scales; raises `BackendError`."""
-        with Running(self._backend):
+        with running(self._backend):
             rest = self._rest(0.5)
             findings, delay = self._loopback()
             tone, quiet = self._tone(QUIET_PEAK, delay)
@@ -138,20 +138,12 @@ class Check:
             return [*findings, *self._contact(rest)]
 
     def moved(self, move: str, now: Callable[[], object], seconds: float = 4.0) -> Finding:
-        """Which input answers what a hand does; nothing is driven.
+        """Which input answers what a hand does (one of `MOVES`), for so many seconds; nothing is driven.
 
-        Raises `BackendError` where the device does not answer.
-
-        Parameters
-        ----------
-        move
-            One of `MOVES`.
-        now
-            Called once the rig was heard at rest: the person begins.
-        seconds
-            For which it is listened to.
+        ``now`` is called once the rig was heard at rest: the person begins. Raises `BackendError` where the device is
+        silent.
         """
-        with Running(self._backend):
+        with running(self._backend):
             rest = self._rest(0.5)
             now()
             heard = self._rest(seconds)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.channels.accelerometer import ACCELEROMETER_UNITS_V_PER_MPS2
-from rig.backends.base import Backend, FlipsSensor, Running
+from rig.backends.base import Backend, FlipsSensor, running
 from rig.profile import Profile
 
 SETTLE_S = 0.5  # after the sensor was touched
@@ -91,7 +91,7 @@ def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
 def _readings(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -> list[Reading]:
     """One reading an orientation; while a person turns the sensor, the device is let go."""
     if isinstance(backend, FlipsSensor):
-        with Running(backend):
+        with running(backend):
             readings = []
             for over in ORIENTATIONS:
                 backend.turn(over)
@@ -100,7 +100,7 @@ def _readings(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
     readings = []
     for over in ORIENTATIONS:
         ask(over)
-        with Running(backend):
+        with running(backend):
             readings.append(_rest(profile, backend))
     return readings
 

@@ -95,15 +95,9 @@ class Launch:
 
 
 class BranchHold:
-    """Hold a ball on ``branch`` once it is on it, through a programme's steps.
+    """Hold a ball on ``branch``, the locked cycle as predicted, once it is on it, through a programme's steps.
 
-    ``table`` has authority, kicks and uncertainty; ``branch`` is the locked cycle over gamma, as predicted.
-
-    Attributes
-    ----------
-    holding : bool
-    why : str
-        Why it let go; empty while it has not.
+    ``table`` has authority, kicks and uncertainty. ``why`` says why it let go; empty while it has not.
     """
 
     def __init__(self, profile: Profile, table: BranchTable, branch: LockedBranch) -> None:

@@ -17,37 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.clocks.clock_sync import fit_clock
-from daq.clocks.loss_search import AtOnce
+from daq.clocks.loss_search import Searcher
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block
 from kernels.arrays import Floats
 from rig.backends.base import TwoClocked
 from rig.profile import Profile
-from rig.programme.high_pass import HighPass
+from rig.programme.ramp import HighPass
 
 
 class LossAccount:
-    """The losses of one run.
+    """The losses of one run; a replay loops nothing back that was played now, so its drive is not compared.
 
-    Parameters
-    ----------
-    profile
-        Rate and forcing; a replay loops nothing back that was played now, so its drive is not compared.
-    drive_column
-        Column of the looped-back drive in a frame.
-    scale
-        Its ``(volts_per_code, offset_v)``.
-    searcher
-        Runs the searches: at once, or `daq.clocks.loss_search.InThread`, for a device, which does not wait.
-
-    Attributes
-    ----------
-    lost_before : int
-        Samples known to be missing before the last block, when it came.
+    ``drive_column`` and ``scale`` are the looped-back drive's in a frame. ``lost_before`` are the samples
+    known to be missing before the last block, when it came.
     """
 
     def __init__(
-        self, profile: Profile, drive_column: int, scale: tuple[float, float], searcher: AtOnce | None = None
+        self, profile: Profile, drive_column: int, scale: tuple[float, float], searcher: Searcher | None = None
     ) -> None:
         rate_hz = profile.sampling.rate_hz
         # no whole number of cycles: one period shifted by a cycle looks like itself

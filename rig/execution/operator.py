@@ -59,10 +59,7 @@ class StopRequest:
         self._pause(False, f"{who}: go on", why)
 
     def take_over(self, who: str, steps: NextSteps) -> None:
-        """Finish the present step, and drive ``steps`` instead of what is left.
-
-        Raises `InputError` for steps that cannot be driven, and where nothing can follow this run.
-        """
+        """Finish the present step, then drive ``steps`` instead of what is left (raises InputError: it cannot be)."""
         if self._check is None:
             raise InputError("steps to be driven next: a ramp drives what was planned; stop it and start another")
         if steps.gammas:

@@ -33,10 +33,7 @@ class Amplitudes:
 
 @dataclass(frozen=True)
 class MeterBlock:
-    """A block for the meter: acceleration in m/s^2, mask without ringing, mask of the ball's contact.
-
-    ``touching`` is None without a contact circuit.
-    """
+    """A block: acceleration in m/s^2, mask without ringing, mask of contact (None without a circuit)."""
 
     first_sample: int
     acceleration_mps2: Floats
@@ -184,10 +181,7 @@ class Motion:
 
 
 class MotionWatch:
-    """Follow the accelerometer from block to block.
-
-    ``mps2_per_code`` is the signed scale of the accelerometer's codes.
-    """
+    """Follow the accelerometer, of signed scale ``mps2_per_code``, from block to block."""
 
     def __init__(self, setup: Setup, mps2_per_code: float) -> None:
         rate_hz, first_hz = setup.sampling.rate_hz, setup.forcing.frequency_hz

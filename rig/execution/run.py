@@ -2,25 +2,32 @@
 
 However a run ends (done, asked to, tripped, or an exception anywhere), the drive goes softly to
 zero while the device answers, and the recording is closed with the reason in it.
+
+What drives a device asks the machine to run before all other work, where the machine can and may give it: this is the
+one place that knows of POSIX's real-time scheduling. Where there is none (Windows, macOS), or no right to it,
+everything runs as it did, and what comes too late is declared as always.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from daq.clocks.loss_search import InThread
+from daq.clocks.loss_search import Searcher
 from daq.files.tables import Block, note_rows
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording.writer import RecordingWriter
 from daq.setup.clock import SYSTEM, Clock
 from kernels.arrays import Bools, Floats
-from rig.backends.base import Backend, BackendError, Lagging, Running, TwoClocked
+from rig.backends.base import Backend, BackendError, Lagging, TwoClocked, running
 from rig.execution.amplitude_loop import AmplitudeLoop, achieved_gamma
 from rig.execution.branch_hold import BranchHold
 from rig.execution.interlock import Interlock
@@ -30,6 +37,33 @@ from rig.execution.plate_monitor import MeterBlock, Motion, MotionWatch, ToneMet
 from rig.profile import Profile
 from rig.programme.ramp import Step, plan
 from rig.programme.sequencer import LONGEST_PAUSE_S, MOVING, STILL, Sequencer, State, Stop, change_rows, largest_block
+
+
+@contextmanager
+def before_other_work(priority: int = 10) -> Iterator[bool]:
+    """While it lasts, this thread and what it starts run before all ordinary work; gives whether that was granted.
+
+    A process that is already scheduled in real time (``chrt``) keeps what it was given.
+    """
+    if sys.platform != "linux" or os.sched_getscheduler(0) != os.SCHED_OTHER:
+        yield False
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def may_run_first(priority: int) -> bool:
+    """Whether this user may run a process before all others."""
+    with before_other_work(priority) as granted:
+        return granted or (sys.platform == "linux" and os.sched_getscheduler(0) != os.SCHED_OTHER)
+
 
 INTEGRATED = ("velocity_mps", "displacement_m")  # limits whose use is integrated from the accelerometer
 
@@ -74,7 +108,7 @@ def run_ramp(
     began = clock.monotonic_s()
     with writer:
         try:
-            with Running(backend):
+            with running(backend):
                 run.drive()
         except BackendError as error:
             run.end("failed", f"back end {backend.name}: {error}")
@@ -83,10 +117,7 @@ def run_ramp(
 
 
 class _Run:
-    """The loop of `run_ramp`, what it is made of (programme, drive, measurement, safety), and its state.
-
-    Parameters are those of `run_ramp`.
-    """
+    """The loop of `run_ramp`, its parts (programme, drive, measurement, safety), and its state."""
 
     def __init__(
         self,
@@ -114,7 +145,7 @@ class _Run:
         self._mps2_per_code = backend.scales["accelerometer"][0] / profile.channels.accelerometer.volts_per_mps2
         self._watch = MotionWatch(profile, self._mps2_per_code)
         self._clocks = ClockLog(backend) if isinstance(backend, TwoClocked) else None  # else one clock
-        searcher = None if backend.simulated else InThread(clock)
+        searcher = Searcher(None if backend.simulated else clock.executor("loss-search"))
         self.account = LossAccount(profile, backend.channels.index("drive"), backend.scales["drive"], searcher)
         self._metered = -1
         self._last_achieved = math.nan, math.nan

@@ -12,7 +12,7 @@ bit for bit on every IEEE machine. Decision 26.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
 
@@ -169,10 +169,10 @@ class Step:
     index: int
     gamma: float
     direction: int
-    first_sample: int
-    fade_samples: int
-    settle_samples: int
-    n_samples: int
+    first_sample: int = field(default=0, kw_only=True)
+    fade_samples: int = field(default=0, kw_only=True)
+    settle_samples: int = field(default=0, kw_only=True)
+    n_samples: int = field(default=0, kw_only=True)
     fade_cycles: int
     settle_cycles: int
     hold_cycles: int
@@ -247,18 +247,8 @@ def plan(profile: Profile) -> Programme:
     steps: list[Step] = []
     cycle, previous = 0, 0.0
     for index, gamma in enumerate(ramp.gammas()):
-        step = Step(
-            index=index,
-            gamma=gamma,
-            direction=-1 if gamma < previous else 1,
-            first_sample=0,
-            fade_samples=0,
-            settle_samples=0,
-            n_samples=0,
-            fade_cycles=fade_cycles(ramp, gamma - previous),
-            settle_cycles=ramp.settle_cycles,
-            hold_cycles=ramp.hold_cycles,
-        )
+        fade, direction = fade_cycles(ramp, gamma - previous), -1 if gamma < previous else 1
+        step = Step(index, gamma, direction, fade, ramp.settle_cycles, ramp.hold_cycles)
         steps.append(step.placed(clock, cycle, ramp.settle_cycles))
         days = steps[-1].end_sample / rate_hz / 86400.0
         if days > LONGEST_RUN_DAYS:
@@ -336,3 +326,28 @@ def _highest(multiples: Integers, amplitudes: Complexes) -> float:
         slope, bend = -np.imag(turned @ multiples), -np.real(turned @ multiples**2)
         at = at - np.clip(slope / np.minimum(bend, -1e-300), -np.pi / n, np.pi / n)
     return float(max(y.max(), np.real(np.exp(1j * np.outer(at, multiples)) @ amplitudes).max()))
+
+
+class HighPass:
+    """First-order high-pass that remembers; ``corner_hz`` None lets everything pass.
+
+    With ``r = 2 pi corner / rate``, a straight piece of slope ``s`` a sample is answered by
+    ``y[n] = exp(-r) y[n-1] + s (1 - exp(-r)) / r``.
+    """
+
+    def __init__(self, corner_hz: float | None, rate_hz: float) -> None:
+        self._r = 2.0 * math.pi * corner_hz / rate_hz if corner_hz else 0.0
+        self._state: Floats | None = None
+
+    def __call__(self, volts: Floats) -> Floats:
+        """The next samples (n,), filtered; before the first the circuit had rested at it."""
+        if self._r == 0.0 or not len(volts):
+            return volts
+        decay = math.exp(-self._r)
+        gain = (1.0 - decay) / self._r
+        from scipy.signal import lfilter  # takes most of a second to import
+
+        if self._state is None:
+            self._state = np.array([-gain * volts[0]])
+        out, self._state = lfilter([gain, -gain], [1.0, -decay], volts, zi=self._state)
+        return np.asarray(out)

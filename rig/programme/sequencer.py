@@ -208,10 +208,7 @@ class Sequencer:
         self._change(Fade(self.position, end - self.position, self._fade.at(self.position), self._planned.end))
 
     def retarget(self, amplitudes: tuple[complex, ...], n_cycles: int) -> int:
-        """While settling: fade to ``amplitudes`` over ``n_cycles`` from the next cycle on; returns where that ends.
-
-        Raises `ValueError` in any other state.
-        """
+        """While settling (else ValueError): fade to ``amplitudes`` from the next cycle on; returns where that ends."""
         if self.state is not State.SETTLING:
             raise ValueError(f"cannot change amplitudes while {self.state.value}")
         clock = self.programme.clock

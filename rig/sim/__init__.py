@@ -1,4 +1,4 @@
 """The simulated rig: plant, sensors and scenarios with physics of their own; only drive samples reach it.
 
-Other rooms take `scenario`, `catalogue`, `plant`.
+Other rooms take `scenario`, `plant`.
 """

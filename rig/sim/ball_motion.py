@@ -12,8 +12,7 @@ from typing import Any
 
 from kernels import njit
 from rig.sim.forces import gravity, hang_margin, net, plate_acceleration, rebound, release_margin
-from rig.sim.sensors import landing_edges, push_edge, ring_now
-from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN, uniform
+from rig.sim.state import CONTACT, FLIGHT, HANGING, OPEN, landing_edges, push_edge, ring_now, uniform
 
 _THIRD, _SIXTH = 1.0 / 3.0, 1.0 / 6.0
 

@@ -157,7 +157,7 @@ def _add_flicker(keep: Any, drifts: Any, pushes: Any, rms: float, x: Any) -> Non
 class Converter:
     """What is added to the volts of the channels at the converter's samples, and its linear-phase filter.
 
-    ``rig`` has all keys of `rig.sim.catalogue.RIG_DEFAULTS`; ``rng`` is for 1/f noise.
+    ``rig`` has all keys of `rig.sim.scenario.RIG_DEFAULTS`; ``rng`` is for 1/f noise.
     """
 
     def __init__(self, rig: Mapping[str, float], rate_hz: float, rng: np.random.Generator) -> None:

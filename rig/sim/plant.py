@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from kernels import njit
 from kernels.arrays import Floats
 from rig.sim.ball_motion import move_ball
-from rig.sim.catalogue import RIG_DEFAULTS
 from rig.sim.forces import G_MPS2, gravity, plate_acceleration
 from rig.sim.instrument import SECTIONS, SUBSTEPS, Converter, sections, shown_acceleration
-from rig.sim.scenario import Scenario
-from rig.sim.sensors import run_circuit
-from rig.sim.state import FLIGHT, initial_state, small_noise
+from rig.sim.scenario import RIG_DEFAULTS, Scenario
+from rig.sim.state import FLIGHT, initial_state, run_circuit, small_noise
 
 _SIXTH = 1.0 / 6.0
 
@@ -231,10 +229,7 @@ class Plant:
         self._state["turned"] = over
 
     def exchange(self, drive_v: Floats) -> NDArray[np.int16]:
-        """Drive the rig and record it over the same samples.
-
-        Raises `ValueError` where `drive_v` is not one-dimensional or not finite. Returns codes of `channels`, (n, k).
-        """
+        """Codes (n, k) of `channels` while it is driven; raises `ValueError` for a drive of no finite samples (n,)."""
         drive = np.ascontiguousarray(drive_v, dtype=np.float64)
         if drive.ndim != 1 or not np.isfinite(drive).all():
             raise ValueError(f"drive: wanted a 1-D array of finite volts, got shape {drive.shape}; check the sequencer")

@@ -1,9 +1,12 @@
-"""What the simulated rig hides: scenario files, read strictly, and scenarios drawn by chance for scoring.
+"""What the simulated rig hides: its effects, scenario files, read strictly, and scenarios drawn by chance for scoring.
+
+Its effects are listed in `effects.toml`: the layout of the compiled plant's parameters, the strictness of scenario
+files, the sealed draws and the documentation all come from there. A parameter at its neutral value does nothing.
 
 A scenario is known outside only by a hash of its canonical content and a nonce, so that it cannot be found by trying
 likely contents; nothing else of it leaves this package. A sealed one has effects drawn at a stated strength, unknown to
 whoever analyses the run. All chance comes from the generator passed in, and a draw is a plain `Scenario`, so that its
-truth can be stored elsewhere and opened after the verdict is written. Decision 272.
+truth can be stored elsewhere and opened after the verdict is written. Decisions 272 and 449.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -22,8 +26,72 @@ import numpy as np
 
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from rig.sim.catalogue import BEYOND, EFFECTS, NAMED, RIG_DEFAULTS, EffectEntry, parameter_dtype
 from rig.sim.instrument import ANALOGUE
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect."""
+
+    name: str  # name within the effect; carries the unit where it has one
+    strong: tuple[float, float]  # range drawn from when the effect is strong
+    scales: bool = True  # True where strength multiplies this number; False where it only shapes the effect
+    neutral: float = 0.0  # the value at which the effect is absent (shape parameters: any harmless value)
+    low: float = -np.inf  # least value accepted in a scenario file
+    high: float = np.inf  # largest one
+
+
+@dataclass(frozen=True)
+class EffectEntry:
+    """One effect that can be hidden."""
+
+    name: str  # name used in scenario files
+    parameters: tuple[Parameter, ...]
+    words: str  # what it does
+    # microseconds by which one hundredth of the middle of the strong range typically moves the next landing or
+    # take-off (or what is as easily seen in another channel); strengths are drawn in these units
+    unit_us: float
+    named: bool = True  # True where the effect has an agreed name among the candidates; False for effects beyond them
+    # what the plant evaluates of it between events: force, friction (that is not constant) or contact; else
+    # empty
+    evaluated: str = ""
+    covariate: str = ""  # where the effect is a smooth term of one covariate: which; else empty
+
+
+def _read(tables: dict[str, dict[str, Any]], *, named: bool) -> tuple[EffectEntry, ...]:
+    """Entries of one part of the file; what is no table there belongs to the effect, each table is a parameter."""
+    found = []
+    for name, table in tables.items():
+        parameters = []
+        for key, row in ((k, x) for k, x in table.items() if isinstance(x, dict)):
+            low, high = row.get("limits", (row.get("least", 1e-12), np.inf))
+            parameters.append(Parameter(key, tuple(row["strong"]), "limits" in row, row.get("neutral", 0.0), low, high))
+        own = {key: x for key, x in table.items() if not isinstance(x, dict)}
+        found.append(EffectEntry(name, tuple(parameters), named=named, **own))
+    return tuple(found)
+
+
+_TABLES = tomllib.loads(files(__package__).joinpath("effects.toml").read_text(encoding="utf-8"))
+
+NAMED: tuple[EffectEntry, ...] = _read(_TABLES["named"], named=True)
+
+BEYOND: tuple[EffectEntry, ...] = _read(_TABLES["beyond"], named=False)
+
+EFFECTS: dict[str, EffectEntry] = {entry.name: entry for entry in (*NAMED, *BEYOND)}
+"""All effects by name (`parameter_drift` is a modifier of these, see `rig.sim.scenario`)."""
+
+RIG_DEFAULTS: dict[str, float] = _TABLES["rig"]
+"""The rig around the ball: what a scenario's ``[rig]`` table may set."""
+
+
+def parameter_dtype() -> np.dtype[np.void]:
+    """Layout of the compiled plant's parameters: rig numbers, ``effect_parameter`` fields, then switches."""
+    fields = [(name, "f8") for name in RIG_DEFAULTS]
+    fields += [(f"{e.name}_{p.name}", "f8") for e in EFFECTS.values() for p in e.parameters]
+    switches = "has_friction has_unusual_friction has_force has_hold has_mode has_front is_ballistic is_simple"
+    fields += [(name, "f8") for name in switches.split()]
+    return np.dtype(fields)
+
 
 DRIFT = "parameter_drift"
 """Table under ``[effects]`` that makes parameters of other effects drift: ``"effect.parameter" = per_minute``."""
@@ -33,20 +101,41 @@ DRIFT_DTYPE = np.dtype([("place", "i8"), ("base", "f8"), ("rate_per_s", "f8"), (
 
 @dataclass(frozen=True)
 class Scenario:
-    """What a rig hides.
-
-    Raises `ValueError` where an effect, a parameter or a rig key does not exist, or a value lies outside its limits.
-    """
+    """What a rig hides; raises `ValueError` where a name does not exist, or a value lies outside its limits."""
 
     name: str  # for people; covered by the hash
-    # names and parameters of `rig.sim.catalogue`; parameters not given are neutral.
+    # names and parameters of `rig.sim.scenario`; parameters not given are neutral.
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    rig: Mapping[str, float] = field(default_factory=dict)  # overrides of `rig.sim.catalogue.RIG_DEFAULTS`.
+    rig: Mapping[str, float] = field(default_factory=dict)  # overrides of `rig.sim.scenario.RIG_DEFAULTS`.
     drift_per_minute: Mapping[str, float] = field(default_factory=dict)
     nonce: str = ""  # random text that keeps the hash from being guessed
 
     def __post_init__(self) -> None:
-        problems = _problems(self)
+        problems, rig = list[str](), self.rig
+        for name, table in self.effects.items():
+            if name not in EFFECTS:
+                problems.append(f"effects.{name}: wanted one of {', '.join(EFFECTS)}")
+                continue
+            known = {parameter.name: parameter for parameter in EFFECTS[name].parameters}
+            for key, value in table.items():
+                if key not in known:
+                    problems.append(f"effects.{name}.{key}: wanted one of {', '.join(known)}")
+                elif not _is_number(value) or not known[key].low <= value <= known[key].high:
+                    wanted = f"a number from {known[key].low:g} to {known[key].high:g}"
+                    problems.append(f"effects.{name}.{key}: wanted {wanted}, got {value!r}")
+        problems += [f"rig.{key}: wanted one of {', '.join(RIG_DEFAULTS)}" for key in rig if key not in RIG_DEFAULTS]
+        problems += [
+            f"rig.{key}: wanted a number, got {value!r}" for key, value in rig.items() if not _is_number(value)
+        ]
+        if rig.get("low_pass_poles", 1) not in (1, 2, 4):
+            problems.append(f"rig.low_pass_poles: wanted 1, 2 or 4, got {rig['low_pass_poles']!r}")
+        for dotted, rate in self.drift_per_minute.items():
+            effect, _, name = dotted.partition(".")
+            present = effect in self.effects and any(p.name == name for p in EFFECTS[effect].parameters)
+            if not present:
+                problems.append(f"effects.{DRIFT}.{dotted!r}: wanted effect.parameter of an effect in this scenario")
+            elif not _is_number(rate):
+                problems.append(f"effects.{DRIFT}.{dotted!r}: wanted a change per minute, got {rate!r}")
         if problems:
             raise ValueError("; ".join(problems))
 
@@ -63,14 +152,9 @@ class Scenario:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def parameters(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the compiled plant runs on.
+        """What the compiled plant runs on, as structured arrays: the parameters (1,) by `parameter_dtype`.
 
-        Returns
-        -------
-        parameters : structured array (1,)
-            Layout of `rig.sim.catalogue.parameter_dtype`.
-        drift : structured array (n,) of `DRIFT_DTYPE`
-            The drifting fields by their place in the record, with rates per second and limits.
+        And the drifting fields (n,) of `DRIFT_DTYPE` by their place in that record, with rates per second and limits.
         """
         dtype = parameter_dtype()
         params = np.zeros(1, dtype)
@@ -83,10 +167,10 @@ class Scenario:
         evaluated = {EFFECTS[name].evaluated for name in self.effects}
         unusual, forced = "friction" in evaluated, "force" in evaluated
         params["has_unusual_friction"], params["has_force"] = unusual, forced
-        params["has_friction"] = unusual or self._has("coulomb_friction")
-        params["has_hold"], params["has_mode"] = self._has("impact_hold"), self._has("table_resonance")
+        params["has_friction"] = unusual or "coulomb_friction" in self.effects
+        params["has_hold"], params["has_mode"] = "impact_hold" in self.effects, "table_resonance" in self.effects
         params["has_front"] = any(params[key][0] != 0.0 for key in ANALOGUE)
-        ballistic = not (unusual or forced or self._has("table_resonance"))
+        ballistic = not (unusual or forced or "table_resonance" in self.effects)
         params["is_ballistic"], params["is_simple"] = ballistic, ballistic and "contact" not in evaluated
         places = {name: place for place, name in enumerate(dtype.names or ())}
         drift = np.zeros(len(self.drift_per_minute), DRIFT_DTYPE)
@@ -96,9 +180,6 @@ class Scenario:
             key = f"{effect}_{name}"
             drift[row] = (places[key], params[key][0], per_minute / 60.0, parameter.low, parameter.high)
         return params, drift
-
-    def _has(self, *names: str) -> bool:
-        return any(name in self.effects for name in names)
 
     def to_toml(self) -> str:
         """The scenario as a file that `load_scenario` reads back to the same hash."""
@@ -111,34 +192,6 @@ class Scenario:
             rates = (f'"{key}" = {float(value)!r}' for key, value in self.drift_per_minute.items())
             lines += ["", f"[effects.{DRIFT}]  # per minute", *rates]
         return "\n".join(lines) + "\n"
-
-
-def _problems(scenario: Scenario) -> list[str]:
-    """What is wrong with a scenario's effects, rig keys and drifts."""
-    problems, rig = [], scenario.rig
-    for name, table in scenario.effects.items():
-        if name not in EFFECTS:
-            problems.append(f"effects.{name}: wanted one of {', '.join(EFFECTS)}")
-            continue
-        known = {parameter.name: parameter for parameter in EFFECTS[name].parameters}
-        for key, value in table.items():
-            if key not in known:
-                problems.append(f"effects.{name}.{key}: wanted one of {', '.join(known)}")
-            elif not _is_number(value) or not known[key].low <= value <= known[key].high:
-                wanted = f"a number from {known[key].low:g} to {known[key].high:g}"
-                problems.append(f"effects.{name}.{key}: wanted {wanted}, got {value!r}")
-    problems += [f"rig.{key}: wanted one of {', '.join(RIG_DEFAULTS)}" for key in rig if key not in RIG_DEFAULTS]
-    problems += [f"rig.{key}: wanted a number, got {value!r}" for key, value in rig.items() if not _is_number(value)]
-    if rig.get("low_pass_poles", 1) not in (1, 2, 4):
-        problems.append(f"rig.low_pass_poles: wanted 1, 2 or 4, got {rig['low_pass_poles']!r}")
-    for dotted, rate in scenario.drift_per_minute.items():
-        effect, _, name = dotted.partition(".")
-        present = effect in scenario.effects and any(p.name == name for p in EFFECTS[effect].parameters)
-        if not present:
-            problems.append(f"effects.{DRIFT}.{dotted!r}: wanted effect.parameter of an effect in this scenario")
-        elif not _is_number(rate):
-            problems.append(f"effects.{DRIFT}.{dotted!r}: wanted a change per minute, got {rate!r}")
-    return problems
 
 
 def _is_number(value: Any) -> bool:
@@ -261,10 +314,7 @@ def sealed_scenario(
 
 
 def ordinary_instrument(rng: np.random.Generator) -> dict[str, float]:
-    """Draw an instrument as a laboratory has it, whose parts stay within what a profile states of its channels.
-
-    Returns keys of a scenario's ``[rig]``.
-    """
+    """Keys of ``[rig]`` of a laboratory's instrument, drawn within what a profile states of its channels."""
     return {
         "low_pass_hz": float(np.exp(rng.uniform(np.log(4e3), np.log(9e3)))),
         "low_pass_poles": float(rng.choice((1, 2, 4))),

@@ -1,11 +1,15 @@
-"""Layout of the compiled plant's state: everything carried from one sample to the next.
+"""The compiled plant's state, carried from one sample to the next, and its sensors: contact circuit and ringing.
 
-A block boundary is invisible, so whatever a later sample needs is a field of this record. So are the counters of the
+A block boundary is invisible, so whatever a later sample needs is a field of the record. So are the counters of the
 random numbers, SplitMix64 words from keys drawn off the passed generator: a number depends on its key and counter only.
+
+Edges of the contact circuit carry their exact times. They wait in a queue (latency, held-over closure and bounce shift
+them), and the voltage follows them by its RC, so a sample near an edge tells where within the sample it fell.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -23,55 +27,23 @@ _HALF_WORD = np.uint64(0xFFFF)
 _FOUR_UNIFORMS_MEAN, _FOUR_UNIFORMS_SD = 131070.0, 37837.2
 
 _FLOATS = (
-    "t_s",  # time at the start of the interval
-    "dt_s",  # its length
-    "u",  # place within the interval, 0..1
-    "height_m",
-    "speed_mps",  # ball relative to the plate
-    "mode_m",
-    "mode_mps",  # slow mode of the table
-    "a0",
-    "a1",
-    "a2",
-    "a3",  # driven plate acceleration in the interval: cubic in u
-    "node1",
-    "node2",
-    "node3",  # the last reconstruction nodes
-    "plate_mps",
-    "plate_end_mps",  # driven plate velocity, leaky, at both ends of the interval
-    "mean_square_1",
-    "mean_square_v2",
-    "mean_cube_1",
-    "mean_cube_2",
-    "mean_cube_v3",
-    "lagged_v",
-    "last_v",
-    "shaker_x",
-    "shaker_v",
-    "shaker_drive",  # drive chain
-    "landed_s",
-    "left_s",
-    "flight_s",
-    "hold_until_s",
-    "contact_since_s",
-    "closed_s",
-    "rocking",
-    "ring_re",
-    "ring_im",
-    "turn_re",
-    "turn_im",
-    "volts_per_mps2",
-    "zero_v",
-    "shown_part",
-    "blocked_part",  # derived from the parameters
-    "shown_v",
-    "unfiltered_v",  # of the accelerometer, behind and before its filter
+    "t_s", "dt_s", "u",  # time at the start of the interval, its length, place within it (0..1)
+    "height_m", "speed_mps",  # ball relative to the plate
+    "mode_m", "mode_mps",  # slow mode of the table
+    "a0", "a1", "a2", "a3",  # driven plate acceleration in the interval: cubic in u
+    "node1", "node2", "node3",  # the last reconstruction nodes
+    "plate_mps", "plate_end_mps",  # driven plate velocity, leaky, at both ends of the interval
+    "mean_square_1", "mean_square_v2", "mean_cube_1", "mean_cube_2", "mean_cube_v3", "lagged_v", "last_v",
+    "shaker_x", "shaker_v", "shaker_drive",  # drive chain
+    "landed_s", "left_s", "flight_s", "hold_until_s", "contact_since_s", "closed_s",
+    "rocking", "ring_re", "ring_im",
+    "turn_re", "turn_im", "volts_per_mps2", "zero_v", "shown_part", "blocked_part",  # derived from the parameters
+    "shown_v", "unfiltered_v",  # of the accelerometer, behind and before its filter
     "blocked_v",  # what a high-pass in its amplifier takes away
-    "felt_rest",
-    "filtered",  # of the accelerometer's analogue part: its input but for drive and ringing, and its output
+    "felt_rest", "filtered",  # of its analogue part: its input but for drive and ringing, and its output
     "film_v",  # on the contact that was closed last
     "continuity_v",
-)
+)  # fmt: skip
 _INTEGERS = (
     "state", "direction", "parity", "commanded_open", "closed", "bouncing", "n_edges", "impacts", "sample",
     "turned",  # 1 while the accelerometer lies upside down
@@ -121,3 +93,129 @@ def uniform(s: Any) -> float:
     """The next number in [0, 1) of the plant's events (contact bounce, scattered rebounds)."""
     s.event_counter += np.uint64(1)
     return float(_word(s.event_counter) >> np.uint64(11)) * 2.0**-53
+
+
+@njit()
+def _insert(s: Any, t: float, kind: int) -> None:
+    """Put an edge in its place; a full queue drops bounces rather than true edges."""
+    n = s.n_edges
+    if n == EDGE_CAPACITY:
+        return
+    i = n
+    while i > 0 and s.edge_s[i - 1] > t:
+        s.edge_s[i], s.edge_kind[i] = s.edge_s[i - 1], s.edge_kind[i - 1]
+        i -= 1
+    s.edge_s[i], s.edge_kind[i] = t, kind
+    s.n_edges = n + 1
+
+
+@njit()
+def push_edge(s: Any, p: Any, t: float, kind: int) -> None:
+    """Queue the opening or closing that happens mechanically at ``t``."""
+    late = t + p.contact_latency_delay_s
+    if kind == OPEN:
+        late = max(late, s.closed_s + p.contact_closure_duration_s + p.contact_latency_delay_s)
+    else:
+        left = 0
+        for i in range(s.n_edges):  # openings that have not come yet are overtaken by the closing
+            if s.edge_kind[i] == OPEN and s.edge_s[i] > late:
+                continue
+            s.edge_s[left], s.edge_kind[left] = s.edge_s[i], s.edge_kind[i]
+            left += 1
+        s.n_edges = left
+        s.closed_s = t
+    _insert(s, late, kind)
+
+
+@njit()
+def landing_edges(s: Any, p: Any, t: float) -> None:
+    """Close the circuit at an impact, with contact bounce where the rig has it."""
+    if s.commanded_open == 0:
+        s.closed_s = t if p.contact_closure_duration_s > 0.0 else s.closed_s
+        return
+    s.commanded_open = 0
+    push_edge(s, p, t, CLOSE)
+    if p.bounce_s <= 0.0:
+        return
+    late = t + p.contact_latency_delay_s
+    at = late + 0.2 * p.bounce_s * uniform(s)
+    for _ in range(1 + int(3.0 * uniform(s))):
+        gone = 0.15 * p.bounce_s * uniform(s)
+        _insert(s, at, BOUNCE_OPEN)
+        _insert(s, at + gone, BOUNCE_CLOSE)
+        at += gone + 0.15 * p.bounce_s * uniform(s)
+
+
+@njit()
+def _relax(s: Any, p: Any, dt_s: float) -> None:
+    """Let the voltage run towards the level of the circuit's present state."""
+    closed = s.closed == 1 and s.bouncing == 0
+    level = p.closed_v + s.film_v if closed else p.open_v
+    off = s.continuity_v - level
+    if abs(off) < 1e-9:
+        s.continuity_v = level
+    else:
+        s.continuity_v = level + off * math.exp(-dt_s / (p.rc_close_s if closed else p.rc_open_s))
+    if p.hysteresis_v > 0.0:
+        threshold = 0.5 * (p.open_v + p.closed_v) + (0.5 - s.says_open) * p.hysteresis_v
+        s.says_open = 1 if s.continuity_v > threshold else 0
+
+
+@njit()
+def run_circuit(s: Any, p: Any) -> float:
+    """Carry the contact circuit to the end of the interval through the edges that fall into it; volts to convert.
+
+    The drive is taken at the end; a multiplexed card has taken the contact two channels before.
+    """
+    now, end = s.t_s, s.t_s + s.dt_s
+    if p.between_channels_s > 0.0:
+        look = max(end - 2.0 * p.between_channels_s, now)
+        now = _run_until(s, p, now, look)
+        volts = _volts(s, p)
+        _run_until(s, p, now, end)
+        return volts
+    _run_until(s, p, now, end)
+    return _volts(s, p)
+
+
+@njit()
+def _volts(s: Any, p: Any) -> float:
+    if p.hysteresis_v > 0.0:
+        return float(p.open_v if s.says_open == 1 else p.closed_v)
+    return float(s.continuity_v)
+
+
+@njit()
+def _run_until(s: Any, p: Any, now: float, end: float) -> float:
+    done = 0
+    while done < s.n_edges and s.edge_s[done] <= end:
+        at, kind = max(s.edge_s[done], now), s.edge_kind[done]
+        _relax(s, p, at - now)
+        now = at
+        if kind in (OPEN, CLOSE):
+            s.closed = 1 if kind == CLOSE else 0
+            s.bouncing = 0
+            if kind == CLOSE and p.film_v > 0.0:
+                s.film_v = p.film_v * (0.5 + uniform(s))
+        else:
+            s.bouncing = 1 if kind == BOUNCE_OPEN else 0
+        done += 1
+    if done > 0:
+        for i in range(done, s.n_edges):
+            s.edge_s[i - done], s.edge_kind[i - done] = s.edge_s[i], s.edge_kind[i]
+        s.n_edges -= done
+    _relax(s, p, end - now)
+    return end
+
+
+@njit()
+def ring_now(s: Any, p: Any, speed_mps: float) -> None:
+    """Start the table's ringing at the present place; the stored phasor is that of the interval's end."""
+    if s.n_hits < HIT_CAPACITY:
+        s.hit_u[s.n_hits], s.hit_mps[s.n_hits] = s.u, speed_mps
+        s.n_hits += 1
+    left = (1.0 - s.u) * s.dt_s
+    size = -speed_mps * math.exp(-left / p.ring_decay_s)
+    angle = 2.0 * math.pi * p.ring_frequency_hz * left
+    s.ring_re += size * math.cos(angle)
+    s.ring_im += size * math.sin(angle)

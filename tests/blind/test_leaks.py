@@ -11,8 +11,7 @@ from daq.recording.writer import RecordingWriter
 from rig.backends.simulated import SimulatedBackend
 from rig.execution.run import run_ramp
 from rig.profile import load_profile, load_setup
-from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
-from rig.sim.scenario import pool, sealed_scenario
+from rig.sim.scenario import EFFECTS, RIG_DEFAULTS, pool, sealed_scenario
 
 PROFILE = Path(__file__).parents[2] / "rig_profiles" / "simulated.toml"
 

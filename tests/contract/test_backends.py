@@ -16,14 +16,14 @@ import pytest
 from bench.profiles.find import load
 from daq.files.tables import Block
 from daq.recording.writer import RecordingWriter
-from rig.backends.base import Backend, BackendError, Running
+from rig.backends.base import Backend, BackendError, running
 from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.backends.registry import open_backend
 from rig.backends.replay import ReplayBackend
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.backends.simulated import SimulatedBackend
 from rig.sim.scenario import Scenario
-from rig.virtual.serial import SerialDevice
+from rig.virtual import SerialDevice
 from tests.fakes.faults import FaultyBackend
 from tests.fakes.nidaqmx_bench import Bench
 from tests.fakes.serial_loopback import WiredCard, WiredPort
@@ -52,7 +52,7 @@ def replay(folder: Path) -> Made:
     profile, text = load("simulated")
     source, _ = simulated(folder)
     path = folder / "source.h5"
-    with Running(source), RecordingWriter(
+    with running(source), RecordingWriter(
         path, profile.setup(), profile_text=text, channels=source.channels, backend="simulated", simulated=True,
         scales=source.scales,
     ) as writer:  # fmt: skip
@@ -135,7 +135,7 @@ def test_says_what_it_is(backend: Backend) -> None:
 def test_returns_as_many_frames_as_it_was_given(backend: Backend) -> None:
     """Blocks of any size come back whole, none for none; NaN, infinity and a wrong shape are refused in between."""
     expected = 0
-    with Running(backend):
+    with running(backend):
         for n in (1, 7, 0, 1024, 200, 3):
             block = backend.exchange(drive(n, expected))
             assert isinstance(block, Block)
@@ -174,7 +174,7 @@ def test_starts_over(backend: Backend) -> None:
     for _ in range(2):
         with pytest.raises(BackendError):
             backend.exchange(np.zeros(10))
-        with Running(backend):
+        with running(backend):
             first = backend.exchange(drive(2000))
             assert first.first_sample == 0
             runs.append(first.codes)
@@ -189,9 +189,9 @@ def test_block_size_does_not_show(backend: Backend) -> None:
     if not backend.simulated:
         pytest.skip("a real device does not repeat itself")
     whole = drive(6000)
-    with Running(backend):
+    with running(backend):
         one = backend.exchange(whole).codes
-    with Running(backend):
+    with running(backend):
         many = np.concatenate([backend.exchange(piece).codes for piece in np.split(whole, [10, 77, 1900, 5999])])
     assert np.array_equal(one, many)
 
@@ -199,7 +199,7 @@ def test_block_size_does_not_show(backend: Backend) -> None:
 def test_replay_plays_what_was_recorded_and_ends(tmp_path: Path) -> None:
     """A replay returns the recording's codes and fails, instead of going on, where the recording ends."""
     backend, _ = replay(tmp_path)
-    with Running(backend):
+    with running(backend):
         backend.exchange(np.zeros(59_000))
         with pytest.raises(BackendError, match="ends after 60000 samples"):
             backend.exchange(np.zeros(1001))
@@ -211,7 +211,7 @@ def test_pacing_changes_no_sample() -> None:
     for real_time in (False, True):
         backend = SimulatedBackend(RATE_HZ, Scenario("ideal"), 5, real_time=real_time)
         began_ns = time.monotonic_ns()
-        with Running(backend):
+        with running(backend):
             blocks = [backend.exchange(drive(500, 500 * i)) for i in range(4)]
         frames.append(np.concatenate([block.codes for block in blocks]))
     assert np.array_equal(*frames)

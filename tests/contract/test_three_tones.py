@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from model.effects.registry import registry
-from rig.sim.catalogue import EFFECTS
+from rig.sim.scenario import EFFECTS
 from tests.docs.edits import edited_copy, run_in
 
 HIDE = """

@@ -12,7 +12,7 @@ import numpy as np
 from daq.files.tables import Block, volts_per_code
 from kernels.arrays import Floats
 from rig.backends.base import BackendError, checked_drive
-from rig.virtual.serial import SerialDevice
+from rig.virtual import SerialDevice
 
 WAIT_S = 0.05  # for bytes that do not come
 

@@ -31,7 +31,7 @@ from bench.profiles.improved import possible_runs, profile_of, profile_text, wri
 from bench.terminal.console import EXIT_USAGE, speaker, warn, write_json
 from bench.terminal.progress import progress_bar
 from daq.files.disk import Journal, write_whole
-from daq.instrument.stored import refuse_doubtful
+from daq.instrument.instrument import refuse_doubtful
 from daq.recording import open_recording
 from daq.recording.opening import same_modules
 from daq.setup.errors import InputError

@@ -196,10 +196,7 @@ class FrameFile:
 
 
 def table_of(file: Any, name: str, dtype: np.dtype[Any], path: Path) -> tuple[NDArray[Any], Bools]:
-    """A table of a frames file, and which of its rows are as they were written.
-
-    Raises `InputError` when it is not of ``dtype``, or claims more than the file holds.
-    """
+    """A table of a frames file, and which rows are as they were written (raises InputError: not of ``dtype``)."""
     dataset = dataset_of(file, name, path)
     refuse_claims(dataset, path, streamed=False)
     if dataset.dtype == dtype:  # by an earlier version: rows without a checksum

@@ -12,7 +12,6 @@ import contextlib
 import functools
 import json
 import os
-import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.files.disk import sync_folder
+from daq.files.disk import in_words, sync_folder
 from daq.files.frames.frame_file import (
     FRAME_BLOCKS,
     FRAME_END,
@@ -67,7 +66,7 @@ class FrameWriter:
             self._let_go()
             with contextlib.suppress(OSError):
                 path.unlink()
-            raise InputError(f"{path}: cannot be created ({in_plain_words(error)}).") from error
+            raise InputError(f"{path}: cannot be created ({in_words(error)}).") from error
 
     def _lay_out(self, channels: Sequence[str], attributes: Mapping[str, Any]) -> None:
         """Create all that the file will hold (raises OSError or RuntimeError where the disk refuses)."""
@@ -135,7 +134,7 @@ class FrameWriter:
         except (OSError, RuntimeError) as error:
             self._let_go()
             raise OSError(
-                f"{self.path}: the disk refuses ({in_plain_words(error)}); what was recorded before is safe"
+                f"{self.path}: the disk refuses ({in_words(error)}); what was recorded before is safe"
             ) from error
 
     def _write(self, blocks: Sequence[Block]) -> None:
@@ -270,12 +269,6 @@ class FrameWriter:
         if self.is_broken and not vanished:
             raise OSError(f"{self.path}: the disk had refused")
         return where
-
-
-def in_plain_words(refusal: Exception) -> str:
-    """The system's own words for why it refused, without HDF5's addresses, clock and descriptors around them."""
-    said = re.search(r"error message = '([^']*)'", str(refusal))
-    return said[1] if said else str(refusal)
 
 
 memory_space = functools.lru_cache(maxsize=16)(h5py.h5s.create_simple)  # of a block's shape

@@ -185,22 +185,10 @@ _ENDING = b'{"ended": '
 class MarkedFrames:
     """A frames file as its marks describe it; `daq.files.frames.frame_file.FrameFile` is the same through HDF5.
 
-    Raises `LookupError` when the file has no marks.
-
-    ``data`` are a file's bytes, as `mapped` gives them; ``further`` rows of tables, read by another way, are added.
-
-    Attributes
-    ----------
-    attrs
-        Root attributes.
-    blocks, steps, side, ending, n_samples
-        As of a frames file; a block of which nothing is known has a row with its place only.
-    lost
-        Samples that are gone or differ, as ``(first, one past the last)``.
-    bad_blocks
-        Numbers of the blocks that they belong to.
-    faults
-        A line for each range of them.
+    ``data`` are a file's bytes, as `mapped` gives them; ``further`` rows of tables, read by another way, are added. A
+    block of which nothing is known has a row with its place only. Samples ``lost`` are gone or differ, as ``(first, one
+    past the last)``; ``bad_blocks`` are the numbers of their blocks, ``faults`` a line for each range. Raises
+    `LookupError` when the file has no marks.
     """
 
     def __init__(self, data: Any, further: Mapping[str, NDArray[np.void]] | None = None) -> None:

@@ -122,10 +122,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def parse_map(items: Sequence[str]) -> dict[str, Column]:
-    """``role=column[:unit]`` as the command line gives it.
-
-    Raises `InputError` for an unknown role or unit, or a repeated role.
-    """
+    """``role=column[:unit]`` as the command line gives it (raises InputError: unknown or repeated)."""
     mapping: dict[str, Column] = {}
     for item in items:
         role, separator, column = item.partition("=")

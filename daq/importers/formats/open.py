@@ -7,14 +7,9 @@ from pathlib import Path
 
 import h5py
 
+from daq.importers.formats.arrays import Hdf5Source, Mat73Source, MatSource, NpzSource, WavSource
 from daq.importers.formats.columns import Source
-from daq.importers.formats.hdf5 import Hdf5Source, Mat73Source
-from daq.importers.formats.mat import MatSource
-from daq.importers.formats.mdf4 import MdfSource
-from daq.importers.formats.npz import NpzSource
-from daq.importers.formats.tdms import TdmsSource
-from daq.importers.formats.uff58 import UffSource
-from daq.importers.formats.wav import WavSource
+from daq.importers.formats.measuring_systems import MdfSource, TdmsSource, UffSource
 from daq.importers.text.csv import CsvSource
 from daq.setup.errors import InputError, require_file
 

@@ -34,17 +34,11 @@ _QUOTED_COMMA = re.compile(rb'"[ \t]*([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)[ \t]*"')
 
 
 class CsvSource(Source):
-    """A text table.
+    """A text table; ``.gz`` is unpacked on the way.
 
-    Parameters
-    ----------
-    path
-        The file; ``.gz`` is unpacked on the way.
-    select
-        Long table: ``{"": value}`` keeps the rows whose selecting column holds ``value``; ``{role: value, ...}`` makes
-        the rows of each value a column of their own, named by the role.
-    select_column
-        The selecting column; the default is the one called ``channel`` or ``sensor``.
+    Of a long table ``select = {"": value}`` keeps the rows whose selecting column holds ``value``; ``{role: value,
+    ...}`` makes the rows of each value a column of their own, named by the role. The selecting column is the one called
+    ``channel`` or ``sensor`` unless ``select_column`` names it.
     """
 
     def __init__(self, path: Path, select: Mapping[str, str], select_column: str | None = None) -> None:
@@ -63,10 +57,7 @@ class CsvSource(Source):
             self.names = self._base if "" in select else (*self._base, *select)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
-        """The named columns, some rows at a time.
-
-        Raises `InputError`, naming the file and line of what is not a number, missing, or too much.
-        """
+        """The named columns, some rows at a time (raises InputError, naming the line of what cannot be used)."""
         names = list(dict.fromkeys(names))
         yield from self._selected(names) if self._select else ahead(self._wide(names))
 
@@ -198,10 +189,7 @@ class CsvSource(Source):
             ) from error
 
     def _blocks(self) -> Iterator[tuple[int, int, memoryview]]:
-        """Whole lines of text, some at a time, each with the number (from 1) of its first line, and how many.
-
-        A block lasts until the next is asked for.
-        """
+        """Whole lines, number (from 1) of the first, and how many; a block lasts until the next is asked for."""
         first = self._first_line + 1
         with TextFile(self.path) as file:
             blocks = file.blocks()

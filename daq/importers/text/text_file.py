@@ -53,12 +53,8 @@ class TextFile(Closing):
     def blocks(self) -> Iterator[memoryview]:
         """The rest of the file, in blocks of whole lines that end in a newline; each lasts until the next is asked for.
 
-        Raises
-        ------
-        LongLineError
-            For a line longer than `LONGEST_LINE` where one block ends.
-        OSError, EOFError, zlib.error
-            Where the file breaks off.
+        Raises LongLineError for a line longer than `LONGEST_LINE` where one block ends; OSError, EOFError or zlib.error
+        where the file breaks off.
         """
         memory = bytearray(_BLOCK_BYTES + 1)  # one more: for a last newline that is missing
         held, left = memoryview(memory), 0

@@ -12,7 +12,7 @@ from scipy.signal import resample_poly
 from analysis.flights.assemble import FlightFlag, Flights, assemble, flights_of
 from analysis.flights.scan import scan
 from daq.files.tables import Block
-from daq.instrument.stored import instrument_of
+from daq.instrument.instrument import instrument_of
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from daq.setup.setup import Setup

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from benchmarks.daq import losses, sample_path
-from daq.clocks.loss_search import NOTHING, AtOnce, Found, InThread
+from daq.clocks.loss_search import NOTHING, Found, Searcher
 from daq.clocks.sample_loss import LossDetector
 from daq.files.tables import Block, BlockFlag
 from daq.recording import CHANNELS, open_recording, verify
 from daq.recording.writer import RecordingWriter
+from daq.setup.clock import SYSTEM
 from daq.setup.setup import Setup
 
 RATE_HZ = 20_000.0
@@ -129,11 +130,11 @@ def test_the_sample_path_does_bounded_work(case: str) -> None:
 def test_an_answer_that_comes_late_is_the_same() -> None:
     """Searches in a thread, however slow, declare what searches at once declare, at the same samples."""
 
-    class Slow(InThread):
+    class Slow(Searcher):
         """Answers when it has been looked at twenty times, however fast its thread is."""
 
         def __init__(self) -> None:
-            super().__init__()
+            super().__init__(SYSTEM.executor("search"))
             self.looks = 0
 
         def answer(self, *, wait: bool) -> Found | None:
@@ -144,7 +145,7 @@ def test_an_answer_that_comes_late_is_the_same() -> None:
     played = np.sin(2 * np.pi * 25.37 * t) * np.minimum(t, 1.0)
     kept = np.r_[0:40_000, 40_200:70_000, 75_000 : len(played)]
     gaps = []
-    for searcher in (AtOnce(), Slow()):
+    for searcher in (Searcher(), Slow()):
         blocks = feed(LossDetector(RATE_HZ, searcher=searcher), played, played, kept)
         gaps.append([(b.first_sample, b.lost_before, b.lost_uncertainty) for b in blocks if b.lost_before])
         assert sum(len(b.codes) for b in blocks) == len(kept)
@@ -154,7 +155,7 @@ def test_an_answer_that_comes_late_is_the_same() -> None:
 def test_an_answer_that_never_comes_costs_no_sample() -> None:
     """A search that is kept from running: the frames are flagged and go on, in order, all of them."""
 
-    class Never(AtOnce):
+    class Never(Searcher):
         """Takes every question and answers none while the run lasts."""
 
         def answer(self, *, wait: bool) -> Found | None:

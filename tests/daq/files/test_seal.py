@@ -351,7 +351,10 @@ def test_a_process_that_hangs_or_dies_is_ended(tmp_path: Path, monkeypatch: pyte
     """What reads a damaged file may loop or crash: the answer says that, and where; a refusal comes through."""
     (tmp_path / "hands.py").write_text(HANDS, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    hung, dead = in_subprocess("hands:hang", patience_s=0.3), in_subprocess("hands:crash")
+    with monkeypatch.context() as hurried:
+        hurried.setattr("daq.recording.opening.PATIENCE_S", 0.3)
+        hung = in_subprocess("hands:hang")
+    dead = in_subprocess("hands:crash")
     assert (hung.at, "does not come to an end" in hung.died) == ("the index", True)
     assert (dead.at, "ended the process" in dead.died) == ("the heap", True)
     with pytest.raises(InputError, match="not this one"):

@@ -14,8 +14,7 @@ from benchmarks.plants import other_plant
 from benchmarks.plants.instrument import Instrument as Chain
 from daq.importers.formats.open import open_source
 from daq.importers.import_recording import ImportOptions, ImportSummary, import_recording
-from daq.instrument.instrument import Instrument
-from daq.instrument.stored import instrument_of, refuse_doubtful
+from daq.instrument.instrument import Instrument, instrument_of, refuse_doubtful
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from kernels.arrays import Floats

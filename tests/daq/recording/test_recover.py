@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -15,6 +16,8 @@ import pytest
 from benchmarks.daq import kill
 from daq.files.frames.frame_file import is_being_written, lookup3
 from daq.recording import CHANNELS, Block, open_recording, verify
+from daq.recording.header import refuse_repeated
+from daq.recording.reader import Recording
 from daq.recording.recover import recover
 from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
@@ -54,6 +57,37 @@ def test_an_unclosed_run_is_recovered(tmp_path: Path, setup: Setup) -> None:
     with pytest.raises(InputError, match="never overwritten"):
         writer_of(tmp_path / "c.h5", setup)
         recover(tmp_path / "c.h5", found.path)
+
+
+def test_samples_are_compared_only_where_two_runs_have_as_many(
+    tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs that were cut off are read for the comparison only next to one of as many samples, and no closed one is."""
+    read: list[str] = []
+    codes = Recording.codes
+
+    def noted(recording: Recording, *asked: Any, **more: Any) -> Any:
+        read.append(recording.path.name)
+        return codes(recording, *asked, **more)
+
+    paths = [tmp_path / name for name in ("cut.h5", "longer.h5", "closed.h5", "copy.h5")]
+    cut, longer, closed = (writer_of(path, setup) for path in paths[:3])
+    longer.append(Block(3000, CODES[:10], clock_ns=3000))
+    closed.append(Block(3000, CODES[:20], clock_ns=3000))
+    closed.close()
+    paths[3].write_bytes(paths[2].read_bytes())
+    monkeypatch.setattr(Recording, "codes", noted)
+    refuse_repeated(paths[:3])
+    with pytest.raises(InputError, match=r"closed\.h5 and .*copy\.h5 hold the same samples"):
+        refuse_repeated(paths)
+    assert not read
+    twin = writer_of(tmp_path / "twin.h5", setup)
+    with pytest.raises(InputError, match=r"cut\.h5 and .*twin\.h5 hold the same samples"):
+        refuse_repeated([*paths[:3], twin.path])
+    assert set(read) == {"cut.h5", "twin.h5"}
+    cut.close()
+    with pytest.raises(InputError, match=r"cut\.h5 and .*twin\.h5 hold the same samples"):
+        refuse_repeated([cut.path, twin.path])
 
 
 def test_frames_without_their_row_do_not_count(tmp_path: Path, setup: Setup) -> None:

@@ -14,7 +14,7 @@ import tty
 import numpy as np
 
 from rig.sim.scenario import Scenario
-from rig.virtual.serial import SerialDevice
+from rig.virtual import SerialDevice
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.files.tables import BlockFlag
-from rig.backends.card_ring import CardRing
+from rig.backends.portaudio import CardRing
 
 RATE_HZ = 1000.0
 N = 32

@@ -11,7 +11,7 @@ import pytest
 from bench.profiles.find import load
 from daq.recording import open_recording, verify
 from daq.recording.writer import RecordingWriter
-from rig.backends.base import BackendError, Running
+from rig.backends.base import BackendError, running
 from rig.backends.nidaqmx import NiDaqmxBackend
 from rig.execution.run import run_ramp
 from rig.profile import parse_profile
@@ -32,7 +32,7 @@ def test_frames_come_behind_the_drive_and_say_so() -> None:
     """What is looped back is what was played, exactly where each block says that it belongs."""
     played = np.sin(np.arange(12_000) / 90.0)
     backend = on(Bench(RATE))
-    with Running(backend):
+    with running(backend):
         blocks = [backend.exchange(piece) for piece in np.split(played, [100, 3100, 3101])]
     heard = np.concatenate([block.codes[:, 2] for block in blocks]) * backend.scales["drive"][0]
     assert [block.place for block in blocks] == [first - LEAD for first in (0, 100, 3100, 3101)]

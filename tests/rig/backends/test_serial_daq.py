@@ -22,12 +22,12 @@ from daq.clocks.serial_frames import SerialFrame, encode_frame
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording import open_recording, verify
 from daq.recording.writer import RecordingWriter
-from rig.backends.base import BackendError, Running, TwoClocked, open_port
+from rig.backends.base import BackendError, TwoClocked, open_port, running
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
 from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
 from rig.sim.scenario import Scenario
-from rig.virtual.serial import SerialDevice
+from rig.virtual import SerialDevice
 from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE = 20000.0
@@ -228,7 +228,7 @@ def test_lost_frames_are_declared_and_the_run_goes_on(tmp_path: Path) -> None:
 def test_a_card_that_skips_is_written_down() -> None:
     """Frames that the card never played cost no sample of the device, and the block says that the drive was late."""
     backend, card, _ = wired(device())
-    with Running(backend):
+    with running(backend):
         assert backend.exchange(np.zeros(400)).flags == 0
         exchange = card.exchange
         card.exchange = lambda drive_v: Block(0, exchange(drive_v).codes[:100])
@@ -367,7 +367,7 @@ def test_started_again_it_counts_from_zero() -> None:
     backend, _, _ = wired(device())
     places = []
     for _ in range(2):
-        with Running(backend):
+        with running(backend):
             block = backend.exchange(np.zeros(500))
         assert (block.first_sample, len(block.codes)) == (0, 500)
         places.append(block.place)

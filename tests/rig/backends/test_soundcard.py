@@ -17,13 +17,12 @@ from bench.profiles.devices import fits
 from daq.files.tables import BlockFlag
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import open_recording
-from rig.backends.base import BackendError, Lagging, Running
-from rig.backends.card_ring import DECAY_S
+from rig.backends.base import BackendError, Lagging, running
+from rig.backends.portaudio import DECAY_S
 from rig.backends.registry import open_backend
 from rig.backends.soundcard import SoundcardBackend
 from rig.checks.check import Check
-from rig.execution.priority import before_other_work
-from rig.execution.run import run_ramp
+from rig.execution.run import before_other_work, run_ramp
 from rig.profile import Profile, parse_profile
 from tests.fakes.commanded_drive import commanded, fades_of_changes
 
@@ -78,7 +77,7 @@ def test_time_goes_on_while_nobody_asks(virtual_card: Profile, card_tap: Any) ->
     assert isinstance(backend, SoundcardBackend) and isinstance(backend, Lagging)
     n = 2000
     wave = 0.2 * np.sin(2 * np.pi * np.arange(12 * n) / 400)
-    with Running(backend):
+    with running(backend):
         lag = backend.lag_samples - 0.15 * backend.rate_hz
         assert 0 < lag <= 2 * 2048 and abs(lag - round(lag)) < 0.05
         codes, flags = [], 0

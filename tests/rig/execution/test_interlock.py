@@ -9,7 +9,7 @@ from daq.files.tables import Block
 from rig.execution.interlock import Interlock
 from rig.execution.plate_monitor import MotionWatch
 from rig.execution.run import run_ramp
-from rig.programme.high_pass import HighPass
+from rig.programme.ramp import HighPass
 
 LONG = ("hold_cycles = 3", "hold_cycles = 30")
 

@@ -7,8 +7,7 @@ import pytest
 
 from bench.profiles.find import load
 from rig.profile import parse_profile
-from rig.programme.high_pass import HighPass
-from rig.programme.ramp import Fade, PhaseClock, drive_amplitudes, synthesise
+from rig.programme.ramp import Fade, HighPass, PhaseClock, drive_amplitudes, synthesise
 
 
 @pytest.mark.parametrize("f_hz", [2.0, 5.0, 20.0, 400.0])

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from rig.sim.catalogue import RIG_DEFAULTS
 from rig.sim.instrument import SECTIONS, sections, shown_acceleration
 from rig.sim.plant import Plant
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import RIG_DEFAULTS, Scenario
 from rig.sim.state import initial_state
 
 RATE = 20e3

@@ -8,9 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.sim.catalogue import BEYOND, EFFECTS
 from rig.sim.plant import Plant
-from rig.sim.scenario import Scenario
+from rig.sim.scenario import BEYOND, EFFECTS, Scenario
 
 RATE_HZ = 20000.0
 FREQUENCY_HZ = 25.37

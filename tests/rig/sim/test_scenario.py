@@ -9,8 +9,7 @@ import pytest
 
 from daq.setup.errors import InputError
 from rig.profile import load_setup
-from rig.sim.catalogue import EFFECTS, RIG_DEFAULTS
-from rig.sim.scenario import STRENGTHS, Scenario, left_open, load_scenario, pool, sealed_scenario
+from rig.sim.scenario import EFFECTS, RIG_DEFAULTS, STRENGTHS, Scenario, left_open, load_scenario, pool, sealed_scenario
 
 PROFILE = Path(__file__).parents[3] / "rig_profiles" / "simulated.toml"
 

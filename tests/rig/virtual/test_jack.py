@@ -8,7 +8,7 @@ import time
 import pytest
 
 from daq.setup.errors import InputError
-from rig.virtual.jack import jack_server
+from rig.virtual import jack_server
 
 
 def test_a_missing_package_is_named_before_any_waiting(monkeypatch: pytest.MonkeyPatch) -> None:

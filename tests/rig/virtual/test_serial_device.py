@@ -8,7 +8,7 @@ import pytest
 from daq.clocks.serial_frames import FrameDecoder
 from rig.sim.plant import Plant
 from rig.sim.scenario import Scenario
-from rig.virtual.serial import SerialDevice
+from rig.virtual import SerialDevice
 
 RATE = 20000.0
 
