@@ -33,7 +33,6 @@ LEAST_GAIN = 0.1  # of a step in nats, below which a fit ends: hypotheses are co
 RELATIVE_STEP = 0.004  # finite difference of a parameter, of its scale
 HELD = 0.33  # of its standard deviation, that of what was identified without a flight
 CURVATURE = (FREEDOM + 1.0) / (FREEDOM + 3.0)  # of the robust loss, over that of its weights: Fisher's information
-HEAVY_SHARE = 0.2  # of what all flights say of a parameter, in one of them: its slope is looked at again
 FOLDS = 3  # of the cross-validation
 
 
@@ -244,7 +243,8 @@ class _State:
         """
         slopes, n = self._one_sided(x, raw, j, h, wanted), len(self.whitener.step)
         information = self.whitener.white_slopes(slopes[:, None], raw)[:n, 0] ** 2
-        heavy = np.flatnonzero(information > HEAVY_SHARE * information.sum())
+        # the slope of a flight that says a fifth of what all flights say is looked at again
+        heavy = np.flatnonzero(information > 0.2 * information.sum())
         if len(heavy):
             other = -h if self.low[j] <= x[j] - h <= self.high[j] else h / 8
             product, square = self._one_sided(x, raw, j, other, wanted)[heavy] * slopes[heavy], slopes[heavy] ** 2
