@@ -35,7 +35,7 @@ from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.kinds.soundcard import card_options
 from rig.backends.kinds.soundcard_serial import SoundcardSerialOptions
-from rig.execution.run import may_run_first
+from rig.execution.priority import may_run_first
 from rig.profile import Profile
 from rig.programme.ramp import HighPass
 from rig.sim.plant import REFRESH_SAMPLES, Plant

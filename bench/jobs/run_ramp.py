@@ -26,7 +26,8 @@ from rig.backends.simulated import SimulatedBackend
 from rig.checks.check import TAP_S, Check, Finding
 from rig.execution.branch_hold import BranchHold
 from rig.execution.operator import RunSummary, Status, StopRequest
-from rig.execution.run import before_other_work, run_ramp
+from rig.execution.priority import before_other_work
+from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import largest_block

@@ -27,10 +27,23 @@ from rig.programme.ramp import HighPass
 
 
 class LossAccount:
-    """The losses of one run; a replay loops nothing back that was played now, so its drive is not compared.
+    """The losses of one run.
 
-    ``drive_column`` and ``scale`` are the looped-back drive's in a frame. ``lost_before`` are the samples
-    known to be missing before the last block, when it came.
+    Parameters
+    ----------
+    profile
+        Rate and forcing; a replay loops nothing back that was played now, so its drive is not compared.
+    drive_column
+        Column of the looped-back drive in a frame.
+    scale
+        Its ``(volts_per_code, offset_v)``.
+    searcher
+        Runs the searches: at once, or in a thread for a device, which does not wait.
+
+    Attributes
+    ----------
+    lost_before : int
+        Samples known to be missing before the last block, when it came.
     """
 
     def __init__(

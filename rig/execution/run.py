@@ -2,19 +2,12 @@
 
 However a run ends (done, asked to, tripped, or an exception anywhere), the drive goes softly to
 zero while the device answers, and the recording is closed with the reason in it.
-
-What drives a device asks the machine to run before all other work, where the machine can and may give it: this is the
-one place that knows of POSIX's real-time scheduling. Where there is none (Windows, macOS), or no right to it,
-everything runs as it did, and what comes too late is declared as always.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Literal, TypeAlias
@@ -37,33 +30,6 @@ from rig.execution.plate_monitor import MeterBlock, Motion, MotionWatch, ToneMet
 from rig.profile import Profile
 from rig.programme.ramp import Step, plan
 from rig.programme.sequencer import LONGEST_PAUSE_S, MOVING, STILL, Sequencer, State, Stop, change_rows, largest_block
-
-
-@contextmanager
-def before_other_work(priority: int = 10) -> Iterator[bool]:
-    """While it lasts, this thread and what it starts run before all ordinary work; gives whether that was granted.
-
-    A process that is already scheduled in real time (``chrt``) keeps what it was given.
-    """
-    if sys.platform != "linux" or os.sched_getscheduler(0) != os.SCHED_OTHER:
-        yield False
-        return
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-def may_run_first(priority: int) -> bool:
-    """Whether this user may run a process before all others."""
-    with before_other_work(priority) as granted:
-        return granted or (sys.platform == "linux" and os.sched_getscheduler(0) != os.SCHED_OTHER)
-
 
 INTEGRATED = ("velocity_mps", "displacement_m")  # limits whose use is integrated from the accelerometer
 

@@ -22,7 +22,8 @@ from rig.backends.portaudio import DECAY_S
 from rig.backends.registry import open_backend
 from rig.backends.soundcard import SoundcardBackend
 from rig.checks.check import Check
-from rig.execution.run import before_other_work, run_ramp
+from rig.execution.priority import before_other_work
+from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
 from tests.fakes.commanded_drive import commanded, fades_of_changes
 
