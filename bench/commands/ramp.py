@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,10 +89,11 @@ def _report(summary: RunSummary, backend: Backend, out: Path, json: str | None, 
                 f"{summary.how}: {summary.steps_driven} of {summary.steps_planned} steps, {summary.n_samples} samples, "
                 f"{summary.lost_samples} lost, in {summary.wall_s:.1f} s -> {out}"
             )
-        typer.echo(sentence)
-        if summary.let_go:
-            typer.echo(f"the ball was not held to the end: {summary.let_go}")
-        if summary.steps_driven:
-            typer.echo(next_command(out, stake))
+        with suppress(OSError):  # the terminal may be gone; the exit code tells
+            typer.echo(sentence)
+            if summary.let_go:
+                typer.echo(f"the ball was not held to the end: {summary.let_go}")
+            if summary.steps_driven:
+                typer.echo(next_command(out, stake))
     if summary.how != "complete":
         fail(f"{summary.how}: {summary.why}")
