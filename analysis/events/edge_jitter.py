@@ -35,6 +35,7 @@ class Scatter:
     repeated_s2: Floats = field(default_factory=lambda: np.zeros(0))
     # degrees of freedom of the step's scatter, (r,)
     freedom: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    excess_freedom: int = 0  # of all steps of ``excess_s2`` together
     sampling_s: float = 0.0  # interval of the samples to which edges are rounded; 0 where they are not
 
     @classmethod
@@ -63,7 +64,7 @@ class Scatter:
         sampling_s
             Interval of the samples to which edges are rounded; 0 where they are not.
         """
-        excess, repeated, freedoms = [], [], []
+        excess, repeated, freedoms, excess_freedom = [], [], [], 0
         for i, period in enumerate(period_s):
             own = np.flatnonzero(seen & (step == i))
             sigma = float(np.median(sigma_s[own])) if len(own) else 0.0
@@ -86,7 +87,10 @@ class Scatter:
             if not still:
                 middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
                 excess.append(squares / freedom / middle - sigma**2)
-        return cls(np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), sampling_s)
+                excess_freedom += freedom
+        return cls(
+            np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), excess_freedom, sampling_s
+        )
 
     @classmethod
     def together(cls, parts: Sequence[Scatter]) -> Scatter:
@@ -96,6 +100,7 @@ class Scatter:
             np.concatenate([x.excess_s2 for x in parts]),
             np.concatenate([x.repeated_s2 for x in parts]),
             np.concatenate([x.freedom for x in parts]),
+            sum(x.excess_freedom for x in parts),
             parts[0].sampling_s if alike else 0.0,
         )
 
@@ -109,11 +114,26 @@ class Scatter:
         """Whether enough steps repeat."""
         return max(len(self.excess_s2), len(self.repeated_s2)) >= MIN_STEPS
 
-    def raised(self, sigma_s: Floats) -> Floats:
-        """Uncertainties (n,) raised by the jitter; as they are where fewer than `MIN_STEPS` steps repeat."""
+    def raised(self, sigma_s: Floats, others_s: float = math.nan) -> Floats:
+        """Uncertainties (n,) raised by the jitter; as they are where fewer than `MIN_STEPS` steps repeat.
+
+        ``others_s`` is the jitter of the circuit's other edges, NaN for unknown: the fewer edges repeat, the more it
+        counts, and it stands for the jitter where too few do.
+        """
+        by_others = sigma_s if math.isnan(others_s) else np.hypot(sigma_s, others_s)
         if len(self.excess_s2) >= MIN_STEPS:
-            return np.asarray(np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0)))
-        return np.hypot(sigma_s, self.jitter_s) if math.isfinite(self.jitter_s) else sigma_s
+            freedom = self.excess_freedom
+            own = np.sqrt(sigma_s**2 + max(float(np.median(self.excess_s2)), 0.0))
+        elif math.isfinite(self.jitter_s):
+            freedom, own = int(np.sum(self.freedom)), np.hypot(sigma_s, self.jitter_s)
+        else:
+            return by_others
+        if math.isnan(others_s):
+            return np.asarray(own)
+        # variance of the logarithm of a median of chi squares; openings and closings jitter by one variance to a
+        # factor of 1.5
+        chance, unlike = math.pi / freedom, math.log(1.5) ** 2
+        return np.asarray(own * (by_others / own) ** (chance / (chance + unlike)))
 
     @property
     def jitter_s(self) -> float:

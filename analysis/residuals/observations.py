@@ -5,6 +5,7 @@ These are measured numbers; no model enters. Several recordings stand in one tab
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -182,8 +183,8 @@ def observed(
             offset.motion_s if offset and plate.pushed else 0.0
         ),
     )
-    # openings that do not repeat jitter as the circuit's closings do
-    opening_s = scatters[0].raised(bare[0]) if scatters[0].tells or not offset else np.hypot(bare[0], offset.jitter_s)
+    # openings of which few repeat jitter as the circuit's closings do
+    opening_s = scatters[0].raised(bare[0], offset.jitter_s if offset else math.nan)
     sharp = flights.edges.opening.tau_s == 0.0
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)

@@ -109,3 +109,22 @@ def test_fewer_steps_than_that_say_nothing() -> None:
     """Two recordings without a third step that repeats stay as they are."""
     short = np.full(5, 4e-6)
     assert raised_together([short, short], [Scatter(np.full(1, 9e-12)), Scatter()])[0] is short
+
+
+def test_edges_of_which_few_repeat_take_the_jitter_of_the_circuits_others() -> None:
+    """Where few steps repeat a circuit's closings tell how its openings jitter; where many do, the openings do."""
+    rng, others_s, found = np.random.default_rng(3), 2e-5, {3: [], 12: []}
+    true_s = np.hypot(1.0 / RATE_HZ / np.sqrt(12.0), 2e-5)
+    for steps, stated in found.items():
+        for _ in range(40):
+            time_s, step = edges(rng, 2e-5)
+            few = (step < steps) & ((steps > 3) | (np.arange(step.size) % 3 == 0))
+            sigma_s = np.full(time_s.size, 1.0 / RATE_HZ / np.sqrt(12.0))
+            seen = Scatter.of(time_s, sigma_s, step, few, np.full(12, PERIOD_S), sampling_s=1.0 / RATE_HZ)
+            stated.append([seen.raised(sigma_s)[0], seen.raised(sigma_s, others_s)[0], seen.raised(sigma_s, 0.0)[0]])
+    few, many = (np.array(found[steps]) / true_s for steps in (3, 12))
+    assert few[:, 1].std() < 0.8 * few[:, 0].std()  # with closings that jitter alike
+    assert few[:, 1].mean() == pytest.approx(1.0, abs=0.05)
+    assert many[:, 2].mean() == pytest.approx(many[:, 0].mean(), rel=0.05)  # with closings that do not jitter
+    unseen = np.full(5, 4e-6)
+    assert Scatter().raised(unseen, 3e-6) == pytest.approx(np.full(5, 5e-6))
