@@ -240,8 +240,10 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     rings_on = end + LEAST_DECAY * width > fine.size
     decay = one_mode(fine, quick, peak, end, width) if rings_on else None
     grid = np.arange(fine.size)
-    slow = _slow_under(fine, quick, peak, width) if decay is None else _slow_without(fine, decay, width)
-    out = np.where((grid >= begin) & (grid < end), fine - np.clip((grid - peak) / width, 0.0, 1.0) * slow, 0.0)
+    slow = _slow_under(fine, quick, (peak, end), width) if decay is None else _slow_without(fine, decay, width)
+    # a waveform that ended in a step would put the edge of an impact into the recording
+    share = np.clip((grid - peak) / min(width, end - peak), 0.0, 1.0)
+    out = np.where((grid >= begin) & (grid < end), fine - share * slow, 0.0)
     late = float(np.sqrt(np.mean(out[3 * out.size // 4 :] ** 2))) / float(np.abs(out).max())
     if decay is None and late > CUT_OFF:  # what follows a cut off end would be found as impacts
         return None
@@ -319,11 +321,14 @@ def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[f
     return [(float(np.std(left(p))), Decay(begin, fall, period, parts[:2]))]
 
 
-def _slow_under(fine: Floats, quick: Floats, peak: int, width: int) -> Floats:
+def _slow_under(fine: Floats, quick: Floats, ends: tuple[int, int], width: int) -> Floats:
     """Slow motion under the ringing; before three widths after the peak it is taken as constant.
 
-    Smoothing twice over a whole number of the ringing's periods, ``width`` points or more, removes the ringing.
+    Smoothing twice over a whole number of the ringing's periods, ``width`` points or more, removes the ringing. Where a
+    waveform is too short for it, the slow motion is a line through what follows the ringing, and constant before. The
+    ringing's ``ends`` are its peak and the point after its last.
     """
+    peak, end = ends
     late = quick[peak:]
     tone = int(np.argmax(np.abs(np.fft.rfft(late * np.hanning(late.size), 8 * late.size))))
     whole = round(np.ceil(width * tone / (8 * late.size)) * 8 * late.size / max(tone, 1))
@@ -333,7 +338,10 @@ def _slow_under(fine: Floats, quick: Floats, peak: int, width: int) -> Floats:
     smooth = np.convolve(np.convolve(fine, box, mode="same"), box, mode="same")
     first, last = peak + 3 * width, fine.size - width
     if last - first < width:
-        return np.zeros(fine.size)
+        after = np.arange(end, fine.size)
+        if after.size < width:
+            return np.zeros(fine.size)
+        return np.asarray(np.polyval(np.polyfit(after, fine[end:], 1), np.maximum(np.arange(fine.size), end)))
     return np.asarray(smooth[np.clip(np.arange(fine.size), first, last - 1)])
 
 

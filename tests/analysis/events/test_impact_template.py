@@ -92,6 +92,19 @@ def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
     assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)
 
 
+def test_a_short_template_does_not_end_in_a_step() -> None:
+    """A pulse on a plate that then carries a ball: the plateau after it is cut off, and leaves no edge of its own."""
+    rng, points = np.random.default_rng(8), 48 * FINE
+    waveform = np.where(
+        np.arange(points) // FINE == LEAD, -4e-3, np.where(np.arange(points) >= LEAD * FINE, -2e-4, 0.0)
+    )
+    known = ringing_part(waveform + 4e-6 * rng.standard_normal(points), 4e-6, 20000.0)
+    assert known is not None
+    end = int(np.flatnonzero(known)[-1])
+    assert np.abs(known[end - 4 : end + 1]).max() < 4e-5  # a fifth of the plateau
+    assert known[LEAD * FINE + 4] == pytest.approx(-4e-3, rel=0.02)
+
+
 def test_landings_that_were_only_heard_may_begin_a_sample_early() -> None:
     """Every other landing is placed a sample off: a first template for what will be placed by it, and no last one."""
     rng = np.random.default_rng(8)
