@@ -88,9 +88,7 @@ class Scatter:
                 middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3  # median over mean of chi square (Wilson-Hilferty)
                 excess.append(squares / freedom / middle - sigma**2)
                 excess_freedom += freedom
-        return cls(
-            np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), excess_freedom, sampling_s
-        )
+        return cls(np.array(excess), np.array(repeated), np.array(freedoms, dtype=np.int64), excess_freedom, sampling_s)
 
     @classmethod
     def together(cls, parts: Sequence[Scatter]) -> Scatter:
