@@ -160,8 +160,11 @@ def ends_of(values: npt.NDArray[Any]) -> Ends:
     least, counts = _outermost(values, low, high, np.sort(values[:4096]), parts)
     widths = np.maximum((high - low) / parts, least)
     # the half of a step below an end is the end too, whatever rounding the reading has gone through
-    below = -_end(values, -1.0, -low, widths, counts[0]) + 0.25 * least
-    return below, _end(values, 1.0, high, widths, counts[1]) - 0.25 * least
+    below, above = (
+        _end(values, sign, top, widths, counts[side], 0.5 * least)
+        for side, (sign, top) in enumerate(((-1.0, -low), (1.0, high)))
+    )
+    return 0.25 * least - below, above - 0.25 * least
 
 
 @njit(error_model="numpy")
@@ -187,8 +190,8 @@ def _outermost(values, low, high, in_order, parts):  # type: ignore[no-untyped-d
     return least, counts
 
 
-def _end(values: npt.NDArray[Any], sign: float, top: float, widths: Floats, counts: Integers) -> float:
-    """Reading times ``sign`` from which on an end is reached, of those whose largest is ``top``."""
+def _end(values: npt.NDArray[Any], sign: float, top: float, widths: Floats, counts: Integers, step: float) -> float:
+    """Reading times ``sign`` from which on an end is reached, of those whose largest is ``top``, ``step`` apart."""
     for width, (at, both) in zip(widths.tolist(), counts.tolist(), strict=True):
         # four sigma of the counts: the readings crowd at an end
         if at - CROWDED * (both - at) > 4.0 * math.sqrt(at + CROWDED**2 * (both - at)):
@@ -196,7 +199,10 @@ def _end(values: npt.NDArray[Any], sign: float, top: float, widths: Floats, coun
             near = near[near > top - width]
             level = float(np.median(near))
             # readings within four standard deviations of the noise about an end are at the end
-            return level - 4.0 * 1.4826 * float(np.median(near[near >= level] - level))
+            end = level - 4.0 * math.sqrt(0.5 * math.pi) * float(np.mean(near[near >= level] - level))
+            # a level between two codes is read as either: so is the next code where readings hop to it and back
+            here, hopping = (_stay(sign * values >= end - part * step) for part in (0.5, 1.5))
+            return end - step if hopping > 2.0 * here else end
     return math.inf
 
 

@@ -35,6 +35,16 @@ def test_a_sine_that_turns_at_its_ends_does_not_stand_there(amplitude: float, no
     assert share_at_an_end(np.zeros(N), RATE_HZ) == 0.0
 
 
+@pytest.mark.parametrize("noise", [0.1, 0.2, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("place", np.arange(0.0, 1.0, 0.125))
+def test_a_sensor_that_ends_between_two_codes_is_at_its_end_in_either(place: float, noise: float) -> None:
+    """A level that the converter reads as one code or the next, noise of less than a code: motion is cut off there."""
+    rng, end = np.random.default_rng(6), 1530.0 + place
+    g = 1700.0 * np.sin(2.0 * np.pi * 25.37 / RATE_HZ * np.arange(N))
+    codes = np.rint(np.minimum(g, end) + noise * rng.standard_normal(N))
+    assert share_at_an_end(codes, RATE_HZ) == pytest.approx(np.mean(g >= end), abs=0.02)
+
+
 @pytest.mark.parametrize("rate_hz", [20000.0, 51200.0])
 def test_impacts_that_are_all_alike_are_at_no_end(rate_hz: float) -> None:
     """Sixty impacts of 7 g within a twentieth: their peaks crowd, but do not stay; cut off at 5 g they do."""
