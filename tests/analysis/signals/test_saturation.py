@@ -45,6 +45,16 @@ def test_a_sensor_that_ends_between_two_codes_is_at_its_end_in_either(place: flo
     assert share_at_an_end(codes, RATE_HZ) == pytest.approx(np.mean(g >= end), abs=0.02)
 
 
+def test_noise_as_large_as_what_is_cut_off_does_not_hide_it() -> None:
+    """Four seconds of 26 Hz, 3 % of the peak cut off under noise of .6 %: means over a millisecond show the end."""
+    rng, time_s = np.random.default_rng(9), np.arange(80_000) / RATE_HZ
+    g = 5.2 * np.sin(2.0 * np.pi * 26.0 * time_s)
+    noise = 0.03 * rng.standard_normal(time_s.size)
+    assert share_at_an_end(g + noise, RATE_HZ) == 0.0
+    cut = np.clip(g, -0.97 * 5.2, 0.97 * 5.2) + noise
+    assert 0.15 < share_at_an_end(cut, RATE_HZ) < 0.22  # .156 is cut off; within four sigmas of an end are .21
+
+
 @pytest.mark.parametrize("rate_hz", [20000.0, 51200.0])
 def test_impacts_that_are_all_alike_are_at_no_end(rate_hz: float) -> None:
     """Sixty impacts of 7 g within a twentieth: their peaks crowd, but do not stay; cut off at 5 g they do."""
