@@ -81,15 +81,20 @@ class Room:
         ]  # fmt: skip
         return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels}, held_samples(looked))
 
+    def another(self) -> Self:
+        """Memory for as much."""
+        return type(self)(
+            {name: np.empty_like(x) for name, x in self.codes.items()},
+            {name: np.empty_like(x) for name, x in self.volts.items()},
+            self.held,
+        )
 
-def read_piece(
-    recording: Recording, channels: tuple[str, ...], first: int, count: int, room: Room | None = None
-) -> Piece:
-    """Read one piece of the named channels, into ``room`` where it is given."""
+
+def read_piece(recording: Recording, first: int, count: int, room: Room) -> Piece:
+    """Read one piece of the channels of ``room`` into it."""
     start, stop = max(first - PAD, 0), min(first + count + PAD, recording.n_samples)
     volts, stored = {}, None
-    room = Room.of(recording, channels, count) if room is None else room
-    for channel in channels:
+    for channel in room.codes:
         factor, offset = recording.scale(channel)
         codes = recording.codes(channel, start, stop, room.codes[channel])
         own = room.volts[channel][: count + 2 * PAD]
@@ -109,19 +114,18 @@ def pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
     """All pieces of a recording, in order, each in the memory of the one before: what is needed of it is copied."""
     room = Room.of(recording, channels, min(PIECE, recording.n_samples))
     for first in range(0, recording.n_samples, PIECE):
-        yield read_piece(recording, channels, first, min(PIECE, recording.n_samples - first), room)
+        yield read_piece(recording, first, min(PIECE, recording.n_samples - first), room)
 
 
 def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[Piece]:
     """A few pieces spread over the recording (all of it where it is short)."""
     n = recording.n_samples
-    if n <= SURVEY_PIECES * SURVEY_PIECE:
-        for first in range(0, n, SURVEY_PIECE):
-            yield read_piece(recording, channels, first, min(SURVEY_PIECE, n - first))
-        return
-    for k in range(SURVEY_PIECES):
-        first = (n - SURVEY_PIECE) * k // (SURVEY_PIECES - 1)
-        yield read_piece(recording, channels, first - first % PAD, SURVEY_PIECE)
+    firsts = list(range(0, n, SURVEY_PIECE))
+    if n > SURVEY_PIECES * SURVEY_PIECE:
+        firsts = [(n - SURVEY_PIECE) * k // (SURVEY_PIECES - 1) // PAD * PAD for k in range(SURVEY_PIECES)]
+    room = Room.of(recording, channels, min(SURVEY_PIECE, n))
+    for first in firsts:
+        yield read_piece(recording, first, min(SURVEY_PIECE, n - first), room.another())
 
 
 def block_means(x: Volts, width: int, skip: int = 0) -> npt.NDArray[np.float32]:

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.statistics import nearest
+from analysis.statistics import median, nearest
 from kernels.arrays import Bools, Floats, Integers
 
 MATCH_S = 5e-4  # largest difference between an edge and that of the next cycle
@@ -67,7 +68,7 @@ class Scatter:
         excess, repeated, freedoms, excess_freedom = [], [], [], 0
         for i, period in enumerate(period_s):
             own = np.flatnonzero(seen & (step == i))
-            sigma = float(np.median(sigma_s[own])) if len(own) else 0.0
+            sigma = median(sigma_s[own]) if len(own) else 0.0
             read_once = sampling_s > 0.0 and bool(rounded(sigma, sampling_s))
             squares, freedom, same, pairs, still = 0.0, 0, 0.0, 0, False
             for sequence, off, cycle_s in _sequences(time_s[own], float(period)):
@@ -186,13 +187,21 @@ def _before_rounding(squares: Floats, freedom: Integers, sampling_s: float) -> f
 
 def _left(time_s: Floats, off_s: Floats, lines_radps: Floats) -> tuple[Floats, int]:
     """Deviations (n,) from a cubic and the lines, and their degrees of freedom."""
-    slow = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, len(off_s)), 3)
+    slow = _cubics(len(off_s))
+    if not lines_radps.size and len(off_s) > slow.shape[1]:
+        return off_s - slow @ (slow.T @ off_s), len(off_s) - slow.shape[1]
     regular = time_s - off_s - time_s[0]  # a line at jittered times would fit the jitter itself
     lines = np.exp(1j * np.outer(regular, lines_radps))
     shapes = np.hstack([slow, lines.real, lines.imag])
     if len(off_s) <= shapes.shape[1]:
         return np.zeros_like(off_s), 0
     return off_s - shapes @ np.linalg.lstsq(shapes, off_s, rcond=None)[0], len(off_s) - shapes.shape[1]
+
+
+@lru_cache(maxsize=256)
+def _cubics(n: int) -> Floats:
+    """Orthonormal polynomials to the third power over ``n`` places, (n, 4)."""
+    return np.asarray(np.linalg.qr(np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, n), 3))[0])
 
 
 def _sequences(time_s: Floats, period_s: float) -> list[tuple[Floats, Floats, float]]:

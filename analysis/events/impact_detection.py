@@ -121,7 +121,7 @@ class ImpactScan:
         score = np.empty(count + beyond, np.float32)
         _match(volts, pad, self.template.taps, score)
         recent = self._found[-RECENT:]
-        out = np.zeros((RECENT + score.size // APART, MARGIN + 1))
+        out = np.empty((RECENT + score.size // APART, MARGIN + 1))
         out[: len(recent)] = recent
         total = _search(
             volts, first - pad, pad, score, count, self.template.threshold, self._bank, out, len(recent), self.every

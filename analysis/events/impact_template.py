@@ -157,12 +157,20 @@ def _level(snippets: Floats, fractions: Floats, size: Floats, fine: Floats) -> F
 
     Left in, it would look like ringing between the points of a sample, which come from different landings.
     """
-    place = (np.arange(snippets.shape[1]) + fractions[:, None]) * FINE
-    left = snippets - size[:, None] * np.interp(place, np.arange(fine.size), fine)
+    # the waveform by point of a sample and by sample, and the next sample's first point
+    points = np.pad(fine, (0, (snippets.shape[1] + 1) * FINE - fine.size), mode="edge").reshape(-1, FINE).T
+    points = np.vstack([points[:, :-1], points[:1, 1:]])
+    left = snippets - size[:, None] * (_hats(fractions) @ points)
     slow, known = motion_basis(snippets.shape[1], 4, np.zeros(0)), np.isfinite(left)
     normal = np.einsum("nt,ti,tj->nij", known.astype(float), slow, slow, optimize=True)
     parts = np.linalg.solve(normal + 1e-6 * np.eye(4), (np.where(known, left, 0.0) @ slow)[:, :, None])
     return np.asarray(snippets - parts[:, :, 0] @ slow.T)
+
+
+def _hats(fractions: Floats) -> Floats:
+    """Weights (n, ``FINE`` + 1) of the points from one sample to the next, between two of which each place lies."""
+    place, at = fractions * FINE, np.arange(FINE + 1)
+    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - at), 0.0))
 
 
 def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -> tuple[Floats, float]:
@@ -170,20 +178,12 @@ def _oversample(flat: Floats, fractions: Floats, size: Floats, noise_v: float) -
 
     Hat functions at the sub-sample place of each snippet, weighted by its strength.
     """
-    echo = flat.shape[1]
-    position = (np.arange(echo)[None, :] + fractions[:, None]) * FINE
     weight, seen = np.maximum(size, 0.0)[:, None] * np.isfinite(flat), flat[size > 0.0]
-    flat = np.nan_to_num(flat)
-    points = echo * FINE
-    low = np.floor(position).astype(np.int64)
-    share = position - low
-    top, bottom = np.zeros(points + 2), np.zeros(points + 2)
-    for index, part in ((low, 1.0 - share), (low + 1, share)):
-        inside = np.minimum(index, points + 1).ravel()
-        top += np.bincount(inside, (part * weight * flat).ravel(), points + 2)
-        bottom += np.bincount(inside, (part * weight**2).ravel(), points + 2)
-    known = bottom > 0.03 * np.quantile(bottom[:points], 0.9)  # a weak landing alone would amplify the noise
-    mean, known = top / np.where(known, bottom, 1.0), known[:points]
+    sums = np.array([(x.T @ _hats(fractions)) for x in (weight * np.nan_to_num(flat), weight**2)])
+    sums[:, 1:, 0] += sums[:, :-1, FINE]  # the point after a sample's last one is the next one's first
+    top, bottom = sums[:, :, :FINE].reshape(2, -1)
+    known = bottom > 0.03 * np.quantile(bottom, 0.9)  # a weak landing alone would amplify the noise
+    mean = top / np.where(known, bottom, 1.0)
     enough = np.count_nonzero(np.isfinite(seen), axis=0) >= min(MIN_LANDINGS, len(seen))
     known &= np.repeat(enough, FINE)
     points = int(np.flatnonzero(known)[-1]) + 1
@@ -313,12 +313,13 @@ def _decays(seen: Floats, quick: Floats, begin: int, bends: int) -> list[tuple[f
         every = columns(p)
         return np.asarray(every @ lstsq(every, unit)[0] - unit)
 
-    p = least_squares(left, np.ones(2), bounds=([0.2, 0.8], [5.0, 1.25])).x
-    if not np.std(left(p)) < 0.1:  # of the end's own deviation
+    found = least_squares(left, np.ones(2), bounds=([0.2, 0.8], [5.0, 1.25]))
+    remains = float(np.std(found.fun))
+    if not remains < 0.1:  # of the end's own deviation
         return []
-    parts: Floats = np.asarray(size * lstsq(columns(p), unit)[0], dtype=np.float64)
-    fall, period = (float(x) for x in p * start)
-    return [(float(np.std(left(p))), Decay(begin, fall, period, parts[:2]))]
+    parts: Floats = np.asarray(size * lstsq(columns(found.x), unit)[0], dtype=np.float64)
+    fall, period = (float(x) for x in found.x * start)
+    return [(remains, Decay(begin, fall, period, parts[:2]))]
 
 
 def _slow_under(fine: Floats, quick: Floats, ends: tuple[int, int], width: int) -> Floats:

@@ -289,11 +289,12 @@ def _begun(left: Floats) -> _Found:
     power = np.convolve(left**2, np.ones(LEAD) / LEAD)[: left.size]
     # another impact makes the power of a dozen of them grow by more than this
     rises = power > 2.5 * np.maximum(np.append(np.full(LEAD, np.inf), power)[: power.size], 1.0)
-    free = np.full(first.size, np.inf)
+    free, rising = np.full(first.size, np.inf), np.flatnonzero(rises)
     for k, n in enumerate(first):
-        heard = rises[n + 2 * LEAD :] & (power[n + 2 * LEAD :] > NOTICED**2 * power[n : n + LENGTH].max())
+        later = rising[np.searchsorted(rising, n + 2 * LEAD) :]
+        heard = power[later] > NOTICED**2 * power[n : n + LENGTH].max()
         if heard.any():  # it may have begun two windows before its power shows
-            free[k] = int(np.argmax(heard))
+            free[k] = later[np.argmax(heard)] - n - 2 * LEAD
     return _Found(np.asarray(first - 0.5, dtype=np.float64), peak, np.zeros(first.size), free)
 
 
