@@ -10,6 +10,7 @@ whole impact, and the high-pass that is put back makes no tail of it. Tones and 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -81,14 +82,6 @@ class Room:
         ]  # fmt: skip
         return cls(codes, {name: np.empty(size, dtype=np.float32) for name in channels}, held_samples(looked))
 
-    def another(self) -> Self:
-        """Memory for as much."""
-        return type(self)(
-            {name: np.empty_like(x) for name, x in self.codes.items()},
-            {name: np.empty_like(x) for name, x in self.volts.items()},
-            self.held,
-        )
-
 
 def read_piece(recording: Recording, first: int, count: int, room: Room) -> Piece:
     """Read one piece of the channels of ``room`` into it."""
@@ -125,7 +118,7 @@ def survey_pieces(recording: Recording, channels: tuple[str, ...]) -> Iterator[P
         firsts = [(n - SURVEY_PIECE) * k // (SURVEY_PIECES - 1) // PAD * PAD for k in range(SURVEY_PIECES)]
     room = Room.of(recording, channels, min(SURVEY_PIECE, n))
     for first in firsts:
-        yield read_piece(recording, first, min(SURVEY_PIECE, n - first), room.another())
+        yield read_piece(recording, first, min(SURVEY_PIECE, n - first), deepcopy(room))
 
 
 def block_means(x: Volts, width: int, skip: int = 0) -> npt.NDArray[np.float32]:

@@ -188,14 +188,15 @@ def _before_rounding(squares: Floats, freedom: Integers, sampling_s: float) -> f
 def _left(time_s: Floats, off_s: Floats, lines_radps: Floats) -> tuple[Floats, int]:
     """Deviations (n,) from a cubic and the lines, and their degrees of freedom."""
     slow = _cubics(len(off_s))
-    if not lines_radps.size and len(off_s) > slow.shape[1]:
-        return off_s - slow @ (slow.T @ off_s), len(off_s) - slow.shape[1]
-    regular = time_s - off_s - time_s[0]  # a line at jittered times would fit the jitter itself
-    lines = np.exp(1j * np.outer(regular, lines_radps))
-    shapes = np.hstack([slow, lines.real, lines.imag])
-    if len(off_s) <= shapes.shape[1]:
+    left, freedom = off_s - slow @ (slow.T @ off_s), len(off_s) - slow.shape[1] - 2 * len(lines_radps)
+    if freedom <= 0:
         return np.zeros_like(off_s), 0
-    return off_s - shapes @ np.linalg.lstsq(shapes, off_s, rcond=None)[0], len(off_s) - shapes.shape[1]
+    if len(lines_radps):
+        regular = time_s - off_s - time_s[0]  # a line at jittered times would fit the jitter itself
+        lines = np.exp(1j * np.outer(regular, lines_radps))
+        shapes = np.hstack([slow, lines.real, lines.imag])
+        left = off_s - shapes @ np.linalg.lstsq(shapes, off_s, rcond=None)[0]
+    return left, freedom
 
 
 @lru_cache(maxsize=256)

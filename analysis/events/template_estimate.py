@@ -285,16 +285,15 @@ def _begun(left: Floats) -> _Found:
     """Impacts in a piece's prediction errors ``left``; what follows each begins where their power grows again."""
     loud = np.flatnonzero(left > ONSET_SIGMAS)
     first = loud[np.diff(loud, prepend=-QUIET_SAMPLES) >= QUIET_SAMPLES]
-    peak = np.array([left[n : n + LEAD].max() for n in first])
     power = np.convolve(left**2, np.ones(LEAD) / LEAD)[: left.size]
+    after = np.minimum(first[:, None] + np.arange(LENGTH), left.size - 1)
+    peak, most = left[after[:, :LEAD]].max(axis=1), power[after].max(axis=1)
     # another impact makes the power of a dozen of them grow by more than this
     rises = power > 2.5 * np.maximum(np.append(np.full(LEAD, np.inf), power)[: power.size], 1.0)
-    free, rising = np.full(first.size, np.inf), np.flatnonzero(rises)
-    for k, n in enumerate(first):
-        later = rising[np.searchsorted(rising, n + 2 * LEAD) :]
-        heard = power[later] > NOTICED**2 * power[n : n + LENGTH].max()
-        if heard.any():  # it may have begun two windows before its power shows
-            free[k] = later[np.argmax(heard)] - n - 2 * LEAD
+    free, rising = np.empty(first.size), np.flatnonzero(rises)
+    for k, n in enumerate(first + 2 * LEAD):  # another may have begun two windows before its power shows
+        later = rising[np.searchsorted(rising, n) :]
+        free[k] = next(iter(later[power[later] > NOTICED**2 * most[k]]), np.inf) - n
     return _Found(np.asarray(first - 0.5, dtype=np.float64), peak, np.zeros(first.size), free)
 
 

@@ -386,15 +386,8 @@ def _clearances(place, turn, speed, step_s, g, lowest, highest):  # type: ignore
 
 def _gammas(found: Scan, step: Integers) -> Floats:
     """Gamma of each flight's step: measured on the plate, else achieved according to the rig, else asked for."""
-    best = np.array(
-        [
-            plate.gamma
-            if plate is not None and np.isfinite(plate.gamma)
-            else row["achieved_gamma"]
-            if np.isfinite(row["achieved_gamma"])
-            else row["gamma"]
-            for plate, row in zip(found.plate.steps, found.steps, strict=True)
-        ]
-        or [np.nan]
-    )
-    return np.where(step >= 0, best[np.maximum(step, 0)], np.nan)
+    best = np.append(found.steps["gamma"], np.nan)  # the last is that of step -1
+    measured = [np.nan if plate is None else plate.gamma for plate in found.plate.steps]
+    for better in (found.steps["achieved_gamma"], np.array(measured)):
+        best[:-1] = np.where(np.isfinite(better), better, best[:-1])
+    return np.asarray(best[step])

@@ -177,8 +177,8 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     steps, rate_hz = resolved_steps(recording), recording.rate_hz
     contact = CrossingScan(known.levels or NO_CIRCUIT)
     restorer = LevelRestorer(known.coupling, rate_hz) if known.coupling is not None else None
-    detector = ImpactScan(known.template, rate_hz) if known.template is not None else None
-    remains = ImpactScan(known.template, rate_hz, every=True) if known.template is not None else None
+    # rebounds that are no sure impacts ring in the plate's motion all the same: after the sure ones, every one
+    detectors = [ImpactScan(known.template, rate_hz, every=x) for x in (False, True) if known.template is not None]
     accumulator = StepAccumulator(recording, steps, known.mask_s, known.ends_v)
     for piece in pieces(recording, channels):
         acceleration_v, drive_v = piece.channels["accelerometer"], piece.channels.get("drive")
@@ -189,12 +189,10 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
             fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
             found = contact.add(fraction, piece.first, PAD, piece.count)
             landings.append(found.sample[found.kind != OPENS])
-        if detector is not None and remains is not None:
-            landings.append(detector.add(acceleration_v, piece.first, PAD, piece.count))
+        for detector in detectors:
+            heard = detector.add(acceleration_v, piece.first, PAD, piece.count)
+            landings += [] if detector.every else [heard]
             detector.subtract_impacts(acceleration_v, piece.first, PAD)
-            # rebounds that are no sure impacts ring in the plate's motion all the same
-            remains.add(acceleration_v, piece.first, PAD, piece.count)
-            remains.subtract_impacts(acceleration_v, piece.first, PAD)
         if high_pass is not None:
             high_pass.redo(piece)
         trimmed = PlatePiece(
@@ -208,7 +206,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         if progress is not None:
             progress(piece.last / recording.n_samples)
     plate = with_coloured_noise(accumulator.finish())
-    impacts = NO_IMPACTS if detector is None else detector.impacts().away_from(recording.gaps[:, 0] / rate_hz)
+    impacts = detectors[0].impacts().away_from(recording.gaps[:, 0] / rate_hz) if detectors else NO_IMPACTS
     noise_v, accelerometer = 0.0 if known.noise is None else known.noise.rms_v, recording.setup.channels.accelerometer
     return Scan(
         survey=known,
