@@ -101,7 +101,7 @@ def _measured(opened: Recording, parts: tuple[str, ...]) -> Iterator[Row]:
 def _verdict(path: Path, setup: Setup | None, *, anyway: bool) -> Row:
     """The verdict of the closed loop, saved next to the recording; values of what it names with their intervals."""
     from analysis.loop.close_loop import close_loop
-    from bench.jobs.loops.runs_and_files import keep_verdict
+    from bench.jobs.loops import keep_verdict
 
     loop = close_loop([path], setup=setup, anyway=anyway)
     row: Row = {

@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from bench.agent.door import Door, arm, armed, disarm
-from bench.web.section import Place, Section, templates_of
+from bench.web.serve import Place, Section, templates_of
 from daq.setup.errors import InputError
 
 HERE = Path(__file__).parent

@@ -66,7 +66,7 @@ def command(
     Exits 0 whatever the verdict; 1 when a run made by --until-clear failed or an output could not be written (the
     verdict is shown all the same); 2 when the call or a file was wrong.
     """
-    from bench.jobs.loops.runs_and_files import holds_summaries, judge_runs, place_for
+    from bench.jobs.loops import holds_summaries, judge_runs, place_for
 
     check_outputs(
         File("--json", json, outputs.JSON), Folder("--report", report, outputs.REPORT),
@@ -131,7 +131,7 @@ def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, in
     ``again``: what the simulated rig hides, and a seed, for runs that are made until one explanation stands.
     """
     from analysis.loop.close_loop import fit_loop
-    from bench.jobs.loops.runs_and_files import until_clear
+    from bench.jobs.loops import until_clear
     from bench.profiles.find import load_measuring
     from bench.terminal.progress import progress_bar
 
@@ -156,7 +156,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.loop.tables import loop_json
     from analysis.report.wording import term_effect_in_words
     from bench.jobs.blocks import write_stake
-    from bench.jobs.loops.runs_and_files import conclude, drawn, keep_term
+    from bench.jobs.loops import conclude, drawn, keep_term
     from bench.profiles.improved import possible_runs, write_improved, write_next
 
     say = speaker(quiet := wanted.json == "-")

@@ -106,7 +106,7 @@ def _serve(request: Request, json_target: str | None, into: Path | None, port: i
         raise InputError("--page: the page writes JSON into the file of --json; --into and --json - go without it")
     target = None if json_target is None else Path(json_target)
     folder, options = request.files[0].resolve().parent, {"drop": {"request": request, "target": target}}
-    serve_pages(["bench.drops.section"], folder, port=port, options=options)
+    serve_pages(["bench.drops.desk"], folder, port=port, options=options)
 
 
 def _measure(request: Request, json_target: str | None, out: Path | None, into: Path | None, stale: str) -> None:

@@ -189,7 +189,7 @@ def _report(found: Explored, folder: Path, standard_s: float) -> bool:
     from analysis.report.figures.several import ChosenSteps, draw_choices
     from analysis.report.figures.style import badge_of, save_picture
     from analysis.report.page import write_report
-    from bench.jobs.loops.runs_and_files import conclude
+    from bench.jobs.loops import conclude
     from daq.recording import open_recording
     from rig.profile import parse_profile
 

@@ -1,4 +1,4 @@
-"""The drop test in the page's process: one state that all browsers see, and corrections by hand."""
+"""The drop test in the page's process: one state that all browsers see, corrections by hand, and the page's section."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from typing import Any
 
 from pydantic import TypeAdapter
 from starlette.exceptions import HTTPException
+from starlette.requests import Request as WebRequest
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
 
 from analysis.drop.corrections import Corrections
 from analysis.drop.film.video import FILMS
@@ -20,11 +23,14 @@ from bench.drops.worker import work
 from bench.jobs.drop_test import POSITIVE, Request, check_request
 from bench.terminal.run_console import spawned
 from bench.web.access import file_inside
-from bench.web.browsers import Browser, Hub
+from bench.web.browsers import Browser, Hub, socket_route
+from bench.web.serve import Place, Section, templates_of
 from daq.files.disk import write_whole
 from daq.files.json_values import json_text
+from daq.files.wav import is_wav, open_wav
 from daq.setup.errors import InputError
 
+HERE = Path(__file__).parent
 ENDING = ".drop.json"
 _SAME_S = 1e-7
 
@@ -276,3 +282,47 @@ def _number(value: object) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
     return float(value)
+
+
+def section(place: Place) -> Section:
+    """The section; ``place.options["drop"]`` has ``request`` and ``target`` of `DropDesk`."""
+    options = place.options.get("drop", {})
+    desk = DropDesk(place.folder, options.get("request"), options.get("target"))
+    templates = templates_of(HERE)
+
+    async def show(request: WebRequest) -> Response:
+        return templates.TemplateResponse(request, "page.html")
+
+    def wave(request: WebRequest) -> Response:
+        return JSONResponse(_envelope(desk, request))
+
+    async def picture(request: WebRequest) -> Response:
+        made = desk.pictures.get(request.path_params["file"])
+        if made is None:
+            raise HTTPException(404, "no picture of that file")
+        return Response(made, media_type="image/png")
+
+    routes = [
+        Route("/drop", show), Route("/drop/wave", wave), Route("/drop/picture/{file:int}", picture),
+        socket_route("/drop/socket", desk.talk),
+    ]  # fmt: skip
+    return Section("drop", "Drop test", "/drop", routes, HERE / "static", desk.running)
+
+
+def _envelope(desk: DropDesk, request: WebRequest) -> dict[str, list[float]]:
+    """Lowest and highest samples of a stretch of an open sound, by column."""
+    try:
+        number, width = int(request.query_params["file"]), int(request.query_params["width"])
+        start_s, stop_s = (float(request.query_params[key]) for key in ("start_s", "stop_s"))
+    except (KeyError, ValueError) as error:
+        raise HTTPException(422, "wanted file, start_s, stop_s and width") from error
+    files = desk.request.files if desk.request is not None else ()
+    if not 0 <= number < len(files) or not is_wav(files[number]):
+        raise HTTPException(404, "no such sound is open")
+    if not (0.0 <= start_s < stop_s < 1e9 and 0 < width <= 8192):
+        raise HTTPException(422, "wanted 0 <= start_s < stop_s, and at most 8192 columns")
+    try:
+        at, low, high = open_wav(files[number]).envelope(start_s, stop_s, width)
+    except (InputError, OSError) as error:
+        raise HTTPException(422, str(error)) from error
+    return {"time_s": at.tolist(), "low": low.tolist(), "high": high.tolist()}

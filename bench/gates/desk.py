@@ -28,7 +28,7 @@ from bench.profiles.find import refuse_forbidden, scenario_names
 from bench.profiles.improved import profile_in, with_preset
 from bench.terminal.run_console import spawned
 from bench.web.browsers import Browser, socket_route
-from bench.web.section import Place, Section, templates_of
+from bench.web.serve import Place, Section, templates_of
 from daq.files.disk import write_whole
 from daq.recording import verify
 from daq.setup.errors import InputError

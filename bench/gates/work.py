@@ -111,7 +111,7 @@ def _verdict(job: Job, ask: Ask, tell: Ask) -> Message:
     from analysis.loop.close_loop import close_loop
     from analysis.loop.tables import loop_json
     from analysis.report.narrative import headline
-    from bench.jobs.loops.runs_and_files import keep_verdict
+    from bench.jobs.loops import keep_verdict
     from bench.profiles.improved import write_improved
 
     if job.recording is None or job.improved is None:

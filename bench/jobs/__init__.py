@@ -1,4 +1,4 @@
 """The work behind the commands: runs, calibrations, reprocessing, drop tests.
 
-Other packages take `run_ramp`, `drop_test`.
+Other packages take `loops`, `run_ramp`, `drop_test`.
 """

@@ -21,7 +21,7 @@ from analysis.loop.close_loop import FittedLoop
 from analysis.loop.result import ClosedLoop, is_verdict, load_verdict, save_verdict
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.values import ParameterId
-from bench.jobs.loops.runs_and_files import verdict_file
+from bench.jobs.loops import verdict_file
 from bench.profiles.edit import toml_value, with_values
 from bench.profiles.find import planned, refuse_forbidden
 from daq.files.disk import write_whole

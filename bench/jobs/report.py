@@ -21,7 +21,7 @@ from analysis.flights.compare import Comparison
 from analysis.flights.table import FlightFlag
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop, load_verdict
-from bench.jobs.loops.runs_and_files import keep_verdict, verdict_file
+from bench.jobs.loops import keep_verdict, verdict_file
 from bench.terminal.console import DEFECTS
 from bench.terminal.progress import progress_bar
 from daq.files.disk import whole

@@ -19,12 +19,10 @@ from starlette.routing import Route
 
 from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.processes import AskedRun, run_profile
-from bench.live.scope_data import MinMax
-from bench.live.watched_run import WatchedRun
+from bench.live.watched_run import MinMax, WatchedRun
 from bench.profiles.find import load
 from bench.web.browsers import Browser, Hub, socket_route
-from bench.web.section import Place, Section, templates_of
-from bench.web.serve import Watchers
+from bench.web.serve import Place, Section, Watchers, templates_of
 from daq.setup.errors import InputError
 from rig.profile import Profile, load_profile
 

@@ -31,7 +31,7 @@ from rig.programme.ramp import NextSteps
 if TYPE_CHECKING:
     from bench.jobs.run_ramp import Onlooker
 
-SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.section", "bench.agent.section")
+SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.desk", "bench.agent.section")
 LINGER_S = 3.0  # in which browsers get the last word of a run
 
 
@@ -69,8 +69,7 @@ def _serve_run(
     pipe: Connection, modules: tuple[str, ...], profile: Profile, board: str, folder: str, host: str, port: int | None
 ) -> None:
     """The page's process during a run."""
-    from bench.web.section import Place
-    from bench.web.serve import bind, serve
+    from bench.web.serve import Place, bind, serve
 
     def answer(url: str, fault: str) -> None:
         pipe.send((url, fault))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.jobs.loops.runs_and_files import SAVED
+from bench.jobs.loops import SAVED
 from daq.recording.header import Header, Unread
 from daq.recording.notebook import ENDING, entries_of
 from daq.setup.errors import InputError

@@ -27,7 +27,7 @@ from bench.runs.catalogue import ENDS, WITH_NONE, Catalogue, Query, Row
 from bench.runs.folder import run_id
 from bench.runs.prepare import Workshop
 from bench.runs.scope import Scope, change_of
-from bench.web.section import Place, Section, templates_of
+from bench.web.serve import Place, Section, templates_of
 from daq.files.json_values import json_values
 from daq.recording.notebook import Remarks, in_words, with_note, with_tags
 from daq.setup.errors import InputError

@@ -33,11 +33,10 @@ def serve_pages(
 
     Raises `InputError` without the packages, and when the address cannot be bound.
 
-    Arguments are as of `bench.web.serve.serve`, `bench.web.section.Place` and `bench.web.serve.bind`.
+    Arguments are as of `bench.web.serve.serve`, `bench.web.serve.Place` and `bench.web.serve.bind`.
     """
     require_packages()
-    from bench.web.section import Place
-    from bench.web.serve import bind, serve
+    from bench.web.serve import Place, bind, serve
 
     listening, access = bind(host, port)
 

@@ -10,25 +10,63 @@ import importlib
 import os
 import secrets
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import uvicorn
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
-from starlette.routing import Mount, Route
+from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.templating import Jinja2Templates
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from bench.web.access import LOOPBACK, Access, Guard, is_loopback
 from bench.web.browsers import Browser, Greet, Hub, socket_route
-from bench.web.section import FRAME, Place, Section, templates_of
 from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
+
+FRAME = Path(__file__).parent / "templates"
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a section is made for."""
+
+    folder: Path  # the runs' folder, absolute; no request reaches a file outside it
+    # plain values for single sections, keyed by the section's name
+    options: Mapping[str, Any] = field(default_factory=dict)
+    # what one section makes and another one needs, by the maker's name
+    shared: dict[str, Any] = field(default_factory=dict, compare=False)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Pages of one module."""
+
+    name: str  # short name; its static files are served under ``/static/NAME/``
+    title: str  # of the navigation's entry
+    href: str  # the page that it opens
+    routes: Sequence[BaseRoute]  # starlette routes, websockets included; paths of different sections must differ
+    static: Path | None = None  # folder of scripts, styles and pictures; None without any
+    # context held open while the server runs (readers, workers); None without any
+    running: Callable[[], AbstractAsyncContextManager[None]] | None = None
+
+
+def templates_of(folder: Path) -> Jinja2Templates:
+    """The pages in a section's folder, Jinja2 templates that extend ``frame.html``; every value is escaped."""
+    loader = FileSystemLoader([folder, FRAME])
+    return Jinja2Templates(
+        env=Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    )
+
 
 STATIC = Path(__file__).parent / "static"
 

@@ -8,7 +8,6 @@ the forcing; at an accumulation a landing falls on an unstable cycle.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterable
 from itertools import pairwise
@@ -17,9 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from kernels.errors import InputError
-from model.bifurcations import itinerary_windows
-from model.bifurcations.itinerary_windows import Search, Window
-from model.bifurcations.locked_windows import locked_from, locked_within
+from model.bifurcations.itinerary_windows import Window, find_windows
 from model.bifurcations.sweep import LONGEST, Bifurcation, Side, check_range, observed_bifurcations
 from model.flight.branches import TWO_PI
 from model.orbits.attractor import Ball, State
@@ -93,13 +90,7 @@ def cycle_windows(ball: ExactBall, low: float, high: float, *, narrowest: float 
         if not births.size or b <= births[0]:
             continue
         # levels part the range: a window born within a stretch would renumber the symbols that windows are compared by
-        room = 4 * np.spacing(max(b, 1.0))  # at the level itself rounding decides the number of windows
-        out += itinerary_windows.windows(
-            lambda g: ball.itinerary_codes(g, ball.most_flights),
-            functools.partial(locked_from, ball, low=a, high=b),
-            lambda stretches, spacing: locked_within(ball, stretches, spacing),
-            Search(a + room, b - room, narrowest, LONGEST, ball.coarse),
-        )
+        out += find_windows(ball, a, b, narrowest, LONGEST)
     return out
 
 

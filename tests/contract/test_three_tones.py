@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from analysis.loop.close_loop import close_loop
-from bench.jobs.loops.unsealed import compared
+from bench.commands.demo import compared
 from bench.jobs.run_ramp import make_backend, record
 from bench.profiles.find import load
 from daq.setup.setup import ThirdTone

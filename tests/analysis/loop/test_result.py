@@ -23,7 +23,7 @@ from analysis.report.page import write_report
 from analysis.report.wording import VERDICTS
 from analysis.residuals.covariates import Covariate
 from analysis.thresholds import Thresholds
-from bench.jobs.loops.runs_and_files import drawn
+from bench.jobs.loops import drawn
 from daq.setup.errors import InputError
 from tests.loops import changed
 

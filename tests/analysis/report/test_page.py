@@ -178,7 +178,7 @@ def test_the_verdict_survives_a_failing_output(
 
     monkeypatch.setattr(analysis.loop.close_loop, "fit_loop", lambda *a, **k: (closed_loop, None))
     monkeypatch.setattr("bench.profiles.improved.possible_runs", lambda *a: [])
-    monkeypatch.setattr("bench.jobs.loops.runs_and_files.drawn", fails)
+    monkeypatch.setattr("bench.jobs.loops.drawn", fails)
     verdict, better = tmp_path / "verdict.json", tmp_path / "better.toml"
     call = ["close-loop", str(recording), "--report", str(tmp_path / "report"), "--json", str(verdict)]
     result = CliRunner().invoke(app, [*call, "--improved", str(better)])

@@ -20,8 +20,7 @@ from bench.agent.door import FILE, LONGEST_S, Door, arm, take
 from bench.agent.section import section
 from bench.profiles.find import find_profile, load, planned
 from bench.web.access import Access
-from bench.web.section import Place
-from bench.web.serve import make_app
+from bench.web.serve import Place, make_app
 from daq.setup.errors import InputError
 
 

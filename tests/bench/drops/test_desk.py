@@ -11,10 +11,9 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from bench.drops.section import section
+from bench.drops.desk import section
 from bench.web.access import Access
-from bench.web.section import Place
-from bench.web.serve import make_app
+from bench.web.serve import Place, make_app
 
 OWN = "http://127.0.0.1:8625"
 FIRST, SECOND = "a" * 32, "b" * 32

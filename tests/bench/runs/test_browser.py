@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from analysis.loop.result import ClosedLoop
-from bench.jobs.loops.runs_and_files import keep_verdict
+from bench.jobs.loops import keep_verdict
 from bench.runs.folder import run_id
 from daq.files.tables import note_rows
 from daq.recording.notebook import change_remarks, with_note, with_tags

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from analysis.loop.result import ClosedLoop, save_verdict
-from bench.jobs.loops.runs_and_files import keep_verdict
+from bench.jobs.loops import keep_verdict
 from bench.runs import catalogue as catalogue_module
 from bench.runs.catalogue import VERSION, Catalogue, Query
 from daq.recording import open_recording, verify

@@ -15,8 +15,7 @@ from bench.runs.pages import section
 from bench.runs.prepare import Workshop, make_flights
 from bench.runs.scope import on_recording, on_scope
 from bench.web.access import Access
-from bench.web.section import Place
-from bench.web.serve import make_app
+from bench.web.serve import Place, make_app
 from daq.recording.notebook import read_remarks, side_file
 from tests.bench.runs.test_pages import OWN, ready
 

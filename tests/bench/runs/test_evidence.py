@@ -10,13 +10,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from analysis.loop.result import ClosedLoop
-from bench.jobs.loops.runs_and_files import keep_verdict
+from bench.jobs.loops import keep_verdict
 from bench.runs.folder import run_id
 from bench.runs.pages import section
 from bench.runs.prepare import evidence
 from bench.web.access import Access
-from bench.web.section import Place
-from bench.web.serve import make_app
+from bench.web.serve import Place, make_app
 from daq.recording.notebook import change_remarks, made_now, with_event
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import verdict_on

@@ -13,8 +13,7 @@ from bench.cli import app
 from bench.runs.folder import run_id
 from bench.runs.pages import section
 from bench.web.access import Access
-from bench.web.section import Place
-from bench.web.serve import make_app
+from bench.web.serve import Place, make_app
 from daq.files.tables import NOTE_BYTES, note_rows, notes_of_rows
 from tests.bench.runs.recordings import record
 

@@ -13,8 +13,7 @@ from starlette.testclient import TestClient
 from bench.runs.folder import run_id
 from bench.runs.pages import section
 from bench.web.access import Access
-from bench.web.section import Place
-from bench.web.serve import make_app
+from bench.web.serve import Place, make_app
 from tests.bench.runs.recordings import record
 
 OWN = "http://127.0.0.1:8625"

@@ -14,8 +14,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bench.web.access import Access, file_inside
-from bench.web.section import FRAME, Section, templates_of
-from bench.web.serve import bind, make_app
+from bench.web.serve import FRAME, Section, bind, make_app, templates_of
 from daq.setup.errors import InputError
 
 OWN = "http://127.0.0.1:8625"

@@ -18,7 +18,7 @@ import tests.loops
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import headline
-from bench.jobs.loops.runs_and_files import keep_verdict
+from bench.jobs.loops import keep_verdict
 from bench.jobs.run_ramp import check_rig, open_rig
 from bench.profiles.edit import fields_of
 from bench.profiles.find import load

@@ -13,7 +13,7 @@ from analysis.loop.result import ClosedLoop, load_verdict
 from bench.batch import examine
 from bench.cli import app
 from bench.jobs import report
-from bench.jobs.loops.runs_and_files import drawn, keep_verdict, verdict_file
+from bench.jobs.loops import drawn, keep_verdict, verdict_file
 from daq.setup.errors import InputError
 from tests.bench.runs.recordings import record
 

@@ -87,13 +87,13 @@ def conclude(
 
 
 def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False, **more: Any) -> Path:
-    """Have a verdict drawn by `bench.jobs.loops.drawing`: what computes a verdict needs none of what draws it.
+    """Have a verdict drawn by `bench.jobs.drawing`: what computes a verdict needs none of what draws it.
 
     Raises `InputError` when it could not be written. Returns the path of what was written.
 
     ``more``: further arguments of `write_report`, or of `analysis.report.figures.several.write_pictures`.
     """
-    call = [sys.executable, "-m", "bench.jobs.loops.drawing"]
+    call = [sys.executable, "-m", "bench.jobs.drawing"]
     what = pickle.dumps((found, folder, quiet, more))
     done = subprocess.run(call, input=what, stdout=subprocess.PIPE, env=same_modules(), check=False)
     answer = done.stdout.decode("utf-8")

@@ -1,6 +1,6 @@
 """Report of a closed loop, or pictures of runs judged together, drawn by a process of its own.
 
-``python -m bench.jobs.loops.drawing`` reads from standard input what `bench.jobs.loops.runs_and_files.drawn` pickled,
+``python -m bench.jobs.drawing`` reads from standard input what `bench.jobs.loops.drawn` pickled,
 and prints the path of what it wrote, or, with exit status 2, why it could not be written. Decision 446.
 """
 

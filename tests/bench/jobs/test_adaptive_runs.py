@@ -6,7 +6,7 @@ import pytest
 
 from analysis.loop.design import Design, Ranked
 from analysis.loop.result import ClosedLoop
-from bench.jobs.loops import runs_and_files
+from bench.jobs import loops
 
 
 class Simulated:
@@ -25,11 +25,11 @@ def test_a_failed_run_keeps_the_verdict_before_it(closed_loop: ClosedLoop, monke
     """The loop closed before a run that cannot be driven comes back with the reason, instead of an exception."""
     ranked = Ranked(Design("ratio_2", "c = 2", 2, (0.3, 0.5)), 90.0, ("restitution",))
 
-    monkeypatch.setattr(runs_and_files, "open_recording", lambda path: Simulated())
-    monkeypatch.setattr(runs_and_files, "fit_loop", lambda *a, **k: (closed_loop, None))
-    monkeypatch.setattr(runs_and_files, "possible_runs", lambda *a: [ranked])
-    monkeypatch.setattr(runs_and_files, "profile_of", lambda text, design: text)
-    monkeypatch.setattr(runs_and_files, "profile_text", lambda path: "name = 'next'")
-    found, _, made, failure = runs_and_files.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
+    monkeypatch.setattr(loops, "open_recording", lambda path: Simulated())
+    monkeypatch.setattr(loops, "fit_loop", lambda *a, **k: (closed_loop, None))
+    monkeypatch.setattr(loops, "possible_runs", lambda *a: [ranked])
+    monkeypatch.setattr(loops, "profile_of", lambda text, design: text)
+    monkeypatch.setattr(loops, "profile_text", lambda path: "name = 'next'")
+    found, _, made, failure = loops.until_clear([Path("run.h5")], None, 1, say=lambda line: None, quiet=True)
     assert found is closed_loop and made == [Path("run.h5")]
     assert "next_run.toml" in failure and "ramp" in failure

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from analysis.loop.result import AddedEffect, ClosedLoop
-from bench.jobs.loops.unsealed import LIBRARY_UNITS, compared, in_words
+from bench.commands.demo import LIBRARY_UNITS, compared, in_words
 from model.effects.registry import effect
 from rig.sim.scenario import EFFECTS
 from tests.loops import changed
