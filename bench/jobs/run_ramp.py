@@ -21,6 +21,7 @@ from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
 from rig.backends.base import Backend
+from rig.backends.kinds.base import OpenOptions
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
 from rig.checks.check import TAP_S, Check, Finding
@@ -60,7 +61,7 @@ def make_backend(
     real_time |= watched and profile.backend.kind == "simulated"
     if scenario is not None and profile.backend.kind == "simulated":
         scenario = find_scenario(scenario)
-    return open_backend(profile, scenario=scenario, seed=seed, real_time=real_time, replay=replay)
+    return open_backend(profile, OpenOptions(scenario, seed, real_time, replay))
 
 
 def open_rig(name: str | Path, purpose: str, scenario: Path | None, seed: int) -> tuple[Profile, Backend]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pkgutil
-from pathlib import Path
 
 from daq.setup.errors import InputError
 from rig.backends.base import Backend
@@ -13,22 +12,12 @@ from rig.backends.kinds.soundcard import CardOptions
 from rig.profile import Profile
 
 
-def open_backend(
-    profile: Profile,
-    *,
-    scenario: Path | None = None,
-    seed: int = 0,
-    real_time: bool = False,
-    replay: Path | None = None,
-) -> Backend:
+def open_backend(profile: Profile, options: OpenOptions | None = None) -> Backend:
     """The back end that ``profile`` asks for, and no other; not yet started.
 
     Raises `InputError` when an option is given that this kind does not heed, or the back end cannot be opened.
-
-    Options as in `rig.backends.kinds.base.OpenOptions`.
     """
-    options = OpenOptions(scenario, seed, real_time, replay)
-    kind = kind_of(profile.backend.kind)
+    options, kind = options or OpenOptions(), kind_of(profile.backend.kind)
     for option in options.given():
         if option not in kind.takes:
             wanted = " or ".join(f'"{name}"' for name, other in built_in().items() if option in other.takes)

@@ -155,7 +155,9 @@ class Sequencer:
                     self._steered = None
                 else:
                     piece = min(piece, self._steered.first_sample - self.position)
-            out[filled : filled + piece] = self._piece(piece)
+            if self.state not in STILL:
+                clock, begin = self.programme.clock, self.position
+                out[filled : filled + piece] = synthesise(clock, self._multiples, self._fade, begin, piece)
             filled += piece
             self.position += piece
             while self.position == self._until and not self.done:
@@ -238,11 +240,6 @@ class Sequencer:
     def _change(self, fade: Fade) -> None:
         self._fade = fade
         self.fades.append(fade)
-
-    def _piece(self, n_samples: int) -> Floats:
-        if self.state in STILL:
-            return np.zeros(n_samples)
-        return synthesise(self.programme.clock, self._multiples, self._fade, self.position, n_samples)
 
     def _ended(self) -> Event:
         """The event that the end of the present state is."""

@@ -79,13 +79,13 @@ def test_an_option_that_would_not_be_heeded_is_refused(tmp_path: Path) -> None:
     """A scenario for a replay, a recording for the simulated rig: refused with the kind that takes it."""
     profile = parse_profile(text('kind = "replay"'))
     with pytest.raises(InputError, match=r'--scenario: is for backend.kind = "simulated"; this profile\'s is "replay"'):
-        open_backend(profile, scenario=tmp_path / "s.toml")
+        open_backend(profile, OpenOptions(scenario=tmp_path / "s.toml"))
     with pytest.raises(InputError, match=r'--real-time: is for backend.kind = "simulated"'):
-        open_backend(profile, real_time=True)
+        open_backend(profile, OpenOptions(real_time=True))
     with pytest.raises(InputError, match="name the recording to play by --replay"):
         open_backend(profile)
     with pytest.raises(InputError, match=r'--replay: is for backend.kind = "replay"'):
-        open_backend(load("simulated")[0], replay=tmp_path / "r.h5")
+        open_backend(load("simulated")[0], OpenOptions(replay=tmp_path / "r.h5"))
 
 
 def test_a_kind_of_another_package_is_found_by_its_entry_point(offer: dict[str, str]) -> None:
