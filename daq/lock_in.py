@@ -74,10 +74,19 @@ class _Sums(NamedTuple):
 class LockIn:
     """Normal equations of a joint tone fit, accumulated in one pass over any number of pieces.
 
-    ``rate_hz`` is that of what is handed to `add`; ``frequencies_hz`` (k,) are positive and pairwise different.
-    ``channels`` share the tones and the mask. When the values are means over ``boxcar`` recorded samples each (then
-    ``rate_hz`` is the rate of the means and a value's index is that of its mean), the boxcar's gain and delay are taken
-    out exactly. Each of ``sorts`` of values has sums of its own (`part` gives the fit of some of them).
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of what is handed to `add`.
+    frequencies_hz : array, shape (k,)
+        Positive, pairwise different.
+    channels : int
+        Number of channels, which share the tones and the mask.
+    boxcar : int
+        When the values are means over ``boxcar`` recorded samples each (then ``rate_hz`` is the rate of the means and
+        a value's index is that of its mean): the boxcar's gain and delay are taken out exactly.
+    sorts : int
+        Number of sorts of values with sums of their own (`part` gives the fit of some of them).
     """
 
     def __init__(
@@ -269,10 +278,18 @@ def fit_tones(
 ) -> ToneFit:
     """Joint least squares for the complex amplitudes of known tones and a constant.
 
-    Raises `ValueError` for too few samples, or tones too close to be distinguished.
+    Raises `ValueError` for too few samples, or tones too close to be distinguished. Phases refer to sample 0 of the
+    recording.
 
-    ``x`` (n,) holds the samples ``first_sample, first_sample + 1, ...`` of the recording, to whose sample 0 phases
-    refer; ``frequencies_hz`` is (k,), and ``mask`` (n,) is True where a sample counts.
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Samples ``first_sample, first_sample + 1, ...`` of the recording.
+    first_sample : int
+    rate_hz : float
+    frequencies_hz : array, shape (k,)
+    mask : bool array, shape (n,), optional
+        True where a sample counts.
     """
     lock_in = LockIn(rate_hz, frequencies_hz)
     if mask is None:
@@ -288,8 +305,14 @@ def fit_tones_each(x: npt.ArrayLike, edges: Integers, rate_hz: float, frequencie
 
     Raises `ValueError` for too few samples in a stretch, or tones too close to be distinguished.
 
-    ``edges`` (m + 1,) are the first sample of each stretch and the end of the last, ``x`` (n,) the samples between,
-    ``edges[0], ..., edges[-1] - 1`` of the recording.
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Samples ``edges[0], ..., edges[-1] - 1`` of the recording.
+    edges : int array, shape (m + 1,)
+        First sample of each stretch, and the end of the last.
+    rate_hz : float
+    frequencies_hz : array, shape (k,)
     """
     lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(edges) - 1)
     lock_in.add_stretches(x, edges)

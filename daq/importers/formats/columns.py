@@ -64,9 +64,19 @@ class Piece:
 class Source:
     """A table of numbers in somebody's file; the classes of the formats say how it is read.
 
-    ``names`` are every column, and ``left_out`` says by name why something cannot be one. The file may state
-    ``rate_hz``, samples a second. ``header`` is the line that was taken for the header, in words, of text files only;
-    ``time_unit`` is that of a column of time stamps whose name states none.
+    Attributes
+    ----------
+    path
+    names
+        Every column.
+    left_out
+        What cannot be a column, by name: why.
+    rate_hz
+        Samples a second, where the file states them.
+    header
+        The line that was taken for the header, in words; text files only.
+    time_unit
+        Unit of a column of time stamps whose name states none.
     """
 
     names: tuple[str, ...] = ()
