@@ -12,7 +12,7 @@ import pytest
 
 from bench.profiles.find import load
 from daq.setup.errors import InputError
-from rig.backends.kinds import base
+from rig.backends.kinds import find
 from rig.backends.kinds.base import BackendKind, BackendOptions, OpenOptions
 from rig.backends.kinds.find import built_in, kind_of, names
 from rig.backends.registry import open_backend
@@ -48,7 +48,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     def entries(group: str) -> list[EntryPoint]:
         return [EntryPoint(name, value, group) for name, value in offers.items()]
 
-    monkeypatch.setattr(base, "entry_points", entries)
+    monkeypatch.setattr(find, "entry_points", entries)
     return offers
 
 
