@@ -285,22 +285,20 @@ def _is_constant(fr: float, direction: float, p: Floats) -> bool:
 
 @inlined
 def segment(
-    t0: float, s0: float, begin: tuple[float, float], direction: float, plate: Plate, law: Law, gap: float,
-    longest_s: float,
+    s0: float, begin: tuple[float, float], direction: float, started: tuple[int, tuple[float, float, float]], law: Law,
+    gap: float, longest_s: float,
 ) -> tuple[int, float, float, float, float]:  # fmt: skip
     """Fly until impact or, with dry friction, standstill.
 
-    ``s0`` is the time since take-off (and since the mode's state), ``begin`` height and velocity then. Returns
+    ``s0`` is the time since take-off (and since the mode's state), ``begin`` height and velocity then, ``started`` the
+    number of phasors in ``law.turning`` that turn by half the first step, and the plate's motion there. Returns
     (ended, s, h, v, opened): ended is `LANDS`, `STANDS`, or `GOES_ON` where neither comes in ``longest_s`` from
     take-off; ``opened`` the time since take-off at which the height passed ``gap``, or -1.
     """
-    p, (tones, mode), acting = law.p, plate, (law.forced, law.rubbed)
+    p, acting, turning = law.p, (law.forced, law.rubbed), law.turning
     g = gravity(p)
-    # a short first step resolves tiny flights and the opening of the contact, where the height is a cubic
     step = law.step_s / 16.0
-    turning = law.turning
-    moving = start_turning(t0, s0, 0.5 * step, tones, mode, turning)
-    x0, xd0, xdd0 = motion(moving, turning)
+    moving, (x0, xd0, xdd0) = started
     h, v = begin
     start, dev, devd = Start(h, v, x0, xd0), 0.0, 0.0
     fr = -direction * dry_friction(h, abs(v), direction, p) if law.rubbed else 0.0
@@ -342,20 +340,6 @@ def segment(
     return GOES_ON, s0 + s, h, v, opened
 
 
-@inlined
-def _kept(t: float, s: float, h: float, ways: tuple[float, float], plate: Plate, law: Law) -> float:
-    """What a standstill leaves of a change of velocity: the ratio of the accelerations after and before it.
-
-    A ball that is a little faster stands a little later, and friction turns round then.
-    """
-    free = pull(t, s, h, plate.tones, plate.mode, law.p, law.forced)
-    before, after = (
-        free - ways[0] * dry_friction(h, 0.0, ways[0], law.p),
-        free - ways[1] * dry_friction(h, 0.0, ways[1], law.p),
-    )
-    return float(after / before) if before != 0.0 else 0.0
-
-
 @compiled
 def flight(
     t0: float, v0: float, plate: Plate, law: Law, gap: float, longest_s: float
@@ -366,10 +350,35 @@ def flight(
     duration -1 when it does not land within ``longest_s``. The gain is exact but for what forces and friction that are
     not constant make of it.
     """
-    s, h, v, opened, direction, reach, kept = 0.0, 0.0, v0, -1.0, 1.0, 0.0, 1.0
-    for _ in range(200):
+    p, turning = law.p, law.turning
+    s, h, v, opened, direction, reach, kept, stands = 0.0, 0.0, v0, -1.0, 1.0, 0.0, 1.0, False
+    for _ in range(400):  # segments, and standstills in mid-air that last
+        # a short first step resolves tiny flights and the opening of the contact, where the height is a cubic
+        moving = start_turning(t0 + s, s, law.step_s / 32.0, plate.tones, plate.mode, turning)
+        seen = motion(moving, turning)
+        if stands:
+            # in mid-air: the take-off threshold belongs to a ball at height 0
+            h_above, before = max(h, 1e-12), direction
+            free = pull_of(seen[1], seen[2], h_above, p, law.forced)
+            up, down = dry_friction(h_above, 0.0, 1.0, p), dry_friction(h_above, 0.0, -1.0, p)
+            direction = 1.0 if free > up else (-1.0 if free < -down else 0.0)
+            stays = direction == 0.0
+            if stays:
+                stay, direction = wait(t0 + s, h_above, s, 0.0, plate, law)
+                if direction == 0.0:
+                    break
+                s += stay
+            if h <= 0.0 and direction < 0.0:
+                return s, 0.0, opened, reach
+            # what a standstill leaves of a change of velocity: the ratio of the accelerations after and before it
+            ahead = free - up if direction > 0.0 else free + down
+            behind = free - up if before > 0.0 else free + down
+            kept *= 0.0 if stays or behind == 0.0 else ahead / behind
+            if stays:
+                stands = False
+                continue
         begun = s
-        ended, s, h, v, o = segment(t0 + s, s, (h, v), direction, plate, law, gap, longest_s)
+        ended, s, h, v, o = segment(s, (h, v), direction, (moving, seen), law, gap, longest_s)
         reach += kept * (s - begun)
         if opened < 0.0:
             opened = o
@@ -377,13 +386,5 @@ def flight(
             return s, -v, opened, reach
         if ended == GOES_ON:
             break
-        # in mid-air: the take-off threshold belongs to a ball at height 0
-        before, h_above = direction, max(h, 1e-12)
-        stay, direction = wait(t0 + s, h_above, s, 0.0, plate, law)
-        if direction == 0.0:
-            break
-        kept = 0.0 if stay > 0.0 else kept * _kept(t0 + s, s, h_above, (before, direction), plate, law)
-        s += stay
-        if h <= 0.0 and direction < 0.0:
-            return s, 0.0, opened, reach
+        stands = True
     return -1.0, 0.0, opened, reach

@@ -186,7 +186,9 @@ def _carried(omega_radps: Floats, tones: Complexes, row: Floats) -> Complexes:
     """Part of measured tones (k,) that a ball resting on the plate mode all the time adds to them."""
     row = for_kernel(row)
     om, ze, _ = plate_mode(row)
-    _, re, im = loaded(0.0, Plate(tones_for_kernel(omega_radps, tones), Mode(0.0, 0.0, om, ze)), row).tones.T
+    measured = tones_for_kernel(omega_radps, tones)
+    loaded(0.0, Plate(measured, Mode(0.0, 0.0, om, ze)), row, under := np.empty_like(measured))
+    _, re, im = under.T
     factor = np.divide(re + 1j * im, tones, out=np.ones_like(tones), where=tones != 0.0)
     # measured is the driven tone times the factor of the loaded mode: what is added is the rest
     return np.asarray(tones * (1.0 - 1.0 / factor))
@@ -237,7 +239,7 @@ def law_of(effects: Mapping[str, Mapping[str, float]], g_mps2: float) -> Law:
     """What acts on a ball with ``effects`` by name and parameter, for `flown`; raises as `simulate` does."""
     rows = row(effects, g_mps2)
     acting = active(rows, "force"), active(rows, "dry_friction")
-    return Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)))
+    return Law(for_kernel(rows), 0.0, *acting, np.empty((0, 6)), np.empty((0, 3)))
 
 
 def flown(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from kernels.arrays import Floats
+from model.flight.numerics import sincos
 from model.integrator.problem import Mode, Plate, Probe, SecondMode, compiled, inlined, plate_mode, rebound
 
 STEPS_PER_PERIOD = 16  # of the fastest tone that matters: the quintic then errs by less than a nanosecond
@@ -20,11 +21,11 @@ def tones_at(t: float, tones: Floats) -> tuple[float, float, float]:
     for k in range(tones.shape[0]):
         if tones[k, 1] == 0.0 and tones[k, 2] == 0.0:
             continue
-        c, s = math.cos(tones[k, 0] * t), math.sin(tones[k, 0] * t)
-        acc = tones[k, 1] * c - tones[k, 2] * s
+        s, c = sincos(tones[k, 0] * t)
+        acc, slow = tones[k, 1] * c - tones[k, 2] * s, 1.0 / tones[k, 0]
         a += acc
-        v += (tones[k, 2] * c + tones[k, 1] * s) / tones[k, 0]
-        x -= acc / (tones[k, 0] * tones[k, 0])
+        v += (tones[k, 2] * c + tones[k, 1] * s) * slow
+        x -= acc * (slow * slow)
     return x, v, a
 
 
@@ -33,7 +34,8 @@ def _short_turn(angle: float) -> tuple[float, float]:
     """Cosine and sine; of an angle as small as a step's from their series, to the last bit but one."""
     y = angle * angle
     if y > SHORT_TURN * SHORT_TURN:
-        return math.cos(angle), math.sin(angle)
+        sine, cosine = sincos(angle)
+        return cosine, sine
     c = 1.0 - y * (1 / 2 - y * (1 / 24 - y * (1 / 720 - y * (1 / 40320 - y * (1 / 3628800 - y / 479001600)))))
     s = 1.0 - y * (1 / 6 - y * (1 / 120 - y * (1 / 5040 - y * (1 / 362880 - y / 39916800))))
     return c, s * angle
@@ -47,9 +49,9 @@ def _start_ringing(row: int, s: float, d: float, free: tuple[float, float, float
     if q != 0.0 or qd != 0.0:
         od = om * math.sqrt(1.0 - ze * ze)
         back, on = math.exp(-ze * om * s), math.exp(-ze * om * d)
-        b, c, sn = -(qd + ze * om * q) / od, math.cos(od * s), math.sin(od * s)
+        b, (sn, c), (turn_s, turn_c) = -(qd + ze * om * q) / od, sincos(od * s), sincos(od * d)
         turning[row, 0], turning[row, 1] = back * (q * c - b * sn), back * (b * c + q * sn)
-        turning[row, 2], turning[row, 3] = on * math.cos(od * d), on * math.sin(od * d)
+        turning[row, 2], turning[row, 3] = on * turn_c, on * turn_s
         turning[row, 4], turning[row, 5] = -ze * om, od
 
 
@@ -68,19 +70,22 @@ def start_turning(t: float, s: float, d: float, tones: Floats, mode: Mode, turni
         om, re, im = tones[k, 0], tones[k, 1], tones[k, 2]
         if re == 0.0 and im == 0.0:
             continue
-        c, sn = math.cos(om * t), math.sin(om * t)
+        sn, c = sincos(om * t)
         turning[n, 0], turning[n, 1] = re * c - im * sn, im * c + re * sn
         turning[n, 2], turning[n, 3] = _short_turn(om * d)
-        turning[n, 4] = 1.0 / om
+        slow = 1.0 / om
+        turning[n, 4], turning[n, 5] = slow, slow * slow
         n += 1
     return n
 
 
 @inlined
-def _turn(k: int, turning: Floats) -> None:
+def _turn(k: int, turning: Floats) -> tuple[float, float]:
     """One more turn of a phasor."""
     re, im, c, s = turning[k, 0], turning[k, 1], turning[k, 2], turning[k, 3]
-    turning[k, 0], turning[k, 1] = re * c - im * s, im * c + re * s
+    re, im = re * c - im * s, im * c + re * s
+    turning[k, 0], turning[k, 1] = re, im
+    return re, im
 
 
 @inlined
@@ -92,14 +97,9 @@ def _first_ringing(turning: Floats) -> int:
 
 
 @inlined
-def motion(n: int, turning: Floats) -> tuple[float, float, float]:
-    """Displacement, velocity and acceleration of tones and mode where the phasors of ``turning`` stand."""
+def _rung(turning: Floats) -> tuple[float, float, float]:
+    """Displacement, velocity and acceleration of the modes that ring."""
     x, v, a = 0.0, 0.0, 0.0
-    for k in range(2, n):
-        re, im, slow = turning[k, 0], turning[k, 1], turning[k, 4]
-        a += re
-        v += im * slow
-        x -= re * (slow * slow)
     for k in range(_first_ringing(turning), 2):
         re, im, fades, od = turning[k, 0], turning[k, 1], turning[k, 4], turning[k, 5]
         rate = fades * re - od * im
@@ -110,11 +110,29 @@ def motion(n: int, turning: Floats) -> tuple[float, float, float]:
 
 
 @inlined
+def motion(n: int, turning: Floats) -> tuple[float, float, float]:
+    """Displacement, velocity and acceleration of tones and mode where the phasors of ``turning`` stand."""
+    x, v, a = _rung(turning)
+    for k in range(2, n):
+        re, im = turning[k, 0], turning[k, 1]
+        a += re
+        v += im * turning[k, 4]
+        x -= re * turning[k, 5]
+    return x, v, a
+
+
+@inlined
 def turned(n: int, turning: Floats) -> tuple[float, float, float]:
     """`motion` after one more turn of ``turning``."""
-    for k in range(_first_ringing(turning), n):
+    for k in range(_first_ringing(turning), 2):
         _turn(k, turning)
-    return motion(n, turning)
+    x, v, a = _rung(turning)
+    for k in range(2, n):  # turned and added at once: most of the time of a flight goes here
+        re, im = _turn(k, turning)
+        a += re
+        v += im * turning[k, 4]
+        x -= re * turning[k, 5]
+    return x, v, a
 
 
 @inlined
@@ -140,28 +158,24 @@ def step_length(period: float, tones: Floats) -> float:
 
 
 @compiled
-def between_steps(every: Floats, m: int, other: int, share: float) -> Floats:
-    """Tones of step ``m``, a ``share`` of them replaced by those of the step ``other`` (-1: of a plate at rest)."""
-    tones: Floats = every[m].copy()
+def between_steps(every: Floats, m: int, other: int, share: float, tones: Floats) -> None:
+    """Fill ``tones`` (k, 3) with those of step ``m``, a ``share`` replaced by the step ``other`` (-1: at rest)."""
     for k in range(tones.shape[0]):
-        re, im = (1.0 - share) * tones[k, 1], (1.0 - share) * tones[k, 2]
-        for j in range(tones.shape[0] if other >= 0 else 0):
+        om, re, im = every[m, k, 0], (1.0 - share) * every[m, k, 1], (1.0 - share) * every[m, k, 2]
+        for j in range(tones.shape[0] if other >= 0 and share > 0.0 else 0):
             # frequencies that differ by less than 1e-6 are one
-            if abs(every[other, j, 0] - tones[k, 0]) < 1e-6 * tones[k, 0]:
+            if abs(every[other, j, 0] - om) < 1e-6 * om:
                 re, im = re + share * every[other, j, 1], im + share * every[other, j, 2]
                 break
-        tones[k, 1], tones[k, 2] = re, im
-    return tones
+        tones[k, 0], tones[k, 1], tones[k, 2] = om, re, im
 
 
 @compiled
-def corrected(tones: Floats, part: float, ahead_s: float) -> Floats:
-    """The tones (k, 3) greater by ``part``, their motion earlier by ``ahead_s``."""
-    out: Floats = tones.copy()
+def correct(tones: Floats, part: float, ahead_s: float) -> None:
+    """Make the tones (k, 3) greater by ``part``, their motion earlier by ``ahead_s``."""
     for k in range(tones.shape[0]):
-        c, s = (1.0 + part) * math.cos(tones[k, 0] * ahead_s), (1.0 + part) * math.sin(tones[k, 0] * ahead_s)
-        out[k, 1], out[k, 2] = c * tones[k, 1] - s * tones[k, 2], s * tones[k, 1] + c * tones[k, 2]
-    return out
+        (s, c), (re, im) = sincos(tones[k, 0] * ahead_s), (tones[k, 1], tones[k, 2])
+        tones[k, 1], tones[k, 2] = (1.0 + part) * (c * re - s * im), (1.0 + part) * (s * re + c * im)
 
 
 @compiled
@@ -172,7 +186,7 @@ def mode_at(s: float, mode: Mode) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
     od = om * math.sqrt(1.0 - ze * ze)
     decay = math.exp(-ze * om * s)
-    c, sn = math.cos(od * s), math.sin(od * s)
+    sn, c = sincos(od * s)
     b = (qd + ze * om * q) / od
     x = decay * (q * c + b * sn)
     v = decay * (od * (b * c - q * sn)) - ze * om * x
@@ -192,15 +206,16 @@ def ringing_at(t: float, s: float, mode: Mode) -> tuple[float, float, float]:
 
 
 @compiled
-def with_state(plate: Plate, q: float, qd: float) -> Plate:
-    """The same plate, its mode in the state (q, qd)."""
-    return Plate(plate.tones, Mode(q, qd, plate.mode.omega, plate.mode.damping, plate.mode.second))
+def in_state(mode: Mode, q: float, qd: float) -> Mode:
+    """The same mode, in the state (q, qd)."""
+    return Mode(q, qd, mode.omega, mode.damping, mode.second)
 
 
 @inlined
 def _exp(z: complex) -> complex:
     """``exp(z)``; numpy's own takes long to compile."""
-    return math.exp(z.real) * complex(math.cos(z.imag), math.sin(z.imag))
+    s, c = sincos(z.imag)
+    return math.exp(z.real) * complex(c, s)
 
 
 @inlined
@@ -236,7 +251,7 @@ def mode_at_rest(t: float, plate: Plate, p: Floats) -> tuple[float, float, float
         stiff, loss = om * om - (1.0 + ratio) * tones[k, 0] * tones[k, 0], 2.0 * ze * om * tones[k, 0]
         size = -ratio / (stiff * stiff + loss * loss)
         qr, qi = size * (tones[k, 1] * stiff + tones[k, 2] * loss), size * (tones[k, 2] * stiff - tones[k, 1] * loss)
-        c, s = math.cos(tones[k, 0] * t), math.sin(tones[k, 0] * t)
+        s, c = sincos(tones[k, 0] * t)
         here = qr * c - qi * s
         x += here
         v -= tones[k, 0] * (qi * c + qr * s)
@@ -245,21 +260,23 @@ def mode_at_rest(t: float, plate: Plate, p: Floats) -> tuple[float, float, float
 
 
 @compiled
-def loaded(t: float, plate: Plate, p: Floats) -> Plate:
-    """The same plate with a ball resting on it from time t on.
+def loaded(t: float, plate: Plate, p: Floats, under: Floats) -> Mode:
+    """The mode with a ball resting on it from time t on; ``under`` (k, 3) gets the tones of the plate then.
 
-    What the ball presses out of the mode is part of the tones; the state is what rings besides.
+    What the ball presses out of the mode is part of the tones; the state is what rings besides. A kernel that returned
+    arrays would have each reference to one counted, in all that call it, too.
     """
     ratio = plate_mode(p)[2]
-    if ratio == 0.0:
-        return plate
     tones, (q, qd, om, ze, second) = plate
+    for k in range(tones.shape[0]):
+        under[k, 0], under[k, 1], under[k, 2] = tones[k, 0], tones[k, 1], tones[k, 2]
+    if ratio == 0.0:
+        return plate.mode
     x, v, _ = mode_at_rest(t, plate, p)
     if second.q != 0.0 or second.qd != 0.0:
         size, rate, part = _second_under_ball(second, p)
         z = size * (1.0 + part)
         second = SecondMode(second.t, z.real, (rate * z).real, second.omega, second.damping)
-    under = tones.copy()
     for k in range(tones.shape[0]):
         if tones[k, 1] != 0.0 or tones[k, 2] != 0.0:
             # the plate's tone as it moves, the mode's forced answer included
@@ -267,7 +284,7 @@ def loaded(t: float, plate: Plate, p: Floats) -> Plate:
             z = complex(tones[k, 1], tones[k, 2]) * (1.0 + ratio * tones[k, 0] * tones[k, 0] / push)
             under[k, 1], under[k, 2] = z.real, z.imag
     root = math.sqrt(1.0 + ratio)
-    return Plate(under, Mode(q - x, qd - v, om / root, ze / root, second))
+    return Mode(q - x, qd - v, om / root, ze / root, second)
 
 
 @compiled
@@ -276,8 +293,10 @@ def mode_under_ball(t: float, s: float, plate: Plate, p: Floats) -> tuple[float,
     om, ze, ratio = plate_mode(p)
     if ratio == 0.0:
         return 0.0, 0.0
-    root = math.sqrt(1.0 + ratio)
     mode = plate.mode
+    if s == 0.0:  # a ball that bounces
+        return mode.q, mode.qd
+    root = math.sqrt(1.0 + ratio)
     x0, v0, _ = mode_at_rest(t, plate, p)
     x1, v1, _ = mode_at_rest(t + s, plate, p)
     x, v, _ = mode_at(s, Mode(mode.q - x0, mode.qd - v0, om / root, ze / root, mode.second))

@@ -9,14 +9,14 @@ from kernels.arrays import Floats
 from model.integrator.flight import LONGEST_PERIODS, flight
 from model.integrator.plate import (
     between_steps,
-    corrected,
+    correct,
+    in_state,
     mode_at,
     mode_at_rest,
     mode_under_ball,
     project_mode,
     step_length,
     strike,
-    with_state,
 )
 from model.integrator.problem import (
     Acting,
@@ -43,9 +43,9 @@ def _rested(s: float, pressed: tuple[float, float], last: Chain, bare: Plate, p:
     """State of the plate mode after a contact of s seconds; what was measured to press on it acts at once."""
     push, part = pressed
     if s <= 0.0 or np.isnan(push):
-        return mode_under_ball(last.t, s, with_state(bare, last.q, last.qd), p)
-    x, v, _ = mode_at(part * s, with_state(bare, last.q, last.qd).mode)
-    x, v, _ = mode_at((1.0 - part) * s, with_state(bare, x, v - plate_mode(p)[2] * push).mode)
+        return mode_under_ball(last.t, s, Plate(bare.tones, in_state(bare.mode, last.q, last.qd)), p)
+    x, v, _ = mode_at(part * s, in_state(bare.mode, last.q, last.qd))
+    x, v, _ = mode_at((1.0 - part) * s, in_state(bare.mode, x, v - plate_mode(p)[2] * push))
     return x, v
 
 
@@ -73,7 +73,7 @@ def _turned_back(event: Event, period: float, last: Chain, bare: Plate, p: Float
     rested = event.opening - last.t
     if event.second_radps == 0.0 or event.relaunched or not 0.0 < rested < LONGEST_PERIODS * period:
         return last
-    q, qd = mode_under_ball(event.opening, -rested, with_state(bare, event.q, event.qd), p)
+    q, qd = mode_under_ball(event.opening, -rested, Plate(bare.tones, in_state(bare.mode, event.q, event.qd)), p)
     return Chain(last.t, last.impact, q, qd, last.known, last.chained)
 
 
@@ -84,12 +84,12 @@ def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility,
     # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
     own = Visibility(event.gap_m, shortest, seen.closure_s)
-    plate = with_state(bare, last.q, last.qd)
+    plate = Plate(bare.tones, in_state(bare.mode, last.q, last.qd))
     found = next_flight(last.t, last.impact, plate, law, own, event.opening)
     land, hit, passed = found.landing, found.impact, 0
     if found.kind >= 0 and (hit < event.weak_mps or (event.bounces and seen.closure_s == 0.0)):
-        q, qd = strike(with_state(bare, found.q, found.qd).mode, land - found.takeoff, hit, law.p)
-        struck = with_state(bare, q, qd)
+        q, qd = strike(in_state(bare.mode, found.q, found.qd), land - found.takeoff, hit, law.p)
+        struck = Plate(bare.tones, in_state(bare.mode, q, qd))
         land, hit, passed, out.ambiguity_s = weak_rebounds(
             (land, hit), event.landing, event.weak_mps, seen, struck, law
         )
@@ -109,13 +109,15 @@ def _measured(
     direct, start, lasts, v0, hit = event.relaunched and event.linked, last.t, -1.0, 0.0, 0.0
     if not (direct and bounces):  # without a bounce the ball leaves as if from rest, at once or soon after
         q, qd = _rested(opening - last.t, pressed, last, bare, p)
-        start = max(thrown_before(opening, period, with_state(bare, q, qd), law), last.t)
+        start = max(thrown_before(opening, period, Plate(bare.tones, in_state(bare.mode, q, qd)), law), last.t)
     if direct or np.isnan(event.q):
         q, qd = _rested(start - last.t, pressed, last, bare, p)
     else:  # the state after the landing before is that of a ball which leaves it
         q, qd = event.q, event.qd
     if not (event.relaunched and bounces):
-        lasts, hit, _, _ = flight(start, 0.0, with_state(bare, q, qd), law, 0.0, landing + 0.1 * period - start)
+        lasts, hit, _, _ = flight(
+            start, 0.0, Plate(bare.tones, in_state(bare.mode, q, qd)), law, 0.0, landing + 0.1 * period - start
+        )
     # a flight from rest that lands farther from the measured landing is another one
     if lasts < 0.0 or abs(start + lasts - landing) > 0.1 * period:
         if direct:
@@ -123,7 +125,9 @@ def _measured(
         # the prediction is a flight whose landing is known: a start for the secant
         near = out.launch if passed == 0 and out.kind == 1.0 and out.takeoff_s == start else -1.0
         later = reach / out.impact if near >= 0.0 and out.impact > 0.0 else 0.0
-        v0, hit = launch_of(start, landing, (near, out.landing_s, later), with_state(bare, q, qd), law)
+        v0, hit = launch_of(
+            start, landing, (near, out.landing_s, later), Plate(bare.tones, in_state(bare.mode, q, qd)), law
+        )
     return start, v0, hit, q, qd
 
 
@@ -148,16 +152,67 @@ def step_lengths(steps: Steps) -> Floats:
 
 
 @inlined
-def plate_of(event: Event, steps: Steps, lengths: Floats) -> tuple[Floats, float]:
-    """The plate's tones (k, 3) under an event, between two steps while the drive fades; the integration step."""
-    m = event.step
-    tones, length = steps.tones[m], lengths[m]
+def _plate_under(event: Event, steps: Steps, lengths: Floats, tones: Floats) -> float:
+    """Fill ``tones`` (k, 3) with the plate's under an event, between two steps while the drive fades; return the
+    integration step."""
+    m, length = event.step, float(lengths[event.step])
+    between_steps(steps.tones, m, event.other_step, max(event.share, 0.0), tones)
     if event.share > 0.0:
-        tones = between_steps(steps.tones, m, event.other_step, event.share)
         length = step_length(steps.period[m], tones)
     if event.part != 0.0 or event.ahead_s != 0.0:
-        tones = corrected(tones, event.part, event.ahead_s)
-    return tones, length
+        correct(tones, event.part, event.ahead_s)
+    return length
+
+
+@compiled
+def _next(
+    i: int, last: Chain, events: NDArray[np.void], every: tuple[Steps, Floats], acting: Acting, seen: Visibility,
+    kick: tuple[float, float], probe: Probe, room: tuple[Floats, Floats, Floats], out: NDArray[np.void],
+) -> Chain:  # fmt: skip
+    """Predict event i from the ``last`` landing; the landing that ends it."""
+    (rows, forced, rubbed), (steps, lengths), (tones, turning, under), n = acting, every, room, len(events)
+    p, event, predicted = rows[i if len(rows) > 1 else 0], events[i], out[i]
+    m, landing, bounces = event.step, event.landing, event.bounces
+    measured = not np.isnan(event.after_q)
+    om, ze, ratio = plate_mode(p)
+    predicted.kind, predicted.ambiguity_s = -1.0, 0.0
+    # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
+    soon = (i + 1 < n and events[i + 1].wanted) or (i + 2 < n and events[i + 2].wanted)
+    needed = (ratio != 0.0 and not measured) or (bounces and soon)
+    after_q, after_qd = (event.after_q, event.after_qd) if measured else (0.0, 0.0)
+    if not (event.wanted or needed):  # nothing needs more of it than its landing
+        return Chain(landing, last.impact, after_q, after_qd, True, 0)
+    law = Law(p, _plate_under(event, steps, lengths, tones), forced, rubbed, turning, under)
+    second = event.opening, event.second_q, event.second_qd, event.second_radps, event.second_damping
+    bare = Plate(tones, Mode(0.0, 0.0, om, ze, SecondMode(*second)))
+    passed, reach, chained = 0, 0.0, last.chained + 1
+    if not event.linked:
+        chained = 0
+        last = begin_chain(event, steps.period[m], last, bare, p, kick)
+    elif (event.wanted or bounces) and (last.known or not bounces):
+        last = _turned_back(event, steps.period[m], last, bare, p)
+        passed, reach = _predict(event, last, bare, law, seen, predicted)
+    if not (needed or (bounces and event.wanted)):
+        if not measured:
+            after_q, after_qd = last.q, last.qd
+        return Chain(landing, last.impact, after_q, after_qd, True, 0)
+    start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, (passed, reach), predicted)
+    near = PASSABLE_S
+    if bounces and predicted.hidden > 0.0 and predicted.kind == 1.0:  # an unseen bounce began it
+        near, passed = min(near, 0.1 * (landing - event.opening)), passed + 1
+    several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < near
+    hit = _impact(event, v0, hit, several, ratio != 0.0 and not measured, predicted)
+    predicted.launch_mps, predicted.impact_mps = v0, hit
+    flying = Plate(bare.tones, in_state(bare.mode, q, qd))
+    if ratio != 0.0 and event.linked and probe.omega.shape[1] > 0:
+        project_mode(last.t, start, True, Plate(bare.tones, in_state(bare.mode, last.q, last.qd)), p, probe, m)
+        project_mode(start, landing, False, flying, p, probe, m)
+    if not measured:
+        after_q, after_qd = strike(flying.mode, landing - start, hit, p)
+    elif bounces and i + 1 < n and events[i + 1].linked and not events[i + 1].relaunched:
+        # measured is a ball that stays; here it leaves, and what that gives the plate comes back with it
+        after_qd -= ratio / (1.0 + ratio) * rebound(hit, p) * hit
+    return Chain(landing, hit, after_q, after_qd, True, chained)
 
 
 @compiled
@@ -170,57 +225,12 @@ def one_ahead(
     What the plate mode does is added to the projections of ``probe``.
     ``kick``, or a part of it after a measured fade, is added to the plate mode's state wherever a chain begins.
     """
-    rows, forced, rubbed = acting
     last = Chain(np.inf, 0.0, 0.0, 0.0, False, 0)
-    turning = np.empty((steps.tones.shape[1] + 2, 6))
-    lengths = step_lengths(steps)
-    n = len(events)
-    for i in range(n):
-        p, event, predicted = rows[i if len(rows) > 1 else 0], events[i], out[i]
-        m, landing, bounces = event.step, event.landing, event.bounces
-        measured = not np.isnan(event.after_q)
-        om, ze, ratio = plate_mode(p)
-        predicted.kind, predicted.ambiguity_s = -1.0, 0.0
-        # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
-        soon = (i + 1 < n and events[i + 1].wanted) or (i + 2 < n and events[i + 2].wanted)
-        needed = (ratio != 0.0 and not measured) or (bounces and soon)
-        after_q, after_qd = (event.after_q, event.after_qd) if measured else (0.0, 0.0)
-        if not (event.wanted or needed):  # nothing needs more of it than its landing
-            last = Chain(landing, last.impact, after_q, after_qd, True, 0)
-            continue
-        tones, length = plate_of(event, steps, lengths)
-        second = event.opening, event.second_q, event.second_qd, event.second_radps, event.second_damping
-        bare = Plate(tones, Mode(0.0, 0.0, om, ze, SecondMode(*second)))
-        law = Law(p, length, forced, rubbed, turning)
-        passed, reach, chained = 0, 0.0, last.chained + 1
-        if not event.linked:
-            chained = 0
-            last = begin_chain(event, steps.period[m], last, bare, p, kick)
-        elif (event.wanted or bounces) and (last.known or not bounces):
-            last = _turned_back(event, steps.period[m], last, bare, p)
-            passed, reach = _predict(event, last, bare, law, seen, predicted)
-        if not (needed or (bounces and event.wanted)):
-            if not measured:
-                after_q, after_qd = last.q, last.qd
-            last = Chain(landing, last.impact, after_q, after_qd, True, 0)
-            continue
-        start, v0, hit, q, qd = _measured(event, steps.period[m], last, bare, law, (passed, reach), predicted)
-        near = PASSABLE_S
-        if bounces and predicted.hidden > 0.0 and predicted.kind == 1.0:  # an unseen bounce began it
-            near, passed = min(near, 0.1 * (landing - event.opening)), passed + 1
-        several = passed > 0 and chained > 1 and abs(predicted.landing_s - landing) < near
-        hit = _impact(event, v0, hit, several, ratio != 0.0 and not measured, predicted)
-        predicted.launch_mps, predicted.impact_mps = v0, hit
-        flying = with_state(bare, q, qd)
-        if ratio != 0.0 and event.linked:
-            project_mode(last.t, start, True, with_state(bare, last.q, last.qd), p, probe, m)
-            project_mode(start, landing, False, flying, p, probe, m)
-        if not measured:
-            after_q, after_qd = strike(flying.mode, landing - start, hit, p)
-        elif bounces and i + 1 < n and events[i + 1].linked and not events[i + 1].relaunched:
-            # measured is a ball that stays; here it leaves, and what that gives the plate comes back with it
-            after_qd -= ratio / (1.0 + ratio) * rebound(hit, p) * hit
-        last = Chain(landing, hit, after_q, after_qd, True, chained)
+    k, every = steps.tones.shape[1], (steps, step_lengths(steps))
+    # made once: a kernel that makes an array has each reference to one counted, a tenth of the time of a flight
+    room = np.empty((k, 3)), np.empty((k + 2, 6)), np.empty((k, 3))
+    for i in range(len(events)):
+        last = _next(i, last, events, every, acting, seen, kick, probe, room, out)
 
 
 @compiled
@@ -231,7 +241,8 @@ def simulate(
     p = bare.p
     om, ze, _ = plate_mode(p)
     plate = Plate(tones, Mode(0.0, 0.0, om, ze, SecondMode(0.0, 0.0, 0.0, 1.0, 0.0)))
-    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, np.empty((tones.shape[0] + 2, 6)))
+    room = np.empty((tones.shape[0] + 2, 6)), np.empty(tones.shape)
+    law = Law(p, step_length(period, tones), bare.forced, bare.rubbed, *room)
     seen = Visibility(0.0, unseen_s, 0.0)
     t = start_s
     for i in range(len(out)):
@@ -241,7 +252,7 @@ def simulate(
         flown = out[i]
         flown.takeoff_s, flown.launch_mps, flown.landing_s = found.takeoff, found.launch, found.landing
         flown.impact_mps, flown.kind, flown.hidden = found.impact, found.kind, found.hidden
-        q, qd = strike(with_state(plate, found.q, found.qd).mode, found.landing - found.takeoff, found.impact, p)
-        plate = with_state(plate, q, qd)
+        q, qd = strike(in_state(plate.mode, found.q, found.qd), found.landing - found.takeoff, found.impact, p)
+        plate = Plate(plate.tones, in_state(plate.mode, q, qd))
         t, impact = found.landing, found.impact
     return len(out)

@@ -70,7 +70,8 @@ class Plate(NamedTuple):
 class Law(NamedTuple):
     """What acts on the ball: all parameters, the step of the integration, and whether there are forces and friction.
 
-    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`.
+    ``turning`` is room for the plate's phasors, see `model.integrator.plate.start_turning`, ``under`` for its tones
+    (k, 3) under a ball at rest.
     """
 
     p: Floats
@@ -78,6 +79,7 @@ class Law(NamedTuple):
     forced: bool
     rubbed: bool
     turning: Floats
+    under: Floats
 
 
 class Acting(NamedTuple):

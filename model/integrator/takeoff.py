@@ -9,6 +9,7 @@ import numpy as np
 from model.integrator.flight import MOST_SECANTS, NO_PULL_MPS2, between, flight, narrowed, pull, pull_of, wait
 from model.integrator.plate import (
     STEPS_PER_PERIOD,
+    in_state,
     loaded,
     mode_under_ball,
     ringing_at,
@@ -16,7 +17,6 @@ from model.integrator.plate import (
     strike,
     tones_at,
     turned,
-    with_state,
 )
 from model.integrator.problem import (
     Flight,
@@ -50,7 +50,7 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
     p = law.p
     e = min(max(rebound(impact, p), 0.0), MOST_RESTITUTION)
     v0 = e * impact
-    plate = loaded(t, bare, p)
+    plate = Plate(law.under, loaded(t, bare, p, law.under))
     net = pull(t, 0.0, 0.0, plate.tones, plate.mode, p, law.forced)
     up = net - dry_friction(0.0, 0.0, 1.0, p) - takeoff_threshold(dwell0, p)
     # a shorter bounce begins the tail of a chatter, summed in closed form
@@ -85,20 +85,21 @@ def leave(t: float, impact: float, dwell0: float, bare: Plate, law: Law) -> tupl
 
 
 @compiled
-def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibility, after: float) -> Flight:
+def next_flight(t: float, impact: float, bare: Plate, law: Law, seen: Visibility, after: float) -> Flight:
     """From an impact at time t to the next flight that an instrument sees.
 
     Flights shorter than ``unseen_s`` are passed over, and those shorter than `PASSABLE_S` that end before ``after``;
     the impact that ends one keeps the circuit closed for ``closure_s``, wherever the ball is. The mode's state in
-    ``plate`` is that just after the impact.
+    ``bare`` is that just after the impact.
     """
-    dwell = 0.0
+    dwell, q, qd = 0.0, bare.mode.q, bare.mode.qd
     for hidden in range(MOST_BOUNCES):
+        plate = Plate(bare.tones, in_state(bare.mode, q, qd))
         off, v0, kind, _ = leave(t, impact, dwell, plate, law)
         if kind < 0:
             break
         qt, qdt = mode_under_ball(t, off - t, plate, law.p)
-        flying = with_state(plate, qt, qdt)
+        flying = Plate(plate.tones, in_state(plate.mode, qt, qdt))
         lasts, v_hit, opened, reach = flight(off, v0, flying, law, seen.gap_m, np.inf)
         if lasts < 0.0:
             break
@@ -110,14 +111,13 @@ def next_flight(t: float, impact: float, plate: Plate, law: Law, seen: Visibilit
         dwell = 0.0 if kind == 1 else off - t + dwell
         t = off + lasts
         q, qd = strike(flying.mode, lasts, v_hit, law.p)
-        plate = with_state(plate, q, qd)
         impact = v_hit
-    return Flight(t, 0.0, t, 0.0, t, 0, -1, plate.mode.q, plate.mode.qd, 0.0)
+    return Flight(t, 0.0, t, 0.0, t, 0, -1, q, qd, 0.0)
 
 
 @inlined
 def weak_rebounds(
-    landing: tuple[float, float], target: float, weak_mps: float, seen: Visibility, plate: Plate, law: Law
+    landing: tuple[float, float], target: float, weak_mps: float, seen: Visibility, bare: Plate, law: Law
 ) -> tuple[float, float, int, float]:
     """Which landing ends a flight as the instrument shows it, given a first landing and its impact speed.
 
@@ -131,8 +131,9 @@ def weak_rebounds(
     """
     land, hit = landing
     near, near_hit, near_passed, ambiguity = land, hit, 0, 0.0
-    passed = 0
+    passed, q, qd = 0, bare.mode.q, bare.mode.qd
     while passed < MOST_BOUNCES:
+        plate = Plate(bare.tones, in_state(bare.mode, q, qd))
         marked = hit >= weak_mps
         if marked and seen.closure_s > 0.0:
             break
@@ -148,7 +149,6 @@ def weak_rebounds(
             if lasts < 0.0 or (marked and lasts > seen.unseen_s):
                 break
             q, qd = strike(plate.mode, lasts, v_next, law.p)
-            plate = with_state(plate, q, qd)
         land, hit = off + lasts, v_next
         if not marked and land - near <= RESOLVED_S:
             if seen.closure_s == 0.0:
@@ -215,14 +215,14 @@ def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
     """The last moment before an opening at which the plate throws a ball at rest; the opening where there is none."""
     p = law.p
     level = dry_friction(0.0, 0.0, 1.0, p) + takeoff_threshold(1e9, p)
-    tones, mode = loaded(t_open, bare, p)
+    mode = loaded(t_open, bare, p, law.under)
     back = 0.5 * period
     # backwards by quarters of a step: the last moment counts, and a window may be short
     n = int(back / law.step_s) * 4
     d = back / n
     later = t_open + 4.0 * d
     turning = law.turning
-    moving = start_turning(later + d, later + d - t_open, -d, tones, mode, turning)
+    moving = start_turning(later + d, later + d - t_open, -d, law.under, mode, turning)
     _, v, a = turned(moving, turning)
     above = pull_of(v, a, 0.0, p, law.forced) - level
     for _ in range(n + 4):
@@ -233,7 +233,7 @@ def thrown_before(t_open: float, period: float, bare: Plate, law: Law) -> float:
             lo, hi, below, side = t, later, over, 0
             for k in range(MOST_SECANTS):
                 mid = between(lo, hi, below, above, k)
-                here = pull(mid, mid - t_open, 0.0, tones, mode, p, law.forced) - level
+                here = pull(mid, mid - t_open, 0.0, law.under, mode, p, law.forced) - level
                 if abs(here) < NO_PULL_MPS2:
                     return mid
                 lo, hi, below, above, side = narrowed((lo, hi, below, above), side, mid, here)
