@@ -15,6 +15,7 @@ import numpy.typing as npt
 from analysis.events.impact_template import FINE, LEAD, LENGTH, ImpactTemplate
 from analysis.signals import block_means, first_beyond
 from analysis.statistics import nearest
+from daq.recording import Recording
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
@@ -49,10 +50,12 @@ class Impacts:
     # part of the uncertainty that comes from a rounding to samples, as that of contact edges; 0 for none
     rounding_s: float = 0.0
 
-    def away_from(self, seams_s: Floats) -> Impacts:
-        """Those that are not within `SEAM_S` of a loss of samples, where the motion jumps; losses in order, (k,)."""
-        if not seams_s.size or not self.time_s.size:
+    def away_from_seams(self, recording: Recording) -> Impacts:
+        """Those that are not within `SEAM_S` of a loss of samples, where the motion jumps, nor of an end."""
+        if not self.time_s.size:
             return self
+        # beyond an end the filter meets the last value repeated: the motion has a corner there
+        seams_s = np.concatenate([[0], recording.gaps[:, 0], [recording.n_samples]]) / recording.rate_hz
         return self._among(np.abs(seams_s[nearest(seams_s, self.time_s)] - self.time_s) > SEAM_S)
 
     def strong_in(self, spans_s: Floats) -> Impacts:

@@ -136,12 +136,17 @@ def estimate_template(
     found, clean = [_begun(own) for own in left], still
     template: ImpactTemplate | None = None
     for turn in range(N_ALIGNMENTS):
-        snippets, fractions = _all_snippets(clean, found, rate_hz, template)
-        most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:400]  # the strongest
-        template = template_from_snippets(snippets[most], fractions[most], noise, few, prediction, aligned=turn > 0)
-        if template is None:
+        for longer in (1, 2):  # as short as the last one, it may have no room for slow motion to show
+            snippets, fractions = _all_snippets(clean, found, rate_hz, template, longer)
+            most = np.argsort(-np.abs(snippets[:, :LENGTH]).max(axis=1))[:400]  # the strongest
+            mean = template_from_snippets(snippets[most], fractions[most], noise, few, prediction, aligned=turn > 0)
+            if mean is not None or template is None:
+                break
+        if (template := mean) is None:
             break
-        detectors = [_detector(piece, template, rate_hz) for piece in pieces]
+        detectors = [ImpactScan(template, rate_hz) for _ in pieces]
+        for own, piece in zip(detectors, pieces, strict=True):
+            own.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
         found = [_again(own, piece.pad, rate_hz) for own, piece in zip(detectors, pieces, strict=True)]
         if turn < N_ALIGNMENTS - 1:
             still, clean = _taken_away(pieces, detectors, found, steps, rate_hz, forcing)
@@ -174,9 +179,11 @@ def _taken_away(
 
 
 def _all_snippets(
-    clean: list[tuple[Floats, Bools]], found: list[_Found], rate_hz: float, template: ImpactTemplate | None
+    clean: list[tuple[Floats, Bools]], found: list[_Found], rate_hz: float, template: ImpactTemplate | None, longer: int
 ) -> tuple[Floats, Floats]:
-    echo = echo_samples(rate_hz) if template is None else min(template.fine.size // FINE, echo_samples(rate_hz))
+    echo = echo_samples(rate_hz)
+    if template is not None:
+        echo = min(longer * template.fine.size // FINE, echo)
     strength = np.concatenate([own.strength for own in found])
     # weak impacts would only add noise: those used stand out of it, and are no small part of the usual strong ones
     least = max(12.0, 0.3 * float(np.quantile(strength, 0.9))) if strength.size else 0.0
@@ -200,13 +207,6 @@ def _quiet(fitted: Bools, places: Floats, echo: int) -> Bools:
 def _noise(still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float, echo: int) -> NoiseSpectrum | None:
     quiet = [_quiet(fitted, own, echo) for (_, fitted), own in zip(still, places, strict=True)]
     return measure_noise([volts for volts, _ in still], quiet, rate_hz)
-
-
-def _detector(piece: Piece, template: ImpactTemplate, rate_hz: float) -> ImpactScan:
-    """The impacts in a piece."""
-    detector = ImpactScan(template, rate_hz)
-    detector.add(piece.channels["accelerometer"], 0, piece.pad, piece.count)
-    return detector
 
 
 def _without_impacts(piece: Piece, detector: ImpactScan) -> Piece:

@@ -206,7 +206,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         if progress is not None:
             progress(piece.last / recording.n_samples)
     plate = with_coloured_noise(accumulator.finish())
-    impacts = detectors[0].impacts().away_from(recording.gaps[:, 0] / rate_hz) if detectors else NO_IMPACTS
+    impacts = detectors[0].impacts().away_from_seams(recording) if detectors else NO_IMPACTS
     noise_v, accelerometer = 0.0 if known.noise is None else known.noise.rms_v, recording.setup.channels.accelerometer
     return Scan(
         survey=known,

@@ -338,6 +338,7 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> tuple[int, float]:
     whole = int(counts.sum())
     longest_rms: float | None = None
     longest, cost = 1, np.inf
+    costly = []  # where each costs more, as those of a motion that is cut off do: sigma of a tone, and level
     for level in range(N_MASK_LEVELS - 1, 0, -1):
         left = int(counts[level:].sum())
         if left > HARMLESS_COVER * whole and longest_rms is None:
@@ -355,8 +356,9 @@ def _choose_mask_level(state: StepState, lock_in: LockIn) -> tuple[int, float]:
         except ValueError:
             continue
         inflation = float(np.sqrt(inflation))
+        costly.append((inflation * rms, level))
         if level == 1:
-            return (1, inflation) if longest_rms is None else (longest, cost)
+            return (min(costly)[1], inflation) if longest_rms is None else (longest, cost)
         if inflation > MOST_INFLATION:
             continue
         if longest_rms is None:

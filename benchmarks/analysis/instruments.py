@@ -104,7 +104,8 @@ def trial(job: Job, with_loop: bool) -> Row:
             landings = landings + np.append(0.0, np.cumsum(lost))[np.searchsorted(after, landings, side="right")]
             near_s = NEAR_S + CHAINS[job.chain].parts.get("bounce_s", 0.0)
             row["found"] = len(landings)
-            row["flown"], row["phantoms"], row["missed"] = counted(landings, cut, flown, near_s)
+            ended = flown[flown[:, 1] < row["seconds_recorded"] + lost.sum()]  # the last one may land after the end
+            row["flown"], row["phantoms"], row["missed"] = counted(landings, cut, ended, near_s)
             if with_loop:
                 row |= _verdict(path, truth)
                 row["wanted"] = [effect for effect in truth if effect not in CHAINS[job.chain].hides]

@@ -45,7 +45,7 @@ def test_landings_that_all_bounce_do_not_shape_the_template() -> None:
             volts += size_v * ring((time - at) / rate_hz, 7e-3, 780.0)
     still = [(volts, np.ones(time.size, dtype=np.bool_))]
     prediction, left = _prediction(still, 3e-4)
-    snippets, fractions = _all_snippets(still, [_begun(left[0])], rate_hz, None)
+    snippets, fractions = _all_snippets(still, [_begun(left[0])], rate_hz, None, 1)
     assert len(snippets) > 50 and np.isnan(snippets[:, LEAD + 110]).all()
     noise = NoiseSpectrum.white(3e-4, rate_hz)
     template = template_from_snippets(snippets, fractions, noise, np.array([25.0]), prediction)

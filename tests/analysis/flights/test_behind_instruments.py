@@ -126,6 +126,18 @@ def test_an_accelerometer_slower_than_the_recording_shows_the_same_flights(
     assert f"stands for {each:.3g} samples" in next(d for d in instrument.doubts if d.kind == "resampled").finding
 
 
+def test_a_recording_that_ends_in_mid_flight_has_no_impact_at_its_end(make, tmp_path: Path) -> None:
+    """Beyond the last sample the motion goes on at its last value: that corner is none, wherever in a cycle it is."""
+    with open_recording(make(GAMMAS, effects=FRICTION, rig={"low_pass_hz": 500.0}).path) as recording:
+        codes = {name: recording.codes(name, 0, recording.n_samples) for name in recording.channels}
+        setup, steps, rate_hz = recording.setup, recording.steps.copy(), recording.rate_hz
+    for i, end in enumerate(np.linspace(0.95, 1.0, 8) * recording.n_samples):
+        cut = {name: own[: int(end)] for name, own in codes.items()}
+        with open_recording(written(tmp_path / f"{i}.h5", setup, cut, steps)) as recording:
+            impacts = scan(recording).impacts
+        assert not np.any(impacts.time_s > end / rate_hz - 1.2e-3)
+
+
 def test_a_contact_that_opens_once_more_after_a_landing_makes_no_flight(make, tmp_path: Path) -> None:
     """From .2 to .8 ms after each landing at which the ball comes to rest; no impact ends that."""
     with open_recording(make([0.9, 1.1, 1.3], effects=FRICTION).path) as recording:

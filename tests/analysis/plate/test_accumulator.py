@@ -89,3 +89,23 @@ def test_where_impacts_hide_half_of_every_cycle_harmonics_give_way(open_part: fl
     assert state.multiples == fitted and state.lock_in is not None
     found = state.lock_in.part(state.clear_classes()).solve(0).amplitudes
     np.testing.assert_allclose(np.abs(found[:2]), [1.0, 0.8], rtol=0.01)
+
+
+def test_where_motion_is_cut_off_what_impacts_left_in_is_masked_all_the_same() -> None:
+    """A sensor's end makes every mask costly: with the shortest one ringing stayed in, and gamma was .35 % off."""
+    n = np.arange(600)
+    angle = 2.0 * np.pi * FREQUENCY_HZ * n / 1000.0
+    values = 10.0 * np.cos(angle) + 20.0 * np.cos(2.0 * angle) + 0.02 * np.random.default_rng(2).standard_normal(600)
+    cycle, place = np.divmod(angle / (2.0 * np.pi), 1.0)
+    since = place - 0.62  # of an impact, in cycles of 39 blocks
+    values += np.where(since >= 0.0, (-1.0) ** (cycle % 3 > 0) * np.exp(-since / 0.03), 0.0)
+    level = np.where(since >= 0.0, np.minimum(since / 0.025, N_MASK_LEVELS - 1), N_MASK_LEVELS - 1).astype(int)
+    level[np.abs(values) > 12.0] = 0
+    state = StepState(0, FREQUENCY_HZ, (1, 2), 0, 12000, 0.6, frequency_hz=FREQUENCY_HZ)
+    state.spans.append(Span(0, np.column_stack([values, values]), (FLIGHT * N_MASK_LEVELS + level).astype(np.int8)))
+    accumulator = object.__new__(StepAccumulator)
+    accumulator.block_rate_hz, accumulator.width = 1000.0, 1
+    accumulator._accumulate(state)
+    assert state.lock_in is not None
+    found = state.lock_in.part(state.clear_classes()).solve(0).amplitudes
+    np.testing.assert_allclose(np.abs(found[:2]), [10.0, 20.0], rtol=0.002)
