@@ -198,7 +198,7 @@ class StepwiseSelection:
             chain.append(best)
         best, rivals = self._simplest(best, rivals, last, rounds)
         # an effect may have been needed only while others were missing; where all are gone, nothing explains nothing
-        best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds, near)
+        best, exchanged = self._exchanged(self.pruning.without_null(best, rounds), rounds, near, retried=not rivals)
         best = self._fullest(best, rounds)
         chain = [*(x for x in chain[:-1] if x is not best), best := best if best.candidates else before]
         ties = self._ties(before, best, [*rivals, *exchanged])
@@ -314,23 +314,23 @@ class StepwiseSelection:
         return best
 
     def _exchanged(
-        self, best: Hypothesis, rounds: list[str], near: Mapping[str, Sequence[Hypothesis]]
+        self, best: Hypothesis, rounds: list[str], near: Mapping[str, Sequence[Hypothesis]], *, retried: bool
     ) -> tuple[Hypothesis, list[Hypothesis]]:
         """The hypothesis with a cause exchanged for another that does as well with less, and its rivals.
 
-        An earlier cause was chosen while a later one was missing, from others that came ``near`` it; one may have been
-        chosen together with a cause that was taken back. Each is tried against those, and against calibrations that the
-        fit moved far: of what ties that is named which leaves calibrations where they are stated.
+        An earlier cause was chosen while a later one was missing, or with one that was taken back: it is tried against
+        others that came ``near`` it, and against calibrations that the fit moved far. So is the last one against what
+        tied with it, if the others are simpler now (``retried``). Of ties the one that leaves calibrations is named.
         """
-        moved = best.fitted.moved_calibrations(MOVED_SIGMAS)
-        close = [best]
+        moved, close = best.fitted.moved_calibrations(MOVED_SIGMAS), [best]
         for own in [c for c in best.candidates if len(c.names) == 1]:
             rest = tuple(c for c in best.candidates if c is not own)
             if any(set(own.names) & set(c.names) for c in rest):  # its drift, or a second form
                 continue
             others = [(c, best.fitted.values) for c in self.library if set(c.free) <= moved]
-            if own is not best.candidates[-1]:
-                others += [(x.candidates[-1], x.fitted.values) for x in near.get(own.names[0], ())]
+            last = own is best.candidates[-1]
+            rivals = near.get(own.names[0], ()) if retried or not last else ()
+            others += [(x.candidates[-1], x.fitted.values) for x in rivals if not last or self.judge.tied(best, x)]
             for c, values in others:
                 if len(c.names) > 1 or set(c.names) & set(best.names):
                     continue

@@ -136,7 +136,7 @@ def test_an_earlier_cause_gives_way_to_one_that_came_near_it(
     assert gravity is not None and friction is not None
     both = selection.proposals.add(gravity, options[lag,])
     assert both is not None
-    chosen, _ = selection._exchanged(both, [], {"local_gravity": [friction]})
+    chosen, _ = selection._exchanged(both, [], {"local_gravity": [friction]}, retried=False)
     assert set(chosen.names) == {"coulomb_friction", "accelerometer_lag"}
 
 

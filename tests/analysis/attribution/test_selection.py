@@ -445,10 +445,28 @@ def test_a_cause_that_moves_two_calibrations_gives_way_to_one_of_them(
     gravity = added(selection, named(selection, "local_gravity"))
     assert gravity.fitted.moved_calibrations(2.0) >= {gain}
     rounds: list[str] = []
-    chosen, rivals = selection._exchanged(gravity, rounds, {})
+    chosen, rivals = selection._exchanged(gravity, rounds, {}, retried=False)
     assert chosen.names == ("accelerometer_gain",) and [x.names for x in rivals] == [("local_gravity",)]
     assert abs(chosen.fitted.values[gain] + 0.025) < 4.0 * chosen.fitted.sigma(gain)
     assert rounds == ["accelerometer_gain in place of local_gravity: as good or better"]
+
+
+def test_the_last_cause_is_tried_again_where_others_were_simplified_since(
+    selection_of: Callable[..., StepwiseSelection],
+) -> None:
+    """A late accelerometer beside a friction was called a sideways mode, which a fuller friction had made cheaper."""
+    lag = ("accelerometer_lag", "delay_s")
+    selection = selection_of({UP: 0.05, DOWN: 0.05, lag: 5e-4}, 1)
+    friction, late, mode = (named(selection, name) for name in ("coulomb_friction", lag[0], "accelerometer_cross_axis"))
+    sizes, before = {UP: 0.05, DOWN: 0.05}, Whitener.of(selection.model, {UP: 0.05, DOWN: 0.05, lag: 5e-4})
+    one, other = (
+        selection.refits.converged((friction, c), before, (*friction.free, *c.free), {**sizes, **start})
+        for c, start in ((mode, {mode.free[0]: -5e-4, mode.free[1]: 200.0}), (late, {lag: 5e-4}))
+    )
+    assert selection.judge.tied(one, other) and one.numbers > other.numbers
+    for retried in (False, True):
+        chosen, _ = selection._exchanged(one, [], {mode.names[0]: [other, other]}, retried=retried)
+        assert chosen.names == ("coulomb_friction", (late if retried else mode).names[0])
 
 
 def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
