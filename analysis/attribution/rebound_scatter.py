@@ -1,9 +1,10 @@
 """Restitution that scatters from impact to impact, measured from the landings after rebounds.
 
 An impact whose restitution is off by ``d`` moves the next landing by ``d`` times the landing's slope by restitution. Of
-a two-sided exponential ``d`` and a normal error of the times the density is known in closed form. Where it fits
-landings far better than one excess noise of all of them, the hypotheses are fitted anew with that scatter as a part of
-each rebound's uncertainty. The closed loop names it where it then explains the recording. Decision 630.
+a two-sided exponential ``d`` and a normal error of the times the density is known in closed form. How much of the
+jitter that repeated cycles show is the contact's, and not the scattered motion's, is fitted, too. Where the scatter
+fits landings far better than one excess noise of all of them, the hypotheses are fitted anew with it as a part of each
+rebound's uncertainty. The closed loop names it where it then explains the recording. Decisions 630, 757.
 
 References
 ----------
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 from scipy.special import log_ndtr
 
 from analysis.attribution.candidates import Candidate
@@ -28,11 +29,12 @@ from analysis.attribution.selection import Scatter, SelectionResult
 from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import T_PEAK, excess_noise
-from analysis.residuals.noise.uncertainty import slope_by_rebound, uncertainty_at
+from analysis.residuals.noise.uncertainty import REBOUND_STEP, slope_by_rebound, uncertainty_at
 from analysis.residuals.prediction_errors import near_grazing
+from analysis.residuals.values import Values
 from analysis.thresholds import OUTLIER_FRACTION, Thresholds
 from kernels.arrays import Floats
-from model.effects.registry import effect
+from model.effects.registry import effect, offsets
 
 SCATTER = ("restitution_scatter", "sd")
 FEWEST_REBOUNDS = 30  # whose landings tell the scatter
@@ -44,34 +46,72 @@ class Rebounds:
     """Landings after rebounds: arrays (k,)."""
 
     missed_s: Floats  # measured minus predicted
-    sigma_s: Floats  # uncertainty of that but for a scatter of the restitution
+    sigma_s: Floats  # uncertainty of that but for a scatter of the restitution and the contact's jitter
     slope_s: Floats  # by the restitution of the impact before, absolute
     period_s: Floats  # of the forcing
+    jitter_s: Floats | float = 0.0  # what jitter adds, if the contact's is all that repeated cycles show
 
     @classmethod
     def of(cls, x: Hypothesis) -> Rebounds:
         """Those of the steps that the hypothesis was fitted to, grazes left out."""
         model, values, ev = x.model, x.fitted.values, x.model.observations
-        u, slope = uncertainty_at(model, values), np.abs(slope_by_rebound(model, values))
-        missed = model.residuals(values).landing_s
+        # landings of cycles that repeat scatter by the contact's jitter, and by what the restitution does
+        variance = ev.landing_sigma_s**2 - ev.circuit.scatters[1].raised(np.zeros(1)) ** 2
+        firm = replace(ev, landing_sigma_s=np.sqrt(np.maximum(variance, 1e-4 * ev.landing_sigma_s**2)))
+        with_jitter, without = (
+            np.sqrt(u.landing_total_s**2 - u.landing_scatter_s**2)
+            for u in (uncertainty_at(y, values) for y in (model, ForwardModel(firm, model.declared, like=model)))
+        )
+        missed, slope = _explained(model, values, without)
         rows = ev.scored & ~near_grazing(model, values) & (slope > 0.0) & np.isfinite(missed)
         rows &= x.fitter.train[ev.measured.step]
-        sigma = np.sqrt(u.landing_total_s**2 - u.landing_scatter_s**2)
         period = ev.steps.plate.period_s[ev.measured.step]
-        return cls(missed[rows], sigma[rows], slope[rows], period[rows])
+        jitter = np.sqrt(np.maximum(with_jitter**2 - without**2, 0.0))
+        return cls(missed[rows], without[rows], slope[rows], period[rows], jitter[rows])
 
     def __len__(self) -> int:
         return len(self.missed_s)
 
-    def loss(self, sd: float, scale: float) -> float:
-        """Negative log likelihood at a scatter, uncertainties times ``scale``, normalised as in `excess_noise`."""
-        x, s = self.missed_s, scale * self.sigma_s
+    def loss(self, sd: float, scale: float, part: float = 0.0, lost: float = OUTLIER_FRACTION) -> float:
+        """Negative log likelihood at a scatter, uncertainties times ``scale``, normalised as in `excess_noise`.
+
+        So large a ``part`` of the jitter is the contact's, and such a part of landings ``lost`` is something else.
+        """
+        x, s = self.missed_s, scale * np.hypot(self.sigma_s, part * self.jitter_s)
         # a hundredth of the normal error changes nothing, and much less would cancel in doubles
         width = np.maximum(self.slope_s * sd / math.sqrt(2.0), 0.01 * s)
         tails = [sign * x / width + log_ndtr(-sign * x / s - s / width) for sign in (-1.0, 1.0)]
         density = 0.5 * (s / width) ** 2 + np.logaddexp(*tails) - np.log(2.0 * width * T_PEAK)
-        outlier = np.log(OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / T_PEAK / self.period_s)
-        return -float(np.sum(np.logaddexp(density, outlier)))
+        # more than are lost would take the exponential's own tails from it
+        outlier = np.log(lost / (1.0 - OUTLIER_FRACTION) / T_PEAK / self.period_s)
+        return -float(np.sum(np.logaddexp(density + math.log((1.0 - lost) / (1.0 - OUTLIER_FRACTION)), outlier)))
+
+
+def _explained(model: ForwardModel, values: Values, sigma_s: Floats) -> tuple[Floats, Floats]:
+    """Landings' misses (n,), and their slope by the restitution, about the restitution that explains each.
+
+    Landings bend with the restitution, up to a graze; the tangent at the mean would show a scatter of another size.
+    """
+    missed, off = model.residuals(values).landing_s, np.zeros(len(sigma_s))
+    slope, moved = slope_by_rebound(model, values), np.zeros(len(sigma_s))
+    base, high = model.predicted(values), effect(SCATTER[0]).effect.parameter(SCATTER[1]).high
+    rows = np.broadcast_to(own := model.rows(values), (len(off), own.shape[-1]))
+
+    def moved_by(restitution: Floats) -> Floats:
+        other = np.array(rows)
+        other[:, offsets()["restitution", "e0"]] += restitution
+        return np.asarray(model.predict(values, rows=other, near=base).landing_s - base.landing_s)
+
+    for _ in range(4 if slope.any() else 0):
+        # what noise may have made is left to it
+        far = np.sign(missed) * np.maximum(np.abs(missed) - sigma_s, 0.0) - moved
+        step = np.divide(far, slope, out=np.zeros_like(slope), where=slope != 0.0)
+        to = np.clip(off + np.nan_to_num(step), -high, high)
+        there = moved_by(to)
+        bent = (moved_by(to + REBOUND_STEP) - there) / REBOUND_STEP
+        nearer = (np.abs(far + moved - there) < np.abs(far)) & (slope * bent > 0.0)
+        off, slope, moved = (np.where(nearer, y, z) for y, z in ((to, off), (bent, slope), (there, moved)))
+    return missed - moved + slope * off, np.abs(slope)
 
 
 def scatter_of(x: Hypothesis) -> Scatter | None:
@@ -84,17 +124,30 @@ def scatter_of(x: Hypothesis) -> Scatter | None:
     def loss(y: Floats) -> float:
         return seen.loss(*np.exp(y))
 
-    bounds = [(math.log(LEAST_SD), math.log(high)), (math.log(0.2), math.log(3.0))]
-    start = [math.log(0.01), 0.0]
-    found = minimize(loss, start, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-3, "fatol": 1e-3})
-    without: Any = minimize_scalar(lambda y: loss(np.array([bounds[0][0], y])), bounds=bounds[1], method="bounded")
-    least = min(excess_noise(seen.missed_s, seen.sigma_s, seen.period_s)[1], float(without.fun))
-    return Scatter(math.exp(found.x[0]), math.exp(found.x[0]) * _spread(loss, found.x), least - float(found.fun))
+    of_rest = [(math.log(0.2), math.log(3.0)), (math.log(1e-3), 0.0), (math.log(1e-4), math.log(OUTLIER_FRACTION))]
+    bounds = [(math.log(LEAST_SD), math.log(high)), *of_rest]
+    options = {"xatol": 1e-3, "fatol": 1e-3}
+
+    def least(start: tuple[float, ...], sd: tuple[float, ...] = ()) -> Any:
+        """The least loss of all, or of those at a scatter."""
+
+        def own(y: Any) -> Any:
+            return loss(np.append(sd, y))
+
+        how: dict[str, Any] = {"method": "Nelder-Mead", "bounds": bounds[len(sd) :], "options": options}
+        return minimize(own, np.array(start), **how)
+
+    starts = [(0.0, part, -6.0) for part in (-3.0, -0.5)]
+    found = min((least((math.log(0.01), *start)) for start in starts), key=lambda fit: float(fit.fun))
+    without = min(float(least(start, (bounds[0][0],)).fun) for start in starts)
+    total = np.hypot(seen.sigma_s, seen.jitter_s)
+    rival = min(without, *(excess_noise(seen.missed_s, s, seen.period_s)[1] for s in (seen.sigma_s, total)))
+    return Scatter(math.exp(found.x[0]), math.exp(found.x[0]) * _spread(loss, found.x), rival - float(found.fun))
 
 
 def _spread(loss: Callable[[Floats], float], at: Floats) -> float:
-    """Standard deviation of the first coordinate by the curvature of the loss at its minimum, (2,)."""
-    h = 0.05 * np.eye(2)
+    """Standard deviation of the first coordinate by the curvature of the loss at its minimum, (k,)."""
+    h = 0.05 * np.eye(len(at))
     # second differences, times (2 h)^2
     bent = [[loss(at + a + b) - loss(at + a - b) - loss(at - a + b) + loss(at - a - b) for a in h] for b in h]
     return float(math.sqrt(max(pinv(np.array(bent) / 0.01, rcond=1e-9)[0, 0], 0.0)))

@@ -64,9 +64,8 @@ ALSO = {  # names that may come with an effect, or instead of it
 # what goes with the mean square of the rig's drive, and the forcings whose ripple shows in its size
 FOLLOWS = {"gain_compression": [(2, 3)], "harmonic_distortion": [(2, 0)]}
 FAULTS = {
-    "restitution_scatter": "half its size passes as noise of a restitution; of .0175 .0139 +- .0009 is found, and of "
-    ".0088 at c = 2 with two tones .0074 +- .0006",
-    "table_resonance": "its damping comes out as .143 +- .009 of .06, frequency and mass ratio are right",
+    "table_resonance": "its damping comes out as .143 +- .009 of .06: no mode is identified, flights have kicks for "
+    "errors that a damping makes smaller, and these weigh as much as what it explains worse",
 }
 ALL = [(1, 0), (2, 0), (3, 0), (1, 3), (3, 2)]
 EVERYWHERE = ("coulomb_friction", "position_force", "harmonic_distortion")
