@@ -6,6 +6,9 @@ jitter that repeated cycles show is the contact's, and not the scattered motion'
 fits landings far better than one excess noise of all of them, the hypotheses are fitted anew with it as a part of each
 rebound's uncertainty. The closed loop names it where it then explains the recording. Decisions 630, 757.
 
+The plate's tones err alike for all flights of a step, and in a cycle move all of its landings by the same. That is no
+scatter, which differs from impact to impact: a scatter must gain over such errors as well. Decision 751.
+
 References
 ----------
 M. Montaine, M. Heckel, C. Kruelle, T. Schwager, T. Poeschel, arXiv:1104.0049 (2011): the scatter of real spheres.
@@ -30,10 +33,11 @@ from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import T_PEAK, excess_noise
 from analysis.residuals.noise.uncertainty import REBOUND_STEP, slope_by_rebound, uncertainty_at
+from analysis.residuals.noise.whitening import StepBlocks
 from analysis.residuals.prediction_errors import near_grazing
 from analysis.residuals.values import Values
-from analysis.thresholds import OUTLIER_FRACTION, Thresholds
-from kernels.arrays import Floats
+from analysis.thresholds import LEAST_EXCESS_S, OUTLIER_FRACTION, SHARED_S, Thresholds
+from kernels.arrays import Floats, Integers
 from model.effects.registry import effect, offsets
 
 SCATTER = ("restitution_scatter", "sd")
@@ -43,12 +47,14 @@ LEAST_SD = 1e-5
 
 @dataclass(frozen=True)
 class Rebounds:
-    """Landings after rebounds: arrays (k,)."""
+    """Landings after rebounds, in the order of their steps: arrays (k,)."""
 
     missed_s: Floats  # measured minus predicted
-    sigma_s: Floats  # uncertainty of that but for a scatter of the restitution and the contact's jitter
+    own_s: Floats  # uncertainty of that which no other landing shares, but for scatter and the contact's jitter
+    shared_s: Floats  # one sigma of each error that those of a step share, (k, q)
     slope_s: Floats  # by the restitution of the impact before, absolute
     period_s: Floats  # of the forcing
+    step: Integers
     jitter_s: Floats | float = 0.0  # what jitter adds, if the contact's is all that repeated cycles show
 
     @classmethod
@@ -58,19 +64,23 @@ class Rebounds:
         # landings of cycles that repeat scatter by the contact's jitter, and by what the restitution does
         variance = ev.landing_sigma_s**2 - ev.circuit.scatters[1].raised(np.zeros(1)) ** 2
         firm = replace(ev, landing_sigma_s=np.sqrt(np.maximum(variance, 1e-4 * ev.landing_sigma_s**2)))
-        with_jitter, without = (
-            np.sqrt(u.landing_total_s**2 - u.landing_scatter_s**2)
-            for u in (uncertainty_at(y, values) for y in (model, ForwardModel(firm, model.declared, like=model)))
-        )
-        missed, slope = _explained(model, values, without)
+        u, sure = (uncertainty_at(y, values) for y in (model, ForwardModel(firm, model.declared, like=model)))
+        own, shared = np.sqrt(sure.landing_sigma_s**2 - sure.landing_scatter_s**2), sure.landing_by_tone
+        jitter = np.sqrt(np.maximum(u.landing_total_s**2 - sure.landing_total_s**2, 0.0))
+        missed, slope = _explained(model, values, np.hypot(own, np.linalg.norm(shared, axis=1)))
         rows = ev.scored & ~near_grazing(model, values) & (slope > 0.0) & np.isfinite(missed)
         rows &= x.fitter.train[ev.measured.step]
-        period = ev.steps.plate.period_s[ev.measured.step]
-        jitter = np.sqrt(np.maximum(with_jitter**2 - without**2, 0.0))
-        return cls(missed[rows], without[rows], slope[rows], period[rows], jitter[rows])
+        step = ev.measured.step[rows]
+        columns = missed[rows], own[rows], shared[rows], slope[rows], ev.steps.plate.period_s[step], step
+        return cls(*columns, jitter[rows])
 
     def __len__(self) -> int:
         return len(self.missed_s)
+
+    @property
+    def sigma_s(self) -> Floats:
+        """Uncertainty but for a scatter of the restitution and the contact's jitter."""
+        return np.asarray(np.hypot(self.own_s, np.linalg.norm(self.shared_s, axis=1)))
 
     def loss(self, sd: float, scale: float, part: float = 0.0, lost: float = OUTLIER_FRACTION) -> float:
         """Negative log likelihood at a scatter, uncertainties times ``scale``, normalised as in `excess_noise`.
@@ -85,6 +95,15 @@ class Rebounds:
         # more than are lost would take the exponential's own tails from it
         outlier = np.log(lost / (1.0 - OUTLIER_FRACTION) / T_PEAK / self.period_s)
         return -float(np.sum(np.logaddexp(density + math.log((1.0 - lost) / (1.0 - OUTLIER_FRACTION)), outlier)))
+
+    def shared_loss(self, sd: float, scale: float, part: float = 0.0) -> float:
+        """The same by Student's t, where landings of a step share errors as `Whitener` has them."""
+        shared = np.column_stack([self.shared_s, np.full(len(self), SHARED_S)])
+        bare = (scale * self.own_s) ** 2 + (scale * part * self.jitter_s) ** 2 + (self.slope_s * sd) ** 2
+        own = np.sqrt(bare + 0.01 * np.sum(shared**2, axis=1))
+        bounds = np.flatnonzero(np.diff(self.step, prepend=-1, append=-1)).astype(np.int64)
+        blocks = StepBlocks(self.missed_s, own, shared, np.zeros(len(self), np.bool_), self.period_s, bounds)
+        return blocks.loss((LEAST_EXCESS_S, LEAST_EXCESS_S))
 
 
 def _explained(model: ForwardModel, values: Values, sigma_s: Floats) -> tuple[Floats, Floats]:
@@ -121,28 +140,35 @@ def scatter_of(x: Hypothesis) -> Scatter | None:
         return None
     high = effect(SCATTER[0]).effect.parameter(SCATTER[1]).high
 
-    def loss(y: Floats) -> float:
-        return seen.loss(*np.exp(y))
-
     of_rest = [(math.log(0.2), math.log(3.0)), (math.log(1e-3), 0.0), (math.log(1e-4), math.log(OUTLIER_FRACTION))]
     bounds = [(math.log(LEAST_SD), math.log(high)), *of_rest]
     options = {"xatol": 1e-3, "fatol": 1e-3}
 
-    def least(start: tuple[float, ...], sd: tuple[float, ...] = ()) -> Any:
+    def loss(y: Floats) -> float:
+        return seen.loss(*np.exp(y))
+
+    def shared(y: Floats) -> float:
+        return seen.shared_loss(*np.exp(y[:3]))
+
+    def least(of: Callable[[Floats], float], start: tuple[float, ...], sd: tuple[float, ...] = ()) -> Any:
         """The least loss of all, or of those at a scatter."""
 
         def own(y: Any) -> Any:
-            return loss(np.append(sd, y))
+            return of(np.append(sd, y))
 
-        how: dict[str, Any] = {"method": "Nelder-Mead", "bounds": bounds[len(sd) :], "options": options}
-        return minimize(own, np.array(start), **how)
+        how: dict[str, Any] = {"method": "Nelder-Mead", "options": options}
+        return minimize(own, np.array(start), bounds=bounds[len(sd) : len(sd) + len(start)], **how)
 
-    starts = [(0.0, part, -6.0) for part in (-3.0, -0.5)]
-    found = min((least((math.log(0.01), *start)) for start in starts), key=lambda fit: float(fit.fun))
-    without = min(float(least(start, (bounds[0][0],)).fun) for start in starts)
+    starts, none = [(0.0, part, -6.0) for part in (-3.0, -0.5)], (bounds[0][0],)
+    found = min((least(loss, (math.log(0.01), *start)) for start in starts), key=lambda fit: float(fit.fun))
     total = np.hypot(seen.sigma_s, seen.jitter_s)
-    rival = min(without, *(excess_noise(seen.missed_s, s, seen.period_s)[1] for s in (seen.sigma_s, total)))
-    return Scatter(math.exp(found.x[0]), math.exp(found.x[0]) * _spread(loss, found.x), rival - float(found.fun))
+    rival = min(
+        *(float(least(loss, start, none).fun) for start in starts),
+        *(float(least(shared, start[:2], none).fun) for start in starts),
+        *(excess_noise(seen.missed_s, s, seen.period_s)[1] for s in (seen.sigma_s, total)),
+    )
+    fit = min(float(found.fun), float(least(shared, (*found.x[:3],)).fun))
+    return Scatter(math.exp(found.x[0]), math.exp(found.x[0]) * _spread(loss, found.x), rival - fit)
 
 
 def _spread(loss: Callable[[Floats], float], at: Floats) -> float:

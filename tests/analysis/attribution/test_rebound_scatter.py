@@ -28,7 +28,7 @@ def rebounds(rng: np.random.Generator, sd: float, n: int = 4000) -> Rebounds:
     """Landings missed by what the restitution scatters, and by normal errors of a third of the stated size."""
     slope, sigma = rng.uniform(0.002, 0.08, n), rng.uniform(2e-5, 2e-4, n)
     missed = slope * rng.laplace(0.0, sd / math.sqrt(2.0), n) + sigma / 3.0 * rng.standard_normal(n)
-    return Rebounds(missed, sigma, slope, np.full(n, 0.04))
+    return Rebounds(missed, sigma, np.zeros((n, 1)), slope, np.full(n, 0.04), np.arange(n) // 20)
 
 
 @pytest.mark.parametrize("missed_s", [0.0, 3e-5, -4e-4, 3e-3])
@@ -40,7 +40,8 @@ def test_the_density_is_that_of_a_two_sided_exponential_blurred_by_a_normal_one(
         lambda x: laplace.pdf(x, scale=scale) * norm.pdf(missed_s - x, scale=sigma), -0.02, 0.02, points=[0.0, missed_s]
     )
     outlier = OUTLIER_FRACTION / (1.0 - OUTLIER_FRACTION) / 0.04
-    one = Rebounds(np.array([missed_s]), np.array([sigma]), np.array([slope]), np.array([0.04]))
+    alone = np.array([missed_s]), np.array([sigma]), np.zeros((1, 1)), np.array([slope])
+    one = Rebounds(*alone, np.array([0.04]), np.zeros(1, dtype=np.int64))
     assert one.loss(SD, 1.0) == pytest.approx(-math.log((blurred + outlier) / T_PEAK), rel=1e-6)
 
 
@@ -64,7 +65,8 @@ def test_the_motions_own_scatter_is_not_taken_for_jitter_of_the_contact(monkeypa
         rng, n = np.random.default_rng(seed), 400
         slope, sigma = rng.uniform(0.002, 0.04, n), rng.uniform(2e-6, 1e-5, n)
         missed = slope * rng.laplace(0.0, 0.00875 / math.sqrt(2.0), n) + sigma * rng.standard_normal(n)
-        seen = Rebounds(missed, sigma, slope, np.full(n, 0.04), np.full(n, 7e-5))
+        columns = missed, sigma, np.zeros((n, 1)), slope, np.full(n, 0.04), np.arange(n) // 20
+        seen = Rebounds(*columns, np.full(n, 7e-5))
         monkeypatch.setattr(Rebounds, "of", classmethod(lambda cls, x, seen=seen: seen))
         scatter = scatter_of(None)  # type: ignore[arg-type]
         assert scatter is not None and scatter.is_clear(FROZEN)
@@ -78,6 +80,20 @@ def test_normal_errors_of_another_size_are_no_scatter(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Rebounds, "of", classmethod(lambda cls, x: seen))
     scatter = scatter_of(None)  # type: ignore[arg-type]
     assert scatter is not None and scatter.gain < 1.0 and not scatter.is_clear(FROZEN)
+
+
+def test_what_all_landings_of_a_step_are_missed_by_is_no_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one step of a long cycle the tones' error moves every landing by 30 us: that was called a scatter of .0001."""
+    rng = np.random.default_rng(3)
+    n, step = 280, np.arange(280) // 14
+    slope, own = rng.uniform(0.002, 0.03, n), rng.uniform(6e-6, 9e-6, n)
+    shared = np.zeros((n, 1))
+    slope[step == 4], shared[step == 4] = 0.1, 1.2e-5
+    missed = 0.6 * own * rng.standard_normal(n) + 2.2 * shared[:, 0]
+    seen = Rebounds(missed, own, shared, slope, np.full(n, 0.04), step)
+    monkeypatch.setattr(Rebounds, "of", classmethod(lambda cls, x: seen))
+    found = scatter_of(None)  # type: ignore[arg-type]
+    assert found is not None and found.sd > FROZEN.next_effect_sigmas * found.sigma and not found.is_clear(FROZEN)
 
 
 def test_a_ball_that_rebounds_evenly_scatters_by_nothing(
