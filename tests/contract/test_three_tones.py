@@ -64,8 +64,8 @@ ALSO = {  # names that may come with an effect, or instead of it
 # what goes with the mean square of the rig's drive, and the forcings whose ripple shows in its size
 FOLLOWS = {"gain_compression": [(2, 3)], "harmonic_distortion": [(2, 0)]}
 FAULTS = {
-    "table_resonance": "its damping comes out as .143 +- .009 of .06, frequency and mass ratio are right: where no mode "
-    "is identified, the uncertainty of flights falls with the damping",
+    "table_resonance": "its damping comes out as .143 +- .009 of .06, frequency and mass ratio are right: where no "
+    "mode is identified, the uncertainty of flights falls with the damping",
 }
 ALL = [(1, 0), (2, 0), (3, 0), (1, 3), (3, 2)]
 EVERYWHERE = ("coulomb_friction", "position_force", "harmonic_distortion")
