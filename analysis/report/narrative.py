@@ -95,7 +95,7 @@ def _plate_z(loop: ClosedLoop) -> float:
 def reasoning(loop: ClosedLoop) -> list[str]:
     """Sentences in the order of the argument."""
     coverage = [f"{words}." for words in wording.coverage_in_words(loop)]
-    found = [] if loop.discovered is None else [f"{words}." for words in wording.discovered_in_words(loop.discovered)]
+    found = [f"{words}." for words in wording.discovered_in_words(loop)]
     return [*_residual_sentences(loop), *_candidate_sentences(loop), *coverage, *wording.why_this_verdict(loop), *found]
 
 

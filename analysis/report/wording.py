@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdict import VERDICTS, Failed
 from analysis.residuals.covariates import COVARIATES
+from analysis.residuals.prediction_errors import Errors
 from daq.setup.setup import Forcing
 from model.effects.registry import unit_of
 
@@ -139,9 +139,12 @@ def verdict_line(loop: ClosedLoop) -> str:
     return f"{words}; best so far, not believed: {added}" if loop.verdict == "unexplained" else f"{words} by {added}"
 
 
-def lost_in_words(loop: ClosedLoop) -> str:
-    """Held-out landings that are other events than predicted, and the error without them; empty where that is alike."""
-    after = loop.errors.after
+def lost_in_words(loop: ClosedLoop, after: Errors | None = None) -> str:
+    """Held-out landings that are other events than predicted, and the error without them; empty where that is alike.
+
+    Of the verdict's causes, or of what leaves the errors ``after``.
+    """
+    after = after or loop.errors.after
     if not after.lost or loop.limits.most_rms_us(after.landing_rms_us_without_lost) > after.landing_rms_us:
         return ""
     were = "landing was" if after.lost == 1 else "landings were"
@@ -198,8 +201,10 @@ def parameters_of(form: FittedForm) -> list[str]:
     ]
 
 
-def discovered_in_words(found: Discovery) -> list[str]:
+def discovered_in_words(loop: ClosedLoop) -> list[str]:
     """The discovered term, the suggested formula with its values, and the error with it, a line each."""
+    if (found := loop.discovered) is None:
+        return []
     out = [f"discovered: {found.description}"]
     if (form := found.form) is not None:
         values = ", ".join(parameters_of(form))
@@ -208,7 +213,8 @@ def discovered_in_words(found: Discovery) -> list[str]:
         )
     instead = f", in place of {' and '.join(plain(name) for name in found.instead_of)}," if found.instead_of else ""
     after = f"landings on held-out steps are missed by {microseconds(found.after.landing_rms_us)} us rms"
-    return [*out, f"with it{instead} {after}, noise {microseconds(found.noise_floor_us)} us"]
+    lost = lost_in_words(loop, found.after)
+    return [*out, f"with it{instead} {after}, noise {microseconds(found.noise_floor_us)} us", *([lost] if lost else ())]
 
 
 def term_effect_in_words(term_effect: TermEffect) -> list[str]:

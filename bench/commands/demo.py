@@ -45,6 +45,8 @@ LIBRARY_UNITS: Mapping[tuple[str, str], tuple[str, float]] = {
 """Parameters of a scenario that the library knows by another name or unit: its name there, and the factor."""
 DRIVE_POWERS = {"per_g2": 2, "quadratic_per_g": 1, "cubic_per_g2": 2}
 """Powers of the drive's scale, g a volt, by which a number of the drive's volts is divided."""
+MEASURED = {(mains, number) for mains in ("mains_hum", "mains_pickup") for number in ("frequency_hz", "phase_rad")}
+"""Parameters of a scenario that the library measures from the recorded line of each step, and does not fit."""
 
 
 def command(
@@ -260,5 +262,6 @@ def compared(hidden: Mapping[str, Mapping[str, float]], loop: ClosedLoop) -> lis
 def in_words(row: Compared) -> str:
     """A line for a person."""
     hidden = "not hidden" if math.isnan(row.hidden) else f"hidden {row.hidden:.4g}"
-    found = "not found" if math.isnan(row.found) else f"found {row.found:.4g} ({row.low:.4g} to {row.high:.4g})"
+    nothing = "measured in each step, not fitted" if (row.effect, row.parameter) in MEASURED else "not found"
+    found = nothing if math.isnan(row.found) else f"found {row.found:.4g} ({row.low:.4g} to {row.high:.4g})"
     return f"{row.effect + '.' + row.parameter:<34} {hidden:<19} {found}"

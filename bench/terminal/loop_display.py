@@ -24,9 +24,8 @@ def show(loop: ClosedLoop) -> None:
     out.print(f"\nverdict: {wording.verdict_line(loop)}", style="bold", soft_wrap=True)
     for line in wording.why_this_verdict(loop):
         out.print(f"  {line}", soft_wrap=True)
-    if loop.discovered is not None:
-        for line in wording.discovered_in_words(loop.discovered):
-            out.print(f"  {line}", soft_wrap=True, markup=False)
+    for line in wording.discovered_in_words(loop):
+        out.print(f"  {line}", soft_wrap=True, markup=False)
     if loop.selection.rejected is not None:
         out.print(f"  {wording.rejected_in_words(loop)}", soft_wrap=True)
     others = wording.others_in_words(loop)

@@ -5,12 +5,19 @@ from types import SimpleNamespace
 
 import pytest
 
+from analysis.discovery.symbolic import FORMS
 from analysis.loop.result import AddedEffect
 from analysis.loop.verdict import Failed
 from analysis.report.narrative import headline, reasoning
-from analysis.report.wording import coverage_in_words, lost_in_words, what_is_left, why_this_verdict
+from analysis.report.wording import (
+    coverage_in_words,
+    discovered_in_words,
+    lost_in_words,
+    what_is_left,
+    why_this_verdict,
+)
 from analysis.thresholds import FROZEN
-from tests.loops import changed
+from tests.loops import changed, found_by
 
 
 def left(p, ratio, **more):
@@ -48,6 +55,15 @@ def test_take_offs_that_alone_are_late_lead_to_the_contact(closed_loop):
         remainder = replace(closed_loop.remainder, p_lack_of_fit=1e-12, ratio=2.0, landing_ratio=landing_ratio)
         loop = changed(closed_loop, verdict="unexplained", failed=failed, remainder=remainder)
         assert ("look for a contact that opens late" in why_this_verdict(loop)[0]) == (landing_ratio == 1.0)
+
+
+def test_what_a_discovery_leaves_of_a_few_landings_is_said(closed_loop):
+    """A law of the restitution that is right but for ten bounces: its error was 11210 us, without a word."""
+    loop = found_by(closed_loop, "restitution", "plate_at_impact_mps2", FORMS[0], "1")
+    after = replace(loop.errors.after, landing_rms_us=11210.0, flights=143, lost=10, landing_rms_us_without_lost=20.0)
+    lines = discovered_in_words(changed(loop, discovered=replace(loop.discovered, after=after)))
+    assert lines[-1] == "10 of 143 held-out landings were not as predicted; without them 20.0 us rms"
+    assert discovered_in_words(closed_loop) == []
 
 
 def test_landings_that_change_no_number_are_not_spoken_of(closed_loop):

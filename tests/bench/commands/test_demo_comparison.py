@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from analysis.loop.result import AddedEffect, ClosedLoop
-from bench.commands.demo import LIBRARY_UNITS, compared, in_words
+from bench.commands.demo import LIBRARY_UNITS, MEASURED, compared, in_words
 from model.effects.registry import effect
 from rig.sim.scenario import EFFECTS
 from tests.loops import changed
@@ -23,6 +23,8 @@ def test_both_sizes_stand_side_by_side(closed_loop: ClosedLoop) -> None:
     assert "found 1 (0.9 to 1.1)" in in_words(by_name["adhesion.a_mps2"])
     assert in_words(by_name["quadratic_drag.k_per_m"]).endswith("hidden 20           not found")
     assert " not hidden          found 0.2" in in_words(by_name["restitution.e0"])
+    (mains,) = (row for row in compared({"mains_pickup": {"phase_rad": 0.4}}, loop) if row.parameter == "phase_rad")
+    assert in_words(mains).endswith("measured in each step, not fitted")
 
 
 def test_sizes_are_converted_to_the_librarys(closed_loop: ClosedLoop) -> None:
@@ -44,9 +46,6 @@ def test_sizes_are_converted_to_the_librarys(closed_loop: ClosedLoop) -> None:
     assert sizes["harmonic_distortion.cubic_per_g2"] == pytest.approx(0.01)
 
 
-MEASURED = {"mains_hum.frequency_hz", "mains_hum.phase_rad", "mains_pickup.frequency_hz", "mains_pickup.phase_rad"}
-
-
 def test_parameters_of_a_scenario_are_the_librarys() -> None:
     """Each number of a named effect is a parameter of the library, except frequency and phase of the mains."""
     strange = set()
@@ -55,5 +54,5 @@ def test_parameters_of_a_scenario_are_the_librarys() -> None:
         for parameter in entry.parameters if entry.named else ():
             name = LIBRARY_UNITS.get((entry.name, parameter.name), (parameter.name, 1.0))[0]
             if name not in known:
-                strange.add(f"{entry.name}.{parameter.name}")
+                strange.add((entry.name, parameter.name))
     assert strange == MEASURED
