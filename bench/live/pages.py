@@ -19,7 +19,8 @@ from starlette.routing import Route
 
 from bench.live.board import LONGEST_NOTE, Board, Message
 from bench.live.processes import AskedRun, run_profile
-from bench.live.watched_run import MinMax, WatchedRun
+from bench.live.scope_data import MinMax
+from bench.live.watched_run import WatchedRun
 from bench.profiles.find import load
 from bench.web.browsers import Browser, Hub, socket_route
 from bench.web.serve import Place, Section, Watchers, templates_of

@@ -26,7 +26,7 @@ import numpy as np
 from bench.jobs.run_ramp import make_backend, record
 from bench.live.board import Board
 from bench.live.processes import AskedRun, run_profile
-from bench.live.watched_run import flights_piece
+from bench.live.scope_data import flights_piece
 from bench.profiles.find import load, shipped_folder
 from bench.web.access import COOKIE
 

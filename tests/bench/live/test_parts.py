@@ -24,7 +24,7 @@ from bench.jobs.run_ramp import make_backend, record
 from bench.live import watched_run
 from bench.live.analyst import DOUBTFUL, PLAIN, Analyst, ReducedStep, cut_to, predicted, reduce_run, verdict_of
 from bench.live.board import EVENT_SLOTS, Board, RunSide
-from bench.live.watched_run import SCOPE, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
+from bench.live.scope_data import SCOPE, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
 from bench.profiles.find import load, shipped_folder
 from bench.web.browsers import GONE_S, SILENT_S, Lease
 from daq.files.tables import Block
