@@ -6,6 +6,7 @@ stages: raw volts, contact voltage as a fraction of its swing, and accelerometer
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -118,7 +119,9 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     looked = list(survey_pieces(recording, channels))
     _refuse_far_outside(recording, looked, channels)
     steps = resolved_steps(recording)
-    ends_v = common_ends([x for piece in looked for x in _by_step(piece, steps)], recording.rate_hz)
+    zero_v = recording.setup.channels.accelerometer.offset_v
+    stretches = [x for piece in looked for x in _by_step(piece, steps)]
+    ends_v = common_ends(stretches, recording.rate_hz, math.nan if zero_v is None else zero_v.value)
     for piece in looked:
         if (high_pass := high_pass_of(recording, high_pass_hz)) is not None:
             high_pass.undo(piece)

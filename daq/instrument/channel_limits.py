@@ -148,29 +148,23 @@ Ends = tuple[float, float]
 NO_ENDS: Ends = (-math.inf, math.inf)
 
 
-def ends_of(values: npt.NDArray[Any], stays: int) -> Ends:
+def ends_of(values: npt.NDArray[Any]) -> Ends:
     """Reading at or below which, and the one at or above which, the sensor is at its end; infinite where it is not.
 
     Noise behind the sensor spreads its end over a band: the outermost part of the readings' (n,) range is compared with
-    the next one, for parts of several sizes. Where noise is as large as what is cut off, means over ``stays`` readings
-    show it.
+    the next one, for parts of several sizes.
     """
     # whole codes are sorted several times faster than numbers; noise may spread an end over so many parts of the range
     parts = np.array([200.0, 100.0, 50.0, 25.0])
-    out = [math.inf, math.inf]
-    sums = np.append(0.0, np.cumsum(values, dtype=np.float64))
-    for shown in (values, (sums[stays:] - sums[:-stays]) / stays):
-        if not shown.size:  # fewer readings than a mean needs
-            break
-        low, high = float(shown.min()), float(shown.max())
-        least, counts = _outermost(shown, low, high, np.sort(values[:4096]), parts)
-        widths = np.maximum((high - low) / parts, least)
-        for side, (sign, top) in enumerate(((-1.0, -low), (1.0, high))):
-            if math.isinf(out[side]):
-                # the half of a step below an end is the end too, whatever rounding the reading has gone through
-                level = _level(sign * shown, top, widths, counts[side])
-                out[side] = _from(sign * values, level, 0.5 * least) - 0.25 * least
-    return -out[0], out[1]
+    low, high = float(values.min()), float(values.max())
+    least, counts = _outermost(values, low, high, np.sort(values[:4096]), parts)
+    widths = np.maximum((high - low) / parts, least)
+    # the half of a step below an end is the end too, whatever rounding the reading has gone through
+    below, above = (
+        _end(values, sign, top, widths, counts[side], 0.5 * least)
+        for side, (sign, top) in enumerate(((-1.0, -low), (1.0, high)))
+    )
+    return 0.25 * least - below, above - 0.25 * least
 
 
 @njit(error_model="numpy")
@@ -196,34 +190,31 @@ def _outermost(values, low, high, in_order, parts):  # type: ignore[no-untyped-d
     return least, counts
 
 
-def _level(values: npt.NDArray[Any], top: float, widths: Floats, counts: Integers) -> float:
-    """Level of an end among readings of which ``top`` is the largest; infinite where they do not crowd there."""
+def _end(values: npt.NDArray[Any], sign: float, top: float, widths: Floats, counts: Integers, step: float) -> float:
+    """Reading times ``sign`` from which on an end is reached, of those whose largest is ``top``, ``step`` apart."""
     for width, (at, both) in zip(widths.tolist(), counts.tolist(), strict=True):
         # four sigma of the counts: the readings crowd at an end
         if at - CROWDED * (both - at) > 4.0 * math.sqrt(at + CROWDED**2 * (both - at)):
-            return float(np.median(values[values > top - width]))
+            near = sign * values.astype(np.float64)
+            near = near[near > top - width]
+            level = float(np.median(near))
+            # readings within four standard deviations of the noise about an end are at the end
+            end = level - 4.0 * math.sqrt(0.5 * math.pi) * float(np.mean(near[near >= level] - level))
+            # a level between two codes is read as either: so is the next code where readings hop to it and back
+            here, hopping = (_stay(sign * values >= end - part * step) for part in (0.5, 1.5))
+            return end - step if hopping > 2.0 * here else end
     return math.inf
 
 
-def _from(values: npt.NDArray[Any], level: float, step: float) -> float:
-    """Reading from which on an end at ``level`` is reached, of readings that are ``step`` apart."""
-    if math.isinf(level):
-        return level
-    # readings within four standard deviations of the noise about an end are at the end
-    end = level - 4.0 * math.sqrt(0.5 * math.pi) * float(np.mean(values[values >= level] - level))
-    # a level between two codes is read as either: so is the next code where readings hop to it and back
-    here, hopping = (_stay(values >= end - part * step) for part in (0.5, 1.5))
-    return end - step if hopping > 2.0 * here else end
-
-
-def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
+def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float, zero: float = math.nan) -> Ends:
     """Ends that some stretches of a sensor's readings, (n,) each, show, and beyond which no other one reads.
 
     Each stretch holds one motion: together, where weaker ones turn, there are as many readings as at an end. Impacts
-    that are all alike have their peaks in as narrow a band, but do not stay there.
+    that are all alike have their peaks in as narrow a band, but do not stay there. Both ends are as far from ``zero``,
+    the reading of no acceleration, where that is known: motion that is cut off at one and hardly reaches the other
+    shows no crowd there.
     """
-    stays = max(int(STANDS_S * rate_hz), 1)
-    pairs, ends = [ends_of(x, stays) for x in stretches], []
+    pairs, ends = [ends_of(x) for x in stretches], []
     for side, sign in enumerate((-1.0, 1.0)):
         tops = [float(np.max(sign * x)) for x in stretches]
         found = [sign * pair[side] for pair in pairs]
@@ -233,6 +224,14 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float) -> Ends:
             if max(tops) <= top + 0.5 * (top - end) and _stay(sign * x >= end) > max(1e-4 * rate_hz, 2.0)
         ]  # fmt: skip
         ends.append(sign * min(held, default=math.inf))
+    reach, away = (
+        (zero - min(x.min() for x in stretches), max(x.max() for x in stretches) - zero),
+        (zero - ends[0], ends[1] - zero),
+    )
+    for side, other in ((0, 1), (1, 0)):
+        # as far beyond as noise reaches there
+        if math.isinf(away[side]) and away[other] <= reach[side] <= 2.0 * reach[other] - away[other]:
+            ends[side] = 2.0 * zero - ends[other]
     return ends[0], ends[1]
 
 
@@ -247,11 +246,10 @@ def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None 
 
     ``ends`` are those of the same sensor in readings that go farther; None: of these values.
     """
-    stays = max(int(STANDS_S * rate_hz), 1)
-    low, high = ends_of(values, stays) if ends is None else ends
+    low, high = ends_of(values) if ends is None else ends
     if math.isinf(low) and math.isinf(high):
         return 0.0
-    return float(_standing(values, low, high, stays)) / len(values)
+    return float(_standing(values, low, high, max(int(STANDS_S * rate_hz), 1))) / len(values)
 
 
 def blocks_at_an_end(values: npt.NDArray[Any], width: int, skip: int, ends: Ends) -> Bools:
