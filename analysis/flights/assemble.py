@@ -7,7 +7,6 @@ are flagged, not dropped. Events that a person changed are put in here, for all 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,7 @@ from analysis.events.edge_jitter import Scatter
 from analysis.events.edges import SHARP, Edges, time_edges
 from analysis.events.impact_detection import NO_IMPACTS, Impacts
 from analysis.events.levels import CLOSES, DIP, OPENS
-from analysis.events.sensor_offset import MOTION_S, SensorOffset, calibrate, combine_with_impacts, motion_late
+from analysis.events.sensor_offset import MOTION_S, calibrate, combine_with_impacts, motion_late
 from analysis.events.short_contacts import refine_short_contacts
 from analysis.flights.events_corrected import changed_edges, changed_impacts, given_by_hand, undenied
 from analysis.flights.scan import Progress, Scan, scan
@@ -25,7 +24,6 @@ from analysis.plate.motion import PlateMotion
 from analysis.statistics import nearest
 from daq.recording import Recording
 from daq.recording.notebook import EventChange, event_changes_of
-from daq.setup.setup import Setup
 from kernels import njit
 from kernels.arrays import Bools, Floats, Integers
 
@@ -40,13 +38,7 @@ LAUNCHES = 0.8  # of g, downward acceleration of the plate below which a ball at
 HIDDEN_POINTS, HIDDEN_BEFORE = 33, 27  # points of a flight, and those far enough from its own landing
 
 
-def flights_of(
-    recording: Recording,
-    *,
-    progress: Progress | None = None,
-    high_pass_hz: float | None = None,
-    elsewhere: SensorOffset | None = None,
-) -> Flights:
+def flights_of(recording: Recording, *, progress: Progress | None = None) -> Flights:
     """Flights and plate motion of a recording, in one pass and bounded memory.
 
     Raises `InputError` when there is no accelerometer channel, or the file with events changed by hand does not read.
@@ -57,23 +49,15 @@ def flights_of(
         Open.
     progress : callable, optional
         Called with the part done, 0 to 1, after each piece.
-    high_pass_hz : float, optional
-        Corner of a high-pass behind the accelerometer; None: the declared one.
-    elsewhere : SensorOffset, optional
-        As in `analysis.events.sensor_offset.calibrate`.
     """
     changes = event_changes_of(recording)
-    found = replace(scan(recording, progress, high_pass_hz), elsewhere=elsewhere)
-    return assemble(found, recording.setup, recording.rate_hz, recording.n_samples, changes)
+    return assemble(scan(recording, progress), recording, changes)
 
 
-def assemble(
-    found: Scan, setup: Setup, rate_hz: float, n_samples: int, changes: tuple[EventChange, ...] = ()
-) -> Flights:
+def assemble(found: Scan, recording: Recording, changes: tuple[EventChange, ...] = ()) -> Flights:
     """Flights and their flags from the result of the pass, with the events that a person changed."""
-    g = setup.g_mps2.value
-    table = _in_air(found, g, rate_hz, n_samples, changes)
-    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = table
+    g, rate_hz = recording.setup.g_mps2.value, recording.rate_hz
+    takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report = _in_air(found, recording, changes)
     flags[given_by_hand(takeoff, changes) | given_by_hand(landing, changes)] |= int(FlightFlag.BY_HAND)
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
@@ -106,15 +90,15 @@ def assemble(
     )
 
 
-def _in_air(found: Scan, g_mps2: float, rate_hz: float, n_samples: int, changes: tuple[EventChange, ...]) -> _Table:
+def _in_air(found: Scan, recording: Recording, changes: tuple[EventChange, ...]) -> _Table:
     """Intervals in the air by both detectors, and the detectors' quality."""
-    levels = found.survey.levels
+    levels, rate_hz, g_mps2 = found.survey.levels, recording.rate_hz, recording.setup.g_mps2.value
     if levels is None:
         nothing = np.zeros(0)
         report = EdgeReport(None, SHARP, SHARP, None, 0, found.survey.mask_s, by_hand=changes)
         return nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.int64), report
     edges, opening, closing = time_edges(found.crossings, levels, rate_hz)
-    end_s = n_samples / rate_hz
+    end_s = recording.n_samples / rate_hz
     takeoff, landing, _, landing_sigma, flags = _intervals(edges, found.starts_open, end_s)
     whole = (flags & (FlightFlag.FALSE | FlightFlag.CUT)) == 0
     impacts, offset = NO_IMPACTS, None

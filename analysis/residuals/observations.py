@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from analysis.events.edge_jitter import Scatter, raised_together
 from analysis.events.sensor_offset import SensorOffset, common_offset
-from analysis.flights.assemble import FlightFlag, Flights, flights_of
-from analysis.flights.scan import corner_of
+from analysis.flights.assemble import FlightFlag, Flights, assemble
+from analysis.flights.scan import Scan, corner_of, scan
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.mode_motion import without_ringing
 from analysis.plate.ringing.modes import Identified, identified_mode, remarks
@@ -30,7 +30,7 @@ from analysis.residuals.plate_data.slow_motion import hints_of, other_lines_radp
 from analysis.residuals.shown_impacts import closure_s, weak_mps
 from daq.recording import Recording, open_recording
 from daq.recording.header import refuse_repeated
-from daq.recording.notebook import in_words
+from daq.recording.notebook import event_changes_of, in_words
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.integrator.problem import Measured, PlateSteps
@@ -129,25 +129,27 @@ def observations_from(
         As in `analysis.flights.scan.scan`.
     """
     refuse_repeated(paths)
-    parts, offsets = {} if known is None else known, dict[Path, SensorOffset]()
+    parts, offsets, doubtful = {} if known is None else known, list[SensorOffset](), dict[Path, Scan]()
 
-    def read(path: Path, elsewhere: SensorOffset | None = None) -> None:
+    def read(path: Path, found: Scan | None = None) -> None:
         with open_recording(path) as recording:
             if setup is not None:
                 recording.measure_with(setup)
-            say = None if progress is None else partial(progress, path.name)
-            flights = flights_of(recording, progress=say, high_pass_hz=high_pass_hz, elsewhere=elsewhere)
+            say, changes = None if progress is None else partial(progress, path.name), event_changes_of(recording)
+            found = found or scan(recording, say, high_pass_hz)
+            flights = assemble(found, recording, changes)
             parts[path] = observed(recording, flights, high_pass_hz=high_pass_hz)
-            if flights.edges.sensor_offset is not None:
-                offsets[path] = flights.edges.sensor_offset
+            if (own := flights.edges.sensor_offset) is not None and found.elsewhere is None:
+                offsets.append(own)
+                if not np.isfinite(own.uncertainty_s):  # its contact never closed in a landing, as in one step
+                    doubtful[path] = found
 
     for path in paths:
         if path not in parts:
             read(path)
-    if (common := common_offset(list(offsets.values()))) is not None:
-        for path, own in offsets.items():
-            if not np.isfinite(own.uncertainty_s):  # its contact never closed in a landing, as in one step of a ramp
-                read(path, common)
+    if doubtful and (common := common_offset(offsets)) is not None:
+        for path, found in list(doubtful.items()):
+            read(path, replace(found, elsewhere=common))
     return parts[paths[0]] if len(paths) == 1 else join([parts[path] for path in paths])
 
 
@@ -170,7 +172,11 @@ def observed(
     rows[np.array([s.step for s in fitted], dtype=np.int64)] = np.arange(len(fitted))
     steps, launches = _steps(fitted, recording.n_samples), Launches.of(recording)
     if launches is not None:  # alternating corrections make more tones: each flight's drive holds them
-        steps = _of_forcing_only(steps)
+        turns = steps.plate.omega_radps * steps.plate.period_s[:, None] / (2.0 * np.pi)
+        # a tone of the forcing may be off a multiple by so much
+        own = np.abs(turns - np.round(turns)) < 0.005
+        tones = replace(steps.plate, acceleration_mps2=np.where(own, steps.plate.acceleration_mps2, 0.0))
+        steps = replace(steps, plate=tones, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
     measured, scored, keep = _events(recording, flights, fitted, rows, launches)
     lines = other_lines_radps(steps.plate, hints_of(fitted))
     step, period_s = measured.step, steps.plate.period_s
@@ -250,15 +256,6 @@ def _steps(fitted: Sequence[StepPlate], n_samples: int) -> Steps:
     )
 
 
-def _of_forcing_only(steps: Steps) -> Steps:
-    """The steps with the forcing and its multiples as their only tones."""
-    turns = steps.plate.omega_radps * steps.plate.period_s[:, None] / (2.0 * np.pi)
-    # a tone of the forcing may be off a multiple by so much
-    own = np.abs(turns - np.round(turns)) < 0.005
-    plate = replace(steps.plate, acceleration_mps2=np.where(own, steps.plate.acceleration_mps2, 0.0))
-    return replace(steps, plate=plate, spread_mps2=np.where(own[:, None, :], steps.spread_mps2, 0.0))
-
-
 def _events(
     recording: Recording, flights: Flights, fitted: Sequence[StepPlate], rows: Integers, launches: Launches | None
 ) -> tuple[Measured, Bools, Bools]:
@@ -298,12 +295,6 @@ def _events(
     return measured, scored, keep
 
 
-def _moved(measured: Measured, shift: int) -> Integers:
-    """Rows of the other steps in fades, counted on from ``shift``; -1 for none."""
-    other_row = np.full(len(measured.step), -1) if measured.other_step is None else measured.other_step
-    return np.where(other_row >= 0, other_row + shift, -1)
-
-
 def join(parts: Sequence[Observations]) -> Observations:
     """One table of the observations of several recordings."""
     shift = np.cumsum([0] + [len(p.steps) for p in parts[:-1]])
@@ -316,12 +307,14 @@ def join(parts: Sequence[Observations]) -> Observations:
         found = {name: [(getattr(p.measured, name), np.full(len(p), nothing)) for p in parts] for name in names}
         return {name: np.concatenate([b if a is None else a for a, b in x]) for name, x in found.items()}
 
+    first = np.repeat(shift, [len(p) for p in parts])  # row of the first step of each flight's recording
+    other = filled(-1, "other_step")["other_step"]
     measured = Measured(
         **columns("measured.", "opening_s", "landing_s", "relaunched", "linked", "wanted"),
         **filled(0.0, "share", "part", "ahead_s"),
         **filled(np.nan, "gained_mps", "pressed_mps", "pressed_at"),
-        step=np.concatenate([p.measured.step + s for p, s in zip(parts, shift, strict=True)]),
-        other_step=np.concatenate([_moved(p.measured, s) for p, s in zip(parts, shift, strict=True)]),
+        step=np.concatenate([p.measured.step for p in parts]) + first,
+        other_step=np.where(other >= 0, other + first, -1),
     )
     tones = columns("steps.plate.", "omega_radps", "acceleration_mps2", "period_s")
     table = Steps(

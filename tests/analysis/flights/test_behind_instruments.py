@@ -156,7 +156,7 @@ def test_a_knock_in_mid_flight_cuts_no_flight_that_the_contact_circuit_shows(mak
     """Bursts like impacts while the ball is high above the plate: the contact circuit and the take-off deny them."""
     with open_recording(make([1.2, 1.3], effects=FRICTION).path) as recording:
         found = scan(recording)
-        alone = assemble(found, recording.setup, recording.rate_hz, recording.n_samples)
+        alone = assemble(found, recording)
         long = np.flatnonzero(alone.good() & (alone.duration_s > 0.015))
         knocks_s = alone.takeoff_s[long] + 0.5 * alone.duration_s[long]
         impacts = found.impacts
@@ -167,6 +167,6 @@ def test_a_knock_in_mid_flight_cuts_no_flight_that_the_contact_circuit_shows(mak
             uncertainty_s=np.append(impacts.uncertainty_s, np.full(len(long), 5e-6))[order],
             strength=np.append(impacts.strength, np.full(len(long), 100.0))[order],
         )
-        flights = assemble(replace(found, impacts=knocked), recording.setup, recording.rate_hz, recording.n_samples)
+        flights = assemble(replace(found, impacts=knocked), recording)
     assert len(long) > 20
     assert landings(flights) == pytest.approx(landings(alone), abs=1e-6)
