@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from analysis.attribution.candidates import null_value_of, parameter_of, scale_of
-from analysis.attribution.choice import LogScoreDifference
+from analysis.attribution.choice import LogScoreDifference, required_gain
 from analysis.attribution.fit import Fitted, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.linear_algebra import pinv
@@ -104,10 +104,8 @@ class Detectability:
     def _multiple(self, key: ParameterId, others: Bools, slope: Floats, tried: float, reach: float) -> float:
         """By what the size tried has to be multiplied to be named; ``slope`` is the change per unit of it."""
         follow = self._followed(others, slope, 0)
-        left, pulled = (
-            slope - self._beside @ follow,
-            float((self._state.inverse * follow) @ (self._state.inverse * follow)),
-        )
+        paid, left = self._state.inverse * follow, slope - self._beside @ follow
+        pulled = float(paid @ paid)
         signal, lost = self._left_out(others, slope, reach)
 
         def named(multiple: float) -> bool:
@@ -120,7 +118,7 @@ class Detectability:
                 return True
             train = self.best.fitter.train
             won, lose = (_sums(self._state.step, x, len(train)) for x in (size**2 * signal * weakened, lost))
-            return LogScoreDifference.of(won, lose, train).exceeds(*self._wanted)
+            return LogScoreDifference.of(won, lose, train).exceeds(*required_gain(len(self.best.free), self.limits))
 
         if not named(1.0):
             above = (m for m in np.geomspace(1.0, FARTHEST, COARSE)[1:] if named(m))
@@ -148,13 +146,6 @@ class Detectability:
         of = 0.5 * n * np.log1p(np.maximum(2.0 * known / np.maximum(n, 1.0), 0.0))
         part = np.divide(of, whole, out=np.zeros(m), where=whole > 0.0)
         return float(of.sum()), part[self._channel]
-
-    @property
-    def _wanted(self) -> tuple[float, float]:
-        """Nats and standard errors of a gain on steps left out."""
-        if self.best.free:
-            return self.limits.next_effect_nats, self.limits.next_effect_sigmas
-        return self.limits.first_effect_nats, self.limits.first_effect_sigmas
 
     def _left_out(self, others: Bools, slope: Floats, reach: float) -> tuple[Floats, Floats]:
         """What each residual gains by a unit of the size where it is left out, and loses by its uncertainty, (r,) nats.

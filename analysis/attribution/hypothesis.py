@@ -204,11 +204,6 @@ class Refits:
         """
         return self.converged(x.candidates, x.whitener, x.free, x.fitted.values)
 
-    def _at_the_bottom(self, x: Hypothesis) -> Hypothesis:
-        """The hypothesis fitted once more, led on where it would end above the bottom of a valley."""
-        fitted = to_the_bottom(self.fitter.fit(x.whitener, x.free, x.fitted.values))
-        return self.scored(x.candidates, self.reweighted(fitted))
-
     def _past_odd_steps(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted from where the other steps lead, where a few steps cost far more than noise would.
 
@@ -250,11 +245,16 @@ class Refits:
 
     def settled(self, x: Hypothesis) -> Hypothesis:
         """The hypothesis fitted again until no free value moves by more than a part of its standard deviation."""
+
+        def lowest(x: Hypothesis) -> Hypothesis:  # led on where a fit would end above the bottom of a valley
+            fitted = to_the_bottom(self.fitter.fit(x.whitener, x.free, x.fitted.values))
+            return self.scored(x.candidates, self.reweighted(fitted))
+
         x = self._past_flat_shapes(self._past_odd_steps(x)) if x.free else x
         for _ in range(4):
             if not x.free:
                 break
-            y = self.attempted(x.candidates, self._at_the_bottom, x)
+            y = self.attempted(x.candidates, lowest, x)
             if y is None:
                 break
             moved = max(abs(y.fitted.values[k] - x.fitted.values[k]) / (y.fitted.sigma(k) or math.inf) for k in x.free)
@@ -285,29 +285,20 @@ def with_hidden_free(x: Hypothesis) -> Hypothesis:
 
 def to_the_bottom(fitted: Fitted) -> Fitted:
     """The fit where no step gains more than `LEAST_GAIN` any more, by slopes of all parameters taken anew."""
+    state = fitted.state
     for _ in range(12):
-        if _promised(fitted) < LEAST_GAIN:
+        normal, gradient = fitted.normal(state.mask)
+        step = damped_step(normal, gradient, DAMPING, state.low - fitted.x, state.high - fitted.x)
+        if linear_gain(normal, gradient, step) < LEAST_GAIN:
             break
-        fitted = replace(fitted, bare=_slopes(fitted))
+        bare = np.zeros_like(fitted.bare)
+        state.fill(bare, fitted.x, fitted.raw, range(len(fitted.x)))
+        fitted = replace(fitted, bare=bare)
         further = _further(fitted)
         if further is None:
             break
         fitted = further
     return fitted
-
-
-def _slopes(fitted: Fitted) -> Floats:
-    """Derivatives of the bare residuals where the fit stands."""
-    bare = np.zeros_like(fitted.bare)
-    fitted.state.fill(bare, fitted.x, fitted.raw, range(len(fitted.x)))
-    return bare
-
-
-def _promised(fitted: Fitted) -> float:
-    """Gain in nats of a step to the bottom if residuals were linear."""
-    normal, gradient = fitted.normal(fitted.state.mask)
-    step = damped_step(normal, gradient, DAMPING, fitted.state.low - fitted.x, fitted.state.high - fitted.x)
-    return linear_gain(normal, gradient, step)
 
 
 def _further(fitted: Fitted) -> Fitted | None:

@@ -71,8 +71,8 @@ class Rebounds:
         rows = ev.scored & ~near_grazing(model, values) & (slope > 0.0) & np.isfinite(missed)
         rows &= x.fitter.train[ev.measured.step]
         step = ev.measured.step[rows]
-        columns = missed[rows], own[rows], shared[rows], slope[rows], ev.steps.plate.period_s[step], step
-        return cls(*columns, jitter[rows])
+        period_s = ev.steps.plate.period_s[step]
+        return cls(missed[rows], own[rows], shared[rows], slope[rows], period_s, step, jitter[rows])
 
     def __len__(self) -> int:
         return len(self.missed_s)
@@ -142,41 +142,35 @@ def scatter_of(x: Hypothesis) -> Scatter | None:
 
     of_rest = [(math.log(0.2), math.log(3.0)), (math.log(1e-3), 0.0), (math.log(1e-4), math.log(OUTLIER_FRACTION))]
     bounds = [(math.log(LEAST_SD), math.log(high)), *of_rest]
-    options = {"xatol": 1e-3, "fatol": 1e-3}
 
     def loss(y: Floats) -> float:
         return seen.loss(*np.exp(y))
 
-    def shared(y: Floats) -> float:
-        return seen.shared_loss(*np.exp(y[:3]))
-
-    def least(of: Callable[[Floats], float], start: tuple[float, ...], sd: tuple[float, ...] = ()) -> Any:
+    def least(of: Callable[..., float], start: tuple[float, ...], sd: tuple[float, ...] = ()) -> Any:
         """The least loss of all, or of those at a scatter."""
 
         def own(y: Any) -> Any:
-            return of(np.append(sd, y))
+            return of(*np.exp(np.append(sd, y)))
 
-        how: dict[str, Any] = {"method": "Nelder-Mead", "options": options}
+        how: Any = {"method": "Nelder-Mead", "options": {"xatol": 1e-3, "fatol": 1e-3}}
         return minimize(own, np.array(start), bounds=bounds[len(sd) : len(sd) + len(start)], **how)
 
     starts, none = [(0.0, part, -6.0) for part in (-3.0, -0.5)], (bounds[0][0],)
-    found = min((least(loss, (math.log(0.01), *start)) for start in starts), key=lambda fit: float(fit.fun))
-    total = np.hypot(seen.sigma_s, seen.jitter_s)
+    found = min((least(seen.loss, (math.log(0.01), *start)) for start in starts), key=lambda fit: float(fit.fun))
     rival = min(
-        *(float(least(loss, start, none).fun) for start in starts),
-        *(float(least(shared, start[:2], none).fun) for start in starts),
-        *(excess_noise(seen.missed_s, s, seen.period_s)[1] for s in (seen.sigma_s, total)),
+        *(float(least(seen.loss, start, none).fun) for start in starts),
+        *(float(least(seen.shared_loss, start[:2], none).fun) for start in starts),
+        *(
+            excess_noise(seen.missed_s, s, seen.period_s)[1]
+            for s in (seen.sigma_s, np.hypot(seen.sigma_s, seen.jitter_s))
+        ),
     )
-    fit = min(float(found.fun), float(least(shared, (*found.x[:3],)).fun))
-    return Scatter(math.exp(found.x[0]), math.exp(found.x[0]) * _spread(loss, found.x), rival - fit)
-
-
-def _spread(loss: Callable[[Floats], float], at: Floats) -> float:
-    """Standard deviation of the first coordinate by the curvature of the loss at its minimum, (k,)."""
-    h = 0.05 * np.eye(len(at))
-    # second differences, times (2 h)^2
+    fit = min(float(found.fun), float(least(seen.shared_loss, (*found.x[:3],)).fun))
+    at, h = found.x, 0.05 * np.eye(len(found.x))
+    # curvature of the loss at its minimum, by second differences, times (2 h)^2
     bent = [[loss(at + a + b) - loss(at + a - b) - loss(at - a + b) + loss(at - a - b) for a in h] for b in h]
-    return float(math.sqrt(max(pinv(np.array(bent) / 0.01, rcond=1e-9)[0, 0], 0.0)))
+    spread = math.sqrt(max(pinv(np.array(bent) / 0.01, rcond=1e-9)[0, 0], 0.0))
+    return Scatter(math.exp(at[0]), math.exp(at[0]) * float(spread), rival - fit)
 
 
 def with_scatter(
@@ -193,18 +187,18 @@ def with_scatter(
     select
         The selection under another model.
     """
-    model = found.best.model
-    scatter = None if SCATTER in model.base else scatter_of(found.best)
-    if scatter is None or not scatter.is_clear(limits):
+    model, used_sd, turns = found.best.model, math.inf, 2
+    if SCATTER in model.base:
         return None
-    for _ in range(2):  # until the scatter stands still
-        declared = {**model.declared, SCATTER[0]: {SCATTER[1]: scatter.sd}}
-        found = select(ForwardModel(model.observations, declared, like=model))
-        used, scatter = scatter, scatter_of(found.best)
+    while True:  # until the scatter stands still
+        scatter = scatter_of(found.best)
         if scatter is None or not scatter.is_clear(limits):
             return None
-        if abs(scatter.sd - used.sd) < scatter.sigma:
+        if not turns or abs(scatter.sd - used_sd) < scatter.sigma:
             break
+        turns -= 1
+        declared, used_sd = {**model.declared, SCATTER[0]: {SCATTER[1]: scatter.sd}}, scatter.sd
+        found = select(ForwardModel(model.observations, declared, like=model))
     cause = Candidate((SCATTER[0],), ())
     best = replace(found.best, candidates=(*found.best.candidates, cause))
     ties = tuple(replace(x, candidates=(*x.candidates, cause)) for x in found.ties[1:])
