@@ -42,7 +42,7 @@ from analysis.thresholds import Thresholds
 from daq.recording import open_recording
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from kernels.arrays import Bools, Floats, Integers
+from kernels.arrays import Floats, Integers
 from model.effects.registry import resolve
 
 NAMES = ("openings late beside closings", "closings of brief contacts late")
@@ -82,18 +82,12 @@ class Systematics:
             )
             change = of_same_events(whitener.stacked(there) - raw, whitener)
             columns.append(change * UNIT_S / EDGE_STEP_S)
-        opening_s, closing_s = (
-            _typical(observations.opening_sigma_s, model.from_rest),
-            _typical(observations.landing_sigma_s, brief),
-        )
+        edges = (observations.opening_sigma_s, model.from_rest), (observations.landing_sigma_s, brief)
+        opening_s, closing_s = (float(np.median(sigma_s[some])) if some.any() else 0.0 for sigma_s, some in edges)
         # all edges together may be off by a tenth of one edge's uncertainty; closings by half of what their prior
         # allows
         sigma_s = (0.1 * opening_s, min(0.5 * observations.circuit.closure_s, closing_s))
         return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
-
-
-def _typical(sigma_s: Floats, some: Bools) -> float:
-    return float(np.median(sigma_s[some])) if some.any() else 0.0
 
 
 Row = dict[str, Any]

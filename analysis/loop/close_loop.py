@@ -282,15 +282,10 @@ def _judge(selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:
     after = held_out_errors(model, values, rows, left_out)
     floors, chance = noise_floors_us(model, values, rows), noise_quantiles_us(model, values, rows, limits.chance_p)
     given = given_openings(model, values, rows, limits.chance_p)
-    tests = (best is not selection.before, left, after, floors, limits, chance, given)
-    return {
-        "verdict": verdict_of(*tests),
-        "failed": failed_tests(*tests),
-        "errors": HeldOutErrors(
-            held_out_errors(model, selection.before.fitted.values, rows, left_out), after, given, *floors
-        ),
-        "remainder": left,
-    }
+    named, before = best is not selection.before, selection.before.fitted.values
+    failed = failed_tests(named, left, after, floors, limits, chance, given)
+    errors = HeldOutErrors(held_out_errors(model, before, rows, left_out), after, given, *floors)
+    return {"verdict": verdict_of(named, failed), "failed": failed, "errors": errors, "remainder": left}
 
 
 def _selected(found: SelectionResult, library: Sequence[Candidate], limits: Thresholds) -> Selection:

@@ -127,7 +127,9 @@ def simulate_design(design: Design, model: ForwardModel, fitted: Values) -> Obse
     gammas = np.array(design.gammas)
     if design.order == "shuffled":
         gammas = np.random.default_rng(1).permutation(gammas)
-    return simulate_steps(replace_ratio(model.observations.setup, design.ratio), gammas, model, fitted)
+    setup = model.observations.setup
+    forcing = setup.forcing.model_copy(update={"ratio": design.ratio})
+    return simulate_steps(setup.model_copy(update={"forcing": forcing}), gammas, model, fitted)
 
 
 def simulate_steps(
@@ -192,17 +194,11 @@ def simulate_steps(
     return replace(made, plate=replace(data, value=expected(data, truth.by_step(fitted))))
 
 
-def replace_ratio(setup: Setup, ratio: int) -> Setup:
-    """The setup with another c."""
-    return setup.model_copy(update={"forcing": setup.forcing.model_copy(update={"ratio": ratio})})
-
-
 def _flights(
     values: Mapping[ParameterId, float], plate: PlateSteps, part: Floats, g_mps2: float, carried: bool
 ) -> Measured:
     """Flights of every step by the integrator, with drifting parameters at their value in the step."""
-    columns: list[list[Floats]] = [[], [], [], [], [], []]
-    start = (0.0, 0.0)
+    found, start = [], (0.0, 0.0)
     for i in range(len(part)):
         effects: dict[str, dict[str, float]] = {}
         for (name, q), value in values.items():
@@ -220,22 +216,10 @@ def _flights(
             last = int(np.flatnonzero(whole)[-1])
             start = float(orbit.landing_s[last] % period), float(orbit.impact_mps[last])
         keep = (orbit.takeoff_s > SETTLE_CYCLES * period) & (orbit.landing_s < (SETTLE_CYCLES + HOLD_CYCLES) * period)
-        n = int(keep.sum())
-        first = np.arange(n) == 0
-        for column, x in zip(
-            columns,
-            (
-                orbit.takeoff_s[keep],
-                orbit.landing_s[keep],
-                ~orbit.after_rest[keep] & ~first,
-                ~first,
-                np.full(n, i, dtype=np.int64),
-                np.arange(n) > 1,
-            ),
-            strict=True,
-        ):
-            column.append(x)
-    return Measured(*(np.concatenate(c) for c in columns))  # type: ignore[arg-type]
+        place = np.arange(int(keep.sum()))
+        links = ~orbit.after_rest[keep] & (place > 0), place > 0, np.full(len(place), i, dtype=np.int64), place > 1
+        found.append((orbit.takeoff_s[keep], orbit.landing_s[keep], *links))
+    return Measured(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -99,19 +99,9 @@ def failed_tests(
     return tuple(out)
 
 
-def verdict_of(
-    named: bool,
-    left: GoodnessOfFit,
-    after: Errors,
-    floors_us: tuple[float, float],
-    limits: Thresholds,
-    chance_us: tuple[float, float] = (0.0, 0.0),
-    given: GivenOpenings | None = None,
-) -> Verdict:
-    """The verdict; parameters are those of `failed_tests`."""
-    if failed_tests(named, left, after, floors_us, limits, chance_us, given):
-        return "unexplained"
-    return "explained" if named else "nothing_missing"
+def verdict_of(named: bool, failed: Sequence[Failed]) -> Verdict:
+    """The verdict; ``named`` is that of `failed_tests`, which ``failed``."""
+    return "unexplained" if failed else "explained" if named else "nothing_missing"
 
 
 def confirmed_on_reserve(

@@ -245,14 +245,8 @@ def _sum_span(
     row_of = np.full(places + 1, -1)
     given = span.values, span.block_class, span.first, level, group, tones, windows, rate_hz, beats
     w = _fill_sums(*given, sums, scratch, row_of)
-    filled = sums._replace(
-        time_s=sums.time_s[:w],
-        gram=sums.gram[:w],
-        side=sums.side[:w],
-        power=sums.power[:w],
-        used=sums.used[:w],
-    )
-    return filled, row_of
+    of_windows = {name: getattr(sums, name)[:w] for name in ("time_s", "gram", "side", "power", "used")}
+    return sums._replace(**of_windows), row_of
 
 
 @njit()

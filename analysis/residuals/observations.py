@@ -183,15 +183,14 @@ def observed(
     bare = flights.takeoff_uncertainty_s[keep], flights.landing_uncertainty_s[keep]
     offset, heard = flights.edges.sensor_offset, flights.heard()[keep]
     rest = period_s, lines, 1.0 / recording.rate_hz
+    motion_s = offset.motion_s if offset and plate.pushed else 0.0
     scatters = (
         Scatter.of(measured.opening_s, bare[0], step, scored & ~measured.relaunched, *rest),
-        Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(
-            offset.motion_s if offset and plate.pushed else 0.0
-        ),
+        Scatter.of(measured.landing_s, bare[1], step, scored, *rest).less(motion_s),
     )
     # openings of which few repeat jitter as the circuit's closings do
     opening_s = scatters[0].raised(bare[0], offset.jitter_s if offset else math.nan)
-    sharp = flights.edges.opening.tau_s == 0.0
+    uneven = offset is not None and offset.uneven_edges(flights.edges.opening.tau_s == 0.0)
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
     notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand), *left_out)
@@ -210,9 +209,7 @@ def observed(
         ringing=plate,
         modulation=AmplitudeModulation.of(fitted, flights.plate.true_time_s(spans / recording.rate_hz), data),
         run_part=measured.landing_s * recording.rate_hz / max(recording.n_samples, 1) - 0.5,
-        circuit=ContactCircuit(
-            closure_s(measured, heard), scatters, heard, offset is not None and offset.uneven_edges(sharp)
-        ),
+        circuit=ContactCircuit(closure_s(measured, heard), scatters, heard, uneven),
     )
 
 

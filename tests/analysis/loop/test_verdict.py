@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from analysis.attribution.hypothesis import Rejected
 from analysis.loop.result import FittedParameter
 from analysis.loop.tables import added_effects, rejected_json
-from analysis.loop.verdict import confirmed_on_reserve, verdict_of
+from analysis.loop.verdict import confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.lack_of_fit import GoodnessOfFit
 from analysis.residuals.prediction_errors import Errors, GivenOpenings
 from analysis.thresholds import FROZEN
@@ -21,10 +22,15 @@ HIT = Errors(10.0, 9.0, 11.0, 9.0, 30.0, 31.0, 1e-4, 90, 0.0)
 FLOORS = (10.0, 30.0)
 
 
+def verdict(named: bool, *tested: Any, **more: Any) -> str:
+    """The verdict by the tests that fail."""
+    return verdict_of(named, failed_tests(named, *tested, **more))
+
+
 def test_a_named_cause_that_leaves_noise_is_an_explanation() -> None:
     """Remainder and held-out errors at the floor: explained with a name, nothing missing without."""
-    assert verdict_of(True, NOISE, HIT, FLOORS, FROZEN) == "explained"
-    assert verdict_of(False, NOISE, HIT, FLOORS, FROZEN) == "nothing_missing"
+    assert verdict(True, NOISE, HIT, FLOORS, FROZEN) == "explained"
+    assert verdict(False, NOISE, HIT, FLOORS, FROZEN) == "nothing_missing"
 
 
 @pytest.mark.parametrize(
@@ -37,56 +43,56 @@ def test_a_named_cause_that_leaves_noise_is_an_explanation() -> None:
 )
 def test_no_clean_bill_while_held_out_events_are_missed(after: Errors) -> None:
     """However quiet the remainder's tests, a name whose held-out error is above 1.5 floors explains nothing."""
-    assert verdict_of(True, NOISE, after, FLOORS, FROZEN) == "unexplained"
+    assert verdict(True, NOISE, after, FLOORS, FROZEN) == "unexplained"
 
 
 def test_what_chance_alone_makes_of_few_held_out_steps_is_no_miss() -> None:
     """Landings at 1.6 floors, where noise alone may reach 1.7: explained; at 1.8 not."""
     chance = (17.0, 40.0)
-    assert verdict_of(True, NOISE, replace(HIT, landing_rms_us=16.0), FLOORS, FROZEN, chance) == "explained"
-    assert verdict_of(True, NOISE, replace(HIT, landing_rms_us=18.0), FLOORS, FROZEN, chance) == "unexplained"
+    assert verdict(True, NOISE, replace(HIT, landing_rms_us=16.0), FLOORS, FROZEN, chance) == "explained"
+    assert verdict(True, NOISE, replace(HIT, landing_rms_us=18.0), FLOORS, FROZEN, chance) == "unexplained"
 
 
 def test_a_floor_below_what_the_circuit_may_do_is_no_reason_to_doubt() -> None:
     """Take-offs known to half a microsecond and missed by one: the circuit's own physics, not a missing cause."""
     small = replace(HIT, takeoff_nmad_us=0.9)
-    assert verdict_of(True, NOISE, small, (10.0, 0.45), FROZEN) == "explained"
-    assert verdict_of(True, NOISE, replace(HIT, takeoff_nmad_us=2.0), (10.0, 0.45), FROZEN) == "unexplained"
+    assert verdict(True, NOISE, small, (10.0, 0.45), FROZEN) == "explained"
+    assert verdict(True, NOISE, replace(HIT, takeoff_nmad_us=2.0), (10.0, 0.45), FROZEN) == "unexplained"
 
 
 def test_a_miss_without_a_name_is_left_to_the_tests_of_the_remainder() -> None:
     """One hidden bounce among clean held-out flights is no alarm: nothing was claimed that it could refute."""
-    assert verdict_of(False, NOISE, replace(HIT, landing_rms_us=40.0), FLOORS, FROZEN) == "nothing_missing"
+    assert verdict(False, NOISE, replace(HIT, landing_rms_us=40.0), FLOORS, FROZEN) == "nothing_missing"
 
 
 def test_nothing_is_not_missing_where_many_landings_are_other_events() -> None:
     """Nine of ninety held-out landings are other events and decide the error: no clean bill; one of them is chance."""
     missed = replace(HIT, landing_rms_us=102.0, landing_rms_us_without_lost=12.0)
-    assert verdict_of(False, NOISE, replace(missed, lost=9), FLOORS, FROZEN) == "unexplained"
-    assert verdict_of(False, NOISE, replace(missed, lost=1), FLOORS, FROZEN) == "nothing_missing"
+    assert verdict(False, NOISE, replace(missed, lost=9), FLOORS, FROZEN) == "unexplained"
+    assert verdict(False, NOISE, replace(missed, lost=1), FLOORS, FROZEN) == "nothing_missing"
 
 
 def test_structure_beyond_the_floor_is_unexplained_with_or_without_a_name() -> None:
     """An improbable remainder counts only where it is also larger than a trifle."""
     loud = replace(NOISE, p_lack_of_fit=1e-9, ratio=1.6)
-    assert verdict_of(True, loud, HIT, FLOORS, FROZEN) == "unexplained"
-    assert verdict_of(False, loud, HIT, FLOORS, FROZEN) == "unexplained"
-    assert verdict_of(True, replace(loud, ratio=1.1), HIT, FLOORS, FROZEN) == "explained"
-    assert verdict_of(True, replace(NOISE, plate_rms_z=2.0), HIT, FLOORS, FROZEN) == "unexplained"
+    assert verdict(True, loud, HIT, FLOORS, FROZEN) == "unexplained"
+    assert verdict(False, loud, HIT, FLOORS, FROZEN) == "unexplained"
+    assert verdict(True, replace(loud, ratio=1.1), HIT, FLOORS, FROZEN) == "explained"
+    assert verdict(True, replace(NOISE, plate_rms_z=2.0), HIT, FLOORS, FROZEN) == "unexplained"
 
 
 def test_a_pattern_in_landings_that_pass_says_nothing_against_take_offs_like_noise() -> None:
     """Take-offs that scatter by 1.3 of what is stated count by what is improbable in them, not in landings."""
     loud = replace(NOISE, p_lack_of_fit=1e-9, ratio=1.3, landing_ratio=0.97, p_takeoffs=0.02)
-    assert verdict_of(True, loud, HIT, FLOORS, FROZEN) == "explained"
+    assert verdict(True, loud, HIT, FLOORS, FROZEN) == "explained"
     for change in ({"p_takeoffs": 1e-9}, {"landing_ratio": 1.3}):
-        assert verdict_of(True, replace(loud, **change), HIT, FLOORS, FROZEN) == "unexplained"
+        assert verdict(True, replace(loud, **change), HIT, FLOORS, FROZEN) == "unexplained"
 
 
 def test_a_run_without_rests_is_judged_by_its_landings() -> None:
     """No take-off was seen: there is neither an error nor a floor of them, and that is no reason to refuse."""
     after = replace(HIT, takeoff_nmad_us=math.nan, takeoff_rms_us=math.nan)
-    assert verdict_of(True, NOISE, after, (10.0, math.nan), FROZEN) == "explained"
+    assert verdict(True, NOISE, after, (10.0, math.nan), FROZEN) == "explained"
 
 
 @pytest.mark.parametrize(("middle", "key", "size"), [(4.0, "relative_change", 0.05), (0.0, "change", 0.2)])
@@ -141,8 +147,8 @@ def test_landings_missed_as_far_as_their_openings_foretell_are_no_miss() -> None
     """Held-out landings at 1.8 floors; what the openings tell of the tones leaves 1.1: explained; 1.9: not."""
     after = replace(HIT, landing_rms_us=18.0)
     told, untold = GivenOpenings(4.4, 4.0, 5.0), GivenOpenings(7.6, 4.0, 5.0)
-    assert verdict_of(True, NOISE, after, FLOORS, FROZEN, given=told) == "explained"
-    assert verdict_of(True, NOISE, after, FLOORS, FROZEN, given=untold) == "unexplained"
+    assert verdict(True, NOISE, after, FLOORS, FROZEN, given=told) == "explained"
+    assert verdict(True, NOISE, after, FLOORS, FROZEN, given=untold) == "unexplained"
 
 
 @pytest.mark.parametrize(
