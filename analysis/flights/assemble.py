@@ -62,8 +62,7 @@ def assemble(found: Scan, recording: Recording, changes: tuple[EventChange, ...]
     step, step_flags = _steps(found.steps, takeoff, landing, rate_hz)
     flags |= step_flags | _gaps(found, takeoff, landing) | _missed(found, landing, rate_hz)
     plate = found.plate
-    unseen_s = unseen_contact_s(report, rate_hz)
-    takeoff, takeoff_sigma = _unseen_contacts(plate, g, takeoff, takeoff_sigma, landing, step, unseen_s)
+    takeoff, takeoff_sigma = _unseen_contacts(plate, g, takeoff, takeoff_sigma, landing, step, report)
     if report.sensor_offset is not None:  # the accelerometer shows impacts
         quick = _back_at_once(takeoff, landing, CHATTER_S) & np.isnan(strength) & ((flags & FlightFlag.BY_HAND) == 0)
         flags[quick & (-plate.acceleration_mps2(takeoff, step) < LAUNCHES * g)] |= int(FlightFlag.FALSE)
@@ -71,7 +70,9 @@ def assemble(found: Scan, recording: Recording, changes: tuple[EventChange, ...]
     contact, index = np.full(takeoff.size, np.nan), np.flatnonzero(true)
     contact[index[1:]] = takeoff[index[1:]] - landing[index[:-1]]  # since the last true landing
     flags |= _launch_flags(plate, g, takeoff, landing, contact, step, true)
-    flags |= _unresolved(strength, flags, report)
+    if report.sensor_offset is not None:  # the last part of a chatter, after bounces too small to be resolved
+        silent = ((flags & int(FlightFlag.DOUBLE_HIT)) != 0) & np.isnan(strength) & ((flags & int(FlightFlag.CUT)) == 0)
+        flags[silent] |= int(FlightFlag.UNSURE)
     flags |= _hidden(plate, g, takeoff, landing, contact, step, flags) | _unheard(plate, step, flags)
     return Flights(
         takeoff_s=takeoff,
@@ -197,19 +198,11 @@ def _split(
     split_end = np.concatenate([np.zeros(takeoff.size, bool), np.ones(at.size, bool)])[end_order]
     out = np.concatenate([flags, flags[h] & ~int(FlightFlag.CUT)])[start_order]
     out[split_start | split_end] |= FlightFlag.ACCELEROMETER
-    out = _pass_cut(out, starts[start_order], ends[end_order], takeoff, landing, flags)
-    return starts[start_order], ends[end_order], start_sigma[start_order], end_sigma[end_order], out
-
-
-def _pass_cut(
-    out: Integers, starts: Floats, ends: Floats, takeoff: Floats, landing: Floats, flags: Integers
-) -> Integers:
-    """Flag `CUT` only on the first part of an interval cut at its start, and the last of one cut at its end."""
-    cut = np.flatnonzero(flags & FlightFlag.CUT)
     out &= ~int(FlightFlag.CUT)
-    for i in cut:
+    starts, ends = starts[start_order], ends[end_order]
+    for i in np.flatnonzero(flags & FlightFlag.CUT):  # the first part of one cut at its start, else the last part
         out[starts == takeoff[i] if i == 0 and takeoff[i] == 0.0 else ends == landing[i]] |= FlightFlag.CUT
-    return out
+    return starts, ends, start_sigma[start_order], end_sigma[end_order], out
 
 
 def _strength(landing: Floats, impacts: Impacts, reach_s: float) -> Floats:
@@ -255,14 +248,6 @@ def _missed(found: Scan, landing: Floats, rate_hz: float) -> Integers:
     return flags
 
 
-def unseen_contact_s(report: EdgeReport, rate_hz: float) -> float:
-    """Longest contact between two samples that leaves no visible dip in the contact voltage."""
-    if report.levels is None:
-        return 0.0
-    dip = max(1.0 - float(report.levels.thresholds()[2]), 1e-3)
-    return max(0.0, 1.0 / rate_hz + report.opening.tau_s * float(np.log(dip)))
-
-
 def _unseen_contacts(
     plate: PlateMotion,
     g: float,
@@ -270,23 +255,19 @@ def _unseen_contacts(
     takeoff_sigma: Floats,
     landing: Floats,
     step: Integers,
-    unseen_s: float,
+    report: EdgeReport,
 ) -> tuple[Floats, Floats]:
     """Take-offs at a landing where the plate was still pushing, moved by half an undetectable contact time."""
+    unseen_s = 0.0  # longest contact between two samples that leaves no visible dip in the contact voltage
+    if report.levels is not None:
+        dip = max(1.0 - float(report.levels.thresholds()[2]), 1e-3)
+        unseen_s = max(0.0, 1.0 / plate.rate_hz + report.opening.tau_s * float(np.log(dip)))
     at_landing = np.append(False, np.abs(takeoff[1:] - landing[:-1]) < 1e-12)
     if unseen_s == 0.0 or not at_landing.any():
         return takeoff, takeoff_sigma
     pushing = at_landing & (-plate.acceleration_mps2(takeoff, step) < g)
     later = np.where(pushing, takeoff + 0.5 * unseen_s, takeoff)
     return later, np.where(pushing, np.hypot(takeoff_sigma, unseen_s / np.sqrt(12.0)), takeoff_sigma)
-
-
-def _unresolved(strength: Floats, flags: Integers, report: EdgeReport) -> Integers:
-    """Flag `UNSURE` on the last part of a chatter, which ends after bounces too small to be resolved."""
-    if report.sensor_offset is None:
-        return np.zeros(flags.size, dtype=np.int64)
-    silent = ((flags & int(FlightFlag.DOUBLE_HIT)) != 0) & np.isnan(strength) & ((flags & int(FlightFlag.CUT)) == 0)
-    return np.where(silent, int(FlightFlag.UNSURE), 0).astype(np.int64)
 
 
 def _launch_flags(

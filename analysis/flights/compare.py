@@ -123,7 +123,7 @@ def compare(
     for plate, own in zip(flights.plate.steps, classes, strict=True):
         if plate is None or not plate.gamma > 0:
             continue
-        ball, forcing, gamma = ball_on(plate, setup, declared)
+        (ball, forcing), gamma = ball_on(plate, setup, declared), plate.gamma
         found = attractor(ball, gamma, last, MAX_FLIGHTS)
         near = [max(gamma + d * plate.gamma_uncertainty, 0.0) for d in (-1.0, 1.0)]
         around = [attractor(ball, g, last, MAX_FLIGHTS) for g in near]
@@ -265,11 +265,12 @@ class FirstBifurcation:
         return self.middle / self.predicted_gamma
 
 
-def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcing, float]:
-    """Measured forcing with its first tone at phase zero, and its gamma with ``b = 1`` for the setup's tones.
+def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, Forcing]:
+    """Ball with those of ``effects`` that act on it, over the measured plate, and its forcing.
 
-    The tones are divided by the accelerometer's declared response; gamma is as measured. With a declared harmonic
-    distortion the significant measured harmonics are part of the forcing.
+    The forcing has its first tone at phase zero; at the measured gamma ``b = 1`` for the setup's tones. The tones are
+    divided by the accelerometer's declared response. With a declared harmonic distortion the significant measured
+    harmonics are part of the forcing. Effects between drive and plate are part of the measured motion.
     """
     multiples = list(plate.forcing_multiples)
     if any("harmonics" in effect(name).hooks for name in effects):
@@ -281,17 +282,9 @@ def forcing_of(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Forcin
     n = np.array(multiples, dtype=float)
     z = plate.acceleration.amplitudes[rows] / accelerometer_response(effects, 2.0 * np.pi * plate.frequency_hz * n)
     displacement = -z / (n**2 * setup.g_mps2.value * plate.gamma)
-    return Forcing.of_displacements(multiples, displacement, from_first=True), plate.gamma
-
-
-def ball_on(plate: StepPlate, setup: Setup, effects: Effects) -> tuple[Ball, Forcing, float]:
-    """Ball with those of ``effects`` that act on it, over the measured plate; its forcing and gamma.
-
-    Effects between drive and plate are part of the measured motion.
-    """
-    forcing, gamma = forcing_of(plate, setup, effects)
+    forcing = Forcing.of_displacements(multiples, displacement, from_first=True)
     own = ball_effects(effects)
-    return make_ball(forcing, own, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value), forcing, gamma
+    return make_ball(forcing, own, frequency_hz=plate.frequency_hz, g_mps2=setup.g_mps2.value), forcing
 
 
 def check_plausible(flights: Flights) -> None:
@@ -341,7 +334,7 @@ def first_after_takeoff(flights: Flights, setup: Setup, seen: tuple[Change, ...]
     nan = float("nan")
     if not plates:
         return FirstBifurcation(measured, "", nan, nan)
-    ball, _, _ = ball_on(plates[-1], setup, effects)
+    ball, _ = ball_on(plates[-1], setup, effects)
     # the model's change may come a fifth beyond the largest gamma measured
     low, high = min(p.gamma for p in plates), 1.2 * max(p.gamma for p in plates)
     wanted, found = "" if measured is None else measured.type, None

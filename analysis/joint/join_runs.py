@@ -36,7 +36,7 @@ from analysis.joint.choice import (
 )
 from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own, fit_population
 from analysis.joint.result import Candidate, JointVerdict
-from analysis.joint.summary import Aligned, Point, RunSummary, aligned, common_priors, summarise
+from analysis.joint.summary import Aligned, Point, RunSummary, aligned, summarise
 from analysis.loop.close_loop import judge_loop
 from analysis.loop.verdict import Verdict
 from analysis.residuals.observations import Observations
@@ -104,11 +104,12 @@ class _Passes:
 
     def priors(self) -> dict[ParameterId, Prior]:
         """Priors of calibrations that cover what every run states."""
-        each = [priors_of(self.setup)] if self.setup is not None else []
+        found = {} if self.setup is None else priors_of(self.setup)
         for path in self.recordings if self.setup is None else ():
             with open_recording(path) as opened:
-                each.append(priors_of(opened.setup))
-        found = common_priors(each)
+                stated = priors_of(opened.setup)
+            # of each parameter the widest that any run states
+            found |= {k: prior for k, prior in stated.items() if k not in found or prior.sigma > found[k].sigma}
         found.pop(("contact_closure", "late_s"), None)  # all runs share it: the first of `summary.NAMES`
         return found
 

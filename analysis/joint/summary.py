@@ -219,16 +219,6 @@ def summarise(
     return RunSummary(outcome, columns, options, quadratic, systematic_sigma, bool(fitted.whitener.lost))
 
 
-def common_priors(each: Sequence[Mapping[ParameterId, Prior]]) -> dict[ParameterId, Prior]:
-    """Priors of a population of runs: of each parameter the widest that any run states."""
-    out: dict[ParameterId, Prior] = {}
-    for priors in each:
-        for key, prior in priors.items():
-            if key not in out or prior.sigma > out[key].sigma:
-                out[key] = prior
-    return out
-
-
 def _options(model: ForwardModel, fitted: Hypothesis) -> tuple[Option, ...]:
     """Candidates to be added to what is named; a drift within a run belongs to that run and is left to `close_loop`."""
     out: dict[tuple[Place, ...], Option] = {}

@@ -201,19 +201,14 @@ class StepAccumulator:
         if drive is not None:
             values[:, 1] = drive[own]
         open_fraction = np.full(end - block, 0.5, np.float32) if fraction is None else fraction[own]
-        classes = self._block_class(block, end, impacts + lost, open_fraction)
+        impacts, classes = impacts + lost, np.empty(end - block, dtype=np.int8)
+        begins = (impacts - int(LEAD_S * self.rate_hz)) // self.width
+        _classify(block, open_fraction, begins, impacts // self.width, self.masks, classes)
         if cut_off is not None:  # masked as if an impact had been there
             classes -= np.where(cut_off[own], classes % N_MASK_LEVELS, 0).astype(np.int8)
         state.spans.append(Span(block, values, classes))
         state.blocks += end - block
         state.last_sample = samples[1]
-
-    def _block_class(self, block: int, end: int, impacts: Integers, fraction: Volts) -> npt.NDArray[np.int8]:
-        """Place and mask level of blocks; the mask begins `LEAD_S` before an impact."""
-        begins = (impacts - int(LEAD_S * self.rate_hz)) // self.width
-        out = np.empty(end - block, dtype=np.int8)
-        _classify(block, fraction, begins, impacts // self.width, self.masks, out)
-        return out
 
     def flush_chunk(self, state: StepState) -> None:
         """Add the open spans to the normal equations, fit their windows, and forget them."""

@@ -39,11 +39,6 @@ def gamma_of(amplitudes: Complexes, multiples: tuple[int, ...], setup: Setup, fo
     return float("nan")
 
 
-def gamma_peak_of(amplitudes: Complexes, multiples: tuple[int, ...], g_mps2: float) -> float:
-    """``max(-a_p) / g`` over one period of the forcing, of its tones (k,) at ``multiples`` of its frequency."""
-    return -float(np.minimum.reduce((_period(multiples) @ amplitudes).real)) / g_mps2
-
-
 @cache
 def _period(multiples: tuple[int, ...]) -> Complexes:
     """Tones of unit amplitude over a period, (361, k)."""
@@ -80,7 +75,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     acceleration = rounded
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
     unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
-    gamma = gamma_of(unmasked, multiples, setup, state.forcing)
+    gamma, period = gamma_of(unmasked, multiples, setup, state.forcing), _period(tuple(multiples[r] for r in rows))
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
     total.forget()  # its sums stay with the step until the recording is read to its end
     return StepPlate(
@@ -97,7 +92,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms * wider),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
-        gamma_peak=gamma_peak_of(unmasked[rows], tuple(multiples[r] for r in rows), setup.g_mps2.value),
+        gamma_peak=-float(np.minimum.reduce((period @ unmasked[rows]).real)) / setup.g_mps2.value,
         gamma_drive=_drive_gamma(drive, multiples, setup, state.forcing),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),

@@ -109,8 +109,10 @@ class ForwardModel:
         if not drifting and not followed:
             return out
         out = np.repeat(out[None, :], len(self.observations), axis=0)
+        if followed and not self.declared_covariates:  # as measured, by the declared calibrations
+            self.declared_covariates.update(self.covariates({}))
         for _, column, covariate in followed:
-            out[:, column] = self._covariate(covariate)
+            out[:, column] = self.declared_covariates[covariate]
         for (name, key), value in drifting:
             parameter = effect(name).effect.parameter(key.removesuffix(TREND))
             column = offsets()[name, parameter.name]
@@ -118,12 +120,6 @@ class ForwardModel:
             # at both ends of a run a drift may lead beyond what the parameter can be
             out[:, column] = np.clip(trend, parameter.low, parameter.high)
         return out
-
-    def _covariate(self, name: str) -> Floats:
-        """A quantity of each flight as measured, by the declared calibrations, (n,); NaN where it is not known."""
-        if not self.declared_covariates:
-            self.declared_covariates.update(self.covariates({}))
-        return self.declared_covariates[name]
 
     def covariates(self, values: Values) -> dict[str, Floats]:
         """`covariates_of` the flights; of ``values`` only delays and the accelerometer's response matter."""
@@ -234,17 +230,15 @@ class ForwardModel:
         """By how much later than they happened openings and landings were seen, (n,) each."""
         seen, heard = self.observations.measured, self.observations.circuit.heard
         edge, later, mark = (self.per_step(values, hook)[seen.step] for hook in DELAYS)
-        closing, mark = edge + later, mark + self._motion_late_s(values)[seen.step]
+        # by how much later than it moves the accelerometer shows the plate at the first tone
+        motion_s = -np.angle(self.reading(values)[:, 0]) / self.observations.steps.plate.omega_radps[:, 0]
+        closing, mark = edge + later, mark + motion_s[seen.step]
         # a ball that leaves as it lands was seen when that landing was
         left = np.where(seen.relaunched, closing, edge)
         if heard is None:
             return left, closing
         left_heard = seen.relaunched & np.append(False, heard[:-1])
         return np.where(left_heard, mark, left), np.where(heard, mark, closing)
-
-    def _motion_late_s(self, values: Values) -> Floats:
-        """By how much later than it moves the accelerometer shows the plate at the first tone, (m,)."""
-        return np.asarray(-np.angle(self.reading(values)[:, 0]) / self.observations.steps.plate.omega_radps[:, 0])
 
     def is_idle(self, key: ParameterId) -> bool:
         """Whether a parameter changes nothing that was observed."""

@@ -7,7 +7,6 @@ measured numbers; their fraction is reported. Decision 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from analysis.linear_algebra import cholesky, inv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import log_odds, robust_loss
 from analysis.residuals.noise.uncertainty import uncertainty_at
-from analysis.residuals.values import ParameterId
+from analysis.residuals.values import Values
 from analysis.statistics import MAD_TO_SIGMA, chance_of_squares
 from analysis.thresholds import (
     COMMON_MODE_SIGMAS,
@@ -51,7 +50,7 @@ class Errors:
     landing_rms_us_without_lost: float = float("nan")  # of the rest
 
 
-def scored_rows(model: ForwardModel, values: Mapping[ParameterId, float], steps: Bools) -> tuple[Integers, float]:
+def scored_rows(model: ForwardModel, values: Values, steps: Bools) -> tuple[Integers, float]:
     """Flights of ``steps`` (m,) that count at ``values``, and the fraction excluded as near-grazing."""
     ev = model.observations
     rows = np.flatnonzero(ev.scored & steps[ev.measured.step])
@@ -61,7 +60,7 @@ def scored_rows(model: ForwardModel, values: Mapping[ParameterId, float], steps:
     return rows[keep], 1.0 - float(keep.mean())
 
 
-def near_grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
+def near_grazing(model: ForwardModel, values: Values) -> Bools:
     """Flights whose landing cannot be predicted from the measured numbers, (n,), whatever the residuals.
 
     Either the uncertainty is `GRAZING_RATIO` times the median one, or the prediction jumps by `GRAZING_SIGMAS` of that
@@ -70,7 +69,7 @@ def near_grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bo
     return model.memory.recall(("grazing", model.start(values).flying), lambda: _grazing(model, values))
 
 
-def _grazing(model: ForwardModel, values: Mapping[ParameterId, float]) -> Bools:
+def _grazing(model: ForwardModel, values: Values) -> Bools:
     ev = model.observations
     u = uncertainty_at(model, values)
     total = np.sqrt(u.landing_total_s**2 - u.landing_scatter_s**2)  # a rebound that scatters is no graze
@@ -95,9 +94,7 @@ def _jumps(base: Predicted, moved: Predicted, far_s: float) -> Bools:
     return np.asarray(lost | (np.abs(moved.landing_s - base.landing_s) > far_s))
 
 
-def held_out_errors(
-    model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers, excluded_fraction: float, seed: int = 0
-) -> Errors:
+def held_out_errors(model: ForwardModel, values: Values, rows: Integers, excluded_fraction: float) -> Errors:
     """Errors of the flights ``rows`` (k,) at ``values``; a flight without prediction misses by half a period."""
     ev = model.observations
     if len(rows) == 0:
@@ -115,7 +112,7 @@ def held_out_errors(
     # 95 % interval of the rms when whole steps are drawn anew: the step is the replicate
     names, inverse = np.unique(ev.measured.step[rows], return_inverse=True)
     squares, counts = np.bincount(inverse, landing**2), np.bincount(inverse)
-    drawn = np.random.default_rng(seed).integers(0, len(names), (500, len(names)))
+    drawn = np.random.default_rng(0).integers(0, len(names), (500, len(names)))
     rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
     low, high = float(np.quantile(rms, 0.025)), float(np.quantile(rms, 0.975))
     return Errors(
@@ -133,14 +130,14 @@ def held_out_errors(
     )
 
 
-def _lost(model: ForwardModel, values: Mapping[ParameterId, float], landing_s: Floats, rows: Integers) -> Bools:
+def _lost(model: ForwardModel, values: Values, landing_s: Floats, rows: Integers) -> Bools:
     """Which landings (k,) are likelier to be outliers than missed by noise, in the likelihood of the fits."""
     sigma = np.hypot(uncertainty_at(model, values).landing_total_s[rows], SHARED_S)
     odds = log_odds(sigma, model.observations.steps.plate.period_s[model.observations.measured.step[rows]])
     return np.asarray(robust_loss(landing_s / sigma) > -odds)
 
 
-def noise_floors_us(model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers) -> tuple[float, float]:
+def noise_floors_us(model: ForwardModel, values: Values, rows: Integers) -> tuple[float, float]:
     """Root mean square of the flights' own uncertainty, carried through the prediction at ``values``.
 
     Of landings, and of the take-offs that were seen; NaN where there are none.
@@ -151,18 +148,14 @@ def noise_floors_us(model: ForwardModel, values: Mapping[ParameterId, float], ro
 
 
 def noise_quantiles_us(
-    model: ForwardModel,
-    values: Mapping[ParameterId, float],
-    rows: Integers,
-    chance_p: float = FROZEN.chance_p,
-    seed: int = 0,
+    model: ForwardModel, values: Values, rows: Integers, chance_p: float = FROZEN.chance_p
 ) -> tuple[float, float]:
     """Root mean squares that noise exceeds with probability ``chance_p`` in such a set of flights.
 
     Errors of a tone are the same for all flights of a step, so those of few steps scatter widely about the floor. Of
     landings, and of the take-offs that were seen; 0 where there are none.
     """
-    u, from_rest, rng = uncertainty_at(model, values), rows[model.from_rest[rows]], np.random.default_rng(seed)
+    u, from_rest, rng = uncertainty_at(model, values), rows[model.from_rest[rows]], np.random.default_rng(0)
     step = model.observations.measured.step
 
     def quantile(events: Integers, sigma: Floats, by_tone: Floats) -> float:
@@ -183,9 +176,7 @@ def noise_quantiles_us(
     )
 
 
-def landing_probability(
-    model: ForwardModel, values: Mapping[ParameterId, float], rows: Integers
-) -> tuple[float, float]:
+def landing_probability(model: ForwardModel, values: Values, rows: Integers) -> tuple[float, float]:
     """Probability that noise misses the landings of the flights ``rows`` (k,) by so much, and their rms, us.
 
     The sum of their squares is that of correlated normal errors. The largest `OUTLIER_FRACTION` of the errors may be
@@ -220,11 +211,7 @@ class GivenOpenings:
 
 
 def given_openings(
-    model: ForwardModel,
-    values: Mapping[ParameterId, float],
-    rows: Integers,
-    chance_p: float = FROZEN.chance_p,
-    seed: int = 0,
+    model: ForwardModel, values: Values, rows: Integers, chance_p: float = FROZEN.chance_p
 ) -> GivenOpenings:
     """Landings of the flights ``rows`` (k,), conditioned on the openings of their own steps.
 
@@ -233,7 +220,7 @@ def given_openings(
     """
     u, r, step = uncertainty_at(model, values), model.residuals(values), model.observations.measured.step
     half = 0.5 * model.observations.steps.plate.period_s
-    rng, squares, noise, drawn = np.random.default_rng(seed), 0.0, 0.0, np.zeros(DRAWS)
+    rng, squares, noise, drawn = np.random.default_rng(0), 0.0, 0.0, np.zeros(DRAWS)
     for s in np.unique(step[rows]):
         mine = rows[step[rows] == s]
         seen = np.flatnonzero(model.from_rest & (step == s))

@@ -196,7 +196,7 @@ def _draw_predicted(
 ) -> None:
     """The model's landings of its own cycle, as dashed flights from the first measured take-off on."""
     g = setup.g_mps2.value
-    ball, _, gamma = ball_on(plate, setup, setup.declared_values())
+    (ball, _), gamma = ball_on(plate, setup, setup.declared_values()), plate.gamma
     found = attractor(ball, gamma)
     if found.tau.size == 0 or found.kind == "chaotic":
         return

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from analysis.computing import Memory
 from analysis.linear_algebra import solve
 from analysis.plate.motion import StepPlate
 from analysis.plate.step_state import (
@@ -62,11 +63,6 @@ def intervals_of(fitted: Sequence[StepPlate]) -> FitIntervals:
     return FitIntervals.join(parts, np.arange(len(parts)), np.cumsum([0, *count])[:-1])
 
 
-def window_spans(s: StepPlate) -> Floats:
-    """From where to where each window of a step goes, (w, 2)."""
-    return s.windows.time_s[:, None] + 0.5 * s.windows.length_s * np.array([-1.0, 1.0])
-
-
 DEEPEST = 0.5  # depths to begin with
 SMALL = 1e-3  # depth from which slopes are taken
 LEAKING = 0.05  # relative uncertainty of the leakage between tones, from averaging over blocks
@@ -91,7 +87,8 @@ class AmplitudeModulation(Amplitudes):
         np.add.at(total, data.step[of_gain], data.value[of_gain] * data.sigma[of_gain] ** -2.0)
         known = weight > 0.0
         gain = np.where(known, total / np.where(known, weight, 1.0), np.nan)
-        spans = [window_spans(s) for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
+        shown = [s.windows for s in fitted if len(s.windows.time_s) >= LEAST_WINDOWS]
+        spans = [w.time_s[:, None] + 0.5 * w.length_s * np.array([-1.0, 1.0]) for w in shown]
         return cls(
             np.zeros(m, dtype=np.int64), spans_s,
             gain, np.where(known, np.where(known, weight, 1.0) ** -0.5, np.inf),
@@ -141,8 +138,8 @@ class AmplitudeModulation(Amplitudes):
         return tuple((hz, min(max(d, 1e-5), DEEPEST)) for hz, d in zip(found, depths, strict=True))
 
     @cached_property
-    def _fits(self) -> dict[float, ModulationFit]:
-        return {}
+    def _fits(self) -> Memory:
+        return Memory(4)
 
     @cached_property
     def _signed(self) -> tuple[Floats, Floats]:
@@ -162,18 +159,17 @@ class AmplitudeModulation(Amplitudes):
 
     def _fit_at(self, hz: float) -> ModulationFit:
         """Projections at a frequency and the modulation of each recording that fits windows and gains best."""
-        found = self._fits.get(hz)
-        if found is None:
-            if len(self._fits) >= 4:
-                self._fits.clear()
+
+        def made() -> ModulationFit:
             w, of = 2.0 * np.pi * hz, self.window_step
             every, own = self._signed
             up = self.intervals.projected(self._gram, every, own[:, 1:] + w)[:, 1:]
             in_up = self.intervals.in_windows.projected(self._window_gram, own[of], own[of, 1:] + w)[:, 1:]
             down, in_down = shifted_down(up), shifted_down(in_up)
             fit = ModulationFit(up, down, in_up, in_down, np.zeros(len(self.runs), dtype=np.complex128))
-            found = self._fits[hz] = replace(fit, phasor=self._fitted(fit))
-        return found
+            return replace(fit, phasor=self._fitted(fit))
+
+        return self._fits.recall(hz, made)
 
     def _fitted(self, fit: ModulationFit) -> Complexes:
         """Depth and phase, ``depth exp(i phase)``, of each recording's modulation, by least squares, (recordings,)."""

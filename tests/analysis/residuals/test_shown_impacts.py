@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.residuals.shown_impacts import FEW_CONTACTS, closure_s
+from analysis.residuals.observations import FEW_CONTACTS, closure_s
 from model.integrator.problem import Measured
 
 N = 3 * FEW_CONTACTS
