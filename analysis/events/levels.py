@@ -196,7 +196,8 @@ class CrossingScan:
         self.state = np.array([-1, 0], dtype=np.int64)  # state, sample of the lowest value of a dip
         self.lowest = np.array([2.0])
         self.started_open = False
-        self._found: list[Crossings] = []
+        nothing = np.zeros((0, self.around.before + self.around.after), np.float32)
+        self._found = [Crossings(np.zeros(0, np.int64), np.zeros(0, np.int8), nothing, self.around)]
 
     def add(self, fraction: npt.NDArray[np.float32], first: int, pad: int, count: int) -> Crossings:
         """Scan ``fraction[pad : pad + count]``, sample ``first`` being ``fraction[pad]``; new crossings."""
@@ -215,17 +216,8 @@ class CrossingScan:
 
     def crossings(self) -> Crossings:
         """All crossings so far, in order."""
-        if not self._found:
-            nothing = np.zeros((0, self.around.before + self.around.after), np.float32)
-            return Crossings(np.zeros(0, np.int64), np.zeros(0, np.int8), nothing, self.around)
-        merged = Crossings(
-            np.concatenate([c.sample for c in self._found]),
-            np.concatenate([c.kind for c in self._found]),
-            np.concatenate([c.window for c in self._found]),
-            self.around,
-        )
-        self._found = [merged]
-        return merged
+        columns = {name: [getattr(c, name) for c in self._found] for name in ("sample", "kind", "window")}
+        return Crossings(**{name: np.concatenate(x) for name, x in columns.items()}, around=self.around)
 
 
 @njit(error_model="numpy")

@@ -105,10 +105,15 @@ def _in_air(found: Scan, recording: Recording, changes: tuple[EventChange, ...])
     impacts, offset = NO_IMPACTS, None
     if found.survey.template is not None:
         own = takeoff[whole], landing[whole], landing_sigma[whole]
-        repeated_s, rest = _repeated_s(found, *own, rate_hz), (closing.tau_uncertainty_s, 1.0 / rate_hz)
+        step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
+        period_s = np.array([np.inf if s is None else 1.0 / s.frequency_hz for s in found.plate.steps])
+        steady = unsteady[whole] == 0
+        scatter = Scatter.of(*own[1:], step[whole], steady, period_s, sampling_s=1.0 / rate_hz)
+        # of the circuit's landings from cycle to cycle, beyond what is stated; infinite where too few steps repeat
+        repeated_s = float(scatter.raised(np.zeros(1))[0]) if scatter.tells else math.inf
+        rest = closing.tau_uncertainty_s, 1.0 / rate_hz
         impacts, offset = calibrate(found.impacts, *own, *rest, found.elsewhere, repeated_s)
         if not np.isfinite(offset.uncertainty_s) or offset.offset_s < -MOTION_S:
-            step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
             late_s = motion_late(found.plate, takeoff, landing, np.where(unsteady | flags, -1, step))
             if late_s > offset.offset_s + MOTION_S:  # a high-pass shows motion early, and impacts not
                 impacts, offset = calibrate(found.impacts, *own, *rest, found.elsewhere, repeated_s, late_s)
@@ -133,14 +138,6 @@ def _in_air(found: Scan, recording: Recording, changes: tuple[EventChange, ...])
     dips = int(np.count_nonzero(found.crossings.kind == DIP))
     report = EdgeReport(levels, opening, closing, offset, dips, found.survey.mask_s, found.missed.size, changes)
     return takeoff, landing, takeoff_sigma, landing_sigma, strength, flags, report
-
-
-def _repeated_s(found: Scan, takeoff: Floats, landing: Floats, sigma: Floats, rate_hz: float) -> float:
-    """Scatter of the circuit's landings from cycle to cycle, beyond ``sigma``; infinite where too few steps repeat."""
-    step, unsteady = _steps(found.steps, takeoff, landing, rate_hz)
-    period_s = np.array([np.inf if s is None else 1.0 / s.frequency_hz for s in found.plate.steps])
-    scatter = Scatter.of(landing, sigma, step, unsteady == 0, period_s, sampling_s=1.0 / rate_hz)
-    return float(scatter.raised(np.zeros(1))[0]) if scatter.tells else math.inf
 
 
 def _intervals(edges: Edges, starts_open: bool, end_s: float) -> tuple[Floats, Floats, Floats, Floats, Integers]:

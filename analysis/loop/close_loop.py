@@ -99,19 +99,14 @@ def close_loop(
     ValueError
         For declared effects that do not exist or are out of bounds.
     """
-    return fit_loop(recordings, setup=setup, limits=limits, progress=progress, anyway=anyway)[0]
+    return completed(*judge_loop(recordings, setup=setup, limits=limits, progress=progress, anyway=anyway))
 
 
 def fit_loop(
-    recordings: Sequence[Path],
-    *,
-    setup: Setup | None = None,
-    limits: Thresholds = FROZEN,
-    progress: Progress | None = None,
-    anyway: bool = False,
+    recordings: Sequence[Path], *, setup: Setup | None = None, progress: Progress | None = None, anyway: bool = False
 ) -> tuple[ClosedLoop, FittedLoop]:
     """`close_loop`, with the fitted model behind its result: next runs are ranked by it."""
-    loop, fitted = judge_loop(recordings, setup=setup, limits=limits, progress=progress, anyway=anyway)
+    loop, fitted = judge_loop(recordings, setup=setup, progress=progress, anyway=anyway)
     return completed(loop, fitted), fitted
 
 

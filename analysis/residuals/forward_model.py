@@ -190,16 +190,13 @@ class ForwardModel:
         total = np.zeros(len(self.observations.plate))
         for name, own in self.start(values).own.items():
             if PLATE_HOOKS & effect(name).hooks.keys():
-                total = total + self._expected_of(name, own)
+                total = total + self._plate_memory.recall((name, own), functools.partial(self._expected_of, name, own))
         return total
 
     def _expected_of(self, name: str, own: Own) -> Floats:
-        def made() -> Floats:
-            if any(key.endswith(TREND) for (_, key), _ in own):
-                return expected(self.observations.plate, {name: self._in_steps(name, own)})
-            return share(self.observations.plate, name, effect(name).effect.null_values | {q: v for (_, q), v in own})
-
-        return self._plate_memory.recall((name, own), made)
+        if any(key.endswith(TREND) for (_, key), _ in own):
+            return expected(self.observations.plate, {name: self._in_steps(name, own)})
+        return share(self.observations.plate, name, effect(name).effect.null_values | {q: v for (_, q), v in own})
 
     def inputs(self, values: Values, tones: Complexes | None = None, rows: Floats | None = None) -> Inputs:
         """What a prediction at ``values`` is made from, with other ``tones`` (m, k) or ``rows`` where given."""
