@@ -214,6 +214,8 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float, zero: flo
     the reading of no acceleration, where that is known: motion that is cut off at one and hardly reaches the other
     shows no crowd there.
     """
+    if not stretches:
+        return NO_ENDS
     pairs, ends = [ends_of(x) for x in stretches], []
     for side, sign in enumerate((-1.0, 1.0)):
         tops = [float(np.max(sign * x)) for x in stretches]
