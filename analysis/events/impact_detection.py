@@ -129,10 +129,10 @@ class ImpactScan:
         total = _search(
             volts, first - pad, pad, score, count, self.template.threshold, self._bank, out, len(recent), self.every
         )
-        # one at the seam may come before the last of the piece before
-        self._found = np.concatenate([self._found[: len(self._found) - len(recent)], out[:total]])
-        new = np.setdiff1d(out[:total, PLACE], recent[:, PLACE])
-        return np.rint(self._recorded(new)).astype(np.int64)
+        # none comes before those of the piece before: a fit moves it by two samples, and nearer ones are no impacts
+        new = out[len(recent) : total].copy()
+        self._found = np.concatenate([self._found, new])
+        return np.rint(self._recorded(new[:, PLACE])).astype(np.int64)
 
     def _recorded(self, place: Floats) -> Floats:
         """Places among means as places among recorded samples."""
