@@ -191,7 +191,7 @@ def _outermost(values, low, high, in_order, parts):  # type: ignore[no-untyped-d
 
 
 def _end(values: npt.NDArray[Any], sign: float, top: float, widths: Floats, counts: Integers, step: float) -> float:
-    """Reading times ``sign`` from which on an end is reached, of those whose largest is ``top``, ``step`` apart."""
+    """Reading times ``sign`` from which on an end is reached; the largest is ``top``, and codes differ by ``step``."""
     for width, (at, both) in zip(widths.tolist(), counts.tolist(), strict=True):
         # four sigma of the counts: the readings crowd at an end
         if at - CROWDED * (both - at) > 4.0 * math.sqrt(at + CROWDED**2 * (both - at)):
