@@ -78,20 +78,25 @@ def _turned_back(event: Event, period: float, last: Chain, bare: Plate, p: Float
 
 
 @compiled
-def _predict(event: Event, last: Chain, bare: Plate, law: Law, seen: Visibility, out: Prediction) -> tuple[int, float]:
+def _predict(
+    event: Event, last: Chain, bare: Plate, law: Law, then: Law, bounces: bool, seen: Visibility, out: Prediction
+) -> tuple[int, float]:
     """Write the prediction of an event from the landing before; return the weak impacts passed, and the first flight's
-    ``reach``."""
+    ``reach``.
+
+    From the impact that ends the flight on the law is ``then``, that of the next flight; whether it ``bounces`` there.
+    """
     # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
     own = Visibility(event.gap_m, shortest, seen.closure_s)
     plate = Plate(bare.tones, in_state(bare.mode, last.q, last.qd))
     found = next_flight(last.t, last.impact, plate, law, own, event.opening)
     land, hit, passed = found.landing, found.impact, 0
-    if found.kind >= 0 and (hit < event.weak_mps or (event.bounces and seen.closure_s == 0.0)):
+    if found.kind >= 0 and (hit < event.weak_mps or (bounces and seen.closure_s == 0.0)):
         q, qd = strike(in_state(bare.mode, found.q, found.qd), land - found.takeoff, hit, law.p)
         struck = Plate(bare.tones, in_state(bare.mode, q, qd))
         land, hit, passed, out.ambiguity_s = weak_rebounds(
-            (land, hit), event.landing, event.weak_mps, seen, struck, law
+            (land, hit), event.landing, event.weak_mps, seen, struck, then
         )
     out.takeoff_s, out.launch, out.landing_s, out.impact = found.takeoff, found.launch, land, hit
     out.opening_s, out.hidden, out.kind = found.opening, found.hidden, found.kind
@@ -176,9 +181,12 @@ def _next(
     measured = not np.isnan(event.after_q)
     om, ze, ratio = plate_mode(p)
     predicted.kind, predicted.ambiguity_s = -1.0, 0.0
+    # what depends on the flight is, from the impact that ends it on, what it is of the next one
+    goes_on = len(rows) > 1 and i + 1 < n and events[i + 1].linked
+    j, rebounds = (i + 1, events[i + 1].bounces) if goes_on else (i if len(rows) > 1 else 0, bounces)
     # a predicted flight needs the flight before, and the prediction of that to know which landing it was: two more
     soon = (i + 1 < n and events[i + 1].wanted) or (i + 2 < n and events[i + 2].wanted)
-    needed = (ratio != 0.0 and not measured) or (bounces and soon)
+    needed = (ratio != 0.0 and not measured) or ((bounces or rebounds) and soon)
     after_q, after_qd = (event.after_q, event.after_qd) if measured else (0.0, 0.0)
     if not (event.wanted or needed):  # nothing needs more of it than its landing
         return Chain(landing, last.impact, after_q, after_qd, True, 0)
@@ -191,7 +199,8 @@ def _next(
         last = begin_chain(event, steps.period[m], last, bare, p, kick)
     elif (event.wanted or bounces) and (last.known or not bounces):
         last = _turned_back(event, steps.period[m], last, bare, p)
-        passed, reach = _predict(event, last, bare, law, seen, predicted)
+        then = Law(rows[j], law.step_s, forced, rubbed, turning, under)
+        passed, reach = _predict(event, last, bare, law, then, rebounds, seen, predicted)
     if not (needed or (bounces and event.wanted)):
         if not measured:
             after_q, after_qd = last.q, last.qd

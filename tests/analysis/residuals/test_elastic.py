@@ -158,3 +158,15 @@ def test_a_strong_impact_between_two_samples_is_passed_where_its_rebound_is_shor
     p = one_ahead(flights, plate, row(effects, G), detection)
     expected = landing if closure_s == 0.0 else first
     assert np.abs(p.landing_s - expected)[1:] == pytest.approx(0.0, abs=3e-6)  # the chatter after it lasts 2.6 us
+
+
+def test_the_impact_that_ends_a_flight_rebounds_as_the_next_one_begins() -> None:
+    """Where restitution differs from flight to flight, that of the next one says whether an impact may be passed."""
+    plate, speed = moving(0.0), np.array([2.0, 0.04, 0.02])  # of restitution 0.02, then of 0.5
+    landing = np.cumsum(2.0 * speed / G)
+    opening = landing - 2.0 * speed / G
+    rows = np.stack([row({"restitution": {"e0": e}}, G) for e in (0.0, 0.02, 0.5)])
+    seen = landing + np.array([0.0, 1e-4, 0.0])  # nearer to where a second bounce of 0.02 would end
+    flights = table(seen, opening, np.ones(3, bool), np.array([False, True, True]))
+    p = one_ahead(flights, plate, rows, Detection(unseen_s=2e-4, weak_mps=0.01))
+    assert p.landing_s[1] == pytest.approx(landing[1], abs=1e-9)
