@@ -134,7 +134,8 @@ def _groups(point: Point, keys: Sequence[ParameterId]) -> list[tuple[ParameterId
     """Coordinates of the simplex: each key by itself, tied parameters together where they are equal."""
     out: list[tuple[ParameterId, ...]] = []
     for key in keys:
-        if key[1].endswith(TREND) or key not in point:
+        # the frequency of a modulation was measured, and each other one is a motion of the plate anew
+        if key[1].endswith(TREND) or key not in point or parameter_of(key).hint == "modulation_hz":
             continue
         group = _tied_with(key)
         equal = all(k in keys and point.get(k) == point[key] for k in group)

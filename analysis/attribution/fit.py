@@ -50,6 +50,7 @@ class Fitter:
 
     def __init__(self, model: ForwardModel, priors: Mapping[ParameterId, Prior], train: Bools) -> None:
         self.model, self.train = model, train
+        self.events = train[model.observations.measured.step]  # no others count in a fit
         self.priors = {k: prior for k, prior in priors.items() if not model.is_idle(k)}
         mode = model.observations.ringing.mode
         self.identified = {k: Prior(*v) for k, v in mode.measured().items()} if mode and mode.sure else {}
@@ -196,7 +197,6 @@ class _State:
     ) -> None:
         self.fitter, self.whitener, self.keys, self.mean, self.inverse = fitter, whitener, list(keys), mean, inverse
         self.step = np.concatenate([whitener.step, fitter.model.observations.plate.step])
-        self._of_fit = fitter.train[fitter.model.observations.measured.step]  # events: no others count in a fit
         self.mask = fitter.train[self.step]
         self.leaping = np.zeros(len(self.step), dtype=bool)  # flights whose slopes are none, by any parameter
         bounds = [fitter.bounds(k, released=inverse[i] == 0.0) for i, k in enumerate(keys)]
@@ -206,8 +206,8 @@ class _State:
         return self.fitter.values(self.keys, x)
 
     def raw(self, x: Floats) -> Floats:
-        """Bare residuals at ``x``, stacked."""
-        return self.whitener.stacked(self.fitter.model.residuals(self.point(x)))
+        """Bare residuals of the training steps at ``x``, stacked; those of other steps are not predicted."""
+        return self.whitener.stacked(self.fitter.model.residuals(self.point(x), wanted=self.fitter.events))
 
     def loss(self, raw: Floats, x: Floats) -> float:
         """Robust loss of the training steps, priors included; infinite where a prediction is."""
@@ -230,34 +230,33 @@ class _State:
             h = RELATIVE_STEP if x[j] + RELATIVE_STEP <= self.high[j] else -RELATIVE_STEP
             if kept:
                 key = (here, self.keys[j], h)
-                bare[:, j] = model.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h, None))
+                bare[:, j] = model.slope_memory.recall(key, functools.partial(self._difference, x, raw, j, h))
             else:
-                bare[:, j] = self._difference(x, raw, j, h, self._of_fit)
+                bare[:, j] = self._difference(x, raw, j, h)
         bare[self.leaping] = 0.0
 
-    def _difference(self, x: Floats, raw: Floats, j: int, h: float, wanted: Bools | None) -> Floats:
+    def _difference(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
         """Slopes of the bare residuals by one coordinate, from a finite difference.
 
         A flight that grazes leaps to another landing within the difference, which would hold the parameter where it is.
         So a flight that says most of a parameter is flown once more: where both differences disagree, no slope counts.
         """
-        slopes, n = self._one_sided(x, raw, j, h, wanted), len(self.whitener.step)
+        slopes, n = self._one_sided(x, raw, j, h), len(self.whitener.step)
         information = self.whitener.white_slopes(slopes[:, None], raw)[:n, 0] ** 2
         # the slope of a flight that says a fifth of what all flights say is looked at again
         heavy = np.flatnonzero(information > 0.2 * information.sum())
         if len(heavy):
             other = -h if self.low[j] <= x[j] - h <= self.high[j] else h / 8
-            product, square = self._one_sided(x, raw, j, other, wanted)[heavy] * slopes[heavy], slopes[heavy] ** 2
+            product, square = self._one_sided(x, raw, j, other)[heavy] * slopes[heavy], slopes[heavy] ** 2
             self.leaping[heavy[(product < 0.5 * square) | (product > 2.0 * square)]] = True
         slopes[self.leaping] = 0.0
         return slopes
 
-    def _one_sided(self, x: Floats, raw: Floats, j: int, h: float, wanted: Bools | None) -> Floats:
+    def _one_sided(self, x: Floats, raw: Floats, j: int, h: float) -> Floats:
         moved = x.copy()
         moved[j] += h
-        there = self.fitter.model.residuals(self.point(moved), wanted=wanted)
-        change = of_same_events(self.whitener.stacked(there) - raw, self.whitener)
-        return (change if wanted is None else np.where(self.mask, change, 0.0)) / h
+        change = of_same_events(self.raw(moved) - raw, self.whitener)
+        return np.where(self.mask, change, 0.0) / h
 
     def normal(self, slopes: Floats, raw: Floats, x: Floats, mask: Bools) -> tuple[Floats, Floats]:
         """Normal equations of the weighted step, priors included, from bare residuals and their slopes."""
@@ -387,10 +386,10 @@ class Fitted:
         model = self.fitter.model
         out: dict[str, Floats] = {}
         for fold in self.fitter.folds:
-            mask = self.state.mask & ~fold[self.state.step]
+            mask, seen = self.state.mask & ~fold[self.state.step], fold[model.observations.measured.step]
             normal, gradient = self.normal(mask)
             x = self.x + damped_step(normal, gradient, 1e-6, self.state.low - self.x, self.state.high - self.x)
-            losses = step_losses(model, whitener, model.residuals(self.state.point(x)))
+            losses = step_losses(model, whitener, model.residuals(self.state.point(x), wanted=seen))
             for channel, values in losses.items():
                 out[channel] = out.get(channel, np.zeros_like(values)) + np.where(fold, values, 0.0)
         return out

@@ -101,8 +101,7 @@ class Hypothesis:
     @functools.cached_property
     def level(self) -> float:
         """Loss of the fit on the training steps, each channel's excess noise at its best."""
-        noise = self.model.observations.plate.noise(self.fitter.train)
-        return self.whitener.profile_loss(self.model.residuals(self.fitted.values), self.fitter.train, noise)
+        return Refits(self.fitter).profile_loss(self.whitener, self.fitted.values)
 
     @property
     def strained(self) -> bool:
@@ -165,7 +164,8 @@ class Refits:
 
     def profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
         """Loss at ``values`` on the training steps, each channel's excess noise at its best."""
-        return whitener.profile_loss(self.model.residuals(values), self.train, self.plate_noise)
+        seen = self.model.residuals(values, wanted=self.fitter.events)
+        return whitener.profile_loss(seen, self.train, self.plate_noise)
 
     def scored(self, candidates: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
         """The hypothesis with its held-out loss, at the weights of its own fit."""

@@ -115,7 +115,8 @@ class Proposals:
             if gain >= enough:
                 weights = Whitener.of(self.refits.model, start)
                 return attempted(chosen, self.refits.converged, chosen, weights, x.free, start)
-            fitted = attempted(chosen, self.fitter.fit, best.whitener, x.free, start, most=-math.inf)
+            known = {k: v for k, v in best.fitted.slopes.items() if k not in x.free}
+            fitted = attempted(chosen, self.fitter.fit, best.whitener, x.free, start, known, most=-math.inf)
             return None if fitted is None else attempted(chosen, self._as_begun, best, chosen, fitted)
 
         with ThreadPoolExecutor(THREADS) as pool:

@@ -28,7 +28,7 @@ from analysis.discovery.terms import (
     event_term,
     hat_functions,
 )
-from analysis.linear_algebra import lstsq, pinv
+from analysis.linear_algebra import lstsq
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import excess_noise, log_odds, robust_loss, robust_weight
 from analysis.residuals.noise.uncertainty import uncertainty_at
@@ -324,15 +324,7 @@ def jacobian_of(
         along = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
         return np.asarray(along[:, None] * curve.basis[stack.event])
     out = np.empty((len(r), len(curve.values)))
-    for i in range(len(curve.values)):
-        values_moved = curve.values.copy()
-        values_moved[i] += nudge
-        moved = replace(curve, values=values_moved)
+    for i, step in enumerate(nudge * np.eye(len(curve.values))):
+        moved = replace(curve, values=curve.values + step)
         out[:, i] = (stack.residuals(AugmentedModel(model, [moved], dwell_s), values) - r) / nudge
     return out
-
-
-def covariance_of(curve: Curve, stack: StackedResiduals, r: Floats, jacobian: Floats) -> Floats:
-    """Covariance of the curve's values at its knots, (k, k)."""
-    normal, _ = normal_equations(stack, r, jacobian, penalty=penalty_of_curve(curve))
-    return np.asarray(pinv(normal, rcond=1e-14))

@@ -23,10 +23,10 @@ from analysis.discovery.fit import (
     StackedResiduals,
     best_constant,
     best_start,
-    covariance_of,
     fit_in_flight,
     jacobian_of,
     newton_step,
+    normal_equations,
     penalty_of_curve,
     residual_table,
     screen_covariate,
@@ -42,6 +42,7 @@ from analysis.discovery.terms import (
     knots_of,
     ranges_of,
 )
+from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import robust_loss
 from analysis.residuals.noise.whitening import Whitener
@@ -119,10 +120,11 @@ class TermSearch:
         Where openings depend on the contact's gap, which a wrong model bends, terms are screened without them as well.
         """
         both = StackedResiduals.of(self.model, self.values, self.train)
-        found = self._screened(both)
+        constant = {name: residual_table(self.model, self.values, both, name) for name in EVENT_GRIDS}
+        found = self._screened(both, constant)
         if self._gap_matters(both):
             seen = {(t.curve.term.name, t.curve.term.of) for t in found[:FINALISTS]}
-            again = self._screened(both.landings())
+            again = self._screened(both.landings(), {name: table[:, ~both.first] for name, table in constant.items()})
             found = found[:FINALISTS] + [t for t in again if (t.curve.term.name, t.curve.term.of) not in seen]
         return found
 
@@ -134,14 +136,14 @@ class TermSearch:
         # landings only
         return bool(stack.first.any() and np.median(np.abs(r / stack.sigma_s)[stack.first]) > 1.0)
 
-    def _screened(self, stack: StackedResiduals) -> list[ScreenedTerm]:
+    def _screened(self, stack: StackedResiduals, constant: Mapping[str, Floats]) -> list[ScreenedTerm]:
+        """Terms near the best, by the residuals of ``stack`` at each ``constant`` value of a term; see `screen`."""
         ahead = stack.loss(stack.residuals(self.model, self.values))
         judged = self.model.observations.scored
         tried: list[ScreenedTerm] = []
         constants: dict[str, float] = {}
         known: dict[tuple[str, str], Curve] = {}
-        for name in EVENT_GRIDS:
-            table = residual_table(self.model, self.values, stack, name)
+        for name, table in constant.items():
             constants[name] = best_constant(table, stack, name)[0]
             for term in event_terms(name):
                 x = self.tables[term.of]
@@ -151,40 +153,29 @@ class TermSearch:
                 tried.append(screen_covariate(table, stack, term, x, knots))
                 known[name, term.of] = tried[-1].curve
         ranges = ranges_of(self.tables, judged)
-        within = [t for t in IN_FLIGHT if ranges[t.of][0] < ranges[t.of][1]]
+        few = []  # models of about so many events: 120 choose the starting shape, 200 are fitted, to order the terms
+        for model in (subsample(self.model, self.train, most) for most in (120, 200)):
+            seen = StackedResiduals.of(model, self.values, self.train)
+            few.append((model, self.values, seen if stack.first.any() else seen.landings()))
+
+        def within_flight(term: Term) -> ScreenedTerm:  # begun from the term with one value for each flight
+            curve = Curve.even(term, ranges[term.of])
+            start = known.get((term.name, NEAREST_COVARIATE.get(term.of, "")))
+            if term.name != "force":
+                # at its bound of 0 such a term has no slope: it begins at 0.01
+                constant = np.full_like(curve.values, max(constants[term.name], 0.01))
+                values = constant if start is None else start.at(curve.knots)
+                curve = curve.moved(values * (self.model.gravity if term.against_motion else 1.0))
+            curve = best_start(*few[0], curve, self.dwell)
+            curve = fit_in_flight(*few[1], curve, self.dwell, SCREENING_TAILS).curve
+            augmented = AugmentedModel(self.model, [curve], self.dwell)
+            return ScreenedTerm(curve, stack.loss(stack.residuals(augmented, self.values)))
+
         with ThreadPoolExecutor(THREADS) as pool:
-            tried += pool.map(lambda t: self._in_flight_term(stack, t, ranges[t.of], constants[t.name], known), within)
+            tried += pool.map(within_flight, [t for t in IN_FLIGHT if ranges[t.of][0] < ranges[t.of][1]])
         tried.sort(key=lambda t: t.loss)
         # terms that lose at most 40 % of the best screened gain are fitted in full
         return [t for t in tried if t.loss < tried[0].loss + 0.4 * (ahead - tried[0].loss)][:FINALISTS]
-
-    def _in_flight_term(
-        self,
-        stack: StackedResiduals,
-        term: Term,
-        span: tuple[float, float],
-        constant: float,
-        known: Mapping[tuple[str, str], Curve],
-    ) -> ScreenedTerm:
-        """A term within the flight, started from the term with one value for each flight."""
-        curve = Curve.even(term, span)
-        start = known.get((term.name, NEAREST_COVARIATE.get(term.of, "")))
-        if term.name != "force":
-            # at its bound of 0 such a term has no slope: it begins at 0.01
-            values = np.full_like(curve.values, max(constant, 0.01)) if start is None else start.at(curve.knots)
-            curve = curve.moved(values * (self.model.gravity if term.against_motion else 1.0))
-        # 120 events choose the starting shape, 200 are fitted: screening only orders the terms
-        curve = best_start(*self._subsampled(stack, 120), curve, self.dwell)
-        curve = fit_in_flight(*self._subsampled(stack, 200), curve, self.dwell, SCREENING_TAILS).curve
-        return ScreenedTerm(
-            curve, stack.loss(stack.residuals(AugmentedModel(self.model, [curve], self.dwell), self.values))
-        )
-
-    def _subsampled(self, stack: StackedResiduals, most: int) -> tuple[ForwardModel, Values, StackedResiduals]:
-        """Model, values and stack of at most so many events; only landings where ``stack`` has no openings."""
-        few = subsample(self.model, self.train, most)
-        seen = StackedResiduals.of(few, self.values, self.train)
-        return few, self.values, seen if stack.first.any() else seen.landings()
 
     def refine(self, curve: Curve) -> RefinedTerm:
         """Curve and everything else fitted in turn; roughness and score from steps that the curve was not fitted to."""
@@ -214,7 +205,8 @@ class TermSearch:
             held[fold] = stack.residuals(AugmentedModel(self.model, [other], self.dwell), values)[fold]
         losses = {"events": stack.by_step(held), "plate": plate_loss(augmented, values)}
         explanation = Hypothesis(self.named, fitted, Whitener.of(augmented, values), losses)
-        covariance, scatter = covariance_of(curve, stack, r, jacobian), stack.scatter(held)
+        normal, _ = normal_equations(stack, r, jacobian, penalty=penalty_of_curve(curve))
+        covariance, scatter = np.asarray(pinv(normal, rcond=1e-14), np.float64), stack.scatter(held)
         return RefinedTerm(curve, covariance, np.array(curves), scatter, augmented, explanation)
 
     def _cross_validated_roughness(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:

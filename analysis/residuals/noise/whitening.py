@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from analysis.linear_algebra import NotFiniteError, svd
+from analysis.linear_algebra import NotFiniteError, eigh
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
 from analysis.residuals.noise.uncertainty import uncertainty_at
@@ -240,6 +240,8 @@ def _lowest(loss: Callable[[float], float], guess: float) -> float:
     grid = np.arange(math.log(LEAST_EXCESS_S), start + 1.4, 0.7)
     losses = [loss(math.exp(x)) for x in grid]
     k = int(np.argmin(losses))
+    if k == 0 and loss(math.exp(grid[0] + 0.05)) > losses[0]:  # most fits leave no excess: it only rises from there
+        return LEAST_EXCESS_S
     ends = (float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)]))
     fine: Any = minimize_scalar(lambda x: loss(math.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
     return math.exp(fine.x) if fine.fun < losses[k] else max(math.exp(grid[k]), LEAST_EXCESS_S)
@@ -251,14 +253,17 @@ def _shared(tones: Floats, bounds: Integers) -> tuple[Floats, Floats, Floats]:
     counts, tones = np.diff(bounds), tones[:, np.max(np.abs(tones), axis=0, initial=0.0) > 1e-8]
     place = np.arange(len(tones)) - np.repeat(bounds[:-1], counts)
     block = np.repeat(np.arange(len(counts)), counts)
-    padded = np.zeros((len(counts), max(int(counts.max(initial=0)), tones.shape[1]), tones.shape[1]))
+    padded = np.zeros((len(counts), int(counts.max(initial=0)), tones.shape[1]))
     padded[block, place] = tones
     # unit residuals have the covariance 1 + T T'; its inverse root shrinks T's singular directions by
     # 1 / sqrt(1 + s^2)
-    vectors, sizes, _ = svd(padded, full_matrices=False)
+    squares, turned = eigh(np.swapaxes(padded, 1, 2) @ padded)
+    # where T's columns depend on each other, rounding leaves such squares of nothing
+    squares = np.where(squares > 1e-12 * squares[:, -1:], squares, 0.0)
+    vectors = padded @ (turned / np.sqrt(np.where(squares > 0.0, squares, np.inf))[:, None, :])
     # half the logarithm of its determinant, shared out evenly among the events
-    logs = 0.5 * np.sum(np.log1p(sizes**2), axis=1) / counts
-    return vectors[block, place], 1.0 / np.sqrt(1.0 + sizes**2) - 1.0, logs[block]
+    logs = 0.5 * np.sum(np.log1p(squares), axis=1) / counts
+    return vectors[block, place], 1.0 / np.sqrt(1.0 + squares) - 1.0, logs[block]
 
 
 @njit()
