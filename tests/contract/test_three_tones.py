@@ -63,10 +63,6 @@ ALSO = {  # names that may come with an effect, or instead of it
 }
 # what goes with the mean square of the rig's drive, and the forcings whose ripple shows in its size
 FOLLOWS = {"gain_compression": [(2, 3)], "harmonic_distortion": [(2, 0)]}
-FAULTS = {
-    "table_resonance": "its damping comes out as .143 +- .009 of .06, frequency and mass ratio are right: where no "
-    "mode is identified, the uncertainty of flights falls with the damping",
-}
 ALL = [(1, 0), (2, 0), (3, 0), (1, 3), (3, 2)]
 EVERYWHERE = ("coulomb_friction", "position_force", "harmonic_distortion")
 
@@ -84,15 +80,7 @@ CASES += [(name, ALL[i::2]) for name in EVERYWHERE for i in (0, 1)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "forcings"),
-    [
-        pytest.param(
-            n, f, id=f"{n} {f}", marks=[pytest.mark.xfail(reason=FAULTS[n], strict=True)] if n in FAULTS else []
-        )
-        for n, f in CASES
-    ],
-)
+@pytest.mark.parametrize(("name", "forcings"), [pytest.param(n, f, id=f"{n} {f}") for n, f in CASES])
 def test_an_effect_is_found_at_its_own_size_under_any_forcing(
     tmp_path: Path, name: str, forcings: list[tuple[int, int]]
 ) -> None:

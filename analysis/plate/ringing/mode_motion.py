@@ -109,7 +109,8 @@ class PushedPlate:
         # a kick is a change of speed: half of its variance goes to each quadrature, and so does what a block shows
         walk = 0.5 * np.sum(KICK_MPS**2 + (KICK_PART * self.push.impulse_mps) ** 2) / lasts_s
         shown = 0.5 * (abs(turn) * mass_ratio / self.noise_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
-        return mass_ratio * math.sqrt(walk / (2.0 * math.sqrt(turn.real**2 + walk * shown)))
+        forgets = max(turn.real**2, lasts_s**-2)  # no error is older than the recording
+        return mass_ratio * math.sqrt(walk / (2.0 * math.sqrt(forgets + walk * shown)))
 
     def _correction(self, motion: ModeMotion, others_mps2: Floats) -> Complexes:
         """By how much kicks differ from those of a motion beside others: a smoother of the mode's state, (1 + k,).

@@ -21,7 +21,7 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of
-from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
+from analysis.plate.ringing.regression import CLUSTER_S, STRONG_DAMPING, SURE_NATS, PlateMode, Regression
 from analysis.signals import restored
 from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats
@@ -39,7 +39,7 @@ class Identified:
 
     mode: PlateMode | None = None
     quiet: bool = False  # whether they leave room for no mode that would be sure
-    # what the ball did to the plate, of each recording; empty where a mode is not sure in all of them
+    # what the ball did to the plate, of each recording; empty where the plate does not surely answer in all of them
     pushed: tuple[PushedPlate, ...] = ()
 
     @classmethod
@@ -99,8 +99,16 @@ def identified_mode(
         record = record.without(int(worst * CLUSTER_S / block_s), ends)
         begun.append(min(ends, len(record.known) - 2))
     mode = None if found is None else seen.judged(found, forcing_hz)
+    # what hardly rings, at a frequency that nothing tells, answers as a mass does: flights tell better what it is
+    if mode and mode.sure and mode.damping > STRONG_DAMPING and mode.sigmas()[0] > 0.1 * mode.frequency_hz:
+        mode = None
     if mode is None or found is None or not mode.sure:
-        return Identified(mode)
+        # what the ball did is known even where no mode is, if the plate surely answers; but the drive's part, fitted
+        # beside another mode, may hold some of this one's motion, so that the acceleration corrects no kick
+        if found is None or len(begun) > 1 or seen.gained(found) < SURE_NATS:
+            return Identified(mode)
+        pushed = whole.pushed(seen, found)
+        return Identified(mode, pushed=(replace(pushed, known=np.zeros_like(pushed.known)),))
     if seen.left_nats(found) > SURE_NATS and (both := record.second(seen, begun, found, forces, forcing_hz)):
         seen, found, mode = both
     pushed = whole.pushed(seen, found)
