@@ -40,7 +40,37 @@ RIGS: dict[str, tuple[Shaker, dict[str, str]]] = {
         Shaker(contact_n_per_m=4e9, contact_damping=6.0, sliding_friction=0.1),
         {"restitution": "", RUBS: "0.1, 0.1"},
     ),
+    "two modes: a table of 2 kg on 20 kg": (Shaker(table_kg=2.0, damping=0.1, floor_kg=20.0), {MODE: ""}),
+    "two modes: a table of 4 kg on 8 kg": (
+        Shaker(table_kg=4.0, suspension_hz=6.0, damping=0.05, floor_kg=8.0, floor_hz=10.0),
+        {MODE: ""},
+    ),
+    "two modes: a table of 5 kg on 15 kg": (
+        Shaker(table_kg=5.0, suspension_hz=4.0, damping=0.05, floor_kg=15.0, floor_hz=9.0),
+        {MODE: ""},
+    ),
+    "two modes: a table of 20 kg on 100 kg": (
+        Shaker(table_kg=20.0, damping=0.1, floor_kg=100.0, floor_hz=6.0),
+        {MODE: ""},
+    ),
 }
+
+
+def modes_of(rig: Shaker) -> list[tuple[float, float, float]]:
+    """Frequency, damping, and ball over moving mass of the table's modes, the one that is struck most first."""
+    table, spring, dashpot, floor, floor_spring, floor_dashpot, *_ = rig.parts()
+    masses = np.array([[table], [floor]])
+    springs = np.array([[spring, -spring], [-spring, spring + floor_spring]]) / masses
+    dashpots = np.array([[dashpot, -dashpot], [-dashpot, dashpot + floor_dashpot]]) / masses
+    poles, shapes = np.linalg.eig(np.block([[np.zeros((2, 2)), np.eye(2)], [-springs, -dashpots]]))
+    # the table's speed after a blow of the ball's weight: a sum over the poles
+    sizes = 2.0 * shapes[2] * np.linalg.inv(shapes)[:, 2] * BALL_KG / table
+    found = [
+        (abs(p) / (2.0 * np.pi), -p.real / abs(p), float((z / (1.0 - 1j * p.real / p.imag)).real))
+        for p, z in zip(poles, sizes, strict=True)
+        if p.imag > 0.0
+    ]
+    return sorted((mode for mode in found if mode[2] > 1e-4), key=lambda mode: -mode[2])
 
 
 def recorded(rig: Shaker, folder: Path) -> Path:
@@ -60,7 +90,7 @@ def trial(name: str, ratio: int, seed: int) -> str:
     rig = replace(rig, c=ratio, gammas=tuple(gammas.tolist()), seed=seed)
     truth = {LAG: "", **others}
     if MODE in truth:
-        truth[MODE] = f"{BALL_KG / rig.table_kg:.3g}, {rig.suspension_hz:g} Hz, {rig.damping:g}"
+        truth[MODE] = " and ".join(f"{m:.3g}, {hz:.4g} Hz, {d:.3g}" for hz, d, m in modes_of(rig))
     with tempfile.TemporaryDirectory() as folder:
         path = recorded(rig, Path(folder))
         begin = time.process_time()
