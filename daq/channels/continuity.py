@@ -49,5 +49,7 @@ class ContinuityChannel(Channel):
                 f"open_v and closed_v are both {open_v:g} V: contact and flight could not be distinguished"
             )
         if max(abs(open_v), abs(closed_v)) > self.range_v:
-            raise ValueError(f"open_v or closed_v lies outside range_v = {self.range_v:g} V")
+            raise ValueError(
+                f"open_v or closed_v lies outside range_v = {self.range_v:g} V; write a larger range_v here"
+            )
         return self

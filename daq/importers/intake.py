@@ -77,7 +77,7 @@ class Intake:
     origin_s: float = 0.0  # the same in seconds
     last_s: float = -np.inf  # the last one, in seconds after it
     n_rows: int = 0
-    quantum_s: float = np.inf  # rounding step of the time column
+    quantum_s: float = 0.0  # coarsest decimal rounding of the time column
     spacing_s: float = 0.0  # coarsest step of its floating-point type
     repeated: str = ""  # the first row whose time equals the one before
     # by role, from which row on a value was set
@@ -87,7 +87,7 @@ class Intake:
     @property
     def rounding_s(self) -> float:
         """Resolution of the time column, seconds."""
-        return max(self.quantum_s if np.isfinite(self.quantum_s) else 0.0, self.spacing_s, 1e-9)
+        return max(self.quantum_s, self.spacing_s, 1e-9)
 
     def take(self, piece: Piece) -> Integers:
         """Check a piece and note its properties; returns nanoseconds since the first row, empty without a time."""
@@ -140,7 +140,11 @@ class Intake:
         factor = TIME_UNITS_S[unit]
         if self.n_rows == 0:
             self.origin, self.origin_s = raw[0], float(raw[0]) * factor
-        self.quantum_s = min(self.quantum_s, quantum_of(raw.astype(np.float64)) * factor)
+        # times written with so many digits are rounded the more coarsely the longer they run: by both ends of a piece
+        for end in (raw[:1000], raw[-1000:]):
+            if self.n_rows == 0 or len(end) == 1000:  # of fewer, all may be round by chance
+                quantum_s = quantum_of(end.astype(np.float64)) * factor
+                self.quantum_s = max(self.quantum_s, quantum_s if np.isfinite(quantum_s) else 0.0)
         coarsest = np.spacing(given[-1]) if raw.dtype.kind == "f" else 0.0
         self.spacing_s = max(self.spacing_s, float(coarsest) * factor)
         stamps = np.empty(len(raw), np.int64)

@@ -53,6 +53,11 @@ def refusals(path: Path, what: str, *further: type[Exception]) -> Iterator[None]
         raise InputError(f"{path}: {what} ({error}).") from error
 
 
+def _is_wide(shape: tuple[int, ...]) -> bool:
+    """Whether a matrix holds a channel in each row: no recording has so few samples."""
+    return len(shape) == 2 and 1 < shape[0] <= 64 < shape[1]
+
+
 @dataclass(frozen=True)
 class _Array:
     """A column: its length, how it is read, bytes of which it is made in the file, and its scale."""
@@ -108,8 +113,7 @@ class ArraySource(Source):
                 own = partial(lambda k, a, b: read(a, b, k), k)
                 self._columns[f"{name}[{k}]"] = _Array(shape[0], dtype, own, refuse_claims, scale)
         else:
-            wide = f"{shape[1]} columns, at most 64 are read"
-            self.left_out[name] = wide if len(shape) == 2 else f"{len(shape)} dimensions"
+            self.left_out[name] = f"{' x '.join(map(str, shape))} numbers, at most 64 columns are read"
         self.names = tuple(self._columns)
 
     def _offer_rate(self, name: str, value: Any) -> None:
@@ -120,13 +124,11 @@ class ArraySource(Source):
 
     def _hold(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Take arrays that are in memory, or mapped into it."""
-
-        def read(array: NDArray[Any], start: int, stop: int, column: int | None) -> NDArray[Any]:
-            return np.asarray(array.reshape(-1)[start:stop] if column is None else array[start:stop, column])
-
         for name, array in arrays.items():
             self._offer_rate(name, array)
-            self._offer(name, array.shape, array.dtype, partial(read, array))
+            upright = array.T if _is_wide(array.shape) else array
+            read = partial(lambda x, a, b, k: np.asarray(x.reshape(-1)[a:b] if k is None else x[a:b, k]), upright)
+            self._offer(name, upright.shape, array.dtype, read)
 
     def _refuse_size(self, name: str, claimed: int, stored: int) -> None:
         """Refuse ``claimed`` bytes of content in ``stored`` bytes of file."""
@@ -163,8 +165,7 @@ class ArraySource(Source):
             stop = min(start + PIECE_ROWS, length)
             with refusals(self.path, f"rows {start + 1} to {stop} do not read"):
                 columns = {n: self._columns[n].read(start, stop).astype(self.dtype(n), copy=False) for n in names}
-            short = [n for n in names if len(columns[n]) != stop - start]
-            if short:
+            if short := [n for n in names if len(columns[n]) != stop - start]:
                 raise InputError(f"{self.path}: {listed(short)}: breaks off within rows {start + 1} to {stop}.")
             yield Piece(columns, range(start + 1, stop + 1))
 
@@ -185,11 +186,12 @@ class NpzSource(ArraySource):
                     shape, by_columns, dtype = _npy_header(stream)
                     if shape in ((), (1,)) and dtype.kind in "iuf":
                         self._offer_rate(name, np.frombuffer(stream.read(dtype.itemsize), dtype)[0])
-                if len(shape) == 2 and 1 not in shape and by_columns:
-                    continue  # column-major matrices cannot be read row by row
-                width = shape[1] if len(shape) == 2 and 1 not in shape else 1
                 claimed = math.prod(shape) * dtype.itemsize
-                read = partial(self._read, member, width, dtype)
+                wide = _is_wide(shape)
+                shape = shape[::-1] if wide else shape
+                # samples of a channel lie one after another, or as far from each other as the matrix is wide
+                width = shape[1] if len(shape) == 2 and 1 not in shape and wide == by_columns else 1
+                read = partial(self._read, member, max(shape, default=0), width, dtype)
                 self._offer(name, shape, dtype, read, partial(self._stored, name, member, claimed))
 
     def _stored(self, name: str, member: str, claimed: int) -> int:
@@ -203,16 +205,18 @@ class NpzSource(ArraySource):
         return part.compress_size
 
     def _read(
-        self, member: str, width: int, dtype: np.dtype[Any], start: int, stop: int, column: int | None
+        self, member: str, apart: int, width: int, dtype: np.dtype[Any], start: int, stop: int, column: int | None
     ) -> NDArray[Any]:
+        """Samples of a channel; the first ones of two channels lie ``apart``, two of one channel ``width``."""
         stream, at = self._places.get((member, column), (None, -1))
         if at != start:
             stream = self._archive.open(member)
             _npy_header(stream)
-            stream.seek(stream.tell() + start * width * dtype.itemsize)
+            before = start * width + ((column or 0) * apart if width == 1 else 0)
+            stream.seek(stream.tell() + before * dtype.itemsize)
         data = stream.read((stop - start) * width * dtype.itemsize)
         self._places[member, column] = stream, stop
-        return np.frombuffer(data, dtype).reshape(-1, width)[:, column or 0]
+        return np.frombuffer(data, dtype).reshape(-1, width)[:, (column or 0) if width > 1 else 0]
 
 
 def _npy_header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -238,8 +242,17 @@ class MatSource(ArraySource):
         super().__init__(path)
         with refusals(path, "cannot be read as MAT", MatReadError):
             self._refuse_size("a variable", _unpacked_bytes(path), path.stat().st_size // _PACKED)
-            variables = loadmat(str(path))
-        self._hold({k: v for k, v in variables.items() if isinstance(v, np.ndarray) and not k.startswith("__")})
+            variables = loadmat(str(path), simplify_cells=True)
+        self._hold(dict(_fields(variables)))
+
+
+def _fields(struct: Mapping[str, Any], within: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Arrays of a MATLAB structure and of those within it, with names as in HDF5."""
+    for name, value in struct.items():
+        if isinstance(value, Mapping):
+            yield from _fields(value, f"{within}{name}/")
+        elif not name.startswith("__"):
+            yield within + name, np.asarray(value)
 
 
 def _unpacked_bytes(path: Path) -> int:
@@ -331,11 +344,13 @@ class Hdf5Source(ArraySource):
 
     def _take(self, name: str, item: Any) -> None:
         """Take a dataset of plain numbers, with the scale and the unit that its attributes state."""
-        if item.shape in ((), (1,)) and split_name(name)[0] in RATE_NAMES:
+        if item.size == 1 and split_name(name)[0] in RATE_NAMES:
             self._offer_rate(name, item[()])
         factor, offset = (_small_attribute(item, key) for key in ("scale_factor", "add_offset"))
         scale = (factor, offset if isinstance(offset, float) else 0.0) if isinstance(factor, float) else (1.0, 0.0)
-        self._offer(name, item.shape, item.dtype, partial(self._read, name), partial(self._stored, name), scale)
+        wide = _is_wide(item.shape)
+        shape, read = item.shape[::-1] if wide else item.shape, partial(self._read, name, wide)
+        self._offer(name, shape, item.dtype, read, partial(self._stored, name), scale)
         units = _small_attribute(item, "units")
         if split_name(name)[0] in ("timestamp", "timestamps") and isinstance(units, str):
             self.time_unit = {"n": "ns", "1": "ns", "u": "us", "m": "ms", "s": "s"}.get(units[:1], "")
@@ -359,27 +374,19 @@ class Hdf5Source(ArraySource):
             self._opened[name] = self._file[name]
         return self._opened[name]
 
-    def _read(self, name: str, start: int, stop: int, column: int | None) -> NDArray[Any]:
+    def _read(self, name: str, wide: bool, start: int, stop: int, column: int | None) -> NDArray[Any]:
         item = self._dataset(name)
         if column is None:
             return np.asarray(item[start:stop] if item.ndim == 1 or item.shape[1] == 1 else item[0, start:stop]).ravel()
-        return np.asarray(item[start:stop, column])
+        return np.asarray(item[column, start:stop] if wide else item[start:stop, column])
 
 
 class Mat73Source(Hdf5Source):
     """Variables of a MATLAB file from version 7.3 on: HDF5, its matrices lying column by column."""
 
     def _take(self, name: str, item: Any) -> None:
-        if item.size == 1:
-            self._offer_rate(name, item[()])
         if not name.startswith("#") and item.attrs.get("MATLAB_class", b"") != b"char":
-            self._offer(name, item.shape[::-1], item.dtype, partial(self._read, name), partial(self._stored, name))
-
-    def _read(self, name: str, start: int, stop: int, column: int | None) -> NDArray[Any]:
-        item = self._dataset(name)
-        if column is None:
-            return np.asarray(item[start:stop] if item.shape[0] > 1 else item[0, start:stop]).ravel()
-        return np.asarray(item[column, start:stop])
+            super()._take(name, item)
 
 
 def _small_attribute(item: Any, key: str) -> float | str | None:

@@ -6,6 +6,7 @@ read piece by piece; pyarrow parses the numbers, each to the double nearest to i
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import datetime
 import re
@@ -302,7 +303,8 @@ def _unquoted(text: bytes, delimiter: str | None) -> bytes:
 def _number(field: str, decimal: str | None) -> float | None:
     """Value, by Python's parser, of a field that is no plain number; None where it is no number.
 
-    A date with a time of day (ISO 8601; UTC where it names no zone) is seconds since 1970.
+    A date with a time of day (ISO 8601; UTC where it names no zone) is seconds since 1970, a time of day
+    is seconds since midnight.
     """
     text = field.strip().replace(",", ".") if decimal == "," else field.strip()
     try:
@@ -311,11 +313,11 @@ def _number(field: str, decimal: str | None) -> float | None:
     except ValueError:
         if ":" not in text:
             return None
-    try:
-        when = datetime.datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    return (when if when.tzinfo else when.replace(tzinfo=datetime.UTC)).timestamp()
+    for day in ("", "1970-01-01T"):
+        with contextlib.suppress(ValueError):
+            when = datetime.datetime.fromisoformat(day + text)
+            return (when if when.tzinfo else when.replace(tzinfo=datetime.UTC)).timestamp()
+    return None
 
 
 def _decimal_of(text: str, delimiter: str) -> str:
