@@ -30,6 +30,11 @@ class ToneFit:
     offset_uncertainty: float  # its standard deviation
     n: int  # values used
 
+    @property
+    def shows(self) -> bool:
+        """Whether a tone is larger than four of its uncertainties: less may be noise."""
+        return bool(np.abs(self.amplitudes).max() > 4.0 * self.amplitude_sigma().max())
+
     def amplitude_sigma(self) -> Floats:
         """Standard deviation of each tone's amplitude, the rms over its two quadratures, shape (k,)."""
         variances = self.covariance.diagonal()

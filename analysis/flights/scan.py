@@ -24,7 +24,7 @@ from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.plate.tone_noise import with_coloured_noise
 from analysis.signals import LEAST_HZ, PAD, HighPass, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
-from daq.instrument.channel_limits import NO_ENDS, Ends, NoiseSpectrum, common_ends
+from daq.instrument.channel_limits import NO_ENDS, Ends, NoiseSpectrum, coarse_step, common_ends, without_rounding
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE
@@ -45,6 +45,7 @@ class Survey:
     coupling: Coupling | None = None  # high-pass of an AC-coupled contact circuit
     # volts beyond which the accelerometer does not read; infinite where it does not come to its end
     ends_v: Ends = NO_ENDS
+    step_v: float = 0.0  # distance of the accelerometer's readings where it is coarser than the noise
 
     @property
     def mask_s(self) -> float:
@@ -122,19 +123,22 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     zero_v = recording.setup.channels.accelerometer.offset_v
     stretches = [x for piece in looked for x in _by_step(piece, steps)]
     ends_v = common_ends(stretches, recording.rate_hz, math.nan if zero_v is None else zero_v.value)
+    step_v = coarse_step(stretches)
     for piece in looked:
         if (high_pass := high_pass_of(recording, high_pass_hz)) is not None:
             high_pass.undo(piece)
+        if step_v > 0.0:
+            without_rounding(piece.channels["accelerometer"], step_v)
     noise, template = estimate_template(looked, steps, recording.rate_hz, recording.setup.forcing, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
-        return Survey(None, noise, template, ends_v=ends_v)
+        return Survey(None, noise, template, ends_v=ends_v, step_v=step_v)
     volts = [p.own("continuity") for p in looked]
     if contact.coupling == "ac":
         coupling = measure_coupling([own.astype(np.float64) for own in volts], contact.swing_v, recording.rate_hz)
-        return Survey(coupling.levels, noise, template, coupling, ends_v)
+        return Survey(coupling.levels, noise, template, coupling, ends_v, step_v)
     levels = measure_levels(np.concatenate(volts), contact.closed_v.value, contact.open_v.value)
-    return Survey(levels, noise, template, ends_v=ends_v)
+    return Survey(levels, noise, template, ends_v=ends_v, step_v=step_v)
 
 
 def _by_step(piece: Piece, steps: npt.NDArray[np.void]) -> list[Volts]:
@@ -192,10 +196,15 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
             fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
             found = contact.add(fraction, piece.first, PAD, piece.count)
             landings.append(found.sample[found.kind != OPENS])
+        smooth_v = acceleration_v
+        if known.step_v > 0.0:  # the steps of few bits look like impacts; tones come from the readings as they are
+            without_rounding(smooth_v := acceleration_v.copy(), known.step_v)
         for detector in detectors:
-            heard = detector.add(acceleration_v, piece.first, PAD, piece.count)
+            heard = detector.add(smooth_v, piece.first, PAD, piece.count)
             landings += [] if detector.every else [heard]
-            detector.subtract_impacts(acceleration_v, piece.first, PAD)
+            detector.subtract_impacts(smooth_v, piece.first, PAD)
+            if smooth_v is not acceleration_v:
+                detector.subtract_impacts(acceleration_v, piece.first, PAD)
         if high_pass is not None:
             high_pass.redo(piece)
         trimmed = PlatePiece(

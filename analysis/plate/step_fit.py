@@ -46,7 +46,7 @@ def _period(multiples: tuple[int, ...]) -> Complexes:
 
 
 def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
-    """Plate motion of a step in SI units; None where the step is too short for its tones."""
+    """Plate motion of a step in SI units; None where it is too short for its tones, or they are not there."""
     if state.lock_in is None:
         return None
     total = state.lock_in.part(state.clear_classes())
@@ -55,6 +55,8 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         volts = fits[0] if fits is not None else total.solve(0)
         drive = None if "drive" not in recording.channels else fits[1] if fits is not None else total.solve(1)
     except ValueError:
+        return None
+    if drive is not None and drive.shows and not volts.shows:  # a loose plug: nothing is known of the plate's motion
         return None
     setup = recording.setup
     channel = setup.channels.accelerometer

@@ -9,7 +9,7 @@ The tones of motion that is cut off are too small, and no fit can tell. Impacts 
 but they are not the waveform that other impacts have. Decision 310.
 
 Readings that are held: a sensor is slower than the recording, or a table was filled with the value before. Such a
-channel is a stair, whose steps look like impacts. Decision 727.
+channel is a stair, whose steps look like impacts. Decision 727. So is one of few bits. Decision 765.
 """
 
 from __future__ import annotations
@@ -300,6 +300,7 @@ def held_samples(stretches: Sequence[npt.NDArray[Any]]) -> float:
         if new.size < RHYTHM_FRAME or not 20 <= count <= 0.7 * RHYTHM_FRAME:  # fewer tell no rhythm
             continue
         rhythm = np.abs(np.fft.rfft((new - new.mean()) * np.hanning(RHYTHM_FRAME))) / (0.5 * count)
+        rhythm[:20] = 0.0  # no stair of so many readings at least, but a part in which the channel was dead
         # a stair of whole samples has all its overtones: the lowest counts
         line = int(np.argmax(rhythm > 0.7 * rhythm.max()))
         # more readings than every other sample beat at what is left to the sampling rate
@@ -339,3 +340,32 @@ def _join(volts):  # type: ignore[no-untyped-def]
             for k in range(begin + 1, i):
                 volts[k] = low + rise * (k - begin)
             begin = i
+
+
+def coarse_step(stretches: Sequence[npt.NDArray[Any]]) -> float:
+    """Distance of neighbouring readings of a channel that is rounded more coarsely than its noise; 0 where it is not.
+
+    Most readings, of the first `RHYTHM_FRAME` of stretches (n,) in codes or volts, then equal the one before.
+    """
+    changes = np.concatenate([np.zeros(0), *(np.abs(np.diff(x[:RHYTHM_FRAME].astype(np.float64))) for x in stretches)])
+    few = changes[changes > 0.0]
+    return float(np.median(few)) if 20 <= few.size < 0.4 * changes.size else 0.0
+
+
+@njit()
+def without_rounding(volts, step):  # type: ignore[no-untyped-def]
+    """Draw straight lines through a rounded motion (n,), in place, between the middles of its steps of one ``step``.
+
+    There the motion passed the border of two readings. Larger steps are an impact's: their samples stay.
+    """
+    n, begin, value, last = volts.shape[0], 0.0, volts[0], volts[0]
+    for i in range(1, n + 1):
+        here = volts[min(i, n - 1)]
+        size = abs(here - last)
+        if size > 0.5 * step or i == n:
+            small = 0.5 * step < size < 1.5 * step
+            end, reached = (i - 0.5, 0.5 * (last + here)) if small else (i - 1.0, last)
+            for k in range(math.ceil(begin), i):
+                volts[k] = value + (reached - value) * ((k - begin) / max(end - begin, 0.5))
+            begin, value = (end, reached) if small else (float(i), here)
+        last = here

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.channels.continuity import ContinuityChannel
-from daq.instrument.measure import DELAYS_S, RESTS, Measured, volts_per_g
+from daq.instrument.measure import DELAYS_S, RESTS, Hold, Measured, volts_per_g
 from daq.lock_in import ToneFit
 from daq.setup.setup import Setup
 from kernels.arrays import Floats
@@ -56,7 +56,7 @@ def doubts_of(seen: Measured, setup: Setup) -> tuple[Doubt, ...]:
     if "accelerometer_sense" not in kinds:
         scale += tuple(_bias(seen, setup))
     found += scale
-    return (*found, *_cut_off(seen, setup), *_changed(seen))
+    return (*found, *_cut_off(seen, setup), *_interrupted(seen), *_changed(seen))
 
 
 def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
@@ -75,17 +75,31 @@ def _exchanged(seen: Measured, setup: Setup) -> Iterator[Doubt]:
         )
 
 
+def _is_silent(hold: Hold) -> bool:
+    """Whether the plate is driven, and the accelerometer shows nothing of it."""
+    return hold.drive is not None and hold.drive.shows and not hold.plate.shows
+
+
 def _dead(seen: Measured, setup: Setup) -> Iterator[Doubt]:
     """An accelerometer that shows nothing of the drive."""
-    plates = [hold.plate for hold in seen.holds if hold.drive is not None]
-    # a tone within four of its uncertainties may be noise
-    above = [np.abs(fit.amplitudes).max() - 4.0 * fit.amplitude_sigma().max() for fit in plates]
-    if plates and np.median(above) <= 0.0:
+    silent = sum(map(_is_silent, seen.holds))
+    if silent and 2 * silent >= sum(hold.drive is not None for hold in seen.holds):
         yield Doubt(
             "dead",
             "the accelerometer shows nothing of the drive's motion: it is dead, unplugged, or another column",
             "name its column (--map accelerometer=COLUMN), or record again",
             True,
+        )
+
+
+def _interrupted(seen: Measured) -> Iterator[Doubt]:
+    """An accelerometer that shows nothing of the drive for a while."""
+    if silent := sum(map(_is_silent, seen.holds)):
+        yield Doubt(
+            "dead",
+            f"the accelerometer shows nothing of the drive in {silent} of the {len(seen.holds)} steps looked at",
+            "look for a loose plug; import the file without the rows of these steps",
+            False,
         )
 
 
@@ -246,7 +260,10 @@ def _contact(seen: Measured, setup: Setup) -> Iterator[Doubt]:
                 not launched,
             )
         return
-    resting = [hold.high for hold in seen.holds if hold.peak_g < RESTS and "continuity" in hold.middle]
+    resting = [
+        hold.high for hold in seen.holds
+        if hold.peak_g < RESTS and "continuity" in hold.middle and not _is_silent(hold)
+    ]  # fmt: skip
     open_part = np.median(resting) if resting else np.nan
     if contact.swing_v < 0.0:
         open_part = 1.0 - open_part

@@ -126,6 +126,19 @@ def test_an_accelerometer_slower_than_the_recording_shows_the_same_flights(
     assert f"stands for {each:.3g} samples" in next(d for d in instrument.doubts if d.kind == "resampled").finding
 
 
+@pytest.mark.parametrize("step", [32, 64])
+def test_an_accelerometer_of_eight_bits_shows_the_same_flights(make, tmp_path: Path, step: int) -> None:
+    """Steps of .07 and .2 g of a motion rounded more coarsely than its noise are no impacts of a ball."""
+    made = make(np.linspace(0.6, 0.95, 6), effects=FRICTION, rig={"accelerometer_noise_g": 0.005}, truth=True)
+    with open_recording(made.path) as recording:
+        codes = {name: recording.codes(name, 0, recording.n_samples) for name in recording.channels}
+        setup, steps = recording.setup, recording.steps.copy()
+    codes["accelerometer"] = np.round(codes["accelerometer"] / step) * step
+    found = landings(read(written(tmp_path / "rounded.h5", setup, codes, steps)))
+    assert strangers(found, np.asarray(made.landing_s)) == []
+    assert len(found) > 60
+
+
 def test_a_recording_that_ends_in_mid_flight_has_no_impact_at_its_end(make, tmp_path: Path) -> None:
     """Beyond the last sample the motion goes on at its last value: that corner is none, wherever in a cycle it is."""
     with open_recording(make(GAMMAS, effects=FRICTION, rig={"low_pass_hz": 500.0}).path) as recording:

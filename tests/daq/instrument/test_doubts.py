@@ -101,6 +101,12 @@ def cut_off(v: Volts) -> None:
     v["accelerometer_v"] = np.clip(v["accelerometer_v"], -0.4, 0.4) + noise
 
 
+def interrupted(v: Volts) -> None:
+    """A plug of the accelerometer that was loose for a quarter of the run."""
+    n = v["accelerometer_v"].size
+    v["accelerometer_v"] = np.where(np.abs(np.arange(n) - n // 2) < n // 8, 0.0, v["accelerometer_v"])
+
+
 def without_drive(spoil: Spoil) -> Spoil:
     """The same where no drive was recorded."""
 
@@ -209,10 +215,11 @@ def test_a_slow_rig_sampled_slowly_is_brought_in(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "kind"), [(drive_inverted, "drive_sense"), (resampled, "resampled"), (cut_off, "cut_off")]
+    ("spoil", "kind"),
+    [(drive_inverted, "drive_sense"), (resampled, "resampled"), (cut_off, "cut_off"), (interrupted, "dead")],
 )
 def test_what_a_verdict_survives_is_said_and_not_refused(tmp_path: Path, spoil: Spoil, kind: str) -> None:
-    """Reversed leads of the drive, linear interpolation and motion beyond the sensor's end stop nothing."""
+    """Reversed leads, linear interpolation, motion beyond the sensor's end, a sensor dead for a while stop nothing."""
     volts = dict(_simulated(2, (), False))
     spoil(volts)
     summary = bring_in(volts, other_plant.profile_of(run_of(2)), tmp_path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.instrument.channel_limits import held_samples, without_stair
+from daq.instrument.channel_limits import coarse_step, held_samples, without_rounding, without_stair
 
 RATE_HZ = 20000.0
 
@@ -30,6 +30,14 @@ def test_rounding_holds_no_readings(noise: float, step: float) -> None:
     assert held_samples([np.zeros(5000)]) == held_samples([np.arange(50.0)]) == held_samples([]) == 1.0
 
 
+def test_a_channel_that_is_dead_for_a_while_holds_no_readings() -> None:
+    """A stretch of which a part stands still, from one sample to nearly all, has no rhythm."""
+    for dead in (1, 500, 1500, 2048, 3000, 3600, 4090):
+        stretch = np.random.default_rng(8).normal(size=6000)
+        stretch[:dead] = 0.0
+        assert held_samples([stretch] * 3) == 1.0
+
+
 @pytest.mark.parametrize("held", [2, 5])
 def test_a_stair_becomes_the_line_through_its_readings(held: int) -> None:
     """Within what a running mean takes from a sine; what is not held stays as it is, to the bit."""
@@ -42,3 +50,26 @@ def test_a_stair_becomes_the_line_through_its_readings(held: int) -> None:
     without_stair(left, float(held))
     inside = slice(5 * held, -5 * held)
     assert np.abs(left - smooth)[inside].max() < 0.1 * np.abs(stair - smooth)[inside].max()
+
+
+@pytest.mark.parametrize(
+    ("noise", "step", "coarse"), [(0.0, 0.1, 0.1), (4e-3, 0.1, 0.1), (0.04, 0.05, 0.0), (0.01, 1e-6, 0.0)]
+)
+def test_a_rounding_coarser_than_the_noise_is_found(noise: float, step: float, coarse: float) -> None:
+    """Then most readings equal the one before; noise of nearly a step, or of many, hides the rounding."""
+    assert coarse_step(volts(noise, step)) == pytest.approx(coarse)
+    assert coarse_step([np.zeros(5000)]) == coarse_step([]) == 0.0
+
+
+def test_a_rounded_motion_becomes_smooth_and_an_impact_stays() -> None:
+    """Lines between the steps' middles are near the motion; samples that jump by more than a step stay to the bit."""
+    t = np.arange(4000) / RATE_HZ
+    motion = 30.0 * np.sin(159.0 * t + 0.4)
+    rounded = np.round(motion)
+    rounded[2000:2010] += [30, -20, 15, -9, 7, -5, 4, -3, 3, -2]
+    smooth = rounded.copy()
+    without_rounding(smooth, 1.0)
+    np.testing.assert_array_equal(smooth[2000:2009], rounded[2000:2009])
+    away = np.abs(np.arange(4000) - 2005) > 60
+    assert np.std((smooth - motion)[away]) < 0.5 * np.std((rounded - motion)[away])
+    assert np.abs(np.diff(smooth))[away[1:] & away[:-1]].max() < 0.5
