@@ -47,6 +47,12 @@ class Survey:
     ends_v: Ends = NO_ENDS
     step_v: float = 0.0  # distance of the accelerometer's readings where it is coarser than the noise
 
+    def smooth(self, volts: Volts) -> Volts:
+        """The accelerometer (n,) without the steps of few bits, which look like impacts; itself where it has more."""
+        if self.step_v > 0.0:
+            without_rounding(volts := volts.copy(), self.step_v)
+        return volts
+
     @property
     def mask_s(self) -> float:
         """Time after an impact that is masked in the accelerometer."""
@@ -196,15 +202,12 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
             fraction = _open_fraction(piece, known.levels) if restorer is None else restorer.restore(piece)
             found = contact.add(fraction, piece.first, PAD, piece.count)
             landings.append(found.sample[found.kind != OPENS])
-        smooth_v = acceleration_v
-        if known.step_v > 0.0:  # the steps of few bits look like impacts; tones come from the readings as they are
-            without_rounding(smooth_v := acceleration_v.copy(), known.step_v)
+        smooth_v = known.smooth(acceleration_v)  # tones come from the readings as they are
         for detector in detectors:
             heard = detector.add(smooth_v, piece.first, PAD, piece.count)
             landings += [] if detector.every else [heard]
-            detector.subtract_impacts(smooth_v, piece.first, PAD)
-            if smooth_v is not acceleration_v:
-                detector.subtract_impacts(acceleration_v, piece.first, PAD)
+            for volts in (smooth_v, acceleration_v)[: 1 + (smooth_v is not acceleration_v)]:
+                detector.subtract_impacts(volts, piece.first, PAD)
         if high_pass is not None:
             high_pass.redo(piece)
         trimmed = PlatePiece(

@@ -205,14 +205,14 @@ class NpzSource(ArraySource):
         return part.compress_size
 
     def _read(
-        self, member: str, apart: int, width: int, dtype: np.dtype[Any], start: int, stop: int, column: int | None
+        self, member: str, distance: int, width: int, dtype: np.dtype[Any], start: int, stop: int, column: int | None
     ) -> NDArray[Any]:
-        """Samples of a channel; the first ones of two channels lie ``apart``, two of one channel ``width``."""
+        """Samples of a channel; the first ones of two channels lie ``distance`` apart, two of one channel ``width``."""
         stream, at = self._places.get((member, column), (None, -1))
         if at != start:
             stream = self._archive.open(member)
             _npy_header(stream)
-            before = start * width + ((column or 0) * apart if width == 1 else 0)
+            before = start * width + ((column or 0) * distance if width == 1 else 0)
             stream.seek(stream.tell() + before * dtype.itemsize)
         data = stream.read((stop - start) * width * dtype.itemsize)
         self._places[member, column] = stream, stop
