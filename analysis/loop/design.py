@@ -245,7 +245,8 @@ def _plate_rows(seen: PlateData, steps: Steps, tones: int) -> PlateData:
     value, error, omega_radps, asked, scale = table[:, 2:].T
     first, others = steps.plate.acceleration_mps2[:, :1], steps.plate.acceleration_mps2[:, 1:tones]
     shares = share_of_first(first, others, driven[:, 1:])
-    return PlateData(kind, step, value, error, omega_radps, asked, scale, multiple, driven[step, 1:], shares[step])
+    further, mains = driven[step, 1:], np.zeros(len(step), dtype=np.complex128)
+    return PlateData(kind, step, value, error, omega_radps, asked, scale, multiple, further, shares[step], mains)
 
 
 def ranking_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:

@@ -271,8 +271,8 @@ class StepAccumulator:
         multiples = tuple(m for m in multiples_of(state.forcing) if m == 1 or m <= most)
         tones = state.frequency_hz * np.array(multiples)
         mains = [m.hz for m in state.mains] + [hz for m in state.mains for hz in m.multiples_hz]
-        hidden = tones[1:][[m not in state.forcing for m in multiples[1:]]]  # a line on a harmonic is never measured
-        mains += [k * m.hz for m in state.mains if (np.abs(hidden - m.hz) < MAX_OFFSET_HZ).any() for k in (3, 5, 7)]
+        # a line on a multiple of the forcing is never measured
+        mains += [k * m.hz for m in state.mains if (np.abs(tones - m.hz) < MAX_OFFSET_HZ).any() for k in (3, 5, 7)]
         lines = separable_lines([hz for hz in mains if hz < limit], tones, state.hold_s)
         return multiples, np.concatenate([tones, lines])
 

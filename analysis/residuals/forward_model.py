@@ -20,7 +20,7 @@ from analysis.residuals.observations import Observations
 from analysis.residuals.plate_data.measured_mode import MeasuredMode, undriven_tones
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
-from analysis.residuals.plate_data.plate_observables import PLATE_HOOKS, expected, power_uncertainty, share
+from analysis.residuals.plate_data.plate_observables import GAIN, PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.values import TREND, AllValues, Own, ParameterId, Values, calibrating_effects, driving_effects
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
@@ -181,9 +181,18 @@ class ForwardModel:
         omega, table = self.observations.steps.plate.omega_radps, self._in_steps(entry.effect.name, own)
         hook = entry.hooks["accelerometer_response"]
         points = [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
-        if any(key.endswith(TREND) for (_, key), _ in own):
-            return np.array([hook(p, w) for p, w in zip(points, omega, strict=True)])
-        return np.asarray(hook(points[0], omega))
+        drifts = any(key.endswith(TREND) for (_, key), _ in own)
+        each = zip(points, omega, strict=True)
+        shown = np.array([hook(p, w) for p, w in each]) if drifts else np.asarray(hook(points[0], omega))
+        if "pickup_mps2" not in entry.hooks:
+            return shown
+        # a driven tone on which the mains lie is the plate's but for them
+        data, mains = self.observations.plate, np.zeros(omega.shape, dtype=np.complex128)
+        rows = data.rows_of(GAIN)
+        tone = np.abs(omega[data.step[rows]] - data.omega_radps[rows, None]).argmin(axis=1)
+        mains[data.step[rows], tone] = data.mains[rows]
+        picked_up = self._hook_in_steps(entry, "pickup_mps2", own)[:, None] * mains
+        return np.where(self.observations.steps.forcing, 1.0 + picked_up, shown)
 
     def _expected(self, values: Values) -> Floats:
         """Expected value of each plate datum under the effects, (r,): the sum of what each adds."""

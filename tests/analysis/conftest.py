@@ -169,7 +169,17 @@ def bare_observations() -> Observations:
     kinds = np.array([GAIN, PHASE], dtype=np.int64)
     two, ints = np.ones(2), np.ones(2, dtype=np.int64)
     plate = PlateData(
-        kinds, 0 * ints, 0 * two, PLATE * two, omega * two, two, two, ints, 2 * ints[:, None], 4 * two[:, None]
+        kinds,
+        0 * ints,
+        0 * two,
+        PLATE * two,
+        omega * two,
+        two,
+        two,
+        ints,
+        2 * ints[:, None],
+        4 * two[:, None],
+        0j * two,
     )
     edges, yes = np.full(3, EDGE_S), np.ones(3, dtype=bool)
     flights = Measured(np.zeros(3), np.ones(3), ~yes, yes, np.zeros(3, np.int64), yes)

@@ -34,7 +34,8 @@ def test_tones_scatter_about_the_mean_of_their_own_kind():
     kind = np.array([GAIN, GAIN, PHASE, PHASE, HUM])
     value, none, one = np.array([1.0, 3.0, 5.0, 5.0, 9.0]), np.zeros(5), np.ones(5)
     multiple, others = np.ones(5, dtype=int), np.zeros((5, 0))
-    data = PlateData(kind, np.array([0, 1, 0, 1, 0]), value, one, one, none, one, multiple, others.astype(int), others)
+    no, step = others.astype(int), np.array([0, 1, 0, 1, 0])
+    data = PlateData(kind, step, value, one, one, none, one, multiple, no, others, none + 0j)
     assert instruments.tone_scatter(data) == (2.0, 2)
 
 

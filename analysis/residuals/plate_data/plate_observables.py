@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from analysis.plate.mains_lines import MAINS_HZ, MAX_OFFSET_HZ
 from analysis.plate.motion import StepPlate
 from analysis.residuals.noise.noise_model import PlateNoise
+from analysis.residuals.plate_data.mains_on_tones import mains_on_tones, mains_rows, strongest_mains_hz
 from daq.setup.setup import Setup
 from kernels.arrays import Bools, Complexes, Floats, Integers
 from model.effects.registry import effect
@@ -51,6 +52,7 @@ class PlateData:
     # how large the drive asks for them, over the first, (r, t); complex, their phases counted from where the first is
     # a sine
     shares: Complexes
+    mains: Complexes  # of gains and phases: what mains of 1 m/s^2 add to the ratio, over that ratio, (r,)
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -113,7 +115,9 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
     """Plate data of the fitted steps, and notes for the person who reads the report."""
     rows: list[tuple[float, ...]] = []
     notes: list[str] = []
-    scale, mains_hz = _drive_scale(fitted, setup, notes), _strongest_mains_hz(fitted)
+    scale, on_tones = _drive_scale(fitted, setup, notes), mains_on_tones(fitted, setup.sampling.rate_hz)
+    # there is one mains: where a driven tone shows it, a line at the other frequency is none
+    mains_hz = next((hz for _, hz in on_tones), strongest_mains_hz(fitted))
     power = _drive_form(fitted, notes)
     for i, s in enumerate(fitted):
         first = abs(s.tone(1)[0])
@@ -136,7 +140,10 @@ def plate_data(fitted: Sequence[StepPlate], setup: Setup) -> tuple[PlateData, tu
         for j, m in enumerate(s.forcing_multiples[1:]):
             others[i, j], shares[i, j] = m, _share_of(s, m, power)
     value, sigma, omega_radps, accel_g, first = table[:, 2:].T
-    data = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, others[step], shares[step])
+    mains = np.zeros(len(kind), dtype=np.complex128)
+    for (driven, _), added in on_tones.items():
+        mains += np.where(multiple == driven, added[step], 0.0)
+    data = PlateData(kind, step, value, sigma, omega_radps, accel_g, first, multiple, others[step], shares[step], mains)
     data, wanders = with_wander(data, np.array([s.first_sample for s in fitted], dtype=np.int64))
     return data, (*notes, *wanders)
 
@@ -231,31 +238,6 @@ def _gain_rows(i: int, s: StepPlate, scales: list[complex], asked: float, first:
     return rows
 
 
-def _strongest_mains_hz(fitted: Sequence[StepPlate]) -> float:
-    """The mains frequency whose line all steps together show best; chosen in each step, noise would look like one."""
-
-    def shown(rows_of: Callable[[StepPlate, float], Sequence[int]], hz: float) -> float:
-        rows = [(s.acceleration, k) for s in fitted for k in rows_of(s, hz)]
-        return float(np.mean([abs(f.amplitudes[k] / f.amplitude_sigma()[k]) ** 2 for f, k in rows])) if rows else 0.0
-
-    lines = [shown(_mains_rows, hz) for hz in MAINS_HZ]
-    if max(lines) < 4.0:  # noise gives 2; harmonics, which much else makes, count only where no line shows
-        lines = [max(line, shown(_harmonics_there, hz)) for line, hz in zip(lines, MAINS_HZ, strict=True)]
-    return float(MAINS_HZ[int(np.argmax(lines))])
-
-
-def _mains_rows(s: StepPlate, mains_hz: float) -> list[int]:
-    """Rows of a step's fit that hold the line of the mains: one, or none where the forcing hides it."""
-    hz = s.acceleration.frequencies_hz
-    return [k for k in range(len(s.multiples), len(hz)) if abs(hz[k] - mains_hz) < MAX_OFFSET_HZ]
-
-
-def _harmonics_there(s: StepPlate, mains_hz: float) -> list[int]:
-    """Rows of the second and third multiple, where it is not driven and hides the mains."""
-    undriven = [s.multiples.index(m) for m in (2, 3) if m in s.multiples and m not in s.forcing_multiples]
-    return [k for k in undriven if abs(s.acceleration.frequencies_hz[k] - mains_hz) < MAX_OFFSET_HZ]
-
-
 def _tone_rows(i: int, s: StepPlate, asked: float, first: float, mains_hz: float) -> list[tuple[float, ...]]:
     """Harmonics and mains, as squares less the noise's share; the amplitude in each window."""
     rows: list[tuple[float, ...]] = []
@@ -266,7 +248,7 @@ def _tone_rows(i: int, s: StepPlate, asked: float, first: float, mains_hz: float
             noise = float(np.hypot(sigmas[k] / first, SYSTEMATIC))
             square = (abs(fit.amplitudes[k]) / first) ** 2
             rows.append((kind, i, square - 2 * noise**2, _square_sigma(square, noise), m * s.omega_radps, asked, first))
-    for k in _mains_rows(s, mains_hz):
+    for k in mains_rows(s, mains_hz):
         square, noise = abs(fit.amplitudes[k]) ** 2, float(np.hypot(sigmas[k], SYSTEMATIC * first))
         power, omega = square - 2 * noise**2, 2 * np.pi * fit.frequencies_hz[k]
         rows.append((HUM, i, power, _square_sigma(square, noise), omega, asked, first))
@@ -354,9 +336,12 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
         off_hz = np.abs(data.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
         rows = rows[(off_hz < MAX_OFFSET_HZ) & ~np.isin(data.step[rows], data.step[data.rows_of(HUM)])]
         out[rows] += (hooks[hook](p) / data.scale[rows]) ** 2
+        picked_up = hooks[hook](p) * data.mains
+        _add_transfer(out, data, (1.0 + picked_up).__getitem__)
     if "transfer" in hooks:
         _add_transfer(out, data, lambda rows: hooks["transfer"](p, data.omega_radps[rows], data.level_g[rows]))
-    if "accelerometer_response" in hooks:
+    # without bound where the plate is still, which a driven tone's is not
+    if "accelerometer_response" in hooks and "pickup_mps2" not in hooks:
         _add_transfer(out, data, lambda rows: hooks["accelerometer_response"](p, data.omega_radps[rows]))
     if "harmonics" in hooks:
         _add_harmonics(out, data, functools.partial(hooks["harmonics"], p))

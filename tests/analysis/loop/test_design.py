@@ -51,7 +51,7 @@ def seen_observations() -> Observations:
         np.ones(3),
         np.full(3, np.inf),
         steps,
-        PlateData(none, none, *(nothing,) * 5, none, none[:, None], nothing[:, None]),
+        PlateData(none, none, *(nothing,) * 5, none, none[:, None], nothing[:, None], nothing),
         setup,
     )
 
@@ -70,7 +70,7 @@ def test_plate_data_of_a_run_are_as_sharp_as_its_amplitudes_allow() -> None:
     kind, step, one = np.array([GAIN, SECOND]), np.zeros(2, dtype=np.int64), np.ones(2)
     data = PlateData(
         kind, step, 0.0 * one, 1e-3 * one, 159.4 * np.array([1.0, 2.0]), one, 9.81 * one, np.array([1, 2]),
-        step[:, None] + 1, one[:, None] + 0j,
+        step[:, None] + 1, one[:, None] + 0j, 0j * one,
     )  # fmt: skip
     model = ForwardModel(replace(seen, plate=data), {})
     made = simulate_design(Design("test", "c = 2", 2, (0.5, 1.0)), model, {}).plate

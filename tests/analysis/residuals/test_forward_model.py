@@ -12,6 +12,7 @@ from scipy import stats
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.uncertainty import kicks_of, uncertainty_at
 from analysis.residuals.noise.whitening import Whitener, step_losses
+from analysis.residuals.plate_data.plate_observables import GAIN, PHASE
 from analysis.residuals.values import TREND
 from analysis.thresholds import SHARED_S
 from model.effects.registry import accelerometer_response
@@ -134,6 +135,22 @@ def test_a_mains_line_that_a_cable_picked_up_is_no_motion(fly_ramp: Callable[...
     moved = model.inputs({("mains_pickup", "amplitude_mps2"): 0.5}).plate.acceleration_mps2
     assert not moved[:, -2:].any()  # not even a part of a mode is taken from them
     assert np.array_equal(moved[:, :-2], shown[:, :-2])
+
+
+def test_mains_on_a_driven_tone_are_taken_from_it_and_from_no_other(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """A driven tone moves by what it shows without the mains, and its gain and phase show them."""
+    seen = fly_ramp({}, 0).observations
+    data, shown = seen.plate, seen.steps.plate.acceleration_mps2
+    own = np.isin(data.kind, (GAIN, PHASE)) & (data.multiple == 1)
+    model = ForwardModel(replace(seen, plate=replace(data, mains=np.where(own, 0.02 - 0.01j, 0.0))), {})
+    pickup, factor = {("mains_pickup", "amplitude_mps2"): 0.5}, 1.01 - 0.005j
+    moved = model.inputs(pickup).plate.acceleration_mps2
+    those = np.unique(data.step[own])
+    assert moved[those, 0] == pytest.approx(shown[those, 0] / factor)
+    assert np.array_equal(moved[:, 1:], shown[:, 1:])
+    added = model.residuals({}).plate - model.residuals(pickup).plate
+    wanted = np.where(data.kind == GAIN, np.log(abs(factor)), np.angle(factor))
+    assert added[own] == pytest.approx(wanted[own]) and not added[~own].any()
 
 
 def test_a_parameter_drifts_within_a_step_too(fly_ramp: Callable[..., ForwardModel]) -> None:

@@ -118,7 +118,7 @@ def test_windows_show_what_least_squares_finds_in_them(masked: float) -> None:
     m, n = len(swells.tones), len(swells.value)
     kind, step = np.repeat([MODULATION, HUM], [n, m]), np.concatenate([swells.window_step, np.arange(m)])
     none, omega = np.zeros(n + m), np.repeat([0.0, 2.0 * np.pi * LINE_HZ], [n, m])
-    data = PlateData(kind, step, none, none, omega, none, none, step, step[:, None], none[:, None] + 0j)
+    data = PlateData(kind, step, none, none, omega, none, none, step, step[:, None], none[:, None] + 0j, none + 0j)
     expected, _ = swells.expected(data, plate, np.full(m, DEPTH), HZ)
     assert np.max(np.abs(swells.value)) > 0.8 * DEPTH
     assert expected[:n] == pytest.approx(swells.value, abs=3e-4)

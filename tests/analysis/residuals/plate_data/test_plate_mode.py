@@ -58,7 +58,9 @@ def said_of(rows: list[tuple[int, float]], *, part: float = 1.0, second: complex
     n, kinds = len(rows), np.array([kind for kind, _ in rows])
     omegas = 2.0 * np.pi * FORCING_HZ * np.array([multiple for _, multiple in rows])
     zero, one = np.zeros(n, dtype=np.int64), np.ones(n)
-    data = PlateData(kinds, zero, one, one, omegas, one, np.full(n, 16.0), zero, zero[:, None], one[:, None] + 0j)
+    data = PlateData(
+        kinds, zero, one, one, omegas, one, np.full(n, 16.0), zero, zero[:, None], one[:, None] + 0j, 0j * one
+    )
     plate = PlateSteps(omega[None, 1:2], seen[:, :1], np.array([1.0 / FORCING_HZ]))
     n0 = np.zeros(1)  # of the flights: not used
     predicted = Predicted(n0, n0, n0, n0, n0, n0, n0, n0, ear.of_tones(heard, heard_s), heard, heard_s)
@@ -145,7 +147,7 @@ def test_a_load_is_heard_as_a_masked_fit_of_what_the_plate_does_without_it() -> 
     zero, one = np.zeros(3, dtype=np.int64), np.ones(3)
     omegas = 2.0 * np.pi * FORCING_HZ * np.array([0.0, 1.0, 1.0])
     kinds = np.array([OFFSET, GAIN, PHASE])
-    data = PlateData(kinds, zero, one, one, omegas, one, one, zero, zero[:, None], one[:, None] + 0j)
+    data = PlateData(kinds, zero, one, one, omegas, one, one, zero, zero[:, None], one[:, None] + 0j, 0j * one)
     plate = PlateSteps(omega[None, 1:2], np.array([[FORCED]]), np.array([1.0 / FORCING_HZ]))
     load = ear.loading(data, plate, g)
     assert change * load.tones_mps2[0, 0] == pytest.approx(tone - FORCED, abs=2e-4)
@@ -162,7 +164,17 @@ def test_a_tone_that_is_not_there_is_not_loaded() -> None:
     plate = PlateSteps(np.array([[omega[1], 1.0]]), np.array([[FORCED, 0.0]]), np.array([1.0 / FORCING_HZ]))
     none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
     data = PlateData(
-        none, none, nothing, nothing, nothing, nothing, nothing, none, none[:, None], nothing[:, None] + 0j
+        none,
+        none,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        none,
+        none[:, None],
+        nothing[:, None] + 0j,
+        nothing + 0j,
     )
     load = ear.loading(data, plate, 9.80665)
     assert load.tones_mps2[0, 0] != 0.0 and load.tones_mps2[0, 1] == 0.0
@@ -182,7 +194,9 @@ def test_a_mode_that_is_the_whole_tone_leaves_numbers_and_no_exception() -> None
     plate = PlateSteps(omega[:, 1:], z, np.array([1.0 / FORCING_HZ]))
     n0, one, zero = np.zeros(1), np.ones(3), np.zeros(3, dtype=np.int64)
     kinds = np.array([GAIN, PHASE, GATE])
-    data = PlateData(kinds, zero, one, one, np.full(3, omega[0, 1]), one, one, zero, zero[:, None], one[:, None] + 0j)
+    data = PlateData(
+        kinds, zero, one, one, np.full(3, omega[0, 1]), one, one, zero, zero[:, None], one[:, None] + 0j, 0j * one
+    )
     for kept in (FitIntervals.whole(np.array([[0.0, 1.0]])), FitIntervals.whole(np.zeros((0, 2)))):
         ear = Ringing(kept, omega, z, np.array([1]), np.array([[0]]))
         projection = np.tile(0.5 * z, (len(kept.step), 2))

@@ -49,6 +49,7 @@ def _data(kinds: list[int], multiples: list[int], others: dict[int, complex], fi
         m,
         np.tile(list(others), (len(kinds), 1)),
         np.tile(np.array(list(others.values()), dtype=complex), (len(kinds), 1)),
+        0j * one,
     )
 
 
