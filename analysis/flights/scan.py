@@ -24,7 +24,15 @@ from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.plate.tone_noise import with_coloured_noise
 from analysis.signals import LEAST_HZ, PAD, HighPass, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
-from daq.instrument.channel_limits import NO_ENDS, Ends, NoiseSpectrum, coarse_step, common_ends, without_rounding
+from daq.instrument.channel_limits import (
+    NO_ENDS,
+    Ends,
+    NoiseSpectrum,
+    coarse_step,
+    common_ends,
+    ends_in_noise,
+    without_rounding,
+)
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE
@@ -129,13 +137,16 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     zero_v = recording.setup.channels.accelerometer.offset_v
     stretches = [x for piece in looked for x in _by_step(piece, steps)]
     ends_v = common_ends(stretches, recording.rate_hz, math.nan if zero_v is None else zero_v.value)
+    forcing = recording.setup.forcing
+    tones_hz = [multiple * forcing.frequency_hz for multiple in forcing.multiples]
+    ends_v = ends_in_noise(stretches, ends_v, recording.rate_hz, tones_hz)
     step_v = coarse_step(stretches)
     for piece in looked:
         if (high_pass := high_pass_of(recording, high_pass_hz)) is not None:
             high_pass.undo(piece)
         if step_v > 0.0:
             without_rounding(piece.channels["accelerometer"], step_v)
-    noise, template = estimate_template(looked, steps, recording.rate_hz, recording.setup.forcing, recording.gaps)
+    noise, template = estimate_template(looked, steps, recording.rate_hz, forcing, recording.gaps)
     contact = recording.setup.channels.continuity
     if "continuity" not in channels or contact is None:
         return Survey(None, noise, template, ends_v=ends_v, step_v=step_v)

@@ -237,6 +237,46 @@ def common_ends(stretches: Sequence[npt.NDArray[Any]], rate_hz: float, zero: flo
     return ends[0], ends[1]
 
 
+def ends_in_noise(stretches: Sequence[npt.NDArray[Any]], ends: Ends, rate_hz: float, tones_hz: Sequence[float]) -> Ends:
+    """The ``ends`` of a sensor, and those that noise hides in the motion of the stretch (n,) that moves most.
+
+    Motion of the tones that is cut off reads the same however far beyond the end it goes. Nothing reads farther, no
+    impact either. Decision 726.
+    """
+    if not stretches or not np.isinf(ends).any():
+        return ends
+    values = max(stretches, key=lambda x: float(np.std(x[::16]))).astype(np.float64)
+    middle, found = float(np.median(values)), list(ends)
+    beyond = middle - min(float(x.min()) for x in stretches), max(float(x.max()) for x in stretches) - middle
+    # most recordings show impacts that are farther out than any motion
+    if min(beyond) > 1.2 * float(np.quantile(np.abs(values[::16] - middle), 0.98)):
+        return ends
+    turns = 2.0 * np.pi / rate_hz * np.outer(np.arange(values.size), tones_hz)
+    columns = np.column_stack([np.ones(values.size), np.cos(turns), np.sin(turns)])
+    clear, noise = np.ones(values.size, dtype=np.bool_), 0.0
+    for _ in range(3):  # impacts are no motion
+        own = columns[clear]
+        weights = np.linalg.lstsq(own.T @ own, own.T @ values[clear])[0]
+        left = values - columns @ weights
+        noise = 1.4826 * float(np.median(np.abs(left[clear])))
+        clear = np.abs(left) < 5.0 * noise
+    motion = columns[:, 1:] @ weights[1:]
+    for side, sign in enumerate((-1.0, 1.0)):
+        # where a sine turns: a hundredth of its height takes a twentieth of its time
+        near = clear & (sign * motion > 0.99 * float(np.max(sign * motion)))
+        away = sign * (motion[near] - np.mean(motion[near]))
+        spread = float(np.sqrt(away @ away))
+        if not spread > 6.0 * noise:
+            continue
+        level, slope = float(np.mean(sign * values[near])), float(away @ (sign * values[near])) / spread**2
+        # six standard deviations below the slope of motion, and far below what a harmonic makes of it
+        flat = slope + 6.0 * noise / spread < 1.0 and slope < 0.3
+        here = float(np.std(values[near]))  # what is flat scatters by noise
+        if flat and math.isinf(ends[side]) and beyond[side] + sign * middle < level + 6.0 * here:
+            found[side] = sign * (level - 4.0 * here)
+    return found[0], found[1]
+
+
 def _stay(at_end: Bools) -> float:
     """Mean length of the unbroken runs of readings at an end."""
     runs = int(np.count_nonzero(at_end[1:] & ~at_end[:-1]))
