@@ -1,6 +1,6 @@
 """The plate moves at the mains frequency.
 
-It is a motion of the plate; pick-up in a sensor alone is a fault of that channel, `mains_pickup`. Where both are there
+It is a motion of the plate; pick-up only in a sensor is a fault of that channel, `mains_pickup`. Where both are there
 the recorded line is their sum: both follow one mains, so that reading over motion is the same complex number in all
 steps. Flights tell the motion. Decision 724.
 """

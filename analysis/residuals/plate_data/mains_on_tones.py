@@ -83,11 +83,11 @@ def _added(steps: Sequence[StepPlate], multiple: int, mains_hz: float, rate_hz: 
         return misfit, complex(found[0]), complex(found[1]), sigma
 
     # a quarter of a turn over the run from each other
-    trials_hz, apart_hz = np.linspace(
+    trials_hz, spacing_hz = np.linspace(
         -MAX_OFFSET_HZ, MAX_OFFSET_HZ, 3 + 2 * math.ceil(4.0 * MAX_OFFSET_HZ * float(np.ptp(at_s))), retstep=True
     )
     near_hz = min(trials_hz, key=lambda hz: fitted_at(hz)[0])
-    bounds = near_hz - apart_hz, near_hz + apart_hz
+    bounds = near_hz - spacing_hz, near_hz + spacing_hz
     best_hz = float(minimize_scalar(lambda hz: fitted_at(hz)[0], bounds=bounds, method="bounded").x)
     _, gain, mains, sigma = fitted_at(best_hz)
     # the best of so many frequencies gains by noise, too
