@@ -342,7 +342,7 @@ def held_samples(stretches: Sequence[npt.NDArray[Any]]) -> float:
         rhythm = np.abs(np.fft.rfft((new - new.mean()) * np.hanning(RHYTHM_FRAME))) / (0.5 * count)
         rhythm[:20] = 0.0  # no stair of so many readings at least, but a part in which the channel was dead
         # a stair of whole samples has all its overtones: the lowest counts
-        line = int(np.argmax(rhythm > 0.7 * rhythm.max()))
+        line = 1 + int(np.argmax(rhythm[1:] > 0.7 * rhythm[1:].max()))
         # more readings than every other sample beat at what is left to the sampling rate
         of_all = RHYTHM_FRAME - line if 2 * count > RHYTHM_FRAME else line
         sooner = np.mean(np.diff(np.flatnonzero(new)) < RHYTHM_FRAME // of_all)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.instrument.channel_limits import coarse_step, held_samples, without_rounding, without_stair
+from daq.instrument.channel_limits import (
+    RHYTHM_FRAME,
+    coarse_step,
+    held_samples,
+    without_rounding,
+    without_stair,
+)
 
 RATE_HZ = 20000.0
 
@@ -73,3 +79,10 @@ def test_a_rounded_motion_becomes_smooth_and_an_impact_stays() -> None:
     away = np.abs(np.arange(4000) - 2005) > 60
     assert np.std((smooth - motion)[away]) < 0.5 * np.std((rounded - motion)[away])
     assert np.abs(np.diff(smooth))[away[1:] & away[:-1]].max() < 0.5
+
+
+def test_new_readings_that_come_only_for_a_while_have_no_rhythm() -> None:
+    """A channel that moves in the middle of the samples looked at, and stands before and after, is not held."""
+    place = np.arange(RHYTHM_FRAME + 1)
+    moves = np.random.default_rng(1).random(place.size) < np.where(abs(place - RHYTHM_FRAME / 2) < 1000, 0.5, 0.0)
+    assert held_samples([np.cumsum(moves)]) == 1.0
