@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import bilinear, detrend, lfilter
 
-from daq.instrument.channel_limits import RHYTHM_FRAME, held_samples, without_stair
+from daq.instrument.held_readings import RHYTHM_FRAME, held_samples, without_stair
 from daq.recording import Recording
 from kernels import njit
 from kernels.arrays import Bools, Floats

@@ -24,15 +24,8 @@ from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.plate.tone_noise import with_coloured_noise
 from analysis.signals import LEAST_HZ, PAD, HighPass, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
-from daq.instrument.channel_limits import (
-    NO_ENDS,
-    Ends,
-    NoiseSpectrum,
-    coarse_step,
-    common_ends,
-    ends_in_noise,
-    without_rounding,
-)
+from daq.instrument.channel_limits import NO_ENDS, Ends, NoiseSpectrum, common_ends, ends_in_noise
+from daq.instrument.held_readings import coarse_step, without_rounding
 from daq.recording import Recording
 from daq.setup.errors import InputError
 from daq.setup.setup import FAR_OUTSIDE

@@ -16,11 +16,10 @@ from daq.instrument.channel_limits import (
     Ends,
     NoiseSpectrum,
     common_ends,
-    held_samples,
     measure_noise,
     share_at_an_end,
-    without_stair,
 )
+from daq.instrument.held_readings import held_samples, without_stair
 from daq.lock_in import ToneFit, fit_tones
 from daq.setup.setup import Setup
 from daq.steps.forcing_detection import Read, gamma_of
@@ -66,7 +65,7 @@ class Measured:
 
     ``ends_v`` are the volts beyond which the accelerometer does not read, infinite where it does not come to its end;
     ``cut_off`` is the number of holds whose motion goes beyond. ``held_samples`` as in
-    `daq.instrument.channel_limits.held_samples`.
+    `daq.instrument.held_readings.held_samples`.
     """
 
     holds: tuple[Hold, ...]

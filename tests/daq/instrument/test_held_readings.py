@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.instrument.channel_limits import (
-    RHYTHM_FRAME,
-    coarse_step,
-    held_samples,
-    without_rounding,
-    without_stair,
-)
+from daq.instrument.held_readings import RHYTHM_FRAME, coarse_step, held_samples, without_rounding, without_stair
 
 RATE_HZ = 20000.0
 
