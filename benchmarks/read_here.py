@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import importlib
 import json
+import pkgutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from daq.recording.opening import Answer, named
+from daq.recording.opening import Answer
 from daq.setup.errors import InputError
 
 
@@ -20,7 +21,7 @@ def _here(function: str, *arguments: Any) -> Answer:
     """As `daq.recording.opening.in_subprocess`."""
     said = [""]
     try:
-        return Answer(json.loads(json.dumps(named(function)(*arguments, said.append))))
+        return Answer(json.loads(json.dumps(pkgutil.resolve_name(function)(*arguments, said.append))))
     except (RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
         if isinstance(error, InputError):
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -98,14 +99,17 @@ def _check_recordings(recordings: list[Path]) -> None:
     """Refuse a file that is missing; warn of scales whose calibration was old when the recordings were made."""
     from daq.recording import open_recording
     from daq.setup.errors import require_file
-    from daq.setup.setup import warnings_at_start
+    from daq.setup.setup import calibration_warnings
 
     for path in recordings:
         require_file(path)
     found: dict[str, list[Path]] = {}
     for path in recordings:
         with open_recording(path) as recording:
-            for doubt in warnings_at_start(recording.setup, str(recording.attrs.get("started", ""))):
+            started = str(recording.attrs.get("started", ""))[:10]
+            today = datetime.datetime.now(datetime.UTC).date()
+            on = datetime.date.fromisoformat(started) if started else today
+            for doubt in calibration_warnings(recording.setup, on):
                 found.setdefault(doubt, []).append(path)
     for doubt, those in found.items():
         more = f" and {len(those) - 1} more" if len(those) > 1 else ""
@@ -157,7 +161,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
     from analysis.report.wording import term_effect_in_words
     from bench.jobs.blocks import write_stake
     from bench.jobs.loops import conclude, drawn, keep_term
-    from bench.profiles.improved import possible_runs, write_improved, write_next
+    from bench.profiles.improved import possible_runs, profile_of, profile_text, write_improved
+    from daq.files.disk import write_whole
 
     say = speaker(quiet := wanted.json == "-")
     ranked: list[Ranked] = []
@@ -182,7 +187,7 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
 
     def following(path: Path) -> None:
         if ranked:
-            write_next(ranked, recordings[0], path)
+            write_whole(path, profile_of(profile_text(recordings[0]), ranked[0].design))
             say(f"next run: {path} ({ranked[0].design.description})")
         else:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")

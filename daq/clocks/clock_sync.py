@@ -20,7 +20,7 @@ from daq.clocks.loss_search import LATENCY, PlayedBuffer, lag_at, sliding_produc
 from daq.clocks.sample_loss import SMALLEST_MISFIT
 from daq.files.tables import CLOCK_DTYPE, MAP_DTYPE
 from kernels import njit
-from kernels.arrays import Bools, Floats, Integers
+from kernels.arrays import Floats, Integers
 
 MARKER_S = 0.3
 MARKER_HZ = (150.0, 2500.0)
@@ -145,7 +145,14 @@ def fit_clock(readings: NDArray[np.void], at: Integers) -> NDArray[np.void]:
     where = readings["recorded_sample"].astype(np.float64)
     lags = readings["played_sample"] - where
     jump = readings["jump"] != 0
-    variance = _honest(where, lags, readings["uncertainty"], jump) ** 2
+    sigma, calm = readings["uncertainty"], ~(jump[1:-1] | jump[2:])  # a jump is no scatter
+    if len(where) >= 8 and calm.any():  # no smaller than the readings' own scatter
+        # what the middle of three readings differs by from the line through the others: it knows no lag and no rate
+        share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
+        bend = lags[1:-1] - lags[:-2] - share * (lags[2:] - lags[:-2])
+        claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)
+        sigma = np.asarray(sigma * max(1.0, float(np.median(np.abs(bend / claimed)[calm])) * 1.4826))
+    variance = sigma**2
     # the state of each reading: lag, rate, and their variances and covariance
     states, before = np.empty((len(where), 5)), np.empty((len(where), 5))
     likelihoods = [_filter(where, lags, variance, jump, w, before, states) for w in WANDERS]
@@ -158,18 +165,6 @@ def fit_clock(readings: NDArray[np.void], at: Integers) -> NDArray[np.void]:
         row["played_sample"], row["rate"] = sample + lag, rate
         row["uncertainty"], row["rate_uncertainty"] = np.sqrt(ss), np.sqrt(rr)
     return rows
-
-
-def _honest(where: Floats, lags: Floats, sigma: Floats, jump: Bools) -> Floats:
-    """Uncertainties no smaller than the readings' own scatter: second differences know no lag and no rate."""
-    calm = ~(jump[1:-1] | jump[2:])  # a jump is no scatter
-    if len(where) < 8 or not calm.any():
-        return sigma
-    # what the middle of three readings differs by from the line through the others
-    share = (where[1:-1] - where[:-2]) / (where[2:] - where[:-2])
-    bend = lags[1:-1] - lags[:-2] - share * (lags[2:] - lags[:-2])
-    claimed = np.sqrt(sigma[1:-1] ** 2 + ((1 - share) * sigma[:-2]) ** 2 + (share * sigma[2:]) ** 2)
-    return np.asarray(sigma * max(1.0, float(np.median(np.abs(bend / claimed)[calm])) * 1.4826))
 
 
 @njit(error_model="numpy")

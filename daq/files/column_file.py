@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels.registry import KINDS
-from daq.files.disk import DiskFile, dataset_of, objects_of, refuse_claims, sync, sync_folder
+from daq.files.disk import MOST_OBJECTS, DiskFile, dataset_of, refuse_claims, sync, sync_folder
 from daq.files.seal import text_crc, write_seal
 from daq.files.tables import BLOCK_DTYPE, SIDE_TABLES, STEP_DTYPE, crc32
 from daq.setup.errors import InputError
@@ -40,7 +40,9 @@ def read_table(file: Any, table: str, dtype: np.dtype[Any], path: Path) -> NDArr
     group = file[table] if isinstance(file.get(table, getlink=True), h5py.HardLink) else None
     if not isinstance(group, h5py.Group):
         raise InputError(f"{path}: /{table}: damaged: wanted a table of this file")
-    held = set(objects_of(group, path))
+    if len(group) > MOST_OBJECTS:
+        raise InputError(f"{path}: damaged: {group.name} holds {len(group)} objects; wanted {MOST_OBJECTS} at most")
+    held = set(group)
     columns = {n: dataset_of(group, n, path) for n in dtype.names or () if n in held}
     lengths = {len(column) for column in columns.values()}
     if len(lengths) > 1:

@@ -286,13 +286,6 @@ def in_words(error: Exception) -> str:
     return next((words for key, words in _PLAIN.items() if key in said), "its tables or indexes are damaged")
 
 
-def objects_of(group: Any, path: Path) -> list[str]:
-    """Names in a group of a recording (raises InputError where they are too many to be one's)."""
-    if len(group) > MOST_OBJECTS:
-        raise InputError(f"{path}: damaged: {group.name} holds {len(group)} objects; wanted {MOST_OBJECTS} at most")
-    return list(group)
-
-
 def dataset_of(group: Any, name: str, path: Path, dimensions: int = 1) -> Any:
     """A dataset of a recording, which holds numbers or short texts, in this file, and no more than the file can hold.
 

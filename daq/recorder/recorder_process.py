@@ -14,6 +14,8 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from itertools import accumulate
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -23,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.files.tables import Block
-from daq.recorder.shared_ring import Ring, renumbered
+from daq.recorder.shared_ring import Ring
 from daq.recording.writer import ClosedRun, Ending, RecordingWriter
 from daq.setup.clock import SYSTEM, Clock
 from daq.setup.errors import InputError
@@ -236,7 +238,9 @@ def recording(pipe: Connection, order: Order, clock: Clock = SYSTEM) -> Iterator
         while closing is None or ring.backlog:  # what the ring holds is written before the end
             blocks = ring.take()
             if blocks:
-                writer.append(*renumbered(blocks, writer.n_samples))
+                # they follow what is recorded, whatever the ring could not take
+                firsts = accumulate((len(block.codes) for block in blocks), initial=writer.n_samples)
+                writer.append(*(replace(b, first_sample=at) for b, at in zip(blocks, firsts, strict=False)))
                 ring.set_counter("safe_samples", writer.n_samples)
             if closing is None:
                 closing = _obey(pipe, writer, 0.0 if blocks else IDLE_S)

@@ -11,7 +11,6 @@ import os
 import secrets
 import sys
 import time
-from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
@@ -189,12 +188,3 @@ def clear_left_behind(folder: Path = FOLDER) -> list[str]:
         except OSError:
             continue  # another user's, or gone meanwhile
     return cleared
-
-
-def renumbered(blocks: list[Block], first_sample: int) -> list[Block]:
-    """Blocks that follow each other from ``first_sample`` on."""
-    placed = []
-    for block in blocks:
-        placed.append(replace(block, first_sample=first_sample))
-        first_sample += len(block.codes)
-    return placed

@@ -8,9 +8,9 @@ hangs.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import os
+import pkgutil
 import queue
 import subprocess
 import sys
@@ -239,7 +239,7 @@ def _follow(said: queue.SimpleQueue[str | None]) -> Answer:
 
 def serve() -> None:
     """Body of the process: call what the command line names, within limits."""
-    function = named(sys.argv[1])
+    function = pkgutil.resolve_name(sys.argv[1])
     limit_memory(768 << 20)  # above what the process has when it starts
 
     def say(message: dict[str, Any]) -> None:
@@ -252,13 +252,6 @@ def serve() -> None:
     except (InputError, OSError) as error:
         say({"answer": {"refused": type(error).__name__, "text": str(error)}})
     os._exit(0)  # what HDF5 would do at the end of a file that is damaged is not waited for
-
-
-def named(function: str) -> Callable[..., Any]:
-    """The function called ``module:function``."""
-    module, _, name = function.partition(":")
-    named: Callable[..., Any] = getattr(importlib.import_module(module), name)
-    return named
 
 
 def limit_memory(n_bytes: int) -> None:

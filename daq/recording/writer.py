@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from daq.files.column_file import CHUNK_SAMPLES, FORMAT, FORMAT_VERSION, PIECE_CHUNKS, ColumnWriter
 from daq.files.disk import Closing
+from daq.files.frames.frame_file import FrameFile
 from daq.files.frames.frame_writer import FrameWriter
 from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
@@ -284,7 +285,7 @@ def columns_from_frames(source: Path, live: LiveColumns) -> None:
     with open_checked(source, Checked()) as recording:
         writer = live.finish(recording, dict(recording.stored))
         if writer is None:
-            bad = recording.frames.damaged(PIECE_CHUNKS * CHUNK_SAMPLES) if recording.frames is not None else []
-            recording.flag_blocks(bad, BlockFlag.DAMAGED)
+            if isinstance(frames := recording.frames, FrameFile):
+                recording.flag_blocks(frames.damaged(PIECE_CHUNKS * CHUNK_SAMPLES), BlockFlag.DAMAGED)
             writer = columns_of(recording, source, recording.stored, overwrite=True)
     writer.rename()  # once the frames are closed: Windows replaces no open file

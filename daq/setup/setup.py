@@ -177,15 +177,6 @@ def calibration_warnings(setup: Setup, on: datetime.date) -> list[str]:
     ]
 
 
-def warnings_at_start(setup: Setup, started: str) -> list[str]:
-    """`calibration_warnings` on the day a recording was begun.
-
-    ``started`` is the recording's attribute, ISO 8601; empty where the file lacks it, then today counts.
-    """
-    today = datetime.datetime.now(datetime.UTC).date()
-    return calibration_warnings(setup, datetime.date.fromisoformat(started[:10]) if started else today)
-
-
 class StakedParameter(Frozen):
     """A parameter at which the prediction is made."""
 

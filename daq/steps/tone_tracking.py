@@ -165,28 +165,19 @@ def same_frequency(signal: Signal, region: Region, depth: int = 0) -> list[Regio
     noise = max(float(_noise(track.advance[:, None]).mean()), float(np.median(relative)))
     sigma = np.full((len(smooth), 1), max(0.1 * spread, noise))
     cuts = segments(smooth[:, None], sigma, np.array([SAME_ADVANCE]), PENALTY)
-    cuts = _absorbed(cuts)
-    if len(cuts) == 1:
+    # short pieces join what follows (they are the change itself), the last one what precedes
+    borders = [0]
+    for _, stop in cuts:
+        if stop - borders[-1] >= SHORTEST_WINDOWS:
+            borders.append(stop)
+    borders = [*borders[: max(len(borders) - 1, 1)], cuts[-1][1]]
+    if len(borders) == 2:
         return [settled]
     parts: list[Region] = []
-    for a, b in cuts:
+    for a, b in pairwise(borders):
         change = track.frequency_change(a, b, signal)
         piece = Region(int(track.edges[a]), int(track.edges[b]), region.frequency_hz + change)
         parts += same_frequency(signal, piece, depth + 1)
-    return parts
-
-
-def _absorbed(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Short pieces join what follows (they are the change itself), the last one what precedes."""
-    parts: list[tuple[int, int]] = []
-    begin = 0
-    for _, stop in cuts:
-        if stop - begin >= SHORTEST_WINDOWS:
-            parts.append((begin, stop))
-            begin = stop
-    end = cuts[-1][1]
-    if begin < end:
-        parts = [*parts[:-1], (parts[-1][0] if parts else 0, end)]
     return parts
 
 

@@ -344,11 +344,6 @@ class MarkedFrames:
             self._held = (start, stop, self._read(start, stop))
         return self._held[2]
 
-    def damaged(self, n_samples: int) -> list[int]:
-        """Blocks that do not fit their checksum, which is known since the file was opened."""
-        del n_samples
-        return self.bad_blocks
-
     def close(self) -> None:
         """Let go of the file."""
         if isinstance(self._data, mmap.mmap):
