@@ -26,7 +26,6 @@ from analysis.attribution.choice import (
     tied,
 )
 from analysis.joint.population import (
-    OneRun,
     Population,
     Quadratic,
     constancy,
@@ -232,22 +231,19 @@ def _over_runs(
     in_units = replace(
         test, spread=_in_unit(key, x, test.spread), slope=slope, slope_sigma=_in_unit(key, x, test.slope_sigma)
     )
+    one = None  # the only run that shows a named effect
+    if effect:
+        stated = Prior(null_value_of(key), 0.0) if declared is None else declared
+        one = one_run_alone(values, sigmas, coordinate_of(key, stated.mean), width_of(key, stated.sigma))
+    if one is not None:
+        sigma_of_others = _in_unit(key, one.others, one.others_sigma)
+        one = replace(one, others=value_at(key, one.others), others_sigma=sigma_of_others)
     inside = [(value_at(key, float(v)), _in_unit(key, float(v), float(s))) for v, s in zip(values, sigmas, strict=True)]
     return OverRuns(
         *key, parameter_of(key).unit, "effect" if effect else "calibration", value_at(key, x), _in_unit(key, x, sigma),
         _in_unit(key, x, spread), tuple(v for v, _ in inside), tuple(s for _, s in inside),
-        in_units, test.differs(level), _one_run(key, values, sigmas, declared) if effect else None,
+        in_units, test.differs(level), one,
     )  # fmt: skip
-
-
-def _one_run(key: ParameterId, values: Floats, sigmas: Floats, declared: Prior | None) -> OneRun | None:
-    """The only run that shows a named effect, its others in the parameter's unit."""
-    stated = Prior(null_value_of(key), 0.0) if declared is None else declared
-    found = one_run_alone(values, sigmas, coordinate_of(key, stated.mean), width_of(key, stated.sigma))
-    if found is None:
-        return None
-    sigma = _in_unit(key, found.others, found.others_sigma)
-    return replace(found, others=value_at(key, found.others), others_sigma=sigma)
 
 
 def _in_unit(key: ParameterId, x: float, width: float) -> float:

@@ -91,11 +91,6 @@ class JointVerdict:
         """Runs that the joint values do not explain."""
         return tuple(run for run in self.runs if run.failed)
 
-    @property
-    def of_one_run(self) -> tuple[tuple[OverRuns, OneRun, RunOutcome], ...]:
-        """Named parameters that only one run shows, what the others say, and that run."""
-        return tuple((x, x.one_run, self.runs[x.one_run.place]) for x in self.parameters if x.one_run is not None)
-
 
 def joint_json(found: JointVerdict) -> dict[str, Any]:
     """Names, numbers and None for what does not exist."""

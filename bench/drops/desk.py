@@ -294,7 +294,22 @@ def section(place: Place) -> Section:
         return templates.TemplateResponse(request, "page.html")
 
     def wave(request: WebRequest) -> Response:
-        return JSONResponse(_envelope(desk, request))
+        # lowest and highest samples of a stretch of an open sound, by column
+        try:
+            number, width = int(request.query_params["file"]), int(request.query_params["width"])
+            start_s, stop_s = (float(request.query_params[key]) for key in ("start_s", "stop_s"))
+        except (KeyError, ValueError) as error:
+            raise HTTPException(422, "wanted file, start_s, stop_s and width") from error
+        files = desk.request.files if desk.request is not None else ()
+        if not 0 <= number < len(files) or not is_wav(files[number]):
+            raise HTTPException(404, "no such sound is open")
+        if not (0.0 <= start_s < stop_s < 1e9 and 0 < width <= 8192):
+            raise HTTPException(422, "wanted 0 <= start_s < stop_s, and at most 8192 columns")
+        try:
+            at, low, high = open_wav(files[number]).envelope(start_s, stop_s, width)
+        except (InputError, OSError) as error:
+            raise HTTPException(422, str(error)) from error
+        return JSONResponse({"time_s": at.tolist(), "low": low.tolist(), "high": high.tolist()})
 
     async def picture(request: WebRequest) -> Response:
         made = desk.pictures.get(request.path_params["file"])
@@ -307,22 +322,3 @@ def section(place: Place) -> Section:
         socket_route("/drop/socket", desk.talk),
     ]  # fmt: skip
     return Section("drop", "Drop test", "/drop", routes, HERE / "static", desk.running)
-
-
-def _envelope(desk: DropDesk, request: WebRequest) -> dict[str, list[float]]:
-    """Lowest and highest samples of a stretch of an open sound, by column."""
-    try:
-        number, width = int(request.query_params["file"]), int(request.query_params["width"])
-        start_s, stop_s = (float(request.query_params[key]) for key in ("start_s", "stop_s"))
-    except (KeyError, ValueError) as error:
-        raise HTTPException(422, "wanted file, start_s, stop_s and width") from error
-    files = desk.request.files if desk.request is not None else ()
-    if not 0 <= number < len(files) or not is_wav(files[number]):
-        raise HTTPException(404, "no such sound is open")
-    if not (0.0 <= start_s < stop_s < 1e9 and 0 < width <= 8192):
-        raise HTTPException(422, "wanted 0 <= start_s < stop_s, and at most 8192 columns")
-    try:
-        at, low, high = open_wav(files[number]).envelope(start_s, stop_s, width)
-    except (InputError, OSError) as error:
-        raise HTTPException(422, str(error)) from error
-    return {"time_s": at.tolist(), "low": low.tolist(), "high": high.tolist()}

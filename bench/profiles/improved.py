@@ -12,7 +12,6 @@ import datetime
 import itertools
 import re
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.loop.close_loop import FittedLoop
@@ -110,11 +109,6 @@ def possible_runs(loop: ClosedLoop, fitted: FittedLoop, recording: Path) -> list
         if not planned(profile)[2]:
             allowed.append(design)
     return rank(fitted, allowed)
-
-
-def write_next(ranked: Sequence[Ranked], recording: Path, path: Path) -> None:
-    """Write the profile of the best next run to the file ``path`` (raises `InputError`)."""
-    write_whole(path, profile_of(profile_text(recording), ranked[0].design))
 
 
 UNKNOWN_ZERO = (

@@ -69,8 +69,10 @@ def show_runs(found: JointVerdict) -> None:
     )
     for run in found.odd:
         out.print(f"  {run.recording} is not explained ({', '.join(run.failed)})", soft_wrap=True)
-    for x, rest, run in found.of_one_run:
-        own = plus_minus(x.values[rest.place], x.sigmas[rest.place])
+    for x in found.parameters:
+        if (rest := x.one_run) is None:
+            continue
+        own, run = plus_minus(x.values[rest.place], x.sigmas[rest.place]), found.runs[rest.place]
         others = plus_minus(rest.others, rest.others_sigma)
         words = f"different in one run: {run.recording} has {own}, all others together {others} (unit {x.unit})"
         out.print(f"  {x.effect}.{x.parameter} is {words}", soft_wrap=True)

@@ -63,20 +63,17 @@ def run_display(quiet: bool) -> Iterator[Callable[[Status], None]]:
         def show(status: Status) -> None:
             done = status.n_samples - status.left_samples
             bar.update(task, total=status.n_samples, completed=done, description=step_line(status))
-            lines.plain = narrow_lines(status) if narrow else f"{health_line(status)}\n{limits_line(status)}"
+            lines.plain = f"{health_line(status)}\n{limits_line(status)}"
+            if narrow:  # one figure a line, what must not be missed first
+                step = f"{step_line(status)}, {1.0 - status.left_samples / max(status.n_samples, 1):.0%}"
+                gammas, contact, lost = health_line(status).split("; ")
+                lines.plain = "\n".join([step, lost, contact, *gammas.split(", "), *limits_line(status).split(", ")])
             if (status.state is State.PAUSED) is live.is_started:
                 live.stop() if live.is_started else live.start()  # while it holds, nothing is drawn over what is typed
 
         yield show
     if not screen.is_terminal:
         screen.line()  # a terminal's cursor is left on a new line; in a log, what follows would go on in the same
-
-
-def narrow_lines(status: Status) -> str:
-    """The same for a narrow terminal, one figure a line, what must not be missed first."""
-    step = f"{step_line(status)}, {1.0 - status.left_samples / max(status.n_samples, 1):.0%}"
-    gammas, contact, lost = health_line(status).split("; ")
-    return "\n".join([step, lost, contact, *gammas.split(", "), *limits_line(status).split(", ")])
 
 
 def step_line(status: Status) -> str:
