@@ -72,7 +72,12 @@ def staked(
         return None
     known = _rivals(fitted)
     rival = known.explanations[1]
-    driven = _driven(recordings)
+    asked: list[tuple[float, float, float]] = []  # ratio, frequency and gamma of each step that was driven
+    for path in recordings:
+        with open_recording(path) as opened:
+            own_hz = opened.setup.forcing.frequency_hz
+            asked += [(float(step["ratio"]), own_hz, float(step["gamma"])) for step in opened.steps]
+    driven = np.array(asked).reshape(-1, 3)
     pools = [_new(Pool.of(option, model, best.fitter, known), driven) for option in options]
     pools = [pool for pool in pools if len(pool.option.gammas) >= steps]
 
@@ -131,16 +136,6 @@ def runner_up(found: SelectionResult) -> list[Hypothesis]:
     options = [c for c in library if c.names in others[:1]]
     fits = [refits.attempted((c,), Proposals(refits, FROZEN).add, found.before, c) for c in options]
     return sorted((x for x in fits if x is not None), key=lambda x: float(x.per_step.sum()))[:1]
-
-
-def _driven(recordings: Sequence[Path]) -> Floats:
-    """Ratio, frequency and gamma that were asked for in each step of the recordings, (m, 3)."""
-    rows: list[tuple[float, float, float]] = []
-    for path in recordings:
-        with open_recording(path) as opened:
-            own_hz = opened.setup.forcing.frequency_hz
-            rows += [(float(step["ratio"]), own_hz, float(step["gamma"])) for step in opened.steps]
-    return np.array(rows).reshape(-1, 3)
 
 
 def _new(pool: Pool, driven: Floats) -> Pool:

@@ -24,13 +24,19 @@ from analysis.attribution.selection import SelectionResult, StepwiseSelection, r
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
 from analysis.loop.other_forms import beyond_own_form
-from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, Selection, TestedCandidate
+from analysis.loop.result import (
+    Calibration,
+    ClosedLoop,
+    DetectionLimits,
+    HeldOutErrors,
+    PlateTable,
+    Selection,
+    TestedCandidate,
+)
 from analysis.loop.tables import (
     added_effects,
-    fitted_calibrations,
     fitted_parameters,
     flight_table,
-    plate_table,
     source_of,
     step_table,
 )
@@ -181,7 +187,7 @@ def _loop_of(
         # what is left may pass by its size; a scatter must leave nothing that follows anything
         if again["verdict"] == "explained" and again["remainder"].p_lack_of_fit >= limits.lack_p:
             selection, judged, model = other, again, other.best.model
-    points = selection.before.fitted.values, selection.best.fitted.values
+    points, plate = (selection.before.fitted.values, selection.best.fitted.values), model.observations.plate
     say("detection limits", 0.97)
     detection, unidentifiable = detection_limits(selection.best, limits)
     result = ClosedLoop(
@@ -189,7 +195,7 @@ def _loop_of(
         selection=_selected(selection, candidates_of(model, seen), limits),
         detection=DetectionLimits(detection, unidentifiable),
         flights=flight_table(model, *points),
-        plate=plate_table(model, *points),
+        plate=PlateTable(plate.kind, plate.step, plate.value, plate.sigma, *(model.residuals(x).plate for x in points)),
         discovered=None,
         steps=step_table(model, selection.best.fitter.train),
         setup=observations.setup,
@@ -293,7 +299,11 @@ def _selected(found: SelectionResult, library: Sequence[Candidate], limits: Thre
         names=best.names,
         ties=tuple(x.names for x in found.ties),
         parameters=parameters,
-        calibrations=fitted_calibrations(best),
+        calibrations=tuple(
+            Calibration(*key, float(best.fitted.values[key]), best.fitted.sigma(key), prior.mean, prior.sigma)
+            for key, prior in sorted(best.fitted.fitter.priors.items())
+            if key in best.fitted.keys and key not in best.free
+        ),
         candidates=tuple(TestedCandidate(names, c.gain, c.error) for names, c in found.tried),
         rounds=found.rounds,
         rejected=found.rejected,

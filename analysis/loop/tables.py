@@ -17,11 +17,9 @@ from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import (
     AddedEffect,
-    Calibration,
     ClosedLoop,
     FittedParameter,
     FlightTable,
-    PlateTable,
     Predictions,
     Source,
     StepTable,
@@ -72,13 +70,6 @@ def _predictions(model: ForwardModel, values: Values) -> Predictions:
     )
 
 
-def plate_table(model: ForwardModel, before: Values, after: Values) -> PlateTable:
-    """Plate data with the residuals at the fitted values ``before`` and ``after``."""
-    data = model.observations.plate
-    residuals = (model.residuals(values).plate for values in (before, after))
-    return PlateTable(data.kind, data.step, data.value, data.sigma, *residuals)
-
-
 def source_of(path: Path) -> Source:
     """Provenance of a recording: date, rig, note and software."""
     with open_recording(path) as opened:
@@ -112,16 +103,6 @@ def fitted_parameters(
 
     noise = () if scatter is None else (FittedParameter(*SCATTER, scatter.sd, scatter.sigma, True, False),)
     return (*(one(k, True) for k in best.free), *noise, *(one(k, False) for k in values if k not in best.free))
-
-
-def fitted_calibrations(best: Hypothesis) -> tuple[Calibration, ...]:
-    """Every calibration that the fit left free along with the effects of ``best``, in alphabetical order."""
-    fitted = best.fitted
-    return tuple(
-        Calibration(*key, float(fitted.values[key]), fitted.sigma(key), prior.mean, prior.sigma)
-        for key, prior in sorted(fitted.fitter.priors.items())
-        if key in fitted.keys and key not in best.free
-    )
 
 
 def added_effects(names: Sequence[str], parameters: Sequence[FittedParameter]) -> tuple[AddedEffect, ...]:
@@ -172,7 +153,16 @@ def loop_json(
         "verdict": loop.verdict,
         "effects": [_effect(e) for e in loop.selection.effects],
         "discovered": [] if loop.discovered is None else [_discovery(loop.discovered)],
-        "kept": None if term_effect is None else _term_effect(term_effect),
+        "kept": None if term_effect is None else {
+            "name": term_effect.name,
+            "file": term_effect.file,
+            "form": term_effect.form or None,
+            "verdict": term_effect.verdict,
+            "effects": [_effect(e) for e in term_effect.effects],
+            "before": term_effect.before,
+            "after": term_effect.after,
+            "noise_floor_us": term_effect.noise_floor_us,
+        },
         "tie_set": loop.selection.ties,
         "before": loop.errors.before,
         "after": loop.errors.after,
@@ -219,19 +209,6 @@ def rejected_json(x: Rejected | None) -> dict[str, Any] | None:
 def _effect(e: AddedEffect) -> dict[str, Any]:
     intervals = {k: {"value": v, "low": lo, "high": hi} for k, (v, lo, hi) in e.parameters.items()}
     return {"name": e.name, "parameters": intervals}
-
-
-def _term_effect(term_effect: TermEffect) -> dict[str, Any]:
-    return {
-        "name": term_effect.name,
-        "file": term_effect.file,
-        "form": term_effect.form or None,
-        "verdict": term_effect.verdict,
-        "effects": [_effect(e) for e in term_effect.effects],
-        "before": term_effect.before,
-        "after": term_effect.after,
-        "noise_floor_us": term_effect.noise_floor_us,
-    }
 
 
 def _form(form: FittedForm) -> dict[str, Any]:

@@ -63,11 +63,6 @@ class TermEffect:
     after: Errors  # the same under the best hypothesis
     noise_floor_us: float
 
-    @property
-    def found_again(self) -> bool:
-        """Whether the loop names the effect."""
-        return any(e.name == self.name for e in self.effects)
-
 
 def check_new(name: str) -> None:
     """Refuse a name that no new effect can have.

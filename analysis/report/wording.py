@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdict import VERDICTS, Failed
@@ -193,21 +192,14 @@ def what_is_left(loop: ClosedLoop) -> str:
     return f"what is left is {left.ratio:.2f} {passed}"
 
 
-def parameters_of(form: FittedForm) -> list[str]:
-    """Each parameter of a formula with its value, standard deviation and unit."""
-    rows = zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
-    return [
-        f"{name} = {plus_minus(value, sigma)}{'' if unit == '1' else f' {unit}'}" for name, value, sigma, unit in rows
-    ]
-
-
 def discovered_in_words(loop: ClosedLoop) -> list[str]:
     """The discovered term, the suggested formula with its values, and the error with it, a line each."""
     if (found := loop.discovered) is None:
         return []
     out = [f"discovered: {found.description}"]
     if (form := found.form) is not None:
-        values = ", ".join(parameters_of(form))
+        rows = zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
+        values = ", ".join(f"{q} = {plus_minus(x, s)}{'' if unit == '1' else f' {unit}'}" for q, x, s, unit in rows)
         out.append(
             f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate.words}, SI)"
         )
@@ -226,7 +218,7 @@ def term_effect_in_words(term_effect: TermEffect) -> list[str]:
         f"  on held-out steps landings are missed by {microseconds(term_effect.after.landing_rms_us)} us rms, before "
         f"{microseconds(term_effect.before.landing_rms_us)} us, noise {microseconds(term_effect.noise_floor_us)} us",
     ]
-    if not term_effect.found_again:
+    if all(e.name != term_effect.name for e in term_effect.effects):
         out.append(f"  {plain(term_effect.name)} was not named: look at the file before you use it")
     return out
 

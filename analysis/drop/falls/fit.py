@@ -102,12 +102,6 @@ class Axis:
         return np.asarray(self.reach_m * np.column_stack([h, h * h - 1.0, h**3 - h]))
 
 
-def axis_of(falls: Sequence[Fall]) -> Axis:
-    """The axis that all falls share."""
-    top, bottom = max(float(f.height_m.max()) for f in falls), min(float(f.height_m.min()) for f in falls)
-    return Axis(0.5 * (top + bottom), 0.5 * (top - bottom))
-
-
 # Every parameter and whose it is. A drop's release is always its own: its height and its time.
 COMMON, BALL, DROP = "common", "ball", "drop"
 OWNER = {

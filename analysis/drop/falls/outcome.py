@@ -18,13 +18,13 @@ from analysis.drop.falls.fit import (
     AXIS,
     OWN_AXIS,
     SPHERE,
+    Axis,
     Fall,
     FallFit,
     Noise,
     Setting,
     Sizes,
     Values,
-    axis_of,
     fit_falls,
     heights_m,
 )
@@ -112,7 +112,8 @@ def judge_falls(falls: Sequence[Fall], g_mps2: float, sizes: Sizes) -> Judged:
     Mass and diameter of a ball say how much air it displaces, and how much drag it may have.
     """
     count = sum(len(fall.time_s) for fall in falls)
-    setting = Setting(axis_of(falls), g_mps2, sizes)
+    top, bottom = max(float(f.height_m.max()) for f in falls), min(float(f.height_m.min()) for f in falls)
+    setting = Setting(Axis(0.5 * (top + bottom), 0.5 * (top - bottom)), g_mps2, sizes)  # an axis that all falls share
     noise = Noise(axis=_OWN_AXES[-1])
     first = fit_falls(falls, ("k_per_m",), setting, noise)  # from far away a distorted axis may stand for a strong drag
     for _ in range(3):  # residuals are correlated from sample to sample: how much one is worth sets what a prior weighs

@@ -191,7 +191,7 @@ def impacts_of(
     ``values`` (m, p), ``at`` and ``top`` (m, flights): draws of the shape, of the apexes' times and of their heights.
     """
     laws = law_of(shape.name, np.vstack([shape.values, values]))
-    frames, heights = np.vstack([shape.apex_frame, at]), np.vstack([shape.apex_height, top])
+    frames, heights = np.vstack([shape.apex_frame, at]), np.vstack([[one.top for one in shape.seen], top])
     rows: list[tuple[int, Floats, Floats, Floats, Floats]] = []
     unknown = np.full(len(frames), np.nan)
     fall = np.full((len(frames), max(f.clip for f in flights) + 1), np.nan)

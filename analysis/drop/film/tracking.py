@@ -57,7 +57,15 @@ def track_film(path: Path, progress: Progress | None = None, corrections: Correc
     Raises `InputError` for a film that is damaged, cut, without motion, without free flight, or with two things in it.
     """
     film = stabilised(part_of(open_film(path), corrections), progress)
-    best = _best_attempt(film, still_of(film, progress), corrections, progress)
+    usual = still_of(film, progress)
+    best = _attempt(film, usual, corrections, progress)
+    # a spot whose height spreads by 12 %: its background is suspected, and one is tried that is free of the ball
+    if isinstance(best, InputError) or best.unsteady > 0.12:
+        other = _attempt(film, still_by_order(film, usual), corrections, progress)
+        if isinstance(other, _Attempt) and (isinstance(best, InputError) or other.unsteady < best.unsteady):
+            best = other
+    if isinstance(best, InputError):
+        raise best
     track, still = best.track, best.still
     frames = track.clock.astype(np.int64)
     lost = np.setdiff1d(np.setdiff1d(np.arange(frames[0], frames[-1] + 1), frames), still.repeated)
@@ -92,19 +100,6 @@ class _Attempt:
         """Spread of the spot's height over its median: a ball that overlaps its own ghost changes its size."""
         low, middle, high = np.percentile(self.size[:, 4], [10, 50, 90])
         return float((high - low) / max(middle, 1.0))
-
-
-def _best_attempt(film: Film, still: Still, corrections: Corrections, progress: Progress | None) -> _Attempt:
-    """The ball against the usual background, or against one that is free of it where it is unsteady."""
-    best = _attempt(film, still, corrections, progress)
-    # a spot whose height spreads by 12 %: its background is suspected
-    if isinstance(best, InputError) or best.unsteady > 0.12:
-        other = _attempt(film, still_by_order(film, still), corrections, progress)
-        if isinstance(other, _Attempt) and (isinstance(best, InputError) or other.unsteady < best.unsteady):
-            best = other
-    if isinstance(best, InputError):
-        raise best
-    return best
 
 
 def _attempt(film: Film, still: Still, corrections: Corrections, progress: Progress | None) -> _Attempt | InputError:

@@ -58,11 +58,6 @@ class Shape:
         """Frame of each flight's apex, shape (flights,)."""
         return np.array([one.at for one in self.seen])
 
-    @property
-    def apex_height(self) -> Floats:
-        """Height of each flight's apex, shape (flights,)."""
-        return np.array([one.top for one in self.seen])
-
     def seen_at(self, flight: int, frame: Floats) -> Floats:
         """Height at which the ball of one of the flights is seen at ``frame`` (n,)."""
         height = self.seen[flight].top - self.law.drop_m(frame - self.seen[flight].at)

@@ -172,9 +172,12 @@ def _without_strays(heard: Onsets, chain: list[int], missed: list[int], broken: 
         single = np.array(missed[first : last - 1]) == 0
         own = chain[first:last]
         cut = ends_that_stray(events[own], single)
-        if cut[0] and (other := _other_first(events, own, single)) is not None:
-            chain = [*chain[:first], other, *chain[first + 1 :]]
-            continue
+        if cut[0]:  # an event near it may be the first impact in its place: an impact rings, or clips
+            near = np.flatnonzero((np.abs(events - events[own[0]]) < 0.1) & (events < events[own[1]])).tolist()
+            others = (k for k in near if k != own[0] and not ends_that_stray(events[[k, *own[1:]]], single)[0])
+            if (other := next(others, None)) is not None:
+                chain = [*chain[:first], other, *chain[first + 1 :]]
+                continue
         if not any(cut):
             cut = ends_unlike_in_loudness(heard.loudness[own], events[own], single)
         if not any(cut):
@@ -187,16 +190,6 @@ def _without_strays(heard: Onsets, chain: list[int], missed: list[int], broken: 
         broken=np.array([False, *broken[first + 1 : last - 1], False], dtype=np.bool_),
         false_s=np.setdiff1d(np.union1d(inside, events[chain]), used),
     )
-
-
-def _other_first(events: Floats, chain: list[int], single: Bools) -> int | None:
-    """An event near a first impact that strays, and in whose place it does not: an impact rings, or clips."""
-    near = np.flatnonzero((np.abs(events - events[chain[0]]) < 0.1) & (events < events[chain[1]]))
-    for other in near:
-        moved = events[[int(other), *chain[1:]]]
-        if int(other) != chain[0] and not ends_that_stray(moved, single)[0]:
-            return int(other)
-    return None
 
 
 def _a_loop(drops: list[Bounces], events: Floats) -> bool:
