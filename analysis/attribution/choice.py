@@ -126,6 +126,10 @@ class Judge:
     def __init__(self, train: Bools, limits: Thresholds = FROZEN) -> None:
         self.train, self.limits = train, limits
 
+    def loss(self, x: Hypothesis) -> float:
+        """Held-out loss over all steps that selection may use."""
+        return float(x.per_step[self.train].sum())
+
     def gain(self, worse: Hypothesis, better: Hypothesis) -> LogScoreDifference:
         """Held-out gain of one hypothesis over another."""
         return LogScoreDifference.of(worse.per_step, better.per_step, self.train)
@@ -194,7 +198,7 @@ class Judge:
         The penalty counts its parameters and the prior of the calibrations that it moves. A candidate that leaves more
         than noise may, or strains a calibration, and would need a second cause as well, comes after those that do not.
         """
-        ranked = sorted(found, key=lambda x: float(x.per_step[self.train].sum()))
+        ranked = sorted(found, key=self.loss)
         passing = (x for x in ranked if self.refusal(best, x, depth, chance) is None)
         top = next(passing, None)
         if top is None:
@@ -234,7 +238,7 @@ class Judge:
             What the best of all candidates gains by chance beside ``best``; not tested where None.
         """
         least = 0.0 if chosen is None else self.gain(best, chosen).gain
-        for x in sorted(found, key=lambda x: float(x.per_step[self.train].sum())):
+        for x in sorted(found, key=self.loss):
             gain = self.gain(best, x)
             if not gain.gain > max(least, self.limits.reported_nats):
                 break

@@ -96,7 +96,6 @@ class StepwiseSelection:
     ) -> None:
         self.model, self.fitter, self.limits = model, fitter, limits
         self.progress = progress or (lambda what, part: None)
-        self.train = fitter.train
         self.library = candidates_of(model) if library is None else list(library)
         self.judge = Judge(fitter.train, limits)
         self.refits = Refits(fitter)
@@ -232,7 +231,7 @@ class StepwiseSelection:
         if cause is None or self.judge.refusal(best, cause, depth):
             return False
         others = [c for c in remaining_candidates(self.library, cause) if trend_name() not in c.names]
-        second = min(self._round(cause, others, depth), key=lambda x: float(x.per_step[self.train].sum()), default=None)
+        second = min(self._round(cause, others, depth), key=self.judge.loss, default=None)
         return second is not None and self.judge.tied(accepted, second)
 
     def _special_case(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
@@ -243,7 +242,7 @@ class StepwiseSelection:
         last = best.candidates[-1].names
         cases = contained_in(last) - set(last)
         same = [x for x in found if x.candidates[:-1] == best.candidates[:-1] and set(x.candidates[-1].names) <= cases]
-        return min(same, key=lambda x: float(x.per_step[self.train].sum()), default=None)
+        return min(same, key=self.judge.loss, default=None)
 
     def _rival(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """Of a round the best hypothesis as good as the one chosen there, where a calibration plays a further cause.
@@ -251,7 +250,7 @@ class StepwiseSelection:
         Which of them is right may show only with that cause.
         """
         same = [x for x in found if x.candidates[:-1] == best.candidates[:-1] and x.names != best.names]
-        rival = min(same, key=lambda x: float(x.per_step[self.train].sum()), default=None)
+        rival = min(same, key=self.judge.loss, default=None)
         return rival if rival is not None and best.strained and self.judge.tied(best, rival) else None
 
     def _accepted(
@@ -354,7 +353,7 @@ class StepwiseSelection:
         out = [best]
         # both in the weights of the best one: motions are compared, not weights
         z_best, _ = best.whitener.white(self.model.residuals(best.fitted.values))
-        for x in sorted(rivals, key=lambda r: float(r.per_step[self.train].sum())):
+        for x in sorted(rivals, key=self.judge.loss):
             if x is best or x.names in [t.names for t in out] or not self.judge.tied(best, x):
                 continue
             if self.judge.refuted(x, best):

@@ -180,7 +180,7 @@ def test_a_simpler_form_of_a_weak_effect_passes_the_tests_itself(
     """A form is accepted and gives way to a simpler one that does nothing: a gain of 10 nats leaves no name, 100 do."""
     selection = selection_of({UP: 0.05, DOWN: 0.05}, 1)
     nothing, friction = selection.declared(), added(selection, named(selection, "coulomb_friction"))
-    share = gain_nats / len(nothing.losses) / np.count_nonzero(selection.train)
+    share = gain_nats / len(nothing.losses) / np.count_nonzero(selection.judge.train)
     form = replace(friction, losses={k: x - share for k, x in nothing.losses.items()})
     idle = replace(friction, losses=nothing.losses)
     monkeypatch.setattr(selection.pruning, "simplified", lambda *_: idle)
