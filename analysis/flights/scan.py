@@ -7,7 +7,7 @@ stages: raw volts, contact voltage as a fraction of its swing, and accelerometer
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from analysis.events.levels import OPENS, Crossings, CrossingScan, Levels, measu
 from analysis.events.sensor_offset import SensorOffset
 from analysis.events.template_estimate import estimate_template
 from analysis.plate.accumulator import PlatePiece, StepAccumulator
-from analysis.plate.motion import PlateMotion
+from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.plate.tone_noise import with_coloured_noise
 from analysis.signals import LEAST_HZ, PAD, HighPass, Piece, Volts, pieces, survey_pieces
 from daq.files.tables import STEP_DTYPE, BlockFlag
@@ -125,20 +125,10 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
             f"{recording.setup.forcing.frequency_hz:g} Hz), got {recording.n_samples}; name a longer recording"
         )
     looked = list(survey_pieces(recording, channels))
-    for name in channels:
-        described = getattr(recording.setup.channels, name)
-        peak = max(float(np.abs(piece.own(name)).max()) for piece in looked)
-        if described is not None and not peak <= FAR_OUTSIDE * described.range_v:
-            raise InputError(
-                f"{recording.path}: {name} reads {peak:.4g} V, far outside its range_v = {described.range_v:g}; import "
-                f"the file again with its unit (--map {name}=COLUMN:mV), or correct range_v in the profile"
-            )
+    _refuse_far_outside(recording, looked, channels)
     steps = resolved_steps(recording)
     zero_v = recording.setup.channels.accelerometer.offset_v
-    stretches: list[Volts] = []
-    for piece in looked:  # cut where a step begins
-        starts = [int(first) - piece.first for first in steps["first_sample"] if piece.first < first < piece.last]
-        stretches += np.split(piece.own("accelerometer"), starts)
+    stretches = [x for piece in looked for x in _by_step(piece, steps)]
     ends_v = common_ends(stretches, recording.rate_hz, math.nan if zero_v is None else zero_v.value)
     forcing = recording.setup.forcing
     tones_hz = [multiple * forcing.frequency_hz for multiple in forcing.multiples]
@@ -159,6 +149,24 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
         return Survey(coupling.levels, noise, template, coupling, ends_v, step_v)
     levels = measure_levels(np.concatenate(volts), contact.closed_v.value, contact.open_v.value)
     return Survey(levels, noise, template, ends_v=ends_v, step_v=step_v)
+
+
+def _by_step(piece: Piece, steps: npt.NDArray[np.void]) -> list[Volts]:
+    """The accelerometer in a piece, cut where a step begins."""
+    starts = [int(first) - piece.first for first in steps["first_sample"] if piece.first < first < piece.last]
+    return np.split(piece.own("accelerometer"), starts)
+
+
+def _refuse_far_outside(recording: Recording, looked: list[Piece], channels: tuple[str, ...]) -> None:
+    """Refuse volts that no channel of this profile can have read."""
+    for name in channels:
+        described = getattr(recording.setup.channels, name)
+        peak = max(float(np.abs(piece.own(name)).max()) for piece in looked)
+        if described is not None and not peak <= FAR_OUTSIDE * described.range_v:
+            raise InputError(
+                f"{recording.path}: {name} reads {peak:.4g} V, far outside its range_v = {described.range_v:g}; import "
+                f"the file again with its unit (--map {name}=COLUMN:mV), or correct range_v in the profile"
+            )
 
 
 def _open_fraction(piece: Piece, levels: Levels) -> Volts:
@@ -219,24 +227,35 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     plate = with_coloured_noise(accumulator.finish())
     impacts = detectors[0].impacts().away_from_seams(recording) if detectors else NO_IMPACTS
     noise_v, accelerometer = 0.0 if known.noise is None else known.noise.rms_v, recording.setup.channels.accelerometer
-    filled = recording.blocks[recording.blocks["flags"] & BlockFlag.FILLED != 0]
-    filled_samples = np.column_stack([filled["first_sample"], filled["first_sample"] + filled["n_samples"]])
-    # where a sensor's end cuts a step's motion off, its corners look like impacts, to the next step's hold
-    holds = np.append(steps["first_sample"] + steps["settle_samples"], recording.n_samples)
-    cut_off = np.array([s is not None and s.saturated for s in plate])
-    cut_off_samples = np.column_stack([steps["first_sample"], holds[1:]])[cut_off]
     return Scan(
         survey=known,
         steps=steps,
         crossings=contact.crossings(),
         starts_open=contact.started_open,
-        impacts=impacts.strong_in(np.asarray(cut_off_samples / recording.rate_hz)),
+        impacts=impacts.strong_in(_cut_off_spans_s(recording, steps, plate)),
         plate=PlateMotion(plate, noise_v / abs(accelerometer.volts_per_mps2), rate_hz, recording.gaps),
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
-        filled_spans_s=np.asarray(filled_samples / recording.rate_hz),
+        filled_spans_s=_filled_spans_s(recording),
     )
+
+
+def _cut_off_spans_s(recording: Recording, steps: npt.NDArray[np.void], plate: Sequence[StepPlate | None]) -> Floats:
+    """Spans (k, 2) of the steps whose motion a sensor's end cuts off, where corners of the motion look like impacts.
+
+    Each lasts from the step's first sample to the next one's hold.
+    """
+    holds = np.append(steps["first_sample"] + steps["settle_samples"], recording.n_samples)
+    cut_off = np.array([s is not None and s.saturated for s in plate])
+    return np.asarray(np.column_stack([steps["first_sample"], holds[1:]])[cut_off] / recording.rate_hz)
 
 
 def plate_of(recording: Recording, *, progress: Progress | None = None) -> PlateMotion:
     """Plate motion in every step of a recording: see `analysis.plate.motion.StepPlate`."""
     return scan(recording, progress).plate
+
+
+def _filled_spans_s(recording: Recording) -> Floats:
+    """Intervals of the recording that the recorder filled in, (n, 2)."""
+    filled = recording.blocks[recording.blocks["flags"] & BlockFlag.FILLED != 0]
+    ends = filled["first_sample"] + filled["n_samples"]
+    return np.asarray(np.column_stack([filled["first_sample"], ends]) / recording.rate_hz)

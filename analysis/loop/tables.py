@@ -153,16 +153,7 @@ def loop_json(
         "verdict": loop.verdict,
         "effects": [_effect(e) for e in loop.selection.effects],
         "discovered": [] if loop.discovered is None else [_discovery(loop.discovered)],
-        "kept": None if term_effect is None else {
-            "name": term_effect.name,
-            "file": term_effect.file,
-            "form": term_effect.form or None,
-            "verdict": term_effect.verdict,
-            "effects": [_effect(e) for e in term_effect.effects],
-            "before": term_effect.before,
-            "after": term_effect.after,
-            "noise_floor_us": term_effect.noise_floor_us,
-        },
+        "kept": None if term_effect is None else _term_effect(term_effect),
         "tie_set": loop.selection.ties,
         "before": loop.errors.before,
         "after": loop.errors.after,
@@ -209,6 +200,19 @@ def rejected_json(x: Rejected | None) -> dict[str, Any] | None:
 def _effect(e: AddedEffect) -> dict[str, Any]:
     intervals = {k: {"value": v, "low": lo, "high": hi} for k, (v, lo, hi) in e.parameters.items()}
     return {"name": e.name, "parameters": intervals}
+
+
+def _term_effect(term_effect: TermEffect) -> dict[str, Any]:
+    return {
+        "name": term_effect.name,
+        "file": term_effect.file,
+        "form": term_effect.form or None,
+        "verdict": term_effect.verdict,
+        "effects": [_effect(e) for e in term_effect.effects],
+        "before": term_effect.before,
+        "after": term_effect.after,
+        "noise_floor_us": term_effect.noise_floor_us,
+    }
 
 
 def _form(form: FittedForm) -> dict[str, Any]:
