@@ -99,18 +99,20 @@ class PushedPlate:
             motions[i] = replace(motion, kicks=motion.kicks + self._correction(motion, others / push.block_s))
         return replace(motions[0], others=tuple(motions[1:]))
 
-    def error_mps(self, frequency_hz: float, damping: float, mass_ratio: float) -> float:
-        """Standard deviation of a mode's speed as `moved`, and of its displacement times the angular frequency.
+    def error(self, frequency_hz: float, damping: float, mass_ratio: float) -> tuple[float, float]:
+        """Standard deviation of a mode's speed as `moved`, and of its displacement times the angular frequency, m/s.
 
-        The amplitude's error is a damped random walk, by kicks that are not known exactly, which the acceleration
-        shows in white noise: what a smoother leaves of it (Kailath, Sayed, Hassibi, Linear Estimation, 2000, ch. 16).
+        And the rate, 1/s, at which that error is forgotten. The amplitude's error is a damped random walk, by kicks
+        that are not known exactly, which the acceleration shows in white noise: what a smoother leaves of it (Kailath,
+        Sayed, Hassibi, Linear Estimation, 2000, ch. 16).
         """
         turn, lasts_s = turn_of(frequency_hz, damping), len(self.known) * self.push.block_s
         # a kick is a change of speed: half of its variance goes to each quadrature, and so does what a block shows
         walk = 0.5 * np.sum(KICK_MPS**2 + (KICK_PART * self.push.impulse_mps) ** 2) / lasts_s
         shown = 0.5 * (abs(turn) * mass_ratio / self.noise_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
-        forgets = max(turn.real**2, lasts_s**-2)  # no error is older than the recording
-        return mass_ratio * math.sqrt(walk / (2.0 * math.sqrt(forgets + walk * shown)))
+        # no error is older than the recording
+        rate = math.sqrt(max(turn.real**2, lasts_s**-2) + walk * shown)
+        return mass_ratio * math.sqrt(walk / (2.0 * rate)), rate
 
     def _correction(self, motion: ModeMotion, others_mps2: Floats) -> Complexes:
         """By how much kicks differ from those of a motion beside others: a smoother of the mode's state, (1 + k,).

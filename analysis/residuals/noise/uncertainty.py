@@ -38,6 +38,7 @@ REBOUND_STEP = 1e-4  # finite difference of a restitution
 STEEPEST_BY_REBOUND_S = 1.0  # a flight at 5 m/s lasts so long; a larger slope means another event
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
 HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
+FADING = 4  # lasting errors of a step that stand for one which is forgotten within it
 BEFORE = 3  # events before one on which an elastic ball's prediction depends
 
 
@@ -46,7 +47,7 @@ class Uncertainty:
     """Uncertainty of opening and landing residuals at one point; arrays (n,), tones (n, q).
 
     ``*_sigma_s`` is that of the edges, propagated, and of rebounds that scatter; ``*_by_tone`` the change for one sigma
-    of each quadrature of each plate tone of the event's step, of the initial state of a plate mode in the step, and of
+    of each quadrature of each plate tone of the event's step, of the state of a plate mode in the step, and of
     each part of the rounding to samples that edges of a step share, its own and that of the landings it is predicted
     from. ``*_edge_s`` is what no other measured edge shares, ``landing_scatter_s`` what rebounds that scatter add to
     their next landings.
@@ -92,6 +93,10 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
         chained = active(rows, "plate_mode") and model.measured_mode(rows) is None
         found = moves.one_by_one(tones, kicks) if chained else moves.together(tones, kicks)
         edges[:, again], changes[:, again], bent[:, again] = found
+    var = np.sum(bent**2, axis=0)
+    if (mode := model.measured_mode(model.inputs(values).rows)) is not None:
+        lasting, own_part = forgotten(changes[len(tones) :], ev.measured.step, ev.measured.landing_s, mode.forgets)
+        changes, var = np.concatenate([changes[: len(tones)], lasting]), var + own_part
     times = _from_exact_landings(model, base, edges)
     opening, landing = (
         rounding_errors(times[:, i], own[:, i], seen.sampling_s, seen.jitter_s)
@@ -99,7 +104,7 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     )
     # rounding errors are common to edges of a step and are carried separately: this is the rest
     independent = np.sqrt(own**2 - np.stack([np.sum(opening**2, axis=1), np.sum(landing**2, axis=1)], axis=1))
-    var = independent**2 + np.sum(bent**2, axis=0)
+    var += independent**2
     scatter = model.per_step(values, "rebound_scatter")[ev.measured.step]
     if scatter.any():
         scatter = scatter * np.abs(slope_by_rebound(model, values))
@@ -280,6 +285,31 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) ->
         error = np.clip(np.nan_to_num(ev.measured.landing_s - out[:, 1]), -sampling_s, sampling_s)
         out = predicted - sum(slope * _earlier(error, back)[:, None] for back, slope in enumerate(edges, start=1))
     return np.asarray(out)
+
+
+def forgotten(changes: Floats, step: Integers, time_s: Floats, rate: float) -> tuple[Floats, Floats]:
+    """Changes by errors that are forgotten within a step, as changes by several that last, and what these leave.
+
+    Errors at times apart go together by ``exp(-rate time)``. Of that the largest `FADING` eigenvectors in each step
+    carry the common part; the rest, a variance (n, 2), counts as each event's own.
+
+    Parameters
+    ----------
+    changes
+        Of openings and landings by one sigma of each error, (q, n, 2).
+    step, time_s
+        Of the flights, (n,).
+    rate
+        At which errors are forgotten, 1/s.
+    """
+    out, common = np.zeros((FADING, *changes.shape)), np.zeros(len(step))
+    for rows in (np.flatnonzero(step == s) for s in np.unique(step)):
+        sizes, vectors = np.linalg.eigh(np.exp(-rate * np.abs(time_s[rows, None] - time_s[rows])))
+        parts = (vectors * np.sqrt(np.maximum(sizes, 0.0)))[:, -FADING:]
+        out[: parts.shape[1], :, rows] = parts.T[:, None, :, None] * changes[:, rows]
+        common[rows] = np.sum(parts**2, axis=1)
+    own = np.maximum(1.0 - common, 0.0)[:, None] * np.sum(changes**2, axis=0)
+    return out.reshape(-1, *changes.shape[1:]), own
 
 
 def _halves(ahead: Floats, behind: Floats, base: Floats) -> tuple[Floats, Floats]:

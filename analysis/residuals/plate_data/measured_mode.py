@@ -30,6 +30,7 @@ class MeasuredMode:
     turning: Complexes  # phase of the mode at the times of ``state``, (n, 2)
     omega_radps: float
     error_mps: float  # standard deviation of the speed, and of the displacement times the angular frequency
+    forgets: float  # rate at which that error is forgotten, 1/s
     undriven: Bools  # tones that are all the mode's, (m, k)
 
     def kicked(self, kick: tuple[float, float]) -> Floats:
@@ -73,12 +74,12 @@ class MeasuredMode:
         projection = np.where(followed[:, None], ringing.of_motions(motions, of_step), 0.0)
         seconds = np.where(followed, ringing.intervals.seconds, 0.0)
         turning = np.exp(1j * motions[0].turn.imag * np.stack([seen.opening_s, seen.landing_s], axis=1))
-        errors = [x.error_mps(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed]
+        error = max(x.error(omega_radps / (2.0 * np.pi), damping, mass_ratio) for x in observations.ringing.pushed)
         amplitudes = ringing.of_tones(projection, seconds)
         if undriven is None:
             undriven = np.zeros(amplitudes.shape, np.bool_)
         amplitudes = np.where(undriven, observations.steps.plate.acceleration_mps2, amplitudes)
-        return cls(state, amplitudes, projection, seconds, turning, omega_radps, max(errors), undriven)
+        return cls(state, amplitudes, projection, seconds, turning, omega_radps, *error, undriven)
 
 
 def undriven_tones(observations: Observations, ringing: Ringing) -> Bools:

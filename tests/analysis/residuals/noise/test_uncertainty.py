@@ -11,7 +11,7 @@ import pytest
 from analysis.events.edge_jitter import MIN_STEPS, Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
-from analysis.residuals.noise.uncertainty import rounding_errors
+from analysis.residuals.noise.uncertainty import forgotten, rounding_errors
 from analysis.residuals.observations import ContactCircuit, Observations
 from analysis.thresholds import FROZEN
 
@@ -43,6 +43,25 @@ def test_edges_known_within_a_sample_share_nothing() -> None:
     assert not np.any(rounding_errors(time_s, np.array([1e-6, ROUNDING_S]), SAMPLING_S, 0.0))
     assert not np.any(rounding_errors(time_s, rounded, 0.0, 0.0))
     assert not np.any(rounding_errors(time_s, rounded, SAMPLING_S, np.inf))
+
+
+def test_errors_that_are_forgotten_go_together_less_the_longer_they_lie_apart() -> None:
+    """Two steps of twelve flights: within a step errors go together by ``exp(-rate time)``, and each has its size.
+    Where nothing is forgotten they stay what they were."""
+    rng, rate = np.random.default_rng(5), 5.0
+    step, time_s = np.repeat([0, 1], 12), np.arange(24) * 0.04
+    changes = rng.standard_normal((2, 24, 2))
+    lasting, own = forgotten(changes, step, time_s, rate)
+    same = step[:, None] == step
+    together = np.einsum("qnk,qmk->knm", changes, changes) * same
+    wanted = together * np.exp(-rate * np.abs(time_s[:, None] - time_s))
+    found = np.einsum("qnk,qmk->knm", lasting, lasting) * same
+    assert np.diagonal(found, axis1=1, axis2=2).T + own == pytest.approx(np.diagonal(together, axis1=1, axis2=2).T)
+    near = np.abs(np.subtract.outer(np.arange(24), np.arange(24))) == 1
+    assert np.std((found - wanted)[:, near & same]) < 0.2 * np.std(wanted[:, near & same])
+    lasting, own = forgotten(changes, step, time_s, 0.0)
+    assert np.einsum("qnk,qmk->knm", lasting, lasting) * same == pytest.approx(together)
+    assert own == pytest.approx(0.0, abs=1e-9)
 
 
 def with_landings(observations: Observations, landing_s: np.ndarray) -> Observations:
