@@ -340,8 +340,8 @@ def _slow_under(fine: Floats, quick: Floats, ends: tuple[int, int], width: int) 
     first, last = peak + 3 * width, fine.size - width
     if last - first < width:
         after = np.arange(end, fine.size)
-        if after.size < width:
-            return np.zeros(fine.size)
+        if after.size < width:  # the end as it is, or the edge of what is cut off would be found as an impact
+            return np.full(fine.size, float(np.mean(fine[-min(width, fine.size - peak) :])))
         return np.asarray(np.polyval(np.polyfit(after, fine[end:], 1), np.maximum(np.arange(fine.size), end)))
     return np.asarray(smooth[np.clip(np.arange(fine.size), first, last - 1)])
 

@@ -76,7 +76,7 @@ class PushedPlate:
     answer_mps2: Floats  # acceleration in each block less what the drive makes of it, (n,)
     known: Bools  # where no impact hides it, (n,)
     noise_mps2: float  # standard deviation of the answer without the mode
-    until_s: float = math.inf  # then the ball may have flown on, to after the end of the recording
+    until_s: float = math.inf  # then the ball left as it landed, and flew on to after the end of the recording
     torn_s: tuple[float, ...] = ()  # begins of pieces of `TORN_S` in which flights were missed: kicks are unknown there
     phase: complex = 1.0  # of the mode's mass ratio: see `answer`
     others: tuple[tuple[float, float, complex], ...] = ()  # further modes: frequency, damping, mass ratio

@@ -18,7 +18,7 @@ import numpy as np
 
 from analysis.linear_algebra import NotFiniteError, lstsq, solve
 from analysis.plate.motion import StepPlate
-from analysis.plate.ringing.ball_push import Push, ball_push, filled_after_impacts
+from analysis.plate.ringing.ball_push import SHORTEST_REST_S, Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of
 from analysis.plate.ringing.regression import CLUSTER_S, STRONG_DAMPING, SURE_NATS, PlateMode, Regression
@@ -117,7 +117,10 @@ def identified_mode(
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Acceleration (n,), regressors (n, k), of which so many may be ``forces``, unmasked blocks (n,), and flights."""
+    """Acceleration (n,), regressors (n, k), of which so many may be ``forces``, unmasked blocks (n,), and flights.
+
+    ``left_s`` is the take-off of a flight that the end cuts off; infinite without one.
+    """
 
     acceleration: Floats
     linear: Floats
@@ -128,6 +131,7 @@ class _Recorded:
     landing_s: Floats
     gravity_mps2: float
     tones_hz: tuple[float, ...]
+    left_s: float = math.inf
 
     @classmethod
     def of(
@@ -148,6 +152,7 @@ class _Recorded:
             acceleration, *drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed],
             landing_s[landed], recording.setup.g_mps2.value,
             tuple(recording.setup.forcing.frequency_hz * k for k in recording.setup.forcing.multiples),
+            float(np.min(takeoff_s[~landed], initial=math.inf)),
         )  # fmt: skip
 
     def last(self, skipped: int) -> _Recorded:
@@ -156,6 +161,7 @@ class _Recorded:
         return _Recorded(
             self.acceleration[skipped:], self.linear[skipped:], self.forces, self.known[skipped:], self.block_s,
             self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2, self.tones_hz,
+            self.left_s - shift_s,
         )  # fmt: skip
 
     def without(self, first: int, stop: int) -> _Recorded:
@@ -178,7 +184,10 @@ class _Recorded:
         gained = 0.0 if before is None else mass_ratio * before.impacts_mps2
         felt = acceleration - np.average(acceleration + gained, weights=weight)
         rest = (self.block_s, self.takeoff_s, self.landing_s, self.gravity_mps2, mass_ratio, before)
-        return min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
+        push = min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
+        # a ball that flies on to the end presses no more
+        lies = np.clip(self.left_s / self.block_s - np.arange(len(felt)), 0.0, 1.0)
+        return replace(push, contact_mps2=lies * push.contact_mps2, rise_mps2=lies * push.rise_mps2)
 
     def promises(self, seen: Regression, x: Floats) -> bool:
         """Whether a mode found first, without forces, could become sure, with them or without."""
@@ -268,8 +277,9 @@ class _Recorded:
         (hz, damping, ratio), *others = zip(*modes.T.tolist(), ratios.tolist(), strict=True)
         before: Push | None = None
         torn_s = tuple((skipped + at) * self.block_s - CLUSTER_S for at in seen.begun[1:])
-        last_s, longest_s = float(self.landing_s[-1]), float(np.max(self.landing_s - self.takeoff_s))
-        until_s = last_s if len(self.known) * self.block_s < last_s + longest_s else math.inf
+        # how fast a ball leaves that leaves as it lands, only the flight's end tells
+        last_s = float(self.landing_s[-1])
+        until_s = last_s if self.left_s < last_s + SHORTEST_REST_S else math.inf
         left_mps2, phase = float(np.std(seen.remainder(x))), ratio / ratio.real
         pushed_by = partial(
             PushedPlate, answer_mps2=self.acceleration - driven, known=self.known, noise_mps2=left_mps2,

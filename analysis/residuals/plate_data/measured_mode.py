@@ -68,7 +68,7 @@ class MeasuredMode:
             for other in motion.others:  # it rings on in its own time: the first mode's would carry it elsewhere
                 radps = abs(other.turn)
                 state[own, 4:6], state[own, 6:] = other.state(opened), (radps, -other.turn.real / radps)
-        # after the last landing nothing shows whether the ball flew on
+        # after the last landing nothing shows how fast the ball flew on
         until_s = np.array([x.until_s for x in observations.ringing.pushed])[of_step := observations.steps.recording]
         followed = ringing.span_s[:, 1] <= until_s[ringing.intervals.step]
         projection = np.where(followed[:, None], ringing.of_motions(motions, of_step), 0.0)

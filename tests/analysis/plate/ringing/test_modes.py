@@ -205,7 +205,7 @@ def test_a_plate_without_springs_that_carries_the_ball_has_no_mode(make: Maker) 
     # what the ball did is known, whatever the plate is; no acceleration corrects it, and its error has an end
     (pushed,) = found.pushed
     assert not pushed.known.any()
-    assert 0.0 < pushed.error_mps(8.0, 0.0, 0.02) < 1e-3
+    assert 0.0 < pushed.error(8.0, 0.0, 0.02)[0] < 1e-3
 
 
 def test_a_mode_that_a_load_nearly_explains_is_identified_with_an_interval_as_wide(tmp_path: Path) -> None:
