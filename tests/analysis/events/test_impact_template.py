@@ -92,12 +92,15 @@ def test_a_slow_remainder_does_not_ring_at_its_end() -> None:
     assert np.all(known[(LEAD + 8 + 20) * FINE :] == 0.0)
 
 
-def test_a_short_template_does_not_end_in_a_step() -> None:
-    """A pulse on a plate that then carries a ball: the plateau after it is cut off, and leaves no edge of its own."""
+@pytest.mark.parametrize("rings_v", [0.0, 2e-5])
+def test_a_short_template_does_not_end_in_a_step(rings_v: float) -> None:
+    """A pulse on a plate that then carries a ball: the plateau after it is cut off, and leaves no edge of its own; nor
+    where something rings to the end of what was learnt."""
     rng, points = np.random.default_rng(8), 48 * FINE
     waveform = np.where(
         np.arange(points) // FINE == LEAD, -4e-3, np.where(np.arange(points) >= LEAD * FINE, -2e-4, 0.0)
     )
+    waveform[-6 * FINE :] += rings_v * np.cos(np.pi * np.arange(6 * FINE) / FINE)
     known = ringing_part(waveform + 4e-6 * rng.standard_normal(points), 4e-6, 20000.0)
     assert known is not None
     end = int(np.flatnonzero(known)[-1])

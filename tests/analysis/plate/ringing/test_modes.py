@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -102,6 +103,22 @@ def test_impulses_on_a_heavy_mode_are_those_of_the_plant_to_a_thousandth(
     assert float(np.median(np.abs(found[speed_mps[k] > 0.1] - 1.0))) < 1e-3
     assert push.late_s == pytest.approx(2**0.5 / (2.0 * np.pi * low_pass_hz) if low_pass_hz else 0.0, abs=1.5e-5)
     assert mode.pushed.until_s == push.impact_s[-1] - push.late_s  # the ball may have flown on to the end
+
+
+def test_a_flight_that_the_end_cuts_off_presses_no_plate(recorded: Callable[..., Path]) -> None:
+    """The last landing taken away: in the air, and while the ball lay on the plate before, the mode moves as it did."""
+    path, motions = recorded(_mode(4.0, 0.03, 0.15)), []
+    with open_recording(path) as recording:
+        flights = flights_of(recording)
+        true = flights.select(~flights.has(FlightFlag.FALSE))
+        last = int(np.flatnonzero(true.takeoff_s[1:] > true.landing_s[:-1] + 5e-3)[-1]) + 2
+        takeoff_s, landing_s = true.takeoff_s[:last], true.landing_s[:last].copy()
+        for landing_s[-1] in (true.landing_s[last - 1], recording.n_samples / recording.rate_hz):
+            (pushed,) = identified_mode(recording, takeoff_s, landing_s, 1e-3).pushed
+            motions.append(pushed.moved(4.0, 0.03, 0.15))
+    assert math.isinf(pushed.until_s)
+    at_s = np.linspace(takeoff_s[-1] - 5e-3, true.landing_s[last - 1] - 5e-3, 9)
+    np.testing.assert_allclose(motions[1].state(at_s), motions[0].state(at_s), atol=5e-4)
 
 
 @pytest.mark.parametrize(("table_kg", "damping"), [(20.0, 0.7), (5.0, 0.1)])
