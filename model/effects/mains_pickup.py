@@ -33,5 +33,5 @@ def accelerometer_response(p: Mapping[str, float], omega_radps: Floats) -> Float
     """Reading over truth: without bound at the mains frequency and its multiples, where the plate is still."""
     hz = np.asarray(omega_radps)[..., None, None] / (2.0 * np.pi) / MULTIPLES[:, None]
     # the mains stay within a few tenths of a hertz of their nominal frequency
-    shown = p["amplitude_mps2"] > 0.0 and (np.abs(hz - MAINS_HZ) < 0.5).any(axis=(-2, -1))
+    shown = (p["amplitude_mps2"] > 0.0) & (np.abs(hz - MAINS_HZ) < 0.5).any(axis=(-2, -1))
     return np.where(shown, 1e9, 1.0)  # over a motion that is not there the reading has no bound

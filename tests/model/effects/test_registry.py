@@ -7,10 +7,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import model.effects
-from model.effects.registry import effect, registry, resolve, trend_name
+from model.effects.registry import Registered, effect, registry, resolve, trend_name
 
 FILE = """
 from model.effects.base import Effect, Parameter
@@ -84,3 +85,14 @@ def test_an_unknown_parameter_is_answered_with_those_there_are() -> None:
     """The message lists each parameter with its meaning and unit."""
     with pytest.raises(ValueError, match=r"mu_down \(friction over weight, moving down, g\)"):
         effect("coulomb_friction").effect.parameter("nu")
+
+
+@pytest.mark.parametrize(
+    "entry", [r for r in registry() if "accelerometer_response" in r.hooks], ids=lambda r: r.effect.name
+)
+def test_a_reading_is_one_of_each_tone_also_where_an_effect_does_nothing(entry: Registered) -> None:
+    """A drift may lead through no effect in some steps: there a pickup was one number for all tones."""
+    tones_radps, none = 2.0 * np.pi * np.array([25.0, 50.0, 75.0]), entry.effect.null_values
+    for size in (0.0, 0.5):
+        shown = entry.hooks["accelerometer_response"]({q: x + size for q, x in none.items()}, tones_radps)
+        assert np.shape(shown) == tones_radps.shape
