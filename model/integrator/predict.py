@@ -79,13 +79,14 @@ def _turned_back(event: Event, period: float, last: Chain, bare: Plate, p: Float
 
 @compiled
 def _predict(
-    event: Event, last: Chain, bare: Plate, law: Law, then: Law, bounces: bool, seen: Visibility, out: Prediction
+    event: Event, last: Chain, bare: Plate, laws: tuple[Law, Law], bounces: bool, seen: Visibility, out: Prediction
 ) -> tuple[int, float]:
     """Write the prediction of an event from the landing before; return the weak impacts passed, and the first flight's
     ``reach``.
 
-    From the impact that ends the flight on the law is ``then``, that of the next flight; whether it ``bounces`` there.
+    ``laws`` of the flight, and of the next one, from the impact that ends the flight on; whether it ``bounces`` there.
     """
+    law, then = laws
     # the measured flight was seen, so no flight as long as it is passed over
     shortest = min(seen.unseen_s, 0.5 * (event.landing - event.opening))
     own = Visibility(event.gap_m, shortest, seen.closure_s)
@@ -200,7 +201,7 @@ def _next(
     elif (event.wanted or bounces) and (last.known or not bounces):
         last = _turned_back(event, steps.period[m], last, bare, p)
         then = Law(rows[j], law.step_s, forced, rubbed, turning, under)
-        passed, reach = _predict(event, last, bare, law, then, rebounds, seen, predicted)
+        passed, reach = _predict(event, last, bare, (law, then), rebounds, seen, predicted)
     if not (needed or (bounces and event.wanted)):
         if not measured:
             after_q, after_qd = last.q, last.qd

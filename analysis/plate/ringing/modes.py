@@ -21,7 +21,7 @@ from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import SHORTEST_REST_S, Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
 from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of
-from analysis.plate.ringing.regression import CLUSTER_S, STRONG_DAMPING, SURE_NATS, PlateMode, Regression
+from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
 from analysis.signals import restored
 from daq.recording import Recording
 from kernels.arrays import Bools, Complexes, Floats
@@ -99,9 +99,6 @@ def identified_mode(
         record = record.without(int(worst * CLUSTER_S / block_s), ends)
         begun.append(min(ends, len(record.known) - 2))
     mode = None if found is None else seen.judged(found, forcing_hz)
-    # what hardly rings, at a frequency that nothing tells, answers as a mass does: flights tell better what it is
-    if mode and mode.sure and mode.damping > STRONG_DAMPING and mode.sigmas()[0] > 0.1 * mode.frequency_hz:
-        mode = None
     if mode is None or found is None or not mode.sure:
         # what the ball did is known even where no mode is, if the plate surely answers; but the drive's part, fitted
         # beside another mode, may hold some of this one's motion, so that the acceleration corrects no kick

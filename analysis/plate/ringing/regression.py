@@ -302,6 +302,9 @@ class Regression:
             to_own, to_own
         )
         found = PlateMode(frequency, damping, ratio, covariance, rms[0], rms[1], gain)
+        # what hardly rings, at a frequency that nothing tells, answers as a mass does: flights tell better what it is
+        if found.sure and damping > STRONG_DAMPING and found.sigmas()[0] > 0.1 * frequency:
+            return None
         series = np.zeros(len(self.known))
         series[self.known] = left
         power, width = np.abs(np.fft.rfft(series)) ** 2, max(round(len(series) * self.block_s), 1)  # of 1 Hz

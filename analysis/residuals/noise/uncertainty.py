@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from analysis.events.edge_jitter import rounded
+from analysis.linear_algebra import eigh
 from analysis.residuals.forward_model import ForwardModel, Inputs
 from analysis.residuals.plate_data.measured_mode import MeasuredMode
 from analysis.residuals.values import Values
@@ -38,7 +39,6 @@ REBOUND_STEP = 1e-4  # finite difference of a restitution
 STEEPEST_BY_REBOUND_S = 1.0  # a flight at 5 m/s lasts so long; a larger slope means another event
 LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
 HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
-FADING = 4  # lasting errors of a step that stand for one which is forgotten within it
 BEFORE = 3  # events before one on which an elastic ball's prediction depends
 
 
@@ -290,7 +290,7 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) ->
 def forgotten(changes: Floats, step: Integers, time_s: Floats, rate: float) -> tuple[Floats, Floats]:
     """Changes by errors that are forgotten within a step, as changes by several that last, and what these leave.
 
-    Errors at times apart go together by ``exp(-rate time)``. Of that the largest `FADING` eigenvectors in each step
+    Errors at times apart go together by ``exp(-rate time)``. Of that the four largest eigenvectors in each step
     carry the common part; the rest, a variance (n, 2), counts as each event's own.
 
     Parameters
@@ -302,10 +302,11 @@ def forgotten(changes: Floats, step: Integers, time_s: Floats, rate: float) -> t
     rate
         At which errors are forgotten, 1/s.
     """
-    out, common = np.zeros((FADING, *changes.shape)), np.zeros(len(step))
+    count = 4  # eight change the loss by 4 nats of 7,000
+    out, common = np.zeros((count, *changes.shape)), np.zeros(len(step))
     for rows in (np.flatnonzero(step == s) for s in np.unique(step)):
-        sizes, vectors = np.linalg.eigh(np.exp(-rate * np.abs(time_s[rows, None] - time_s[rows])))
-        parts = (vectors * np.sqrt(np.maximum(sizes, 0.0)))[:, -FADING:]
+        sizes, vectors = eigh(np.exp(-rate * np.abs(time_s[rows, None] - time_s[rows])))
+        parts = (vectors * np.sqrt(np.maximum(sizes, 0.0)))[:, -count:]
         out[: parts.shape[1], :, rows] = parts.T[:, None, :, None] * changes[:, rows]
         common[rows] = np.sum(parts**2, axis=1)
     own = np.maximum(1.0 - common, 0.0)[:, None] * np.sum(changes**2, axis=0)
