@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import AddedEffect, ClosedLoop
 from analysis.loop.term_effect import TermEffect
 from analysis.loop.verdict import VERDICTS, Failed
@@ -192,14 +193,21 @@ def what_is_left(loop: ClosedLoop) -> str:
     return f"what is left is {left.ratio:.2f} {passed}"
 
 
+def parameters_of(form: FittedForm) -> list[str]:
+    """Each parameter of a formula with its value, standard deviation and unit."""
+    rows = zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
+    return [
+        f"{name} = {plus_minus(value, sigma)}{'' if unit == '1' else f' {unit}'}" for name, value, sigma, unit in rows
+    ]
+
+
 def discovered_in_words(loop: ClosedLoop) -> list[str]:
     """The discovered term, the suggested formula with its values, and the error with it, a line each."""
     if (found := loop.discovered) is None:
         return []
     out = [f"discovered: {found.description}"]
     if (form := found.form) is not None:
-        rows = zip(form.parameters, form.values, form.sigmas, form.units, strict=True)
-        values = ", ".join(f"{q} = {plus_minus(x, s)}{'' if unit == '1' else f' {unit}'}" for q, x, s, unit in rows)
+        values = ", ".join(parameters_of(form))
         out.append(
             f"a formula does as well: {form.name}, {form.expression} with {values} (x: {found.covariate.words}, SI)"
         )

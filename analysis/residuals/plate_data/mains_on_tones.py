@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from analysis.linear_algebra import pinv
 from analysis.plate.mains_lines import MAINS_HZ, MAX_OFFSET_HZ, SIGNIFICANT
 from analysis.plate.motion import StepPlate
 from kernels.arrays import Complexes
@@ -76,7 +77,7 @@ def _added(steps: Sequence[StepPlate], multiple: int, mains_hz: float, rate_hz: 
     def fitted_at(further_hz: float) -> tuple[float, complex, complex, float]:
         """Sum of squares that is left, gain, mains and the mains' uncertainty with the mains so far off."""
         columns = np.column_stack([drive, np.exp(2j * np.pi * (off_hz + further_hz) * at_s)])
-        inverse = np.linalg.pinv(columns)
+        inverse = pinv(columns)
         found = inverse @ shown
         misfit = float(np.sum(np.abs(shown - columns @ found) ** 2))
         sigma = math.sqrt(0.5 * misfit / (len(steps) - 2.5)) * float(np.linalg.norm(inverse[1]))

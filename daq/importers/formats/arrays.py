@@ -113,7 +113,8 @@ class ArraySource(Source):
                 own = partial(lambda k, a, b: read(a, b, k), k)
                 self._columns[f"{name}[{k}]"] = _Array(shape[0], dtype, own, refuse_claims, scale)
         else:
-            self.left_out[name] = f"{' x '.join(map(str, shape))} numbers, at most 64 columns are read"
+            wide = f"{min(shape)} columns, at most 64 are read"
+            self.left_out[name] = wide if len(shape) == 2 else f"{len(shape)} dimensions"
         self.names = tuple(self._columns)
 
     def _offer_rate(self, name: str, value: Any) -> None:

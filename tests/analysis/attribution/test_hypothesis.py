@@ -101,8 +101,8 @@ def test_frictions_that_a_scale_can_hide_in_are_followed_to_the_bottom(
 
 
 def test_a_step_of_grazing_flights_does_not_hold_a_fit_that_all_others_lead_on(tmp_path: Path) -> None:
-    """In one of 27 steps the ball flies for nearly all of the time, and it leaves the fit where its own landings are
-    missed: from there the search comes to where it ends if it begins at the truth."""
+    """In one of 27 steps the ball flies for nearly all of the time, and its own landings would hold a fit where they
+    are missed: from far off, too, the search comes to where it ends if it begins at the truth (decision 741)."""
     mode = {"table_resonance.hz": 4.4273, "table_resonance.damping": 0.0276, "table_resonance.ratio": 0.0886}
     run = replace(drawn(152016, without=False), hidden={**mode, "coulomb_friction.mu": 0.0463})
     path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)
@@ -112,13 +112,15 @@ def test_a_step_of_grazing_flights_does_not_hold_a_fit_that_all_others_lead_on(t
     refits, measured = Refits(fitter), {k: v for k, (v, _) in model.observations.ringing.mode.measured().items()}
     free = (*measured, UP, DOWN, LAG)
     traded = {**measured, UP: 0.035, DOWN: 0.058, LAG: 4.2e-5, SCALE: 0.01, GAIN: -0.01}
+    farther = {**measured, UP: 0.01, DOWN: 0.09, LAG: 2e-4, SCALE: 0.035, GAIN: -0.035}
     true = {**measured, UP: 0.0463, DOWN: 0.0463, LAG: 4.2e-5}
-    held, right = (
+    right, *others = (
         refits.converged((Candidate(("coulomb_friction",), free),), Whitener.of(model, start), free, start)
-        for start in (traded, true)
+        for start in (true, traded, farther)
     )
-    assert held.fitted.loss > right.fitted.loss + 10.0
-    assert refits.settled(held).fitted.loss < right.fitted.loss + 1.0
+    for other in others:
+        assert other.fitted.loss < right.fitted.loss + 1.0
+        assert refits.settled(other).fitted.loss < right.fitted.loss + 1.0
 
 
 @pytest.mark.parametrize(("mu_down", "numbers"), [(0.05, 1), (0.02, 2)])

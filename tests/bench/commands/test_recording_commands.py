@@ -147,7 +147,7 @@ def test_columns_that_are_not_imported_are_told_in_one_line(raw: Path, tmp_path:
             file[name] = values
         file["spectrum"], file["remarks"] = table[:, 3] + 1j, ["warm", "cold"]
         file["log"] = np.zeros(9, [("place", "S8"), ("level", "f8")])
-        file["cube"], file["map"], file["wide"] = np.zeros((2, 3, 4)), np.zeros((5, 70)), np.zeros(3, "V5000")
+        file["cube"], file["map"], file["wide"] = np.zeros((2, 3, 4)), np.zeros((90, 70)), np.zeros(3, "V5000")
         file.create_virtual_dataset("view", h5py.VirtualLayout((4,), "f8"))
     result = bench("import", tmp_path / "raw.h5", "--profile", tmp_path / "p.toml", "--out", tmp_path / "r.h5")
     assert result.exit_code == 0, result.output
