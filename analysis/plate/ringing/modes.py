@@ -101,7 +101,7 @@ def identified_mode(
     mode = None if found is None else seen.judged(found, forcing_hz)
     if mode is None or found is None or not mode.sure:
         # what the ball did is known even where no mode is, if the plate surely answers; but the drive's part, fitted
-        # beside another mode, may hold some of this one's motion, so that the acceleration corrects no kick
+        # with another mode, may hold some of this one's motion, so that the acceleration corrects no kick
         if found is None or len(begun) > 1 or seen.gained(found) < SURE_NATS:
             return Identified(mode)
         pushed = whole.pushed(seen, found)

@@ -290,8 +290,8 @@ def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) ->
 def forgotten(changes: Floats, step: Integers, time_s: Floats, rate: float) -> tuple[Floats, Floats]:
     """Changes by errors that are forgotten within a step, as changes by several that last, and what these leave.
 
-    Errors at times apart go together by ``exp(-rate time)``. Of that the four largest eigenvectors in each step
-    carry the common part; the rest, a variance (n, 2), counts as each event's own.
+    Two errors go together by ``exp(-rate time)`` of the time between them. Of that the four largest eigenvectors in
+    each step carry the common part; the rest, a variance (n, 2), counts as each event's own.
 
     Parameters
     ----------

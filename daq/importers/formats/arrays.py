@@ -208,7 +208,7 @@ class NpzSource(ArraySource):
     def _read(
         self, member: str, distance: int, width: int, dtype: np.dtype[Any], start: int, stop: int, column: int | None
     ) -> NDArray[Any]:
-        """Samples of a channel; the first ones of two channels lie ``distance`` apart, two of one channel ``width``."""
+        """Samples of a channel, ``width`` numbers from one to the next; the next channel begins ``distance`` later."""
         stream, at = self._places.get((member, column), (None, -1))
         if at != start:
             stream = self._archive.open(member)
