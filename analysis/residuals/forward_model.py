@@ -20,7 +20,7 @@ from analysis.residuals.observations import Observations
 from analysis.residuals.plate_data.measured_mode import MeasuredMode, undriven_tones
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
-from analysis.residuals.plate_data.plate_observables import MAINS_HOOKS, PLATE_HOOKS, expected, power_uncertainty, share
+from analysis.residuals.plate_data.plate_observables import GAIN, PLATE_HOOKS, expected, power_uncertainty, share
 from analysis.residuals.values import TREND, AllValues, Own, ParameterId, Values, calibrating_effects, driving_effects
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
@@ -184,12 +184,14 @@ class ForwardModel:
         drifts = any(key.endswith(TREND) for (_, key), _ in own)
         each = zip(points, omega, strict=True)
         shown = np.array([hook(p, w) for p, w in each]) if drifts else np.asarray(hook(points[0], omega))
-        if not entry.hooks.keys() & MAINS_HOOKS:
-            return shown
         if "pickup_mps2" not in entry.hooks:
-            return np.where(self.observations.steps.forcing, 1.0, shown)
+            return shown
         # a driven tone on which the mains lie is the plate's but for them
-        picked_up = self._hook_in_steps(entry, "pickup_mps2", own)[:, None] * self.observations.plate.mains_of(omega)
+        data, mains = self.observations.plate, np.zeros(omega.shape, dtype=np.complex128)
+        rows = data.rows_of(GAIN)
+        tone = np.abs(omega[data.step[rows]] - data.omega_radps[rows, None]).argmin(axis=1)
+        mains[data.step[rows], tone] = data.mains[rows]
+        picked_up = self._hook_in_steps(entry, "pickup_mps2", own)[:, None] * mains
         return np.where(self.observations.steps.forcing, 1.0 + picked_up, shown)
 
     def _expected(self, values: Values) -> Floats:

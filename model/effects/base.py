@@ -31,7 +31,7 @@ omega_radps)``                         ``omega_radps`` (any shape)
 ``harmonics(p, multiple, others,       complex amplitudes added to multiples (k,) of the forcing, over its first tone
 shares, accel_g)``                     of ``accel_g`` (k,); the further tones are multiples ``others`` (k, t), and
                                        ``shares`` as large: complex, their phases from where the first is a sine
-``hum_mps2(p)``                        what the accelerometer shows of the plate's motion at the mains frequency
+``hum_mps2(p)``                        amplitude of the plate's motion at the mains frequency
 ``pickup_mps2(p)``                     what the accelerometer shows at the mains frequency without any motion
 ``modulation(p)``                      ``(depth, omega_radps)`` of a slow modulation of the plate's amplitude
 ``flight_gain(p)``                     relative change of the plate's amplitude while the ball is off it

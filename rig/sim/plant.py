@@ -217,10 +217,7 @@ class Plant:
         keys = self._rng.integers(2**63, size=2)
         rig = {key: float(self._params[key][0]) for key in RIG_DEFAULTS}
         self._sections, self._memory = sections(rig, self.rate_hz), np.zeros((SECTIONS, 2))
-        # a laboratory has one mains
-        name = "mains_hum" if self._params["mains_hum_amplitude_g"][0] else "mains_pickup"
-        mains_hz = float(self._params[f"{name}_frequency_hz"][0]) or 50.0
-        self._converter = Converter(rig, self.rate_hz, self._rng.spawn(1)[0], mains_hz)
+        self._converter = Converter(rig, self.rate_hz, self._rng.spawn(1)[0])
         self._noises = SUBSTEPS if rig["low_pass_hz"] else 1
         self._limit = 2.0 ** (rig["adc_bits"] - 1.0)
         self._scale_v = rig["adc_range_v"] / self._limit

@@ -82,13 +82,6 @@ class PlateData:
     def _rows(self) -> dict[tuple[int, ...], NDArray[np.intp]]:
         return {}
 
-    def mains_of(self, omega_radps: Floats) -> Complexes:
-        """`mains` of the tones (m, k) of the steps; 0 for what is not driven."""
-        out, rows = np.zeros(omega_radps.shape, dtype=np.complex128), self.rows_of(GAIN)
-        step = self.step[rows]
-        out[step, np.abs(omega_radps[step] - self.omega_radps[rows, None]).argmin(axis=1)] = self.mains[rows]
-        return out
-
     @cached_property
     def quadrature_noise(self) -> Floats:
         """Noise of one quadrature of each squared amplitude, squared: `_square_sigma` undone; in their order."""
@@ -338,7 +331,7 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
     for hook in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
         kind, of_value = PLAIN_HOOKS_OF_KIND[hook]
         out[data.rows_of(kind)] += of_value(hooks[hook](p))
-    for hook in hooks.keys() & MAINS_HOOKS:  # a harmonic shows mains that lie on it, and on no line
+    for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:  # a harmonic shows mains that lie on it, and on no line
         rows = data.rows_of(SECOND, THIRD)
         off_hz = np.abs(data.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
         rows = rows[(off_hz < MAX_OFFSET_HZ) & ~np.isin(data.step[rows], data.step[data.rows_of(HUM)])]
@@ -347,8 +340,8 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
         _add_transfer(out, data, (1.0 + picked_up).__getitem__)
     if "transfer" in hooks:
         _add_transfer(out, data, lambda rows: hooks["transfer"](p, data.omega_radps[rows], data.level_g[rows]))
-    # of mains it is that of their own line
-    if "accelerometer_response" in hooks and not hooks.keys() & MAINS_HOOKS:
+    # without bound where the plate is still, which a driven tone's is not
+    if "accelerometer_response" in hooks and "pickup_mps2" not in hooks:
         _add_transfer(out, data, lambda rows: hooks["accelerometer_response"](p, data.omega_radps[rows]))
     if "harmonics" in hooks:
         _add_harmonics(out, data, functools.partial(hooks["harmonics"], p))
@@ -363,7 +356,6 @@ def _add_transfer(out: Floats, data: PlateData, factor: Callable[[NDArray[np.int
         out[rows] += np.log(found) if kind == GAIN else found
 
 
-MAINS_HOOKS = frozenset({"hum_mps2", "pickup_mps2"})
 # hooks with one number for one kind of datum
 PLAIN_HOOKS_OF_KIND: dict[str, tuple[int, Callable[[Any], float]]] = {
     "hum_mps2": (HUM, lambda size: size**2),
