@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import BSpline, make_interp_spline
 
 from analysis.linear_algebra import cholesky, inv
 from analysis.plate.step_state import FitIntervals
@@ -92,6 +93,16 @@ class SlowMotion:
 
     time_s: Floats
     mps2: Floats
+
+    @cached_property
+    def path(self) -> tuple[BSpline, BSpline, BSpline]:
+        """Place, m, velocity, m/s, and acceleration by time; 0 before and after, place and velocity but for a drift."""
+        known = np.isfinite(self.mps2)
+        time_s = self.time_s[known] if known.any() else np.zeros(1)
+        ends_s = time_s[0] + np.array([-2.0, -0.01]), time_s[-1] + np.array([0.01, 2.0])
+        mps2 = np.pad(self.mps2[known] if known.any() else np.zeros(1), 2)
+        bent = make_interp_spline(np.concatenate([ends_s[0], time_s, ends_s[1]]), mps2, k=1)
+        return bent.antiderivative(2), bent.antiderivative(), bent
 
 
 def slow_lines(slow: SlowMotion, frequency_hz: float) -> tuple[SpectralLine, ...]:
