@@ -19,7 +19,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, Prior, parameter_of
+from analysis.attribution.candidates import Candidate, Prior, parameter_of, trends_of
 from analysis.attribution.fit import LEAST_GAIN, Fitted, Fitter, damped_step, linear_gain, of_same_events
 from analysis.linear_algebra import NotFiniteError
 from analysis.residuals.forward_model import ForwardModel
@@ -342,3 +342,29 @@ class ChanceTest:
     p: float  # probability that the best of all candidates gains so much by chance
     critical: float  # gain that chance exceeds with the probability of the threshold, nats
     accepted: bool  # whether it was added
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviation of the restitution from impact to impact, its own standard deviation, and its gain in nats
+    over uncertainties of another size and over one excess noise of all landings after rebounds."""
+
+    sd: float
+    sigma: float
+    gain: float
+
+    def is_clear(self, limits: Thresholds) -> bool:
+        """Whether it is beyond doubt, as a further cause has to be."""
+        return self.gain > limits.next_effect_nats and self.sd > limits.next_effect_sigmas * self.sigma
+
+
+def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis, without: Sequence[str] = ()) -> list[Candidate]:
+    """Candidates not named yet nor ``without``, fuller forms of those that are, and trends of what is free."""
+    taken, names = set(best.free), set(best.names)
+    own = {name: {k for k in taken if k[0] == name} for name in names}
+    more = [
+        c
+        for c in pool
+        if not set(c.names) & names or (len(c.names) == 1 and own[c.names[0]] and own[c.names[0]] < set(c.free))
+    ]
+    return [c for c in more if not set(c.names) & set(without)] + trends_of(best.free)

@@ -27,8 +27,8 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 
 from analysis.attribution.candidates import Candidate
-from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.selection import Scatter, SelectionResult
+from analysis.attribution.hypothesis import Hypothesis, Scatter
+from analysis.attribution.selection import SelectionResult
 from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.noise_model import T_PEAK, excess_noise

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, candidates_of, trends_of
+from analysis.attribution.candidates import Candidate, candidates_of, parameter_of
 from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
 from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, contained_in
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected
+from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected, Scatter, remaining_candidates
 from analysis.attribution.proposals import Proposals, beyond
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
@@ -27,20 +27,6 @@ from analysis.thresholds import FROZEN, MOVED_SIGMAS, NEAR_CAUSE, Thresholds
 from model.effects.registry import ball_effects, trend_name
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """Standard deviation of the restitution from impact to impact, its own standard deviation, and its gain in nats
-    over uncertainties of another size and over one excess noise of all landings after rebounds."""
-
-    sd: float
-    sigma: float
-    gain: float
-
-    def is_clear(self, limits: Thresholds) -> bool:
-        """Whether it is beyond doubt, as a further cause has to be."""
-        return self.gain > limits.next_effect_nats and self.sd > limits.next_effect_sigmas * self.sigma
 
 
 @dataclass(frozen=True)
@@ -113,12 +99,34 @@ class StepwiseSelection:
         return replace(found, rounds=(*found.rounds, *left_out))
 
     def _chosen(self) -> SelectionResult:
-        """Add effects one after the other while held-out steps gain.
+        before, data = self.declared(), self.model.observations.plate
+        mains = self._mains(before) if data.mains.any() else []
+        results = [] if mains else [self._freely_chosen(before)]
+        if data.on_mains.size and not (mains or results[0].best.passes(self.limits)):
+            mains = self._mains(before)
+        for x in mains:
+            if results and results[-1].best.passes(self.limits):
+                break
+            found = self._identified(x)
+            results.append(self._followed(before, found or mains, min(found, key=self.judge.loss, default=x))[0])
+        return min(results, key=lambda r: (not r.best.passes(self.limits), self.judge.loss(r.best)))
+
+    def _mains(self, before: Hypothesis) -> list[Hypothesis]:
+        """The mains in the cable, and in the plate.
+
+        On a multiple of the forcing they move each flight of a step alike. Which of the two they are shows only with
+        what else is missing, and that only with the right one.
+        """
+        size = {parameter_of(k).hook: c for c in self.library if len(c.free) == 1 for k in c.free}
+        options = [size[hook] for hook in ("pickup_mps2", "hum_mps2") if hook in size]
+        return [x for c in options if (x := self.refits.attempted((c,), self.proposals.add, before, c)) is not None]
+
+    def _freely_chosen(self, before: Hypothesis) -> SelectionResult:
+        """Rounds that begin with what gains most.
 
         Of two causes at once a third effect may gain more than either alone, and no step leads from there to both.
         Where the first choice would end unexplained, the best one of another name is followed as well.
         """
-        before = self.declared()
         found = self._identified(before)
         taken, first = self._followed(before, found) if found else (None, ())
         if taken is None or not first:
@@ -149,8 +157,10 @@ class StepwiseSelection:
             found += filter(None, [self.refits.attempted((c,), fit, case or before, c)])
         return found
 
-    def _followed(self, before: Hypothesis, found: list[Hypothesis]) -> tuple[SelectionResult, tuple[str, ...]]:
-        """The result of the rounds that begin with the choice among ``found``, and the names that were chosen first."""
+    def _followed(
+        self, before: Hypothesis, found: list[Hypothesis], given: Hypothesis | None = None
+    ) -> tuple[SelectionResult, tuple[str, ...]]:
+        """The result of the rounds that begin with the choice among ``found`` or ``given``; the names chosen first."""
         best, rounds, rivals, tried = before, list[str](), list[Hypothesis](), found
         refused, chance = list[Rejected](), list[ChanceTest]()
         first: tuple[str, ...] = ()
@@ -169,7 +179,10 @@ class StepwiseSelection:
                 found = self._round(best, options, depth)
                 for x in filter(None, others):
                     found += self._round(x, remaining_candidates(self.library, x, best.names), depth)
-            accepted, best, null = self._accepted(best, found, depth, ChanceGains(best, options, rng))
+            null = ChanceGains(best, options, rng)
+            accepted = None if depth else given
+            if accepted is None:
+                accepted, best, null = self._accepted(best, found, depth, null)
             if accepted is not None and self._is_in_place_of_a_cause(best, accepted, found, depth):
                 steady = [x for x in found if len(x.candidates) == len(accepted.candidates) - 1]
                 accepted = self.judge.choose(best, steady, depth, null)
@@ -180,10 +193,10 @@ class StepwiseSelection:
                 break
             gain, added = self.judge.gain(best, accepted), _added(best, accepted)
             first = first or accepted.candidates[-1].names
-            rounds.append(
-                f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats "
-                f"({_probability(chance[-1])} that the best of all candidates does so by chance)"
-            )
+            why = f"{_probability(chance[-1])} that the best of all candidates does so by chance"
+            if given and not depth:
+                why = "begun with, as recorded volts show it or its like"
+            rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats ({why})")
             last = _Round(best, rivals, gain, depth, null)
             near[accepted.candidates[-1].names[0]] = [
                 x for x in found if self.judge.gain(best, x).gain > NEAR_CAUSE * gain.gain
@@ -385,15 +398,3 @@ def _best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
         return ""
     best = tests[depth]
     return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {_probability(best)} by chance)"
-
-
-def remaining_candidates(pool: Sequence[Candidate], best: Hypothesis, without: Sequence[str] = ()) -> list[Candidate]:
-    """Candidates not named yet nor ``without``, fuller forms of those that are, and trends of what is free."""
-    taken, names = set(best.free), set(best.names)
-    own = {name: {k for k in taken if k[0] == name} for name in names}
-    more = [
-        c
-        for c in pool
-        if not set(c.names) & names or (len(c.names) == 1 and own[c.names[0]] and own[c.names[0]] < set(c.free))
-    ]
-    return [c for c in more if not set(c.names) & set(without)] + trends_of(best.free)

@@ -18,9 +18,9 @@ import numpy as np
 from analysis.attribution.candidates import Candidate, candidates_of, priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Rejected, with_hidden_free
+from analysis.attribution.hypothesis import Rejected, remaining_candidates, with_hidden_free
 from analysis.attribution.rebound_scatter import with_scatter
-from analysis.attribution.selection import SelectionResult, StepwiseSelection, remaining_candidates
+from analysis.attribution.selection import SelectionResult, StepwiseSelection
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
 from analysis.loop.other_forms import beyond_own_form

@@ -10,9 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from analysis.attribution.hypothesis import Hypothesis, Rejected
+from analysis.attribution.hypothesis import Hypothesis, Rejected, Scatter
 from analysis.attribution.rebound_scatter import SCATTER
-from analysis.attribution.selection import Scatter
 from analysis.discovery.discover import Discovery
 from analysis.discovery.symbolic import FittedForm
 from analysis.loop.result import (

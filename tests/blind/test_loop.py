@@ -11,6 +11,7 @@ import pytest
 
 from analysis.loop.close_loop import close_loop, judge_loop
 from analysis.loop.tables import loop_json
+from benchmarks.analysis import chains
 from benchmarks.analysis.shaker_parts import recorded
 from benchmarks.plants import other_plant
 from benchmarks.plants.handed_over import imported
@@ -140,3 +141,13 @@ def test_a_friction_that_grows_is_named_with_its_drift(tmp_path: Path, capfd: py
     assert loop.verdict == "explained"
     assert [e.name for e in loop.selection.effects] == ["coulomb_friction", "parameter_drift"]
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [702000, 795004])
+def test_mains_on_a_multiple_of_the_forcing_hide_no_friction(tmp_path: Path, seed: int) -> None:
+    """Mains in the cable, at the second harmonic or the second tone, are named with the friction, and no third."""
+    path, _, truth = chains.recorded(chains.Job("mains with odd harmonics, 10 mV", "friction", "other", seed), tmp_path)
+    verdict = loop_json(close_loop([path]))
+    assert verdict["verdict"] == "explained"
+    assert {e["name"] for e in verdict["effects"]} == {*truth, "mains_pickup"}

@@ -83,6 +83,13 @@ class PlateData:
         return {}
 
     @cached_property
+    def on_mains(self) -> NDArray[np.intp]:
+        """Rows of undriven harmonics that show the mains in place of a line of their own."""
+        rows = self.rows_of(SECOND, THIRD)
+        off_hz = np.abs(self.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
+        return np.asarray(rows[(off_hz < MAX_OFFSET_HZ) & ~np.isin(self.step[rows], self.step[self.rows_of(HUM)])])
+
+    @cached_property
     def quadrature_noise(self) -> Floats:
         """Noise of one quadrature of each squared amplitude, squared: `_square_sigma` undone; in their order."""
         rows = self.rows_of(*SQUARED)
@@ -331,11 +338,8 @@ def share(data: PlateData, name: str, p: Mapping[str, float]) -> Floats:
     for hook in hooks.keys() & PLAIN_HOOKS_OF_KIND.keys():
         kind, of_value = PLAIN_HOOKS_OF_KIND[hook]
         out[data.rows_of(kind)] += of_value(hooks[hook](p))
-    for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:  # a harmonic shows mains that lie on it, and on no line
-        rows = data.rows_of(SECOND, THIRD)
-        off_hz = np.abs(data.omega_radps[rows, None] / (2.0 * np.pi) - MAINS_HZ).min(axis=1)
-        rows = rows[(off_hz < MAX_OFFSET_HZ) & ~np.isin(data.step[rows], data.step[data.rows_of(HUM)])]
-        out[rows] += (hooks[hook](p) / data.scale[rows]) ** 2
+    for hook in hooks.keys() & {"hum_mps2", "pickup_mps2"}:
+        out[data.on_mains] += (hooks[hook](p) / data.scale[data.on_mains]) ** 2
         picked_up = hooks[hook](p) * data.mains
         _add_transfer(out, data, (1.0 + picked_up).__getitem__)
     if "transfer" in hooks:

@@ -13,8 +13,8 @@ from analysis.attribution.candidates import Candidate, candidates_of
 from analysis.attribution.chance import ChanceGains
 from analysis.attribution.choice import LogScoreDifference, penalised_best
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Hypothesis
-from analysis.attribution.selection import SelectionResult, StepwiseSelection, _Round, remaining_candidates
+from analysis.attribution.hypothesis import Hypothesis, remaining_candidates
+from analysis.attribution.selection import SelectionResult, StepwiseSelection, _Round
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import TREND, ParameterId
