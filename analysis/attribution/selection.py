@@ -112,11 +112,7 @@ class StepwiseSelection:
         return min(results, key=lambda r: (not r.best.passes(self.limits), self.judge.loss(r.best)))
 
     def _mains(self, before: Hypothesis) -> list[Hypothesis]:
-        """The mains in the cable, and in the plate.
-
-        On a multiple of the forcing they move each flight of a step alike. Which of the two they are shows only with
-        what else is missing, and that only with the right one.
-        """
+        """The mains in the cable, and in the plate, which move all flights of a step alike on a forcing's multiple."""
         size = {parameter_of(k).hook: c for c in self.library if len(c.free) == 1 for k in c.free}
         options = [size[hook] for hook in ("pickup_mps2", "hum_mps2") if hook in size]
         return [x for c in options if (x := self.refits.attempted((c,), self.proposals.add, before, c)) is not None]
@@ -179,8 +175,7 @@ class StepwiseSelection:
                 found = self._round(best, options, depth)
                 for x in filter(None, others):
                     found += self._round(x, remaining_candidates(self.library, x, best.names), depth)
-            null = ChanceGains(best, options, rng)
-            accepted = None if depth else given
+            accepted, null = None if depth else given, ChanceGains(best, options, rng)
             if accepted is None:
                 accepted, best, null = self._accepted(best, found, depth, null)
             if accepted is not None and self._is_in_place_of_a_cause(best, accepted, found, depth):
@@ -191,12 +186,9 @@ class StepwiseSelection:
             if accepted is None:
                 rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best_by_chance(chance, depth)}")
                 break
-            gain, added = self.judge.gain(best, accepted), _added(best, accepted)
+            gain = self.judge.gain(best, accepted)
             first = first or accepted.candidates[-1].names
-            why = f"{_probability(chance[-1])} that the best of all candidates does so by chance"
-            if given and not depth:
-                why = "begun with, as recorded volts show it or its like"
-            rounds.append(f"round {depth + 1}: {added} gains {gain.gain:.0f} +- {gain.error:.0f} nats ({why})")
+            rounds.append(f"round {depth + 1}: {_gained(best, accepted, gain, chance[-1], accepted is given)}")
             last = _Round(best, rivals, gain, depth, null)
             near[accepted.candidates[-1].names[0]] = [
                 x for x in found if self.judge.gain(best, x).gain > NEAR_CAUSE * gain.gain
@@ -385,6 +377,14 @@ def _added(best: Hypothesis, accepted: Hypothesis) -> str:
     if not gone:
         return " + ".join(accepted.candidates[-1].names)
     return f"{' + '.join(n for n in accepted.names if n not in best.names)} in place of {' + '.join(gone)}"
+
+
+def _gained(best: Hypothesis, accepted: Hypothesis, gain: LogScoreDifference, test: ChanceTest, shown: bool) -> str:
+    """What an accepted hypothesis adds and gains, in words; ``shown``: recorded volts show it or its like."""
+    why = "recorded volts show it or its like"
+    if not shown:
+        why = f"{_probability(test)} that the best of all candidates does so by chance"
+    return f"{_added(best, accepted)} gains {gain.gain:.0f} +- {gain.error:.0f} nats ({why})"
 
 
 def _probability(test: ChanceTest) -> str:
