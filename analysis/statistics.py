@@ -69,3 +69,14 @@ def chance_of_squares(total: float, variances: Floats) -> float:
 
     found = minimize_scalar(log_bound, bounds=(0.0, 1.0 - 1e-9), method="bounded")
     return math.exp(min(0.0, float(found.fun)))
+
+
+def mean_sigma(values: Floats) -> float:
+    """Uncertainty of the mean of values in order (n,), of which those of a locked motion repeat."""
+    sigma = float(values.std()) / math.sqrt(values.size)
+    for length in 2 ** np.arange(1, 14):
+        blocks = values[: values.size // length * length].reshape(-1, length).mean(axis=1)
+        if blocks.size < 6:  # too few say nothing of their spread
+            break
+        sigma = max(sigma, float(blocks.std(ddof=1)) / math.sqrt(blocks.size))
+    return sigma

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.events.levels import CLOSES, DIP, OPENS, Crossings, Levels, Window
-from analysis.statistics import mad_sigma
+from analysis.statistics import mad_sigma, mean_sigma
 from kernels.arrays import Floats, Integers
 
 VISIBLE_SIGMAS = 5.0  # standard deviations of noise from which a sample counts as moved
@@ -171,7 +171,9 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
     """Time constant from many edges, ``y`` shape (n, before + after): 1 before, ``exp(-t / tau)`` after.
 
     It follows from the ratio of samples at a distance of one stretch where two samples of an edge exceed the noise,
-    else from the mean area: over edges at random moments the mean sum of the moved samples is ``tau * rate``.
+    else from edges at random moments: the mean sum of their moved samples is ``tau * rate``, and so many more show one
+    as the noise lies deeper. Edges of a locked motion come at few moments,
+    and say as much as those: a short time constant that they do not tell counts as none. Decision 770.
     """
     n, stretch_hz = y.shape[0], rate_hz / around.stretch
     if n < MIN_EDGES:
@@ -197,12 +199,20 @@ def edge_shape(y: Floats, noise: float, rate_hz: float, around: Window) -> EdgeS
         tau_sigma = tau**2 * stretch_hz * ratio_sigma / ratio
     else:
         area = samples.sum(axis=1) / (1.0 - VISIBLE_SIGMAS * noise)  # samples below the noise are missing in it
-        tau, tau_sigma = float(area.mean()) / stretch_hz, float(area.std()) / stretch_hz / np.sqrt(n)
-        seen = float(np.mean(samples[:, 0] > VISIBLE_SIGMAS * noise))
+        tau, tau_sigma = float(area.mean()) / stretch_hz, mean_sigma(area) / stretch_hz
+        shows = samples[:, 0] > VISIBLE_SIGMAS * noise
+        seen, seen_sigma = float(np.mean(shows)), mean_sigma(shows.astype(np.float64))
         # an RC of this area has a tail that more edges would show; a voltage that falls in a straight line has none
-        shown = float(np.clip(tau * stretch_hz * np.log(1.0 / (VISIBLE_SIGMAS * max(noise, 1e-6))), 0.0, 1.0))
-        straight = seen < 0.7 * shown - 3.0 * np.sqrt(shown / n)
+        tail = float(np.log(1.0 / (VISIBLE_SIGMAS * max(noise, 1e-6))))
+        shown = float(np.clip(tau * stretch_hz * tail, 0.0, 1.0))
+        straight = seen < 0.7 * shown - 3.0 * max(np.sqrt(shown / n), seen_sigma)
         if seen < 0.05 or tau * rate_hz < 3.0 * noise or straight:
+            return EdgeShape(0.0, 0.0, 1.0, n)
+        # heights spread more than edges that show: of a short RC their part says it better
+        if seen < 0.7 and seen_sigma * tau < tau_sigma * seen:
+            tau, tau_sigma = seen / (stretch_hz * tail), seen_sigma / (stretch_hz * tail)
+        # known no better it would move all edges of a step together, and says little that samples do not
+        if tau_sigma > 0.2 * tau:
             return EdgeShape(0.0, 0.0, 1.0, n)
     reads, place = _clocked(whole, noise, tau * rate_hz)
     misfit = _misfit(samples, noise, tau * stretch_hz)

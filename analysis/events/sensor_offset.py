@@ -17,7 +17,7 @@ from analysis.events.impact_detection import ONSET_S, Impacts
 from analysis.events.impact_template import SHORTEST_MASK_S
 from analysis.events.levels import CLOSES
 from analysis.plate.motion import PlateMotion
-from analysis.statistics import core_sigma, mad_sigma, nearest
+from analysis.statistics import core_sigma, mad_sigma, mean_sigma, nearest
 from kernels.arrays import Floats, Integers
 
 REACH_S = 1.5e-3  # largest distance of an electrical edge from its impact
@@ -42,14 +42,18 @@ class SensorOffset:
     jitter_s: float = 0.0  # the contact's part of it, beyond the uncertainty of its edges
     motion_s: float = 0.0  # the ball's own scatter from cycle to cycle, in which the sensors do not differ
     rounding_s: float = 0.0  # that of the impacts to samples, by which all may be early or late; 0 for none
+    repeated_s: float = 0.0  # error of the mean of rounded closings that come at few places between two samples
 
     def uneven_edges(self, sharp: bool) -> bool:
         """Whether closings may be seen by another time late than openings; ``sharp``: edges that show no RC.
 
         A contact that chatters closes at random; behind a comparator, which hides an RC, it closes after its impacts.
+        Closings at few places between two samples are all early or late by the rounding, which openings may not show.
         """
         if not math.isfinite(self.uncertainty_s):
             return sharp
+        if not sharp and self.repeated_s > 2.0 * self.uncertainty_s:
+            return True
         late_s = 0.0 if self.rounding_s > 0.0 else -self.offset_s  # impacts that are rounded may all be early
         return self.jitter_s > 0.0 or late_s > max(LEAST_LATE_S, CORE_SPREADS * self.uncertainty_s)
 
@@ -111,7 +115,9 @@ def calibrate(
     centre = float(np.average(d[core], weights=weight))
     factor, of_both = (max(1.0, mad_sigma((d[core] - centre) / x[core])) for x in (own, bare))  # over what is stated
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s)
+    offset = SensorOffset(
+        centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s, mean_sigma(d[core])
+    )
     factor = of_both if math.isinf(repeated_s) else factor  # nothing tells then which sensor errs
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 
@@ -197,7 +203,7 @@ def common_offset(offsets: Sequence[SensorOffset]) -> SensorOffset | None:
     own = float(np.hypot(scatter, sigma.min()))
     middle = (
         float(np.median([getattr(x, name) for x in known]))
-        for name in ("spread_s", "jitter_s", "motion_s", "rounding_s")
+        for name in ("spread_s", "jitter_s", "motion_s", "rounding_s", "repeated_s")
     )
     return SensorOffset(centre, own, sum(x.pairs for x in known), *middle)
 

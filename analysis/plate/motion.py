@@ -180,7 +180,7 @@ class StepPlate:
     forcing_multiples: tuple[int, ...]  # multiples of the first tone at which the plate is driven
     multiples: tuple[int, ...]  # multiple of the frequency of each fitted tone; mains lines follow after them
     acceleration: ToneFit  # m/s^2, masked after impacts
-    drive: ToneFit | None  # V, looped back; None where it was not recorded
+    drive: ToneFit | None  # V, looped back; None where it was not recorded, or its reading is cut off
     contact_flight: ContactFlightFit  # separate amplitudes in contact and in flight, see `flight_log_gain`
     gamma: float  # ``A w^2 / g`` from the accelerometer
     gamma_uncertainty: float  # its statistical standard deviation; the sensitivity's comes on top

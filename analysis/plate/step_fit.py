@@ -58,6 +58,8 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         return None
     if drive is not None and drive.shows and not volts.shows:  # a loose plug: nothing is known of the plate's motion
         return None
+    if state.drive_cut_off:  # its tones are smaller than what moves the plate
+        drive = None
     setup = recording.setup
     channel = setup.channels.accelerometer
     factor = 1.0 / channel.volts_per_mps2

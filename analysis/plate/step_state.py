@@ -248,8 +248,8 @@ class StepState(PlannedStep):
     """Accumulated state of one step: open spans, tones, normal equations and closed chunks.
 
     ``first_codes`` are its first accelerometer samples as stored, where they came in one piece; ``ends`` the codes at
-    which the accelerometer is at its end, where blocks that reach them are masked. No harmonic beyond ``most_multiple``
-    is fitted.
+    which the accelerometer is at its end, where blocks that reach them are masked. ``drive_cut_off`` says whether the
+    drive's reading is at its end for a part of each cycle. No harmonic beyond ``most_multiple`` is fitted.
     """
 
     last_sample: int
@@ -266,6 +266,7 @@ class StepState(PlannedStep):
     chunks: list[ChunkFit] = field(default_factory=list)
     first_codes: npt.NDArray[Any] | None = None
     ends: Ends | None = None
+    drive_cut_off: bool = False
 
     @property
     def rows(self) -> list[int]:

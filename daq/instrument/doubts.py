@@ -320,7 +320,7 @@ def ends_g(seen: Measured, setup: Setup) -> tuple[float | None, float | None]:
 
 
 def _cut_off(seen: Measured, setup: Setup) -> Iterator[Doubt]:
-    """Motion beyond the accelerometer's end; impacts beyond it do no harm."""
+    """Motion beyond the accelerometer's end, and a drive beyond its own; impacts beyond it do no harm."""
     if seen.cut_off:
         ends = " and ".join(f"{end:+.3g} g" for end in ends_g(seen, setup) if end is not None)
         yield Doubt(
@@ -328,6 +328,14 @@ def _cut_off(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             f"the accelerometer is at its end at {ends}, and the plate goes beyond in {seen.cut_off} of the "
             f"{len(seen.holds)} steps that were looked at",
             "gamma comes from the rest of each cycle there, less exactly: take a sensor or a range that goes farther",
+            False,
+        )
+    if seen.drive_cut_off:
+        yield Doubt(
+            "cut_off",
+            f"the drive's reading is cut off in {seen.drive_cut_off} of the {len(seen.holds)} steps that were looked "
+            "at, and says less than what moves the plate",
+            "the accelerometer alone counts there: record the drive with a larger range",
             False,
         )
 

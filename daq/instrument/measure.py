@@ -64,8 +64,8 @@ class Measured:
     """Everything that was measured: by step, and of the noise of all of them.
 
     ``ends_v`` are the volts beyond which the accelerometer does not read, infinite where it does not come to its end;
-    ``cut_off`` is the number of holds whose motion goes beyond. ``held_samples`` as in
-    `daq.instrument.held_readings.held_samples`.
+    ``cut_off`` is the number of holds whose motion goes beyond, ``drive_cut_off`` that of those in which the drive's
+    reading is at its end. ``held_samples`` as in `daq.instrument.held_readings.held_samples`.
     """
 
     holds: tuple[Hold, ...]
@@ -75,6 +75,7 @@ class Measured:
     interpolation_hz: float | None
     ends_v: Ends = NO_ENDS
     cut_off: int = 0
+    drive_cut_off: int = 0
     held_samples: float = 1.0
 
 
@@ -130,6 +131,7 @@ def measure(
         interpolation_hz(channels, rate_hz),
         ends_v,
         sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),
+        sum(share_at_an_end(v["drive"], rate_hz) > STANDS for _, v, _ in pieces if "drive" in v),
         held,
     )
 

@@ -71,6 +71,18 @@ def test_sharp_edges_have_no_bias_and_a_uniform_uncertainty() -> None:
     np.testing.assert_allclose(edges.uncertainty_s, sigma)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_edges_of_a_locked_motion_tell_a_short_rc_no_better_than_their_few_places(seed: int) -> None:
+    """Fifteen steps of twenty edges, each step at one place between two samples: errors stay within what is stated."""
+    rng = np.random.default_rng(seed)
+    first = 0.05 + np.arange(15) * 0.8 + rng.uniform(0.0, 1.0 / RATE, 15)
+    opens = (first[:, None] + 0.04 * np.arange(20)).ravel()
+    true = np.column_stack([opens, opens + 0.017 + np.repeat(rng.uniform(0.0, 1.0 / RATE, 15), 20)]).ravel()
+    volts = circuit(true, int((true[-1] + 0.05) * RATE), 2e-6, 2e-6, 0.005, rng)
+    edges, _, _ = timed(volts, measure_levels(volts, 0.0, 5.0))
+    assert np.abs((edges.time_s - true) / edges.uncertainty_s).max() < 3.0
+
+
 @pytest.mark.parametrize("ramp_s", [4e-6, 8e-6, 1.6e-5])
 def test_edges_in_a_straight_line_are_not_taken_for_an_rc(ramp_s: float) -> None:
     """A voltage that runs from level to level in a part of a sample is dated without bias, as a sharp one is."""

@@ -166,6 +166,23 @@ def test_edges_may_be_uneven_where_closings_jitter_or_come_late() -> None:
     assert not unknown.uneven_edges(sharp=False)
 
 
+def test_closings_at_few_places_between_samples_may_all_be_late_where_openings_are_not() -> None:
+    """Twelve steps of twenty landings, each step at one place: together they err by more than they seem to."""
+    rng = np.random.default_rng(6)
+    exact = (np.arange(12)[:, None] + rng.uniform(0.0, SAMPLING_S, (12, 1)) + 0.04 * np.arange(1, 21)).ravel()
+    edge = SAMPLING_S * (np.floor(exact / SAMPLING_S) + 0.5)
+    impacts = Impacts(exact + 1e-6 * rng.standard_normal(240), np.full(240, 1e-6), np.linspace(5.0, 20.0, 240))
+    rounding_s = np.full(240, ROUNDING_S)
+    _, offset = calibrate(impacts, edge - 0.02, edge, rounding_s, 0.0, SAMPLING_S)
+    assert abs(offset.offset_s) < 3.0 * offset.repeated_s
+    assert offset.repeated_s == pytest.approx(ROUNDING_S / np.sqrt(12.0), rel=0.5)
+    assert offset.uneven_edges(sharp=False) and not offset.uneven_edges(sharp=True)
+    anywhere, impact_s, edges = closings(False)
+    impacts = Impacts(impact_s, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
+    _, offset = calibrate(impacts, anywhere - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S)
+    assert not offset.uneven_edges(sharp=False)
+
+
 def takeoffs(late_s: float, gammas: list[float], rng: np.random.Generator) -> tuple[PlateMotion, list[np.ndarray]]:
     """A plate that is shown late, and take-offs from it, landings and steps of a ball that friction of .1 g holds."""
     omega, g, tones, times, steps = 2.0 * np.pi * 25.0, 9.80665, [], [], []

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.flights.scan import plate_of
 from benchmarks.plants import other_plant
 from benchmarks.plants.instrument import Instrument as Chain
 from daq.importers.formats.open import open_source
@@ -99,6 +100,12 @@ def cut_off(v: Volts) -> None:
     """A sensor of 0.1 V/g that ends at 4 g, with noise behind it."""
     noise = 3e-4 * np.random.default_rng(8).standard_normal(v["accelerometer_v"].size)
     v["accelerometer_v"] = np.clip(v["accelerometer_v"], -0.4, 0.4) + noise
+
+
+def drive_cut_off(v: Volts) -> None:
+    """A converter whose range ends below the drive's largest volts."""
+    end = 0.85 * np.abs(v["drive_v"]).max()
+    v["drive_v"] = np.clip(v["drive_v"], -end, end)
 
 
 def interrupted(v: Volts) -> None:
@@ -216,15 +223,31 @@ def test_a_slow_rig_sampled_slowly_is_brought_in(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "kind"),
-    [(drive_inverted, "drive_sense"), (resampled, "resampled"), (cut_off, "cut_off"), (interrupted, "dead")],
+    [
+        (drive_inverted, "drive_sense"),
+        (resampled, "resampled"),
+        (cut_off, "cut_off"),
+        (drive_cut_off, "cut_off"),
+        (interrupted, "dead"),
+    ],
 )
 def test_what_a_verdict_survives_is_said_and_not_refused(tmp_path: Path, spoil: Spoil, kind: str) -> None:
-    """Reversed leads, linear interpolation, motion beyond the sensor's end, a sensor dead for a while stop nothing."""
+    """Reversed leads, linear interpolation, an end of sensor or drive, a sensor dead for a while stop nothing."""
     volts = dict(_simulated(2, (), False))
     spoil(volts)
     summary = bring_in(volts, other_plant.profile_of(run_of(2)), tmp_path)
     assert [(doubt.kind, doubt.makes_meaningless) for doubt in summary.instrument.doubts] == [(kind, False)]
     refuse_doubtful([summary.path])
+
+
+def test_a_drive_that_is_cut_off_says_nothing_of_its_steps(tmp_path: Path) -> None:
+    """Steps whose drive's reading is at its end have no drive, the others the one that was recorded."""
+    volts = dict(_simulated(1, (), False))
+    drive_cut_off(volts)
+    summary = bring_in(volts, other_plant.profile_of(run_of(1)), tmp_path)
+    with open_recording(summary.path) as recording:
+        known = [s is not None and s.drive is not None for s in plate_of(recording).steps]
+    assert known == [gamma < 0.85 * max(run_of(1).gammas) for gamma in run_of(1).gammas]
 
 
 def test_the_accelerometers_end_is_said_where_it_comes_to_it(tmp_path: Path) -> None:
