@@ -48,11 +48,12 @@ class SensorOffset:
         """Whether closings may be seen by another time late than openings; ``sharp``: edges that show no RC.
 
         A contact that chatters closes at random; behind a comparator, which hides an RC, it closes after its impacts.
-        Closings at few places between two samples are all early or late by the rounding, which openings may not show.
+        Closings at few places between two samples are all early or late by the rounding, openings by another.
         """
         if not math.isfinite(self.uncertainty_s):
             return sharp
-        if not sharp and self.repeated_s > 2.0 * self.uncertainty_s:
+        # what calibrations of the circuit leave open between its edges and the plate is 2 us
+        if self.repeated_s > max(2.0 * self.uncertainty_s, 2e-6):
             return True
         late_s = 0.0 if self.rounding_s > 0.0 else -self.offset_s  # impacts that are rounded may all be early
         return self.jitter_s > 0.0 or late_s > max(LEAST_LATE_S, CORE_SPREADS * self.uncertainty_s)

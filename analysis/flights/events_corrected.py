@@ -115,10 +115,12 @@ def denied(
         while left.size:
             (flight, first), own = flights(left), host[left]
             step, settled = steps_of(flight.begin_s, flight.end_s)
+            # a flight from one step into the next is of neither: the plate moves as between the two
+            before, after = (np.where(step < 0, steps_of(x, x)[0], step) for x in (flight.begin_s, flight.end_s))
             lacks = [
                 _lack(plate, g_mps2, k, flight, shown_mps[left]) if weak
                 else _slowness(plate, g_mps2, k, flight, first & rested[own])
-                for k in (step, step - ~settled)
+                for k in (before, after - (~settled & (step >= 0)))
             ]  # fmt: skip
             lack = np.nan_to_num(np.minimum(*lacks))  # a plate that settles moves as between the two
             order = np.lexsort((-lack if weak else left, own))

@@ -176,7 +176,7 @@ def test_closings_at_few_places_between_samples_may_all_be_late_where_openings_a
     _, offset = calibrate(impacts, edge - 0.02, edge, rounding_s, 0.0, SAMPLING_S)
     assert abs(offset.offset_s) < 3.0 * offset.repeated_s
     assert offset.repeated_s == pytest.approx(ROUNDING_S / np.sqrt(12.0), rel=0.5)
-    assert offset.uneven_edges(sharp=False) and not offset.uneven_edges(sharp=True)
+    assert all(offset.uneven_edges(sharp) for sharp in (False, True))
     anywhere, impact_s, edges = closings(False)
     impacts = Impacts(impact_s, np.full(200, 1e-6), np.linspace(5.0, 20.0, 200))
     _, offset = calibrate(impacts, anywhere - 0.02, edges.time_s, edges.uncertainty_s, 0.0, SAMPLING_S)

@@ -49,17 +49,20 @@ def within(intervals: Floats, impacts: Floats) -> tuple[Floats, Integers]:
     return impacts[own], host[own]
 
 
-def on_plate(intervals: Floats, time_s: Floats, strength: Floats, host: Integers, rings_mps2: float = 0.0) -> Bools:
-    """Which impacts are denied on a plate of one tone and, below it, a table's ringing."""
+def on_plate(
+    intervals: Floats, impacts: Floats, host: Integers, rings_mps2: float = 0.0, across_s: float = np.inf
+) -> Bools:
+    """Which impacts are denied on a plate of one tone, a table's ringing below it, and another step after some time."""
     slow_s = np.arange(0.0, intervals[-1, 1], 9e-3)
     plate: Any = SimpleNamespace(
         true_time_s=lambda t: t,
-        forcing_tones=lambda step: (np.full((1, step.size), OMEGA), np.full((1, step.size), GAMMA * G * 1j)),
+        forcing_tones=lambda step: (np.where(step < 0, np.nan, OMEGA)[None], np.full((1, step.size), GAMMA * G * 1j)),
         steps=[SimpleNamespace(slow=SlowMotion(slow_s, rings_mps2 * np.sin(RINGS_RADPS * slow_s)))],
     )
     return denied(
-        plate, G, lambda begin, end: (np.zeros(begin.size, np.int64), np.ones(begin.size, np.bool_)),
-        intervals[:, 0], intervals[:, 1], time_s, strength, host,
+        plate, G,
+        lambda begin, end: (np.where((begin > across_s) & (begin < end), -1, 0), np.ones(begin.size, np.bool_)),
+        intervals[:, 0], intervals[:, 1], impacts[:, 0], 5000.0 * impacts[:, 1], host,
     )  # fmt: skip
 
 
@@ -69,13 +72,17 @@ def test_a_rebound_on_a_table_that_rings_is_believed(friction: float) -> None:
     intervals, impacts = marched(0.5, friction, 2.0, rings_mps2=6.0)
     true, host = within(intervals, impacts)
     assert len(true) >= 20
-    assert not on_plate(intervals, true[:, 0], 5000.0 * true[:, 1], host, 6.0).any()
+    assert not on_plate(intervals, true, host, 6.0).any()
 
 
+@pytest.mark.parametrize("across_s", [np.inf, 0.6])
 @pytest.mark.parametrize("friction", [0.0, 0.15])
 @pytest.mark.parametrize("restitution", [0.25, 0.5])
-def test_what_is_left_of_ringing_cuts_no_flight_and_a_rebound_does(restitution: float, friction: float) -> None:
-    """Bounces that the circuit does not show, and a thousandth to a hundredth of them in between: only these go."""
+def test_what_is_left_of_ringing_cuts_no_flight_and_a_rebound_does(
+    restitution: float, friction: float, across_s: float
+) -> None:
+    """Bounces that the circuit does not show, and a thousandth to a hundredth of them in between: only these go, also
+    in flights from one step into the next."""
     intervals, impacts = marched(restitution, friction)
     rng = np.random.default_rng(5)
     true, host = within(intervals, impacts)
@@ -92,6 +99,6 @@ def test_what_is_left_of_ringing_cuts_no_flight_and_a_rebound_does(restitution: 
     every = np.concatenate([true, left])
     order = np.argsort(every[:, 0])
     host = np.searchsorted(intervals[:, 0], every[order, 0]) - 1
-    found = on_plate(intervals, every[order, 0], 5000.0 * every[order, 1], host)
+    found = on_plate(intervals, every[order], host, across_s=across_s)
     assert len(true) >= 20 and len(left) >= 20
     np.testing.assert_array_equal(found, order >= len(true))
