@@ -167,10 +167,15 @@ def _taken_away(
 ) -> tuple[list[tuple[Floats, Bools]], list[tuple[Floats, Bools]]]:
     """The pieces without motion, and without the impacts found as well."""
     # what still rings after the mask would bend the tones
-    without = [_without_impacts(*own) for own in zip(pieces, detectors, strict=True)]
+    without = []
+    for piece, detector in zip(pieces, detectors, strict=True):
+        volts = piece.channels["accelerometer"].copy()
+        detector.subtract_impacts(volts, 0, piece.pad)
+        without.append(replace(piece, channels={**piece.channels, "accelerometer": volts}))
     stretches = [_stretches(piece, steps, rate_hz, forcing) for piece in without]
     places = [own.places for own in found]
-    still = [_without_motion(*own, rate_hz) for own in zip(pieces, without, stretches, places, strict=True)]
+    learnt = detectors[0].template.fine.size / FINE - LEAD
+    still = [_without_motion(*own, rate_hz, learnt) for own in zip(pieces, without, stretches, places, strict=True)]
     clean = [
         (volts + left.channels["accelerometer"] - piece.channels["accelerometer"], fitted)
         for (volts, fitted), left, piece in zip(still, without, pieces, strict=True)
@@ -207,13 +212,6 @@ def _quiet(fitted: Bools, places: Floats, echo: int) -> Bools:
 def _noise(still: list[tuple[Floats, Bools]], places: list[Floats], rate_hz: float, echo: int) -> NoiseSpectrum | None:
     quiet = [_quiet(fitted, own, echo) for (_, fitted), own in zip(still, places, strict=True)]
     return measure_noise([volts for volts, _ in still], quiet, rate_hz)
-
-
-def _without_impacts(piece: Piece, detector: ImpactScan) -> Piece:
-    """The piece with the ringing of its impacts subtracted."""
-    volts = piece.channels["accelerometer"].copy()
-    detector.subtract_impacts(volts, 0, piece.pad)
-    return replace(piece, channels={**piece.channels, "accelerometer": volts})
 
 
 def _with_threshold(
@@ -354,13 +352,15 @@ def _stretches(piece: Piece, steps: npt.NDArray[np.void], rate_hz: float, forcin
 
 
 def _without_motion(
-    piece: Piece, clean: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float
+    piece: Piece, clean: Piece, stretches: list[_Stretch], places: Floats, rate_hz: float, learnt: float = 0.0
 ) -> tuple[Floats, Bools]:
     """Accelerometer volts less tones of each step (by ``clean`` outside impacts), and where a fit was possible."""
     volts, fit_to = (p.channels["accelerometer"].astype(np.float64) for p in (piece, clean))
     fitted, ringing = np.zeros((2, volts.size), dtype=np.bool_)
+    # slow motion that a template of ``learnt`` samples holds by mistake is in what it takes away, and would stay in it
+    after = max(4e-3 * rate_hz, min(learnt, 0.3 * volts.size / (places.size + 1)))
     for place in places.astype(np.int64):
-        ringing[max(place - 4, 0) : max(place + int(4e-3 * rate_hz), 0)] = True
+        ringing[max(place - LEAD, 0) : max(place + int(after), 0)] = True
     for part in stretches:
         own = part.own
         try:
