@@ -113,12 +113,10 @@ def calibrate(
     jitter = jitter if jitter > float(np.median(landing_sigma_s)) else 0.0  # less than its edges err by is chance
     bare, own = own, np.hypot(own, jitter)
     weight = 1.0 / (own[core] ** 2 + max(spread**2 - float(np.median(own)) ** 2, 0.0))
-    centre = float(np.average(d[core], weights=weight))
+    centre, repeated = float(np.average(d[core], weights=weight)), mean_sigma(d[core])
     factor, of_both = (max(1.0, mad_sigma((d[core] - centre) / x[core])) for x in (own, bare))  # over what is stated
     own_sigma = float(np.hypot(np.sqrt(1.0 / weight.sum()) * factor, edge_bias_s))
-    offset = SensorOffset(
-        centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s, mean_sigma(d[core])
-    )
+    offset = SensorOffset(centre, own_sigma, int(core.sum()), spread, jitter, motion, impacts.rounding_s, repeated)
     factor = of_both if math.isinf(repeated_s) else factor  # nothing tells then which sensor errs
     return _with_bias(replace(impacts, time_s=impacts.time_s - centre), factor, own_sigma), offset
 

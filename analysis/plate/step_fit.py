@@ -58,9 +58,8 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         return None
     if drive is not None and drive.shows and not volts.shows:  # a loose plug: nothing is known of the plate's motion
         return None
-    if state.drive_cut_off:  # its tones are smaller than what moves the plate
-        drive = None
-    setup = recording.setup
+    # the tones of a drive that is cut off are smaller than what moves the plate
+    setup, drive = recording.setup, None if state.drive_cut_off else drive
     channel = setup.channels.accelerometer
     factor = 1.0 / channel.volts_per_mps2
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0

@@ -335,7 +335,7 @@ def _cut_off(seen: Measured, setup: Setup) -> Iterator[Doubt]:
             "cut_off",
             f"the drive's reading is cut off in {seen.drive_cut_off} of the {len(seen.holds)} steps that were looked "
             "at, and says less than what moves the plate",
-            "the accelerometer alone counts there: record the drive with a larger range",
+            "what the accelerometer shows counts there: record the drive with a larger range",
             False,
         )
 
