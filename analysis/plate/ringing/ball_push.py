@@ -35,6 +35,7 @@ class Push:
     rise_mps2: Floats | float = 0.0  # change of the contact's push over the length of each block, (n,)
     missed_mps: float = np.inf  # median speed by which flights from rest miss the plate; none where they are too few
     stays: bool = False  # whether the ball that lands stays there: it leaves at once only as the plate falls away
+    rubbed_mps2: Floats | float = 0.0  # of the rod, which the flying ball drags along, mean in each block, (n,)
 
     @property
     def impacts_mps2(self) -> Floats:
@@ -79,6 +80,7 @@ def ball_push(
     """
     late_s, stays = (0.0, False) if before is None else (before.late_s, before.stays)
     felt, edges_s = gravity_mps2 + acceleration_mps2, np.arange(len(acceleration_mps2) + 1) * block_s
+    rubbed: Floats | float = 0.0
     bounced, landed_s = np.append(np.inf, takeoff_s[1:] - landing_s[:-1]) < SHORTEST_REST_S, landing_s
     # a contact stays closed for longer than it touches; a ball that does not bounce leaves where nothing presses it
     presses = np.interp(np.roll(landing_s, 1) + late_s, edges_s[:-1] + 0.5 * block_s, felt) > 0.0
@@ -109,6 +111,7 @@ def ball_push(
         late_s, begun_s, ended_s = late_s + later_s, takeoff_s + later_s, landing_s + later_s
         gained = once(ended_s) - once(begun_s) + friction * slowed
         back = (twice(ended_s) - twice(begun_s)) / length_s - once(begun_s) + friction * slowed_back
+        rubbed = friction * rate
         missed_mps = float(np.median(np.abs(back[long])))
     if np.sum(left := bounced & ~presses) >= FEWEST_FLIGHTS:
         stays = bool(np.median(back[left]) < 0.005 * np.median(gained[left]))  # slower than that is no bounce
@@ -118,7 +121,7 @@ def ball_push(
     pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
     rise = -(1.0 - air) * once(edges_s[:-1] + 0.5 * block_s, 2) * block_s / loaded
     impulse = -(gained - start + np.append(start[1:], 0.0)) / loaded
-    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, stays)
+    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, stays, rubbed)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

@@ -171,10 +171,13 @@ class _Recorded:
         hum = np.s_[-2 * len(HUM_HZ) :]
         return self.linear @ sizes, self.linear[:, hum] @ sizes[hum]
 
-    def push(self, acceleration: Floats, hum: Floats, before: Push | None, mass_ratio: float) -> Push:
+    def push(
+        self, acceleration: Floats, hum: Floats, before: Push | None, mass_ratio: float, rubs: bool = False
+    ) -> Push:
         """What the ball does to a plate whose acceleration has no zero: it goes nowhere, whatever impacts give it.
 
-        Whether the mains' ``hum`` shakes the plate, or only the accelerometer's cable, flights from rest show.
+        Whether the mains' ``hum`` shakes the plate, or only the accelerometer's cable, flights from rest show. A ball
+        that ``rubs`` at a rod that stands on the plate drags that along.
         """
         # both ends fade: the plate is cut off there in full swing, as if it went somewhere
         weight = np.hanning(len(acceleration))
@@ -184,7 +187,8 @@ class _Recorded:
         push = min((ball_push(x, *rest) for x in (felt, felt - hum)), key=lambda push: push.missed_mps)
         # a ball that flies on to the end presses no more
         lies = np.clip(self.left_s / self.block_s - np.arange(len(felt)), 0.0, 1.0)
-        return replace(push, contact_mps2=lies * push.contact_mps2, rise_mps2=lies * push.rise_mps2)
+        pressed = lies * push.contact_mps2 + rubs * push.rubbed_mps2
+        return replace(push, contact_mps2=pressed, rise_mps2=lies * push.rise_mps2)
 
     def promises(self, seen: Regression, x: Floats) -> bool:
         """Whether a mode found first, without forces, could become sure, with them or without."""
@@ -218,7 +222,7 @@ class _Recorded:
         gains by impacts, which the acceleration between them lacks, is its mean. On a quiet plate no mode is searched,
         and none that promises too little is followed. So many ``forces`` may drive the mode, too.
         """
-        known, ratio, push, fresh = self.known, 0.0, None, found is None
+        known, ratio, push, fresh, rubs = self.known, 0.0, None, found is None, False
         # the drive's part is the same for every mode tried: an orthonormal basis takes it out of any column
         basis, upper = np.linalg.qr(self.linear[known])
 
@@ -228,16 +232,18 @@ class _Recorded:
         driven, hum = drive_part(self.acceleration)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, known)
         for rounds in range(ROUNDS):
-            push = self.push(acceleration, hum, push, ratio)
+            push = self.push(acceleration, hum, push, ratio, rubs)
             impulses = push.impacts_mps2
             shaken = np.vstack([push.contact_mps2 + impulses, self.linear[:, :forces].T])
             seen = Regression.of(acceleration, basis, shaken, push.contact_mps2, known, self.block_s, begun)
+            seen = replace(seen, rubs=rubs)
             if fresh and rounds == 0 and seen.quiet:
                 return seen, None
             again = fresh and rounds == 1  # the first search did not know what is hidden
             # of two modes far from their place, phases would explain whatever is there
             followed = replace(seen, phases=rounds > 0).followed
             x = seen.searched() if found is None or again else followed([found])
+            rubs ^= seen.rubbed_nats(x, push.rubbed_mps2) > 8.0  # chance gives so much once in 3,000
             sizes = seen.sizes(seen.columns(x), len(x) // 2)
             mode, ratio = seen.answers(x) @ sizes, seen.ratios(x, sizes)[1]
             driven, hum = drive_part(acceleration - mode)
@@ -245,6 +251,7 @@ class _Recorded:
             settled = (
                 not again
                 and found is not None
+                and rubs == seen.rubs
                 and bool(np.max(np.abs(x - found)) < SETTLED * (1 if len(x) == 2 else 10))
             )
             settled = settled or (fresh and rounds == 0 and not forces and not self.promises(seen, x))
@@ -283,7 +290,7 @@ class _Recorded:
             until_s=until_s, torn_s=torn_s, phase=phase, others=tuple(others), after_changes=tuple(after_changes),
         )  # fmt: skip
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
-            plate = pushed_by(self.push(acceleration, hum, before, jump))
+            plate = pushed_by(self.push(acceleration, hum, before, jump, seen.rubs))
             acceleration = driven + plate.moved(hz, damping, ratio.real).gained_mps / self.block_s
             # what the ball's weight lacks in the mean would lift the plate, and every flight with it
             if before and abs(float(np.mean(plate.push.impacts_mps2 - before.impacts_mps2))) < AGREED_MPS2:

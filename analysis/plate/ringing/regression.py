@@ -83,6 +83,7 @@ class Regression:
     block_s: float
     cluster: Integers
     begun: tuple[int, ...]
+    rubs: bool = False  # whether the push holds the rod's that the ball drags along
     phases: bool = True  # whether each of several modes answers the push in a phase of its own
 
     @classmethod
@@ -170,6 +171,13 @@ class Regression:
         """By how much the push raises the likelihood of white noise, nats."""
         before, left = self._unpushed(self.columns(x)), self.remainder(x)
         return 0.5 * (float(before @ before) / float(left @ left) - 1.0) * len(left)
+
+    def rubbed_nats(self, x: Floats, rubbed_mps2: Floats | float) -> float:
+        """By how much the likelihood of white noise would rise if the rod stood elsewhere: on the plate, or not."""
+        shaken = self.shaken.copy()
+        shaken[0] += (1.0 - 2.0 * self.rubs) * rubbed_mps2
+        left, other = self.remainder(x), replace(self, shaken=shaken).remainder(x)
+        return 0.5 * (float(left @ left) / float(other @ other) - 1.0) * len(left)
 
     def left_nats(self, x: Floats) -> float:
         """By how much the likelihood could rise if what is left beyond noise were explained."""

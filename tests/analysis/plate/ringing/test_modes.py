@@ -121,13 +121,13 @@ def test_a_flight_that_the_end_cuts_off_presses_no_plate(recorded: Callable[...,
     np.testing.assert_allclose(motions[1].state(at_s), motions[0].state(at_s), atol=5e-4)
 
 
-@pytest.mark.parametrize(("table_kg", "damping"), [(20.0, 0.7), (5.0, 0.1)])
+@pytest.mark.parametrize(("table_kg", "damping", "friction"), [(20.0, 0.7, 0.0), (5.0, 0.1, 0.0), (5.0, 0.1, 0.1)])
 def test_a_table_that_a_force_drives_is_identified_down_to_the_noise(
-    tmp_path: Path, table_kg: float, damping: float
+    tmp_path: Path, table_kg: float, damping: float, friction: float
 ) -> None:
-    """It answers the drive as a mode does where the level changes, however strongly it is damped."""
+    """It answers the drive as a mode does where the level changes, and the ball that rubs at the rod on it."""
     gammas = np.random.default_rng(3).permutation(np.round(np.linspace(0.5, 2.6, 16), 4))
-    rig = Shaker(table_kg=table_kg, damping=damping, gammas=tuple(gammas.tolist()), seed=3)
+    rig = Shaker(table_kg=table_kg, damping=damping, sliding_friction=friction, gammas=tuple(gammas.tolist()), seed=3)
     mode = _found(shaker_parts.recorded(rig, tmp_path))
     assert mode is not None and mode.sure
     off = np.array([mode.frequency_hz - 8.0, mode.damping - damping, mode.mass_ratio - BALL_KG / table_kg])
