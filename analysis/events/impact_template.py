@@ -237,19 +237,20 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     power = np.convolve(quick**2, np.ones(brief) / brief, mode="same")
     last = np.flatnonzero(loud & (power > RINGS * sigma_v**2))
     end = min(max(peak, int(last[-1]) if last.size else 0) + FINE + 1, fine.size)
-    rings_on = end + LEAST_DECAY * width > fine.size
-    decay = one_mode(fine, quick, peak, end, width) if rings_on else None
+    decay = one_mode(fine, quick, peak, end, width) if end + LEAST_DECAY * width > fine.size else None
     grid = np.arange(fine.size)
     slow = _slow_under(fine, quick, (peak, end), width) if decay is None else _slow_without(fine, decay, width)
     # a waveform that ended in a step would put the edge of an impact into the recording
     share = np.clip((grid - peak) / min(width, end - peak), 0.0, 1.0)
-    out = np.where((grid >= begin) & (grid < end), fine - share * slow, 0.0)
+    before = float(np.mean(fine[: LEAD * FINE // 2])) if peak >= LEAD * FINE else 0.0  # the motion's, too
+    out = np.where((grid >= begin) & (grid < end), fine - (before + share * (slow - before)), 0.0)
     late = float(np.sqrt(np.mean(out[3 * out.size // 4 :] ** 2))) / float(np.abs(out).max())
     if decay is None and late > CUT_OFF:  # what follows a cut off end would be found as impacts
         return None
     shown = out[:end]
     if decay is not None:
-        stop = min(decay.ends(sigma_v), int(CONTINUED_S * rate_hz * FINE))
+        lasts = int(decay.fall * np.log(max(np.hypot(*decay.parts) / sigma_v, 1.0)))  # then it is less than the noise
+        stop = min(decay.begin + lasts, int(CONTINUED_S * rate_hz * FINE))
         shown = np.append(shown, decay.ringing(np.arange(end, stop)))
     return np.append(shown, np.zeros(max(LENGTH * FINE - shown.size, -shown.size % FINE)))
 
@@ -268,10 +269,6 @@ class Decay(NamedTuple):
     def ringing(self, point: Integers) -> Floats:
         """The mode, (n,)."""
         return np.asarray(_turning(self.fall, self.period, point - self.begin) @ self.parts)
-
-    def ends(self, noise: float) -> int:
-        """Point after which less than ``noise`` is left."""
-        return self.begin + int(self.fall * np.log(max(np.hypot(*self.parts) / noise, 1.0)))
 
 
 def _turning(fall: float, period: float, point: Integers) -> Floats:
@@ -338,6 +335,9 @@ def _slow_under(fine: Floats, quick: Floats, ends: tuple[int, int], width: int) 
     box = np.ones(width) / width
     smooth = np.convolve(np.convolve(fine, box, mode="same"), box, mode="same")
     first, last = peak + 3 * width, fine.size - width
+    near = peak + 3 * width // 2
+    if last > first and float(np.std(quick[near - width // 2 : near + width // 2])) < abs(smooth[near] - smooth[first]):
+        first = near  # nothing rings there any more, and the plate has begun to carry the ball
     if last - first < width:
         after = np.arange(end, fine.size)
         if after.size < width:  # the end as it is, or the edge of what is cut off would be found as an impact
