@@ -68,6 +68,20 @@ def ringing_after_changes(
     return np.asarray(np.expm1(turn * block_s) / turn * lagging)
 
 
+def wander(ringing: Complexes, block_s: float, frequency_hz: float, damping: float) -> float:
+    """Variance a second that noise of the drive adds to each part of a mode's amplitude, (1 + n,).
+
+    Where no level changes the mode would ring freely.
+    """
+    turn, many = turn_of(frequency_hz, damping), max(round(0.05 / block_s), 1)  # some ms, or noise of one block counts
+    moved = (ringing[1:] - np.exp(turn * block_s) * ringing[:-1]) * np.exp(
+        -1j * turn.imag * block_s * np.arange(len(ringing) - 1)
+    )
+    sums = moved[: len(moved) // many * many].reshape(-1, many).sum(axis=1)
+    # a square of both parts of noise has a median of log 2 of its mean
+    return 0.5 * float(np.median(np.abs(sums) ** 2)) / math.log(2.0) / (many * block_s)
+
+
 @dataclass(frozen=True)
 class PushedPlate:
     """What the ball did to the plate of one recording, and how the plate answered."""
@@ -81,6 +95,7 @@ class PushedPlate:
     phase: complex = 1.0  # of the mode's mass ratio: see `answer`
     others: tuple[tuple[float, float, complex], ...] = ()  # further modes: frequency, damping, mass ratio
     after_changes: tuple[Complexes, ...] = ()  # of each mode, `ringing_after_changes` of the drive, (1 + n,)
+    wanders: tuple[float, ...] = ()  # of each of these, `wander`
 
     def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
         """The motion of a mode under this push, its kicks corrected by the acceleration; and further modes."""
@@ -93,7 +108,10 @@ class PushedPlate:
             pressed = np.asarray(lfilter([1.0], [1.0, -np.exp(turn * push.block_s)], steps))
             motions.append(ModeMotion(turn, push, complex(ratio), pressed, time_s, kicks))
         for i, ringing in enumerate(self.after_changes):
-            motions[i] = replace(motions[i], pressed=motions[i].pressed + ringing / motions[i].mass_ratio)
+            ratio, pressed = motions[i].mass_ratio, motions[i].pressed
+            motions[i] = replace(
+                motions[i], pressed=pressed + ringing / ratio, wanders=self.wanders[i] / abs(ratio) ** 2
+            )
         for i, motion in enumerate(motions if self.known.any() else ()):
             others = sum((m.gained_mps for m in motions if m is not motion), np.zeros(len(self.known)))
             motions[i] = replace(motion, kicks=motion.kicks + self._correction(motion, others / push.block_s))
@@ -109,10 +127,16 @@ class PushedPlate:
         turn, lasts_s = turn_of(frequency_hz, damping), len(self.known) * self.push.block_s
         # a kick is a change of speed: half of its variance goes to each quadrature, and so does what a block shows
         walk = 0.5 * np.sum(KICK_MPS**2 + (KICK_PART * self.push.impulse_mps) ** 2) / lasts_s
-        shown = 0.5 * (abs(turn) * mass_ratio / self.noise_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
+        walk += sum(self.wanders[:1]) / mass_ratio**2
+        shown = 0.5 * (abs(turn) * mass_ratio / self._seen_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
         # no error is older than the recording
         rate = math.sqrt(max(turn.real**2, lasts_s**-2) + walk * shown)
         return mass_ratio * math.sqrt(walk / (2.0 * rate)), rate
+
+    @property
+    def _seen_mps2(self) -> float:
+        """Noise of a block of the answer less the motion, which holds the drive's noise as well."""
+        return math.sqrt(self.noise_mps2**2 + 2.0 * sum(self.wanders) / self.push.block_s)
 
     def _correction(self, motion: ModeMotion, others_mps2: Floats) -> Complexes:
         """By how much kicks differ from those of a motion beside others: a smoother of the mode's state, (1 + k,).
@@ -121,10 +145,11 @@ class PushedPlate:
         normal equations are banded.
         """
         turn, time_s, m = motion.turn, motion.time_s, len(motion.time_s)
-        read = (self.answer_mps2 - others_mps2 - motion.gained_mps / self.push.block_s) / self.noise_mps2
-        sums = _shown(self.known, read, time_s, turn, self.push.block_s, motion.mass_ratio / self.noise_mps2)
+        read = (self.answer_mps2 - others_mps2 - motion.gained_mps / self.push.block_s) / self._seen_mps2
+        sums = _shown(self.known, read, time_s, turn, self.push.block_s, motion.mass_ratio / self._seen_mps2)
         total, side = sums[:, :3].T, sums[:, 3:]
-        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2)
+        since_s = np.diff(time_s, prepend=0.0)
+        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2 + motion.wanders * since_s)
         for begin_s in (-TORN_S, *self.torn_s):
             # where flights were missed, or before the first sample, the plate may have got any kick
             sure[(time_s >= begin_s) & (time_s <= begin_s + TORN_S)] = 1.0  # m/s
@@ -150,6 +175,7 @@ class ModeMotion:
     time_s: Floats  # the first sample and every impact, (1 + k,)
     kicks: Complexes  # by how much each changes the amplitude, (1 + k,)
     others: tuple[ModeMotion, ...] = ()
+    wanders: float = 0.0  # `wander` of the amplitude for a ball of the mode's mass
 
     @cached_property
     def struck(self) -> Complexes:

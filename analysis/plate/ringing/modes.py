@@ -20,7 +20,7 @@ from analysis.linear_algebra import NotFiniteError, lstsq, solve
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import SHORTEST_REST_S, Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
-from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of
+from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of, wander
 from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
 from analysis.signals import restored
 from daq.recording import Recording
@@ -288,6 +288,7 @@ class _Recorded:
         pushed_by = partial(
             PushedPlate, answer_mps2=self.acceleration - driven, known=self.known, noise_mps2=left_mps2,
             until_s=until_s, torn_s=torn_s, phase=phase, others=tuple(others), after_changes=tuple(after_changes),
+            wanders=tuple(wander(rings, self.block_s, *m) for rings, m in zip(after_changes, modes, strict=False)),
         )  # fmt: skip
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
             plate = pushed_by(self.push(acceleration, hum, before, jump, seen.rubs))

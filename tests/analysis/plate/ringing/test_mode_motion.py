@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from analysis.plate.ringing.ball_push import Push, ball_push
 from analysis.plate.ringing.mode_motion import (
@@ -16,6 +17,7 @@ from analysis.plate.ringing.mode_motion import (
     PushedPlate,
     ringing_after_changes,
     turn_of,
+    wander,
 )
 from analysis.residuals.plate_data.plate_mode import BlockIntegrals
 
@@ -106,9 +108,9 @@ def test_kicks_are_unknown_where_flights_were_missed(motion: ModeMotion) -> None
     assert np.abs(_pushed(missed).moved(HZ, DAMPING, RATIO).state(at_s) - motion.state(at_s)).max() > 5e-3
 
 
-@pytest.mark.parametrize("noise_mps2", [0.01, 0.1])
-def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
-    """Kicks that err by what is taken for granted, and a noisy acceleration: the speed errs by what is stated."""
+@pytest.mark.parametrize(("noise_mps2", "drive_mps2"), [(0.01, 0.0), (0.1, 0.0), (0.02, 0.05)])
+def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float, drive_mps2: float) -> None:
+    """Kicks that err by what is taken for granted, noise of acceleration and drive: the speed errs as stated."""
     rng, n = np.random.default_rng(4), 40000
     impact_s = np.arange(0.02, n * BLOCK_S, 0.04)
     impulse = -rng.uniform(0.2, 0.4, len(impact_s))
@@ -117,7 +119,11 @@ def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
     blind = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=bool), noise_mps2)
     true = replace(blind, push=replace(push, impulse_mps=impulse + wrong)).moved(HZ, DAMPING, RATIO)
     answer = true.gained_mps / BLOCK_S + noise_mps2 * rng.standard_normal(n)
-    seen = replace(blind, answer_mps2=answer, known=np.ones(n, dtype=bool))
+    turn, noise = turn_of(HZ, DAMPING), drive_mps2 * BLOCK_S * rng.standard_normal(n + 1)
+    rings = lfilter([1.0], [1.0, -np.exp(turn * BLOCK_S)], noise.astype(complex))
+    wanders = (wander(rings, BLOCK_S, HZ, DAMPING),)
+    known = np.ones(n, dtype=bool)
+    seen = replace(blind, answer_mps2=answer, known=known, after_changes=(rings,), wanders=wanders)
     at_s = np.arange(2.0, 38.0, 0.0137)
     error = (seen.moved(HZ, DAMPING, RATIO).state(at_s) - true.state(at_s)) * [2.0 * np.pi * HZ, 1.0]
     assert np.std(error) == pytest.approx(seen.error(HZ, DAMPING, RATIO)[0], rel=0.15)
