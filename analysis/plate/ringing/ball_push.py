@@ -80,7 +80,6 @@ def ball_push(
     """
     late_s, stays = (0.0, False) if before is None else (before.late_s, before.stays)
     felt, edges_s = gravity_mps2 + acceleration_mps2, np.arange(len(acceleration_mps2) + 1) * block_s
-    rubbed: Floats | float = 0.0
     bounced, landed_s = np.append(np.inf, takeoff_s[1:] - landing_s[:-1]) < SHORTEST_REST_S, landing_s
     # a contact stays closed for longer than it touches; a ball that does not bounce leaves where nothing presses it
     presses = np.interp(np.roll(landing_s, 1) + late_s, edges_s[:-1] + 0.5 * block_s, felt) > 0.0
@@ -100,9 +99,9 @@ def ball_push(
     flown = (np.cumsum(gained) - gained)[flight] + once(until_s) - begun[flight]
     inside = np.clip(np.searchsorted(takeoff_s, edges_s[:-1] + 0.5 * block_s) - 1, 0, len(takeoff_s) - 1)
     free_mps = (back * (bounced & (not stays)) + begun)[inside] - once(np.stack([edges_s[:-1], edges_s[1:]]))
-    long, missed_mps = ~bounced & (landing_s - takeoff_s > LONG_S), np.inf
+    long, friction, rate, missed_mps = ~bounced & (length_s > LONG_S), 0.0, np.zeros_like(air), np.inf
     if np.sum(long) >= FEWEST_FLIGHTS:
-        friction, slowed_mps = 0.0, np.zeros_like(free_mps)
+        slowed_mps = np.zeros_like(free_mps)
         for _ in range(2):  # a friction slows the ball on both ways, and lets it turn round earlier
             ball_mps = free_mps - friction * slowed_mps
             rate = air * np.sum(ball_mps, axis=0) / np.maximum(np.sum(np.abs(ball_mps), axis=0), LEAST_SPREAD_MPS)
@@ -111,7 +110,6 @@ def ball_push(
         late_s, begun_s, ended_s = late_s + later_s, takeoff_s + later_s, landing_s + later_s
         gained = once(ended_s) - once(begun_s) + friction * slowed
         back = (twice(ended_s) - twice(begun_s)) / length_s - once(begun_s) + friction * slowed_back
-        rubbed = friction * rate
         missed_mps = float(np.median(np.abs(back[long])))
     if np.sum(left := bounced & ~presses) >= FEWEST_FLIGHTS:
         stays = bool(np.median(back[left]) < 0.005 * np.median(gained[left]))  # slower than that is no bounce
@@ -121,7 +119,7 @@ def ball_push(
     pressed = -np.diff(once(edges_s) - flown) / block_s / loaded
     rise = -(1.0 - air) * once(edges_s[:-1] + 0.5 * block_s, 2) * block_s / loaded
     impulse = -(gained - start + np.append(start[1:], 0.0)) / loaded
-    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, stays, rubbed)
+    return Push(pressed, landed_s + late_s, impulse, block_s, late_s, rise, missed_mps, stays, friction * rate)
 
 
 def _missed(back_mps: Floats, slowed_back: Floats, closing_mps2: Floats) -> tuple[float, float]:

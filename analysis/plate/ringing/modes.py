@@ -129,6 +129,9 @@ class _Recorded:
     gravity_mps2: float
     tones_hz: tuple[float, ...]
     left_s: float = math.inf
+    holds: tuple[
+        tuple[int, int], ...
+    ] = ()  # edges of blocks at which the drive's level does not change, of a whole recording
 
     @classmethod
     def of(
@@ -141,6 +144,11 @@ class _Recorded:
         if high_pass_hz > 0.0:
             acceleration = restored(acceleration, high_pass_hz, 1.0 / block_s)
         landed = landing_s < (len(acceleration) - 1) * block_s
+        steps, changed = recording.steps, recording.drive_changes["first_sample"]
+        begins = steps["first_sample"] + steps["settle_samples"]
+        ends = steps["first_sample"] + steps["n_samples"] + 2 * width  # both edges of the last block
+        spans = np.column_stack([begins, ends]) // width
+        quiet = [not np.any((changed >= a * width) & (changed < b * width)) for a, b in spans]
         known = unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
         if not landed.all():  # the impulse at the end of the flight before needs this flight
             last = int(np.argmin(landed))
@@ -149,7 +157,7 @@ class _Recorded:
             acceleration, *drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed],
             landing_s[landed], recording.setup.g_mps2.value,
             tuple(recording.setup.forcing.frequency_hz * k for k in recording.setup.forcing.multiples),
-            float(np.min(takeoff_s[~landed], initial=math.inf)),
+            float(np.min(takeoff_s[~landed], initial=math.inf)), tuple(map(tuple, spans[quiet].tolist())),
         )  # fmt: skip
 
     def last(self, skipped: int) -> _Recorded:
@@ -267,7 +275,7 @@ class _Recorded:
         left = (self.acceleration[skipped:] - seen.answers(x) @ sizes)[seen.known]
         driven, hum = self.made(np.asarray(lstsq(self.linear[skipped:][seen.known], left)[0], dtype=np.float64))
         of_forces, (ratios, jump) = sizes[2 * k - 1 :][: k * forces].reshape(k, forces), seen.ratios(x, sizes)
-        after_changes: list[Complexes] = []
+        after_changes, wanders = list[Complexes](), list[float]()
         for mode, own in zip(modes, of_forces, strict=True) if forces else ():
             force = self.linear[:, :forces] @ own
             rings = ringing_after_changes(force, self.block_s, self.tones_hz, *mode)
@@ -275,6 +283,12 @@ class _Recorded:
             # what is gone within a cycle of the drive is over with the change itself, where flights are not compared
             rings = rings * (-turn.real < self.tones_hz[0])
             lagging_mps = rings.real + turn.real / turn.imag * rings.imag
+            wanders.append(wander(rings, self.block_s, *mode))
+            for begin, end in self.holds:  # noise of a drive that stays as it is makes nothing ring
+                ages = np.exp(turn * self.block_s * np.arange(len(rings[begin:end])))
+                cycle = slice(0, round(1.0 / self.tones_hz[0] / self.block_s))
+                if len(ages) > cycle.stop:
+                    rings[begin:end] = ages * np.mean(rings[begin:end][cycle] / ages[cycle])
             driven += answer(force, self.block_s, *mode) - np.diff(lagging_mps) / self.block_s
             after_changes.append(rings)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
@@ -288,7 +302,7 @@ class _Recorded:
         pushed_by = partial(
             PushedPlate, answer_mps2=self.acceleration - driven, known=self.known, noise_mps2=left_mps2,
             until_s=until_s, torn_s=torn_s, phase=phase, others=tuple(others), after_changes=tuple(after_changes),
-            wanders=tuple(wander(rings, self.block_s, *m) for rings, m in zip(after_changes, modes, strict=False)),
+            wanders=tuple(wanders),
         )  # fmt: skip
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
             plate = pushed_by(self.push(acceleration, hum, before, jump, seen.rubs))

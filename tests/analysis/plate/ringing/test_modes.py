@@ -12,7 +12,7 @@ import pytest
 
 from analysis.flights.assemble import FlightFlag, flights_of
 from analysis.plate.ringing.in_blocks import over_noise
-from analysis.plate.ringing.mode_motion import answer
+from analysis.plate.ringing.mode_motion import answer, turn_of
 from analysis.plate.ringing.modes import Identified, identified_mode
 from analysis.plate.ringing.regression import PlateMode, Regression
 from benchmarks.analysis import shaker_parts
@@ -135,6 +135,12 @@ def test_a_table_that_a_force_drives_is_identified_down_to_the_noise(
     assert mode.mass_ratio == pytest.approx(BALL_KG / table_kg, rel=0.03)
     noise_mps2 = 9.80665 * rig.accelerometer_noise_g * np.sqrt(1000.0 / rig.rate_hz)
     assert mode.remainder_mps2 < 1.15 * noise_mps2
+    # in a hold it rings freely, whatever noise the recorded drive has
+    assert mode.pushed is not None
+    (rings,), lasts_s = mode.pushed.after_changes, rig.cycles / rig.frequency_hz
+    hold = rings[int((3.0 * lasts_s + 0.3) / 1e-3) :][:400]
+    free = np.exp(turn_of(mode.frequency_hz, mode.damping) * 1e-3 * np.arange(400))
+    np.testing.assert_allclose(hold, hold[0] * free, rtol=1e-6)
 
 
 def test_an_interval_is_wider_where_more_than_noise_is_left() -> None:
