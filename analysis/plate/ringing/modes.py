@@ -92,6 +92,10 @@ def identified_mode(
                 seen, found = record.settled(begun, found, forces := 0)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
+        if found is not None and len(found) == 2 and seen.left_nats(found) > SURE_NATS:
+            # before a piece is left out: what a second mode does there looks like a flight that was missed
+            one_mps2 = float(np.std(seen.remainder(found)))
+            seen, found = record.second(seen, begun, found, forces, forcing_hz) or (seen, found)
         if found is None or (worst := seen.worst_cluster(found)) is None:
             break
         # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
@@ -106,8 +110,8 @@ def identified_mode(
             return Identified(mode)
         pushed = whole.pushed(seen, found)
         return Identified(mode, pushed=(replace(pushed, known=np.zeros_like(pushed.known)),))
-    if seen.left_nats(found) > SURE_NATS and (both := record.second(seen, begun, found, forces, forcing_hz)):
-        seen, found, mode = both
+    if len(found) > 2 and (second := seen.judged(found, forcing_hz, 1)):
+        mode = replace(mode, second=replace(second, before_mps2=one_mps2))
     pushed = whole.pushed(seen, found)
     return Identified(replace(mode, pushed=pushed), pushed=(pushed,))
 
@@ -206,8 +210,8 @@ class _Recorded:
 
     def second(
         self, seen: Regression, begun: Sequence[int], found: Floats, forces: int, forcing_hz: float
-    ) -> tuple[Regression, Floats, PlateMode] | None:
-        """Two modes in place of one, and the first with the second in it; None where both are not sure."""
+    ) -> tuple[Regression, Floats] | None:
+        """Two modes in place of one; None where both are not sure."""
         if (another := seen.with_another(found)) is None:
             return None
         # a tenth of what one mode leaves: less may be what no mode explains
@@ -221,7 +225,7 @@ class _Recorded:
         first, second = (both.judged(x, forcing_hz, which) for which in (0, 1))
         if not (first and second and first.sure and second.remainder_mps2 < 0.9 * one_mps2):
             return None
-        return both, x, replace(first, second=replace(second, before_mps2=one_mps2))
+        return both, x
 
     def settled(self, begun: Sequence[int], found: Floats | None, forces: int) -> tuple[Regression, Floats | None]:
         """The regression, and logarithms of frequency and damping, when what impacts hide agrees with the mode found.

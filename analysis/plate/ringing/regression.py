@@ -84,6 +84,8 @@ class Regression:
     cluster: Integers
     begun: tuple[int, ...]
     rubs: bool = False  # whether the push holds the rod's that the ball drags along
+    # the noise over how large a force or a free state may be: without it those on two modes grow against each other
+    ridge: float = 0.0
     phases: bool = True  # whether each of several modes answers the push in a phase of its own
 
     @classmethod
@@ -93,7 +95,9 @@ class Regression:
     ) -> Regression:  # fmt: skip
         left, carried = (x[known] - basis @ (basis.T @ x[known]) for x in (acceleration, contact))
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
-        return cls(left, basis, shaken, carried, known, block_s, cluster, tuple(begun))
+        noise = math.sqrt(float(np.mean(left**2)) / over_noise(left, known))
+        ridge = noise / (3.0 * float(np.std(acceleration[known])))  # no force is larger than some times that
+        return cls(left, basis, shaken, carried, known, block_s, cluster, tuple(begun), ridge)
 
     def answers(self, x: Floats) -> Floats:
         """Answers of each of k modes to the push, in a phase of their own, of each to l forces, how they ring on."""
@@ -118,16 +122,25 @@ class Regression:
 
     def sizes(self, columns: Floats, modes: int = 1) -> Floats:
         """Mass ratios of so many modes, not negative, sizes of the forces, and of the free states."""
-        used, out = np.arange(columns.shape[1]), np.zeros(columns.shape[1])
-        norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-100)
-        normal, side = columns.T @ columns / np.outer(norms, norms), columns.T @ self.left / norms
+        used = np.arange(columns.shape[1])
         while True:
-            out[:] = 0.0
-            out[used] = solve(normal[np.ix_(used, used)] + 1e-9 * np.eye(len(used)), side[used]) / norms[used]
+            out = self._solved(columns, modes, used)
             if (out[:modes] >= 0.0).all():
                 return out
             # no mass is negative: the rest is then fitted without the push
             used = used[(used >= modes) | (out[used] > 0.0)]
+
+    def _solved(self, columns: Floats, modes: int, used: Integers) -> Floats:
+        """Sizes of the columns, of which only some are ``used``, of any sign."""
+        out, norms = np.zeros(columns.shape[1]), np.maximum(np.linalg.norm(columns, axis=0), 1e-100)
+        normal, side = columns.T @ columns / np.outer(norms, norms), columns.T @ self.left / norms
+        normal += np.diag(1e-9 + self._ridges(norms, modes))
+        out[used] = solve(normal[np.ix_(used, used)], side[used]) / norms[used]
+        return out
+
+    def _ridges(self, norms: Floats, modes: int) -> Floats:
+        """What is known of forces and free states beforehand, for columns of length 1, (k,)."""
+        return np.where(np.arange(len(norms)) < 2 * modes - 1, 0.0, np.square(self.ridge / norms))
 
     def ratios(self, x: Floats, sizes: Floats) -> tuple[Complexes, float]:
         """Mass ratios of the modes, in the phases in which they answer the push, and of all that moves with an impact.
@@ -161,15 +174,15 @@ class Regression:
             out += (1.0 - lag / (LAGS + 1.0)) * (late + late.T)
         return np.asarray(out)
 
-    def _unpushed(self, columns: Floats, which: int = 0, instead: Floats | float = 0.0) -> Floats:
-        """What is left without the push on one mode, or with something else in its place."""
+    def _unpushed(self, columns: Floats, modes: int, which: int = 0, instead: Floats | float = 0.0) -> Floats:
+        """What is left without the push on one of so many modes, or with something else in its place."""
         other = columns.copy()
         other[:, which] = instead
-        return np.asarray(self.left - other @ lstsq(other, self.left)[0])
+        return np.asarray(self.left - other @ self._solved(other, modes, np.arange(other.shape[1])))
 
     def gained(self, x: Floats) -> float:
         """By how much the push raises the likelihood of white noise, nats."""
-        before, left = self._unpushed(self.columns(x)), self.remainder(x)
+        before, left = self._unpushed(self.columns(x), len(x) // 2), self.remainder(x)
         return 0.5 * (float(before @ before) / float(left @ left) - 1.0) * len(left)
 
     def rubbed_nats(self, x: Floats, rubbed_mps2: Floats | float) -> float:
@@ -280,15 +293,16 @@ class Regression:
         modes, columns = len(x) // 2, self.columns(x)
         frequency, damping = (float(v) for v in np.exp(x[2 * which :][:2]))
         sizes = self.sizes(columns, modes)
-        ratio, left, before = float(sizes[which]), self.left - columns @ sizes, self._unpushed(columns, which)
+        ratio, left, before = float(sizes[which]), self.left - columns @ sizes, self._unpushed(columns, modes, which)
         # far below all that shakes it a mode answers as a mass does: what a mass's load explains as well, to the 8 nats
         # that chance gives once in 3,000, shows none
-        loaded = self._unpushed(columns, which, self.carried)
+        loaded = self._unpushed(columns, modes, which, self.carried)
         jacobian = np.column_stack([self.slopes(x), columns])
         # columns of one size: frequency, damping and free states differ by many powers of ten
         norms = np.linalg.norm(jacobian, axis=0)
         jacobian, own = jacobian / np.maximum(norms, 1e-300), [2 * which, 2 * which + 1, 2 * modes + which]
-        inverse = pinv(jacobian.T @ jacobian, rcond=1e-10)
+        known = np.append(np.zeros(2 * modes), self._ridges(np.maximum(norms[2 * modes :], 1e-100), modes))
+        inverse = pinv(jacobian.T @ jacobian + np.diag(known), rcond=1e-10)
         meat = self._between_pieces((jacobian * left[:, None]).T)
         place, size = np.ix_(own, own), np.outer(norms[own], norms[own])
         robust = (inverse @ meat @ inverse)[place] / size
