@@ -64,7 +64,8 @@ def ringing_after_changes(
     for hz, tone in zip(tones_hz, tones_of(force_mps2, block_s, tones_hz), strict=True):
         turning = np.exp(2j * np.pi * hz * block_s)
         steady += 0.5 * (tone / (turning - step) + np.conj(tone) / (np.conj(turning) - step))[:n]
-    lagging = lfilter([1.0], [1.0, -step], np.append(steady[0], force_mps2)) - steady
+    # it begins at rest under the force, as in `answer`
+    lagging = lfilter([1.0], [1.0, -step], np.append(force_mps2[0] / (1.0 - step), force_mps2)) - steady
     return np.asarray(np.expm1(turn * block_s) / turn * lagging)
 
 
