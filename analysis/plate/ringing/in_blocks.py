@@ -49,13 +49,17 @@ def unmasked(n: int, block_s: float, landing_s: Floats, mask_s: float) -> Bools:
     return np.asarray(np.cumsum(edges[:-1]) == 0)
 
 
-def over_noise(left: Floats, known: Bools) -> float:
-    """Mean square of what is left in the known blocks over that of its noise, at least 1.
+def noise_power(left: Floats, known: Bools) -> float:
+    """Mean square of the noise of what is left in the known blocks.
 
     Noise is what differs from block to block; what a model misses of a motion far below the blocks' rate does not.
     """
-    noise = 0.5 * float(np.mean(np.diff(left)[np.diff(np.flatnonzero(known)) == 1] ** 2))
-    return max(float(np.mean(left**2)) / noise, 1.0)
+    return 0.5 * float(np.mean(np.diff(left)[np.diff(np.flatnonzero(known)) == 1] ** 2))
+
+
+def over_noise(left: Floats, known: Bools) -> float:
+    """Mean square of what is left in the known blocks over that of its noise, at least 1."""
+    return max(float(np.mean(left**2)) / noise_power(left, known), 1.0)
 
 
 def drive_regressors(recording: Recording, drive_v: Floats, block_s: float) -> tuple[Floats, int]:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from analysis.linear_algebra import eigh, lstsq, pinv, solve, svd
-from analysis.plate.ringing.in_blocks import over_noise
+from analysis.plate.ringing.in_blocks import noise_power, over_noise
 from analysis.plate.ringing.mode_motion import TORN_S, PushedPlate, answer, turn_of
 from kernels.arrays import Bools, Complexes, Floats, Integers
 
@@ -95,8 +95,8 @@ class Regression:
     ) -> Regression:  # fmt: skip
         left, carried = (x[known] - basis @ (basis.T @ x[known]) for x in (acceleration, contact))
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
-        noise = math.sqrt(float(np.mean(left**2)) / over_noise(left, known))
-        ridge = noise / (3.0 * float(np.std(acceleration[known])))  # no force is larger than some times that
+        # no force is larger than some times the plate's acceleration
+        ridge = math.sqrt(noise_power(left, known)) / max(3.0 * float(np.std(acceleration[known])), 1e-300)
         return cls(left, basis, shaken, carried, known, block_s, cluster, tuple(begun), ridge)
 
     def answers(self, x: Floats) -> Floats:
@@ -139,8 +139,9 @@ class Regression:
         return out
 
     def _ridges(self, norms: Floats, modes: int) -> Floats:
-        """What is known of forces and free states beforehand, for columns of length 1, (k,)."""
-        return np.where(np.arange(len(norms)) < 2 * modes - 1, 0.0, np.square(self.ridge / norms))
+        """What is known beforehand of forces and free states of several modes, for columns of length 1, (k,)."""
+        known = (modes > 1) & (np.arange(len(norms)) >= 2 * modes - 1)
+        return np.where(known, np.square(self.ridge / norms), 0.0)
 
     def ratios(self, x: Floats, sizes: Floats) -> tuple[Complexes, float]:
         """Mass ratios of the modes, in the phases in which they answer the push, and of all that moves with an impact.
