@@ -70,10 +70,9 @@ def identified_mode(
     if "drive" not in recording.channels or len(recording.gaps):
         return Identified()
     whole = _Recorded.of(recording, takeoff_s, landing_s, mask_s, high_pass_hz)
-    block_s, forcing_hz = whole.block_s, recording.setup.forcing.frequency_hz
     # of a long recording the last 100 s, where the ball is thrown hardest
-    skipped = max(len(whole.acceleration) - round(100.0 / block_s), 0)
-    record, begun, forces, found = whole.last(skipped), [0], 0, None
+    record = whole.last(max(len(whole.acceleration) - round(100.0 / whole.block_s), 0))
+    forcing_hz, begun, forces, found = recording.setup.forcing.frequency_hz, [0], 0, None
     for _ in range(4):  # three pieces may be left out
         if len(record.landing_s) < 20 or np.count_nonzero(record.known) < 1000:
             return Identified()
@@ -88,19 +87,15 @@ def identified_mode(
                 other, x = record.settled(begun, None, record.forces)
                 if x is not None and other.forced(x):
                     forces, seen, found = record.forces, other, x
-            elif forces and not seen.forced(found):  # they stood for a flight that was missed
+            elif forces and len(found) == 2 and not seen.forced(found):  # they stood for a flight that was missed
                 seen, found = record.settled(begun, found, forces := 0)
+            seen, found = record.second(seen, begun, found, forces, forcing_hz)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
-        if found is not None and len(found) == 2 and seen.left_nats(found) > SURE_NATS:
-            # before a piece is left out: what a second mode does there looks like a flight that was missed
-            one_mps2 = float(np.std(seen.remainder(found)))
-            seen, found = record.second(seen, begun, found, forces, forcing_hz) or (seen, found)
         if found is None or (worst := seen.worst_cluster(found)) is None:
             break
         # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
-        ends = int((worst + 1) * CLUSTER_S / block_s)
-        record = record.without(int(worst * CLUSTER_S / block_s), ends)
+        record, ends = record.without(worst)
         begun.append(min(ends, len(record.known) - 2))
     mode = None if found is None else seen.judged(found, forcing_hz)
     if mode is None or found is None or not mode.sure:
@@ -111,6 +106,7 @@ def identified_mode(
         pushed = whole.pushed(seen, found)
         return Identified(mode, pushed=(replace(pushed, known=np.zeros_like(pushed.known)),))
     if len(found) > 2 and (second := seen.judged(found, forcing_hz, 1)):
+        one_mps2 = float(np.std(seen.remainder(seen.followed([found[:2]]))))
         mode = replace(mode, second=replace(second, before_mps2=one_mps2))
     pushed = whole.pushed(seen, found)
     return Identified(replace(mode, pushed=pushed), pushed=(pushed,))
@@ -173,10 +169,10 @@ class _Recorded:
             self.left_s - shift_s,
         )  # fmt: skip
 
-    def without(self, first: int, stop: int) -> _Recorded:
-        """With some blocks unknown."""
-        at = np.arange(len(self.known))
-        return replace(self, known=self.known & ((at < first) | (at >= stop)))
+    def without(self, worst: int) -> tuple[_Recorded, int]:
+        """With the blocks of a piece unknown, and the first block after them."""
+        at, (first, stop) = np.arange(len(self.known)), (int(k * CLUSTER_S / self.block_s) for k in (worst, worst + 1))
+        return replace(self, known=self.known & ((at < first) | (at >= stop))), stop
 
     def made(self, sizes: Floats) -> tuple[Floats, Floats]:
         """What the regressors make with their sizes, and what of it is the mains' hum, (n,) each."""
@@ -209,22 +205,27 @@ class _Recorded:
         return max(seen.gained(x), driven.gained(x)) > 0.5 * SURE_NATS
 
     def second(
-        self, seen: Regression, begun: Sequence[int], found: Floats, forces: int, forcing_hz: float
-    ) -> tuple[Regression, Floats] | None:
-        """Two modes in place of one; None where both are not sure."""
+        self, seen: Regression, begun: Sequence[int], found: Floats | None, forces: int, forcing_hz: float
+    ) -> tuple[Regression, Floats | None]:
+        """Two modes in place of one, where more than noise is left and both are sure.
+
+        Before a piece is left out, as what a second mode does in it looks like a flight that was missed.
+        """
+        if found is None or len(found) > 2 or seen.left_nats(found) <= SURE_NATS:
+            return seen, found
         if (another := seen.with_another(found)) is None:
-            return None
+            return seen, found
         # a tenth of what one mode leaves: less may be what no mode explains
         one_mps2 = float(np.std(seen.remainder(found)))
         start = replace(seen, phases=False).followed([another])
         if np.std(seen.remainder(start)) > 0.9 * one_mps2:
-            return None
+            return seen, found
         both, x = self.settled(begun, start, forces)
         if x is None:
-            return None
+            return seen, found
         first, second = (both.judged(x, forcing_hz, which) for which in (0, 1))
         if not (first and second and first.sure and second.remainder_mps2 < 0.9 * one_mps2):
-            return None
+            return seen, found
         return both, x
 
     def settled(self, begun: Sequence[int], found: Floats | None, forces: int) -> tuple[Regression, Floats | None]:
