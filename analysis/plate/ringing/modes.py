@@ -261,12 +261,8 @@ class _Recorded:
             mode, ratio = seen.answers(x) @ sizes, seen.ratios(x, sizes)[1]
             driven, hum = drive_part(acceleration - mode)
             acceleration = np.where(known, acceleration, driven + mode - ratio * impulses)
-            settled = (
-                not again
-                and found is not None
-                and rubs == seen.rubs
-                and bool(np.max(np.abs(x - found)) < SETTLED * (1 if len(x) == 2 else 10))
-            )
+            close = found is not None and np.max(np.abs(x - found)) < SETTLED * (1 if len(x) == 2 else 10)
+            settled = not again and rubs == seen.rubs and bool(close)
             settled = settled or (fresh and rounds == 0 and not forces and not self.promises(seen, x))
             found = x
             if settled:

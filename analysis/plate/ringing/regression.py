@@ -97,7 +97,7 @@ class Regression:
         cluster = (np.flatnonzero(known) * block_s / CLUSTER_S).astype(np.int64)
         # no force is larger than some times the plate's acceleration
         ridge = math.sqrt(noise_power(left, known)) / max(3.0 * float(np.std(acceleration[known])), 1e-300)
-        return cls(left, basis, shaken, carried, known, block_s, cluster, tuple(begun), ridge)
+        return cls(left, basis, shaken, carried, known, block_s, cluster, tuple(begun), ridge=ridge)
 
     def answers(self, x: Floats) -> Floats:
         """Answers of each of k modes to the push, in a phase of their own, of each to l forces, how they ring on."""
