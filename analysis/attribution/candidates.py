@@ -228,3 +228,27 @@ def distinct_starts(
     if with_size and null(first):
         others += [s for s in starts if not null(s[1])]
     return [starts[0], *others[:1]]
+
+
+def names_in(case: Candidate, fuller: Candidate) -> dict[ParameterId, ParameterId]:
+    """What the parameters of a special case are called in the fuller form; empty where it is no special case of it."""
+    (name, *more), (own, *others) = case.names, fuller.names
+    if more or others or case.free == fuller.free:
+        return {}
+    table = effect(own).effect.special_cases.get(name, {}) if name != own else {q: q for _, q in case.free}
+    found = {(name, q): (own, table[q]) for _, q in case.free if q in table}
+    return found if len(found) == len(case.free) and set(found.values()) < set(fuller.free) else {}
+
+
+def beyond(case: Candidate, fuller: Candidate) -> tuple[ParameterId, ...]:
+    """What a fuller form frees beyond a special case; nothing where it is none, or where that has no size."""
+    names = names_in(case, fuller)
+    extra = tuple(k for k in fuller.free if k not in names.values()) if names else ()
+    return extra if any(not parameter_of(k).is_shape for k in extra) else ()
+
+
+def within(values: Mapping[ParameterId, float], case: Candidate, fuller: Candidate) -> Point:
+    """The values of a special case by the names of the fuller form; its further parameters as they are."""
+    own = names_in(case, fuller)
+    parts = {t: [values[k] for k, v in own.items() if v == t] for t in own.values()}
+    return {k: v for k, v in values.items() if k not in own} | {t: float(np.mean(x)) for t, x in parts.items()}

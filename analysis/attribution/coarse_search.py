@@ -70,11 +70,15 @@ class CoarseSearch:
         The rest of the parameters, and where uncertainties are taken.
     train
         Steps that may be used, shape (m,).
+    near
+        Weights of all events at almost these values.
     """
 
-    def __init__(self, model: ForwardModel, values: Mapping[ParameterId, float], train: Bools) -> None:
+    def __init__(
+        self, model: ForwardModel, values: Mapping[ParameterId, float], train: Bools, near: Whitener | None = None
+    ) -> None:
         self.model, self.values, self.train = model, dict(values), train
-        self.whitener = Whitener.of(model, values)
+        self.whitener = Whitener.of(model, values, near)
         self.plate_noise = model.observations.plate.noise(train)
 
     def loss(self, point: Mapping[ParameterId, float]) -> float:

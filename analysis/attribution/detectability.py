@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from analysis.attribution.candidates import null_value_of, parameter_of, scale_of
+from analysis.attribution.candidates import coordinate_of, null_value_of, parameter_of, scale_of
 from analysis.attribution.choice import LogScoreDifference, required_gain
 from analysis.attribution.fit import Fitted, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
@@ -87,9 +87,9 @@ class Detectability:
 
     def _axis(self, key: ParameterId) -> tuple[float, float, float]:
         """Coordinate of a parameter in the fit, and its bounds."""
-        fitter, q = self.best.fitter, parameter_of(key)
-        x = fitter.to_x(key, self.best.values.get(key, null_value_of(key)))
-        return x, fitter.to_x(key, q.low), fitter.to_x(key, q.high)
+        q = parameter_of(key)
+        x = coordinate_of(key, self.best.values.get(key, null_value_of(key)))
+        return x, coordinate_of(key, q.low), coordinate_of(key, q.high)
 
     def _moved(self, key: ParameterId, size: float, beside: Floats) -> Floats:
         """Change of the whitened residuals by a size to the farther bound, at coordinates of what is fitted, (q,)."""

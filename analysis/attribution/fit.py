@@ -68,11 +68,7 @@ class Fitter:
         if prior is not None and not released and not effect(key[0]).effect.nuisance:
             reach = CALIBRATION_SIGMAS * prior.sigma
             low, high = max(low, prior.mean - reach), min(high, prior.mean + reach)
-        return self.to_x(key, low), self.to_x(key, high)
-
-    def to_x(self, key: ParameterId, value: float) -> float:
-        """Coordinate of a value."""
-        return coordinate_of(key, value)
+        return coordinate_of(key, low), coordinate_of(key, high)
 
     def values(self, keys: Sequence[ParameterId], x: Floats) -> dict[ParameterId, float]:
         """Parameter values at the coordinates ``x``."""
@@ -90,12 +86,11 @@ class Fitter:
         for i, key in enumerate(keys):
             prior = self.identified.get(key) if key in released or key not in self.priors else self.priors[key]
             if prior is not None:
-                mean[i] = self.to_x(key, prior.mean)
+                mean[i] = coordinate_of(key, prior.mean)
                 sigma = prior.sigma * (HELD if key in self.identified else 1.0)
                 inverse[i] = scale_of(key) / sigma ** (1.0 / parameter_of(key).power)
         return mean, inverse
 
-    # -- the fit ----------------------------------------------------------------------------------------------
     def fit(
         self,
         whitener: Whitener,
@@ -123,7 +118,7 @@ class Fitter:
         """
         keys = [*free, *(k for k in self.priors if k not in free)]
         begin = {k: prior.mean for k, prior in self.priors.items()} | dict(start)
-        x = np.array([self.to_x(k, begin.get(k, null_value_of(k))) for k in keys])
+        x = np.array([coordinate_of(k, begin.get(k, null_value_of(k))) for k in keys])
         state = _State(self, whitener, keys, *self.prior_rows(keys, frozenset(free)))
         loss = state.loss(raw := state.raw(x), x)
         if not math.isfinite(loss):
@@ -132,17 +127,18 @@ class Fitter:
         bare = np.array([known.get(k, np.zeros(len(raw))) for k in keys]).reshape(len(keys), len(raw)).T.copy()
         state.fill(bare, x, raw, [j for j, k in enumerate(keys) if k not in known])
         # what was identified hardly moves in its prior: its slopes, which cost most, stay those of the start
-        moving = [j for j, key in enumerate(free) if key not in self.identified]
+        held = [j for j, key in enumerate(keys) if key in self.identified]
         own, gained = not known, math.inf  # whether slopes are those of this fit
         for i in range(12):
             # a step that gains less than a nat leads so near that slopes stay as they are
             if math.isfinite(gained) and not (own and gained < 1.0):
-                state.fill(bare, x, raw, moving)
+                state.fill(bare, x, raw, [j for j in range(len(free)) if j not in held])
                 own = True
-            normal, gradient = state.normal(bare, raw, x, state.mask)
-            gained = 0.0
+            (normal, gradient), gained = state.normal(bare, raw, x, state.mask), 0.0
             for _ in range(6):
                 trial = x + damped_step(normal, gradient, damping, state.low - x, state.high - x)
+                # a tenth of a deviation is worth 0.005 nats, and each move of a mode is a motion of the plate anew
+                trial[held] = np.where(np.all((trial - x)[held] ** 2 * np.diag(normal)[held] < 0.01), x, trial)[held]
                 # weighted least squares promise about half of what they gain where residuals are large
                 if own and linear_gain(normal, gradient, trial - x) < 0.5 * LEAST_GAIN:
                     break
@@ -166,7 +162,7 @@ class Fitter:
         """
         keys = [*free, *(k for k in best.keys if k not in free)]
         at = {**best.values, **(shapes or {})}
-        x = np.array([self.to_x(k, at.get(k, null_value_of(k))) for k in keys])
+        x = np.array([coordinate_of(k, at.get(k, null_value_of(k))) for k in keys])
         state = _State(self, best.state.whitener, keys, *self.prior_rows(keys, frozenset((*best.free, *free))))
         bare = np.column_stack([best.slopes.get(k, np.zeros(len(best.raw))) for k in keys])
         sizes = [j for j, k in enumerate(free) if not parameter_of(k).is_shape]
@@ -182,7 +178,7 @@ class Fitter:
         """Derivative of the bare residuals to one parameter beyond ``best``, its shapes where ``shapes`` puts them."""
         at = {key: null_value_of(key), **best.values, **(shapes or {})}
         keys = [key, *(k for k in at if k != key)]
-        x = np.array([self.to_x(k, at[k]) for k in keys])
+        x = np.array([coordinate_of(k, at[k]) for k in keys])
         state = _State(self, best.state.whitener, keys, *self.prior_rows(keys, frozenset((*best.free, key))))
         bare = np.zeros((len(best.raw), 1))
         state.fill(bare, x, best.raw, (0,), kept=True)
@@ -372,7 +368,7 @@ class Fitted:
         What else is fitted follows to its bounds only: a height at zero cannot sink to make up for a lag.
         """
         rows = np.isin(np.arange(len(self.keys)), [self.keys.index(k) for k in keys if not parameter_of(k).is_shape])
-        to_null = np.array([self.fitter.to_x(k, null_value_of(k)) for k in self.keys]) - self.x
+        to_null = np.array([coordinate_of(k, null_value_of(k)) for k in self.keys]) - self.x
         step, (normal, _) = np.where(rows, to_null, 0.0), self.normal(self.state.mask)
         low, high = (bound[~rows] - self.x[~rows] for bound in (self.state.low, self.state.high))
         step[~rows] = damped_step(normal[np.ix_(~rows, ~rows)], -(normal @ step)[~rows], 1e-9, low, high)

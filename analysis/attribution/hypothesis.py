@@ -139,6 +139,8 @@ class Refits:
     ----------
     fitter
         Of the model, its priors and its training steps.
+    anew
+        Whether weights are made anew at each point; else of what has hardly changed they take over what was near.
 
     Attributes
     ----------
@@ -146,8 +148,8 @@ class Refits:
         By the names of a set of effects, why its fit failed.
     """
 
-    def __init__(self, fitter: Fitter) -> None:
-        self.fitter, self.model, self.train = fitter, fitter.model, fitter.train
+    def __init__(self, fitter: Fitter, *, anew: bool = True) -> None:
+        self.fitter, self.model, self.train, self.anew = fitter, fitter.model, fitter.train, anew
         self.plate_noise = self.model.observations.plate.noise(self.train)
         self.failed: dict[tuple[str, ...], str] = {}
 
@@ -162,6 +164,10 @@ class Refits:
             self.failed[_names(chosen)] = str(error)
             return None
 
+    def weights(self, values: Mapping[ParameterId, float], near: Whitener) -> Whitener:
+        """The weights at ``values``."""
+        return Whitener.of(self.model, values, None if self.anew else near)
+
     def profile_loss(self, whitener: Whitener, values: Mapping[ParameterId, float]) -> float:
         """Loss at ``values`` on the training steps, each channel's excess noise at its best."""
         seen = self.model.residuals(values, wanted=self.fitter.events)
@@ -169,7 +175,7 @@ class Refits:
 
     def scored(self, candidates: tuple[Candidate, ...], fitted: Fitted) -> Hypothesis:
         """The hypothesis with its held-out loss, at the weights of its own fit."""
-        whitener = Whitener.of(self.model, fitted.values)
+        whitener = self.weights(fitted.values, fitted.state.whitener)
         return Hypothesis(candidates, fitted, whitener, fitted.held_out(whitener))
 
     def reweighted(self, fitted: Fitted) -> Fitted:
@@ -180,7 +186,8 @@ class Refits:
         known = None
         # weights depend on the fit and the fit on the weights: four turns, or until the loss stands still
         for _ in range(4):
-            before, after = fitted.state.whitener, Whitener.of(self.model, fitted.values)
+            before = fitted.state.whitener
+            after = self.weights(fitted.values, before)
             if after.near(before):
                 break
             fitted = self.fitter.fit(after, fitted.free, fitted.values, known)
@@ -220,7 +227,7 @@ class Refits:
         if led is None:
             return x
         # with their weights: by those of the place that was left, a step to the bottom leads back there
-        weights = Whitener.of(self.model, led.values)
+        weights = self.weights(led.values, x.whitener)
         back = self.attempted(x.candidates, self.converged, x.candidates, weights, x.free, led.values)
         if back is None or float((back.per_step - x.per_step)[self.train].sum()) > -LEAST_GAIN:
             return x

@@ -14,7 +14,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, Point, distinct_starts, null_value_of, parameter_of, trends_of
+from analysis.attribution.candidates import (
+    Candidate,
+    Point,
+    beyond,
+    distinct_starts,
+    names_in,
+    null_value_of,
+    parameter_of,
+    trends_of,
+    within,
+)
 from analysis.attribution.coarse_search import CoarseSearch, axes_of, coarse_grids, subsample
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Hypothesis, Refits
@@ -26,6 +36,7 @@ from analysis.thresholds import DRIFTING_NATS, FOLLOWED_PART, NEAR_NATS, NEAR_PA
 from model.effects.registry import effect, trend_name
 
 Tried = Callable[[Candidate], None]
+Progress = Callable[[str, float], None]
 Found = TypeVar("Found", bound=tuple[Any, ...])  # a loss and what has it
 
 MOST_SWITCHED = 3  # sizes from which a ball that rebounds a little is sought
@@ -37,30 +48,6 @@ KEPT_PROMISE = 0.5  # part of a linear gain below which a fit is led on with new
 def has_shape(free: Sequence[ParameterId]) -> bool:
     """Whether one of the parameters only shapes an effect."""
     return any(parameter_of(k).is_shape for k in free)
-
-
-def _names_in(case: Candidate, fuller: Candidate) -> dict[ParameterId, ParameterId]:
-    """What the parameters of a special case are called in the fuller form; empty where it is no special case of it."""
-    (name, *more), (own, *others) = case.names, fuller.names
-    if more or others or case.free == fuller.free:
-        return {}
-    table = effect(own).effect.special_cases.get(name, {}) if name != own else {q: q for _, q in case.free}
-    found = {(name, q): (own, table[q]) for _, q in case.free if q in table}
-    return found if len(found) == len(case.free) and set(found.values()) < set(fuller.free) else {}
-
-
-def beyond(case: Candidate, fuller: Candidate) -> tuple[ParameterId, ...]:
-    """What a fuller form frees beyond a special case; nothing where it is none, or where that has no size."""
-    names = _names_in(case, fuller)
-    extra = tuple(k for k in fuller.free if k not in names.values()) if names else ()
-    return extra if any(not parameter_of(k).is_shape for k in extra) else ()
-
-
-def _within(values: Mapping[ParameterId, float], case: Candidate, fuller: Candidate) -> Point:
-    """The values of a special case by the names of the fuller form; its further parameters as they are."""
-    own = _names_in(case, fuller)
-    parts = {t: [values[k] for k, v in own.items() if v == t] for t in own.values()}
-    return {k: v for k, v in values.items() if k not in own} | {t: float(np.mean(x)) for t, x in parts.items()}
 
 
 class Proposals:
@@ -84,10 +71,10 @@ class Proposals:
         if np.sum(model.observations.scored) < 3 * enough:
             return None
         few = subsample(model, np.ones_like(train), enough)
-        return Proposals(Refits(Fitter(few, self.fitter.priors, train)), self.limits)
+        return Proposals(Refits(Fitter(few, self.fitter.priors, train), anew=False), self.limits)
 
     def round(
-        self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
+        self, best: Hypothesis, options: Sequence[Candidate], progress: Progress, rival: Hypothesis | None = None
     ) -> list[Hypothesis]:
         """Each option that may gain, fitted on top of `best`.
 
@@ -100,12 +87,14 @@ class Proposals:
             The hypothesis that is added to, and candidates.
         progress
             Called with a candidate's name and the fraction of the round that is done.
+        rival
+            Where given, only options are of interest that come near it.
         """
         if self._ahead is None or best.noise_like(2.0):
-            return self._round(best, options, progress)
+            return self._round(best, options, progress, rival)
         few, attempted, values = self._ahead.refits, self.refits.attempted, best.fitted.values
-        begun = few.fitter.fit(Whitener.of(few.model, values), best.free, values, most=-math.inf)
-        found = self._ahead._round(known := few.scored(best.candidates, begun), options, progress)
+        begun = few.fitter.fit(Whitener.of(few.model, values, best.whitener), best.free, values, most=-math.inf)
+        found = self._ahead._round(known := few.scored(best.candidates, begun), options, progress, rival)
         gains = [self._ahead._gained(known, x.fitted) for x in found]
         most = max(gains, default=0.0)
         enough = most - max(NEAR_NATS, NEAR_PART * most)
@@ -113,8 +102,10 @@ class Proposals:
         def in_full(x: Hypothesis, gain: float) -> Hypothesis | None:
             chosen, start = x.candidates, x.fitted.values
             if gain >= enough:
-                weights = Whitener.of(self.refits.model, start)
+                weights = self.refits.weights(start, best.whitener)
                 return attempted(chosen, self.refits.converged, chosen, weights, x.free, start)
+            if rival is not None:
+                return None
             known = {k: v for k, v in best.fitted.slopes.items() if k not in x.free}
             fitted = attempted(chosen, self.fitter.fit, best.whitener, x.free, start, known, most=-math.inf)
             return None if fitted is None else attempted(chosen, self._as_begun, best, chosen, fitted)
@@ -123,7 +114,7 @@ class Proposals:
             return [x for x in pool.map(in_full, found, gains) if x is not None]
 
     def _round(
-        self, best: Hypothesis, options: Sequence[Candidate], progress: Callable[[str, float], None]
+        self, best: Hypothesis, options: Sequence[Candidate], progress: Progress, rival: Hypothesis | None = None
     ) -> list[Hypothesis]:
         """Fit each option on top of `best` in parallel (the kernel releases the GIL); drop those that cannot gain."""
         flying = [c for c in options if not set(c.names) <= {trend_name(), *plate_effects()}]
@@ -144,6 +135,8 @@ class Proposals:
 
         def followed(begun: tuple[Candidate, Fitted, float], enough: float = -math.inf) -> Hypothesis | None:
             candidate, fitted, gained = begun
+            if rival is not None and gained < enough:
+                return None
             chosen, fit = self._chosen(best, candidate), self._iterated if gained >= enough else self._as_begun
             return attempted(chosen, fit, best, chosen, fitted)
 
@@ -154,7 +147,7 @@ class Proposals:
                 return None if fitted is None else followed((candidate, fitted, self._gained(best, fitted)), enough)
             tried(candidate)
             # one of another name may have no place here: a pull of any height is none of a magnet's range
-            begun = [_within(x.fitted.values, x.candidates[-1], candidate) for x in cases]
+            begun = [within(x.fitted.values, x.candidates[-1], candidate) for x in cases]
             least = int(np.argmin([self.refits.profile_loss(best.whitener, values) for values in begun]))
             return attempted((*best.candidates, candidate), self.extended, cases[least], candidate)
 
@@ -167,6 +160,9 @@ class Proposals:
                 found += self._from_afar(best, far, pool, tried)
             most = max((self._gained(best, x.fitted) for x in found), default=0.0)
             enough = min(FOLLOWED_PART * most, most - NEAR_NATS)
+            if rival is not None:
+                most = max(most, self._gained(best, rival.fitted))
+                enough = most - max(NEAR_NATS, NEAR_PART * most)
             found += [x for x in pool.map(lambda x: followed(x, enough), begun[1:]) if x is not None]
             found += [x for x in list(pool.map(fuller, [c for c in options if c not in plain])) if x is not None]
             gains = any(self._loss(best) - self._loss(x) > self.limits.next_effect_nats for x in found)
@@ -187,7 +183,9 @@ class Proposals:
         starts = [p for _, p in self._starts(best, candidate, free) if any(p[k] != null_value_of(k) for k in free)]
 
         def from_start(start: Point) -> Hypothesis:
-            return self.refits.scored(chosen, self.refits.reweighted(self._fitted_sharply((*best.free, *free), start)))
+            return self.refits.scored(
+                chosen, self.refits.reweighted(self._fitted_sharply(best, (*best.free, *free), start))
+            )
 
         fits = [self.refits.attempted(chosen, from_start, p) for p in starts[:MOST_SWITCHED]]
         return min((x for x in fits if x is not None), key=self._loss, default=None)
@@ -196,7 +194,7 @@ class Proposals:
         """A fuller form, fitted from where its special case stands; None where what it has beyond promises nothing."""
         *others, special = case.candidates
         taken = {k for c in others for k in c.free}
-        own = _names_in(special, candidate)
+        own = names_in(special, candidate)
         extra = tuple(k for k in candidate.free if k not in taken and k not in own.values())
         promised, led = self._linear_gain(case, candidate, extra)
         if promised < self.limits.negligible_nats:
@@ -204,7 +202,7 @@ class Proposals:
         chosen = (*others, Candidate(candidate.names, tuple(k for k in candidate.free if k not in taken)))
         free = tuple(k for c in chosen for k in c.free)
         begun = min(led, key=lambda pair: pair[0])[1] if led else case.fitted.values
-        start = _within(begun, special, candidate)
+        start = within(begun, special, candidate)
         known = {k: x for k, x in case.fitted.slopes.items() if k in self.fitter.priors and k not in free}
         fitted = self.fitter.fit(case.whitener, free, start, known)
         return self.refits.scored(chosen, self.refits.reweighted(fitted))
@@ -352,18 +350,20 @@ class Proposals:
         known = {k: x for k, x in best.fitted.slopes.items() if k not in free}
         soft = self.fitter.fit(best.whitener, free, start, known)
         at_start, after = (self.refits.profile_loss(best.whitener, v) for v in (start, soft.values))
-        return self._fitted_sharply(free, start) if at_start < after else soft
+        return self._fitted_sharply(best, free, start) if at_start < after else soft
 
-    def _fitted_sharply(self, free: Sequence[ParameterId], start: Mapping[ParameterId, float]) -> Fitted:
+    def _fitted_sharply(
+        self, best: Hypothesis, free: Sequence[ParameterId], start: Mapping[ParameterId, float]
+    ) -> Fitted:
         """Fit from a start with its own weights: what lies far off is followed farther, if it is there."""
-        return self.fitter.fit(Whitener.of(self.refits.model, start), free, start)
+        return self.fitter.fit(self.refits.weights(start, best.whitener), free, start)
 
     def _from_afar(
         self, best: Hypothesis, options: Sequence[Candidate], pool: ThreadPoolExecutor, tried: Tried
     ) -> list[Hypothesis]:
         """The most promising options where landings are lost, each from its minimum on a subsample."""
         values, train = best.fitted.values, self.refits.train
-        search = CoarseSearch(subsample(self.refits.model, train), values, train)
+        search = CoarseSearch(subsample(self.refits.model, train), values, train, best.whitener)
         # what was identified without a flight stays where it is: each move of a mode is a motion of the plate anew
         unknown = [k for k in best.free if k not in self.fitter.identified]
 
@@ -381,7 +381,7 @@ class Proposals:
 
         def fitted(found: tuple[float, Point, Candidate]) -> tuple[float, tuple[Candidate, ...], Fitted] | None:
             start, chosen = {**values, **found[1]}, (*best.candidates, found[2])
-            sharp = self.refits.attempted(chosen, self._fitted_sharply, (*best.free, *found[2].free), start)
+            sharp = self.refits.attempted(chosen, self._fitted_sharply, best, (*best.free, *found[2].free), start)
             return None if sharp is None else (-self._gained(best, sharp), chosen, sharp)
 
         def iterated(found: tuple[float, tuple[Candidate, ...], Fitted]) -> Hypothesis | None:

@@ -64,7 +64,8 @@ class Rebounds:
         # landings of cycles that repeat scatter by the contact's jitter, and by what the restitution does
         variance = ev.landing_sigma_s**2 - ev.circuit.scatters[1].raised(np.zeros(1)) ** 2
         firm = replace(ev, landing_sigma_s=np.sqrt(np.maximum(variance, 1e-4 * ev.landing_sigma_s**2)))
-        u, sure = (uncertainty_at(y, values) for y in (model, ForwardModel(firm, model.declared, like=model)))
+        u = uncertainty_at(model, values)
+        sure = uncertainty_at(ForwardModel(firm, model.declared, like=model), values, u.changes)
         own, shared = np.sqrt(sure.landing_sigma_s**2 - sure.landing_scatter_s**2), sure.landing_by_tone
         jitter = np.sqrt(np.maximum(u.landing_total_s**2 - sure.landing_total_s**2, 0.0))
         missed, slope = _explained(model, values, np.hypot(own, np.linalg.norm(shared, axis=1)))

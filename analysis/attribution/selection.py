@@ -10,23 +10,21 @@ A. Miller, Subset Selection in Regression, 2nd ed. (Chapman & Hall, 2002), chapt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, candidates_of, parameter_of
+from analysis.attribution.candidates import Candidate, beyond, candidates_of, parameter_of
 from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
 from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected, Scatter, remaining_candidates
-from analysis.attribution.proposals import Proposals, beyond
+from analysis.attribution.proposals import Progress, Proposals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, NEAR_CAUSE, Thresholds
 from model.effects.registry import ball_effects, trend_name
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class StepwiseSelection:
         self.progress = progress or (lambda what, part: None)
         self.library = candidates_of(model) if library is None else list(library)
         self.judge = Judge(fitter.train, limits)
-        self.refits = Refits(fitter)
+        self.refits = Refits(fitter, anew=False)
         self.proposals = Proposals(self.refits, limits)
         self.pruning = Pruning(self.refits, self.judge)
 
@@ -219,11 +217,13 @@ class StepwiseSelection:
         known = {name for name, _ in self.fitter.identified}
         return len(ball_effects({n: {} for n in found.names if n not in known}))
 
-    def _round(self, best: Hypothesis, options: Sequence[Candidate], depth: int) -> list[Hypothesis]:
+    def _round(
+        self, best: Hypothesis, options: Sequence[Candidate], depth: int, rival: Hypothesis | None = None
+    ) -> list[Hypothesis]:
         def progress(name: str, part: float) -> None:
             self.progress(name, min((depth + part) / self.limits.most_effects, 1.0))
 
-        return self.proposals.round(best, options, progress)
+        return self.proposals.round(best, options, progress, rival)
 
     def _is_in_place_of_a_cause(
         self, best: Hypothesis, accepted: Hypothesis, found: Sequence[Hypothesis], depth: int
@@ -236,7 +236,7 @@ class StepwiseSelection:
         if cause is None or self.judge.refusal(best, cause, depth):
             return False
         others = [c for c in remaining_candidates(self.library, cause) if trend_name() not in c.names]
-        second = min(self._round(cause, others, depth), key=self.judge.loss, default=None)
+        second = min(self._round(cause, others, depth, accepted), key=self.judge.loss, default=None)
         return second is not None and self.judge.tied(accepted, second)
 
     def _special_case(self, best: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:

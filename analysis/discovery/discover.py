@@ -146,7 +146,8 @@ def _found(
     still = tuple(c for c in explanation.candidates if set(c.names) <= plate_effects())
     every = explanation.candidates
     for named in (still,) if len(still) == len(every) or np.isfinite(most) else (still, every):
-        fresh = _finalists(TermSearch(model, fitter, explanation, named, tables), limits)
+        search = TermSearch(model, fitter, explanation, named, tables, in_place=bool(np.isfinite(most)))
+        fresh = _finalists(search, limits)
         found += fresh
         if all(p.held_out > most for p in fresh):
             return None
@@ -177,7 +178,7 @@ def _finalists(search: TermSearch, limits: Thresholds) -> list[RefinedTerm]:
     """
     with ThreadPoolExecutor(THREADS) as pool:
         found = sorted(pool.map(lambda t: search.refine(t.curve), search.screen()), key=lambda p: p.held_out)
-        falls_short = not found[0].curve.term.columns and found[0].scatter >= limits.knots_rms
+        falls_short = bool(found) and not found[0].curve.term.columns and found[0].scatter >= limits.knots_rms
         # where all fall short of the noise the two best may have finer knots
         again = [p.curve.finer() for p in found[:2] if falls_short and not p.curve.term.columns]
         return found + list(pool.map(search.refine, again))

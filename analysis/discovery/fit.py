@@ -30,6 +30,7 @@ from analysis.discovery.terms import (
 )
 from analysis.linear_algebra import lstsq
 from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.changes import Changes
 from analysis.residuals.noise.noise_model import excess_noise, log_odds, robust_loss, robust_weight
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
@@ -52,9 +53,9 @@ class StackedResiduals:
     fit_steps: Bools  # steps that the fit may use, (m,)
 
     @classmethod
-    def of(cls, model: ForwardModel, values: Values, train: Bools) -> StackedResiduals:
-        """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,)."""
-        observations, u = model.observations, uncertainty_at(model, values)
+    def of(cls, model: ForwardModel, values: Values, train: Bools, near: Changes | None = None) -> StackedResiduals:
+        """Residuals' stack of a forward model at ``values``; ``train`` by step, (m,); ``near`` as for uncertainties."""
+        observations, u = model.observations, uncertainty_at(model, values, near)
         opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(observations.scored)
         event = np.concatenate([opening, landing])
         step = observations.measured.step[event]

@@ -5,6 +5,7 @@ A curve is judged on steps that it was not fitted to, with everything else refit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -105,6 +106,8 @@ class TermSearch:
         explanation: Hypothesis,
         named: tuple[Candidate, ...],
         tables: Mapping[str, Floats],
+        *,
+        in_place: bool = False,
     ) -> None:
         self.model, self.fitter, self.train, self.tables, self.named = model, fitter, fitter.train, tables, named
         self.free: tuple[ParameterId, ...] = tuple(k for c in named for k in c.free)
@@ -112,7 +115,8 @@ class TermSearch:
         self.values = {
             k: v for k, v in explanation.fitted.values.items() if k in self.free or effect(k[0]).effect.nuisance
         }
-        self.dwell = tables["dwell_s"]
+        self.dwell, self.near = tables["dwell_s"], explanation.whitener
+        self.rival = explanation.fitted.values if in_place else None  # of effects that a term would have to replace
 
     def screen(self) -> list[ScreenedTerm]:
         """All terms on all covariates; those near the best.
@@ -155,7 +159,7 @@ class TermSearch:
         ranges = ranges_of(self.tables, judged)
         few = []  # models of about so many events: 120 choose the starting shape, 200 are fitted, to order the terms
         for model in (subsample(self.model, self.train, most) for most in (120, 200)):
-            seen = StackedResiduals.of(model, self.values, self.train)
+            seen = StackedResiduals.of(model, self.values, self.train, self.near.changes)
             few.append((model, self.values, seen if stack.first.any() else seen.landings()))
 
         def within_flight(term: Term) -> ScreenedTerm:  # begun from the term with one value for each flight
@@ -174,15 +178,18 @@ class TermSearch:
         with ThreadPoolExecutor(THREADS) as pool:
             tried += pool.map(within_flight, [t for t in IN_FLIGHT if ranges[t.of][0] < ranges[t.of][1]])
         tried.sort(key=lambda t: t.loss)
+        rival = math.inf if self.rival is None else stack.loss(stack.residuals(self.model, self.rival))
+        best = min(tried[0].loss, rival)
         # terms that lose at most 40 % of the best screened gain are fitted in full
-        return [t for t in tried if t.loss < tried[0].loss + 0.4 * (ahead - tried[0].loss)][:FINALISTS]
+        return [t for t in tried if t.loss < best + 0.4 * (ahead - best)][:FINALISTS]
 
     def refine(self, curve: Curve) -> RefinedTerm:
         """Curve and everything else fitted in turn; roughness and score from steps that the curve was not fitted to."""
         values, slopes = dict(self.values), dict[ParameterId, Floats]()
-        passes = SHARP if not curve.term.columns else SHARP[:2]
+        passes, near = SHARP if not curve.term.columns else SHARP[:2], self.near
         for first in (True, False):
-            stack = StackedResiduals.of(AugmentedModel(self.model, [curve], self.dwell), values, self.train)
+            model = AugmentedModel(self.model, [curve], self.dwell)
+            stack = StackedResiduals.of(model, values, self.train, near.changes)
             if first and curve.term.name != "threshold" and self._gap_matters(stack):
                 stack = stack.landings()
             tails = (TAILS[-1], *passes) if first else passes
@@ -191,9 +198,11 @@ class TermSearch:
                 curve = self._cross_validated_roughness(curve, values, stack)
             augmented = AugmentedModel(self.model, [curve], self.dwell)
             twin = Fitter(augmented, self.fitter.priors, self.train)
-            fitted = twin.fit(Whitener.of(augmented, values), self.free, values, slopes)
+            near = Whitener.of(augmented, values, near)
+            fitted = twin.fit(near, self.free, values, slopes)
             values, slopes = fitted.values, fitted.slopes
-        stack = StackedResiduals.of(augmented, values, self.train)
+        near = Whitener.of(augmented, values, near)
+        stack = StackedResiduals.of(augmented, values, self.train, near.changes)
         r = stack.residuals(augmented, values)
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
         # residuals, each step's with the curve that the others give; these curves
@@ -204,7 +213,7 @@ class TermSearch:
             curves.append(other.values)
             held[fold] = stack.residuals(AugmentedModel(self.model, [other], self.dwell), values)[fold]
         losses = {"events": stack.by_step(held), "plate": plate_loss(augmented, values)}
-        explanation = Hypothesis(self.named, fitted, Whitener.of(augmented, values), losses)
+        explanation = Hypothesis(self.named, fitted, near, losses)
         normal, _ = normal_equations(stack, r, jacobian, penalty=penalty_of_curve(curve))
         covariance, scatter = np.asarray(pinv(normal, rcond=1e-14), np.float64), stack.scatter(held)
         return RefinedTerm(curve, covariance, np.array(curves), scatter, augmented, explanation)

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.attribution.candidates import candidates_of, null_value_of, parameter_of
+from analysis.attribution.candidates import candidates_of, coordinate_of, null_value_of, parameter_of
 from analysis.attribution.chance import Place
 from analysis.attribution.fit import Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
@@ -55,7 +55,7 @@ def slopes_at(
             # shapes change nothing as long as the sizes of their effects are zero
             idle = all(x == null_value_of(k) for k, x in at.items() if k[0] in names)
             origins[shapes] = raw if idle else whitener.stacked(model.residuals(base))
-        x = fitter.to_x(key, base[key])
+        x = coordinate_of(key, base[key])
         low, high = fitter.bounds(key, released=True)
         h = step if x + step <= high or x - step < low else -step
         there = whitener.stacked(model.residuals({**base, **fitter.values((key,), np.array([x + h]))}))
@@ -74,7 +74,7 @@ def secants_at(
     """
     out = slopes.copy()
     for j, (key, shapes) in enumerate(places):
-        x = fitter.to_x(key, at.get(key, null_value_of(key)))
+        x = coordinate_of(key, at.get(key, null_value_of(key)))
         low, high = fitter.bounds(key, released=True)
         # what can move both ways has a derivative
         if low < x < high:
@@ -177,18 +177,18 @@ def weighed(model: ForwardModel, fitter: Fitter, best: Hypothesis, ties: Sequenc
         information,
         gradient,
         stiffness=np.where([k in best.free for k in keys], 0.0, stiffness),
-        off=np.where(sharpness > 0.0, [fitter.to_x(k, at[k]) - x for k, x in zip(keys, stated, strict=True)], 0.0),
+        off=np.where(sharpness > 0.0, [coordinate_of(k, at[k]) - x for k, x in zip(keys, stated, strict=True)], 0.0),
         shared=len(shared),
     )
     logs, found = [0.0], [Explanation(best.names, best.free, best.fitted.values, 0.0)]
     for candidate, own in zip(library, sizes, strict=True):
-        nulls = np.array([fitter.to_x(k, null_value_of(k)) for k in own])
-        x = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in own])
+        nulls = np.array([coordinate_of(k, null_value_of(k)) for k in own])
+        x = np.array([coordinate_of(k, at.get(k, null_value_of(k))) for k in own])
         places = np.array([keys.index(k) for k in own], dtype=np.int64)
         log, mean, deviation = fit.observations(places, x - nulls)
         moved = _within(fitter, own, x + mean + np.where(mean < 0.0, -1.0, 1.0) * deviation)
         rest = [k for k in shared if k not in own]
-        others = np.array([fitter.to_x(k, at.get(k, null_value_of(k))) for k in rest])
+        others = np.array([coordinate_of(k, at.get(k, null_value_of(k))) for k in rest])
         others = _within(fitter, rest, others - fit.follow(places) @ (moved - x))
         values = {**at, **fitter.values(rest, others), **fitter.values(own, moved)}
         logs.append(log)

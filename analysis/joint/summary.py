@@ -33,7 +33,7 @@ from analysis.joint.result import RunOutcome
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
-from analysis.residuals.noise.uncertainty import EDGE_STEP_S
+from analysis.residuals.noise.changes import EDGE_STEP_S
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import Observations, observations_from
 from analysis.residuals.prediction_errors import held_out_errors, noise_floors_us, scored_rows

@@ -18,7 +18,7 @@ import numpy as np
 from analysis.attribution.candidates import Candidate, candidates_of, priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Rejected, remaining_candidates, with_hidden_free
+from analysis.attribution.hypothesis import Refits, Rejected, remaining_candidates, with_hidden_free
 from analysis.attribution.rebound_scatter import with_scatter
 from analysis.attribution.selection import SelectionResult, StepwiseSelection
 from analysis.discovery.discover import discover
@@ -217,7 +217,7 @@ def _selection_of(
         model, fitter, limits, lambda what, part: say(f"trying {what}", 0.15 + 0.7 * part), library
     )
     found = withdraw_unconfirmed(model, stepwise.run(), train, limits)
-    best, ties = with_hidden_free(stepwise.refits.settled(found.best)), found.ties
+    best, ties = with_hidden_free(Refits(fitter).settled(found.best)), found.ties
     return dataclasses.replace(found, best=best, ties=(best, *ties[1:]) if ties else ())
 
 

@@ -7,6 +7,7 @@ of fit only.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ import numpy as np
 
 from analysis.residuals.observations import Observations
 from kernels.arrays import Bools, Complexes, Floats, Integers
+from model.effects.registry import registry
 from model.integrator.problem import PlateSteps
 
 
@@ -146,3 +148,17 @@ def _height(g: float, plate: PlateSteps, step: Integers, start: Floats, lasts: F
         x, _, _ = _plate(plate, step, start + s)
         best = np.maximum(best, (launch + v0) * s - 0.5 * g * s * s - (x - x0))
     return best
+
+
+@functools.cache
+def followed_parameters() -> tuple[tuple[str, int, str], ...]:
+    """Parameters that stand for a quantity of the flight: effect, place in the row, and name of the covariate."""
+    out = []
+    for r in registry():
+        for i, q in enumerate(r.effect.parameters):
+            if q.covariate and q.covariate not in COVARIATES:
+                known = ", ".join(k for k, c in COVARIATES.items() if c.ahead)
+                raise ValueError(f"effect {r.effect.name}: no covariate is called {q.covariate!r}; known are {known}")
+            if q.covariate:
+                out.append((r.effect.name, r.offset + i, q.covariate))
+    return tuple(out)

@@ -15,13 +15,22 @@ import numpy as np
 
 from analysis.computing import Memory
 from analysis.flights.assemble import GLITCH_S
-from analysis.residuals.covariates import COVARIATES, covariates_of
+from analysis.residuals.covariates import covariates_of, followed_parameters
 from analysis.residuals.observations import Observations
 from analysis.residuals.plate_data.measured_mode import MeasuredMode, undriven_tones
 from analysis.residuals.plate_data.modulation import AmplitudeModulation
 from analysis.residuals.plate_data.plate_mode import INEXACT, INEXACT_AS_MEASURED, Ringing
 from analysis.residuals.plate_data.plate_observables import GAIN, PLATE_HOOKS, expected, power_uncertainty, share
-from analysis.residuals.values import TREND, AllValues, Own, ParameterId, Values, calibrating_effects, driving_effects
+from analysis.residuals.values import (
+    TREND,
+    AllValues,
+    Own,
+    ParameterId,
+    Values,
+    calibrating_effects,
+    driving_effects,
+    ringing_effects,
+)
 from kernels.arrays import Bools, Complexes, Floats
 from model.effects.registry import Registered, effect, offsets, registry, row
 from model.integrator.one_step import Predicted, one_ahead
@@ -105,7 +114,7 @@ class ForwardModel:
             if not key.endswith(TREND):
                 out[offsets()[name, key]] = value
         drifting = [(k, v) for k, v in point.items() if k[1].endswith(TREND) and v != 0.0]
-        followed = [x for x in _followed() if any(name == x[0] for name, _ in point)]
+        followed = [x for x in followed_parameters() if any(name == x[0] for name, _ in point)]
         if not drifting and not followed:
             return out
         out = np.repeat(out[None, :], len(self.observations), axis=0)
@@ -355,11 +364,16 @@ class ForwardModel:
         opening = np.where(self.from_rest, ev.measured.opening_s - p.opening_s, np.nan)
         landing = np.where(ev.scored, ev.measured.landing_s - p.landing_s, np.nan)
         if (ringing := self.ringing) is not None and np.any(p.mode_amplitudes):
-            shown = replace(p, mode_amplitudes=p.mode_amplitudes * self.reading(values))
+            known = self.measured_mode(self.inputs(values).rows) if rows is None else None
+            if known is None:
+                shown, of = replace(p, mode_amplitudes=p.mode_amplitudes * self.reading(values)), values.flying
+            else:  # where it was seen without flights it is what the accelerometer shows, less a high-pass
+                of = values.of(ringing_effects())
+                passed = self.reading(AllValues({k: v for k, v in of if k[0] == "accelerometer_high_pass"}))
+                shown = replace(p, mode_amplitudes=known.mode_amplitudes * passed)
             added = functools.partial(ringing.added, ev.plate, ev.steps.plate, shown, self.inexact(values))
-            of_flights = ("mode in plate data", values.flying)
             with np.errstate(over="ignore", invalid="ignore"):  # of a mode that diverges
-                mode = self.memory.recall(of_flights, added) if rows is None else added()
+                mode = self.memory.recall(("mode in plate data", of), added) if rows is None else added()
                 plate = self._plate_residuals(values, *mode)
         else:
             key = ("plate residuals", values.of(driving_effects()))
@@ -384,17 +398,3 @@ class ForwardModel:
 def _having(hook: str) -> tuple[Registered, ...]:
     """Effects that define a hook."""
     return tuple(r for r in registry() if hook in r.hooks)
-
-
-@functools.cache
-def _followed() -> tuple[tuple[str, int, str], ...]:
-    """Parameters that stand for a quantity of the flight: effect, place in the row, and name of the covariate."""
-    out = []
-    for r in registry():
-        for i, q in enumerate(r.effect.parameters):
-            if q.covariate and q.covariate not in COVARIATES:
-                known = ", ".join(k for k, c in COVARIATES.items() if c.ahead)
-                raise ValueError(f"effect {r.effect.name}: no covariate is called {q.covariate!r}; known are {known}")
-            if q.covariate:
-                out.append((r.effect.name, r.offset + i, q.covariate))
-    return tuple(out)

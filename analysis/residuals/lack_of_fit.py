@@ -21,7 +21,7 @@ from scipy.special import chdtrc, fdtrc
 
 from analysis.linear_algebra import cholesky, solve
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise.uncertainty import EDGE_STEP_S, Uncertainty, edge_slope, uncertainty_at
+from analysis.residuals.noise.uncertainty import Uncertainty, uncertainty_at
 from analysis.residuals.prediction_errors import near_grazing
 from analysis.residuals.values import Values
 from analysis.thresholds import (
@@ -200,7 +200,6 @@ def innovations(model: ForwardModel, values: Values, u: Uncertainty) -> Innovati
     """Standardised innovations of each step: residuals over the Cholesky factor of their covariance."""
     ev = model.observations
     r = model.residuals(values)
-    carried = _carried(model, values)
     firm = ev.scored & ~near_grazing(model, values)
     parts = []
     for s in range(len(ev.steps)):
@@ -214,7 +213,7 @@ def innovations(model: ForwardModel, values: Values, u: Uncertainty) -> Innovati
         event, landing = event[order], landing[order]
         total = np.where(landing, u.landing_total_s[event], u.opening_total_s[event])
         bare = _unit(np.where(landing, r.landing_s[event], r.opening_s[event]), total) * np.hypot(total, SHARED_S)
-        noise = innovation_covariance(u, carried, event, landing)
+        noise = _innovation_covariance(u, event, landing)
         z = solve(cholesky(noise), bare)
         parts.append((z, event, landing, np.full(len(z), s)))
     if not parts:
@@ -224,18 +223,7 @@ def innovations(model: ForwardModel, values: Values, u: Uncertainty) -> Innovati
     return Innovations(np.clip(z, -INNOVATION_SIGMAS, INNOVATION_SIGMAS), event, landing, step)
 
 
-def _carried(model: ForwardModel, values: Values) -> tuple[Floats, Floats]:
-    """Derivatives of predicted openings and landings by the landing one and two flights before, (n, 2) each."""
-    base, n = model.predict(values), len(model.observations)
-    opening, landing = np.zeros((n, 2)), np.zeros((n, 2))
-    for moved, rows in model.moved_landings(values, np.full(n, EDGE_STEP_S)):
-        for back in (1, 2):
-            opening[rows[back], back - 1] = edge_slope(moved.opening_s - base.opening_s)[rows[back]]
-            landing[rows[back], back - 1] = edge_slope(moved.landing_s - base.landing_s)[rows[back]]
-    return opening, landing
-
-
-def innovation_covariance(u: Uncertainty, carried: tuple[Floats, Floats], event: Integers, landing: Bools) -> Floats:
+def _innovation_covariance(u: Uncertainty, event: Integers, landing: Bools) -> Floats:
     """Covariance of one step's residuals, (k, k), s^2."""
     first = max(int(event.min()) - 2, 0)
     edges = np.arange(first, int(event.max()) + 1)
@@ -244,7 +232,7 @@ def innovation_covariance(u: Uncertainty, carried: tuple[Floats, Floats], event:
     slope[row[landing], event[landing] - first] = 1.0
     for back in (1, 2):
         there = event - back >= first
-        by = np.where(landing, carried[1][event, back - 1], carried[0][event, back - 1])
+        by = u.changes.edges[back - 1, event, landing.astype(np.int64)]
         slope[row[there], event[there] - back - first] -= by[there]
     tones = np.where(landing[:, None], u.landing_by_tone[event], u.opening_by_tone[event])
     # a landing's error enters its own residual, and those of flights predicted from it

@@ -62,6 +62,12 @@ def calibrating_effects() -> frozenset[str]:
 
 
 @functools.cache
+def ringing_effects() -> frozenset[str]:
+    """Names of the effects that make the plate ring, and of what an accelerometer's high-pass shows of it."""
+    return frozenset(r.effect.name for r in registry() if "plate_mode" in r.hooks) | {"accelerometer_high_pass"}
+
+
+@functools.cache
 def driving_effects() -> frozenset[str]:
     """Names of the effects that change plate data without a flight."""
     return frozenset(r.effect.name for r in registry() if r.hooks.keys() & (PLATE_HOOKS | {"modulation"}))

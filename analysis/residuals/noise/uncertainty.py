@@ -15,31 +15,23 @@ B. Widrow, I. Kollar, Quantization Noise (Cambridge, 2008), ch. 5 and 19: the er
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from analysis.events.edge_jitter import rounded
 from analysis.linear_algebra import eigh
-from analysis.residuals.forward_model import ForwardModel, Inputs
-from analysis.residuals.plate_data.measured_mode import MeasuredMode
+from analysis.residuals.forward_model import ForwardModel
+from analysis.residuals.noise.changes import Changes, Kicks, Moves, finite
 from analysis.residuals.values import Values
-from kernels.arrays import Bools, Complexes, Floats, Integers
+from kernels.arrays import Complexes, Floats, Integers
 from model.effects.registry import offsets
-from model.integrator.one_step import Predicted, driven, one_ahead
-from model.integrator.problem import Measured, PlateSteps, active, columns_of, plate_mode
+from model.integrator.one_step import Predicted
+from model.integrator.problem import active, columns_of, plate_mode
 
-Kicks = tuple[tuple[float, float], ...]
-
-EDGE_STEP_S = 2e-6  # finite difference of an edge
-STEEPEST = 30.0  # clip of the derivative of an event by an earlier landing
 REBOUND_STEP = 1e-4  # finite difference of a restitution
 STEEPEST_BY_REBOUND_S = 1.0  # a flight at 5 m/s lasts so long; a larger slope means another event
-LARGEST_CHANGE_S = 5e-3  # a larger change means another event; it counts as none
 HARMONICS = 4  # of the sawtooth of rounding; the rest, a tenth of its variance, counts as each edge's own
-BEFORE = 3  # events before one on which an elastic ball's prediction depends
 
 
 @dataclass(frozen=True)
@@ -60,6 +52,7 @@ class Uncertainty:
     opening_edge_s: Floats
     landing_edge_s: Floats
     landing_scatter_s: Floats
+    changes: Changes  # what it is made of
 
     @property
     def landing_total_s(self) -> Floats:
@@ -72,28 +65,23 @@ class Uncertainty:
         return np.asarray(np.sqrt(self.opening_sigma_s**2 + np.sum(self.opening_by_tone**2, axis=1)))
 
 
-def uncertainty_at(model: ForwardModel, values: Values) -> Uncertainty:
-    """Uncertainty of the residuals of ``model`` at ``values``, from its memory where it was asked for before."""
+def uncertainty_at(model: ForwardModel, values: Values, near: Changes | None = None) -> Uncertainty:
+    """Uncertainty of the residuals of ``model`` at ``values``, from its memory where it was asked for before.
+
+    With the changes of events at values ``near``, those events that have hardly moved keep theirs.
+    """
     point = model.start(values)
+    if near is not None:
+        return _propagated(model, point, near)
     return model.memory.recall(("uncertainty", point.flying), lambda: _propagated(model, point))
 
 
-def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
+def _propagated(model: ForwardModel, values: Values, near: Changes | None = None) -> Uncertainty:
     """Uncertainty of edges and plate, carried through the prediction."""
     ev, base = model.observations, model.predicted(values)
-    tones, kicks = _tone_changes(model, values), kicks_of(model, values)
-    own = np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
-    again = ev.measured.wanted & (base.kind >= 0)
-    shape = (len(tones) + len(kicks), len(ev), 2)
-    edges, changes, bent = np.zeros((2, len(ev), 2)), np.zeros(shape), np.zeros(shape)
-    if again.any():
-        moves = _Moves(model, values, again)
-        rows = model.inputs(values).rows
-        # a plate mode that is not known as it moved rings on from flight to flight, what fades tell with it
-        chained = active(rows, "plate_mode") and model.measured_mode(rows) is None
-        found = moves.one_by_one(tones, kicks) if chained else moves.together(tones, kicks)
-        edges[:, again], changes[:, again], bent[:, again] = found
-    var = np.sum(bent**2, axis=0)
+    tones, own = _tone_changes(model, values), np.stack([ev.opening_sigma_s, ev.landing_sigma_s], axis=1)
+    found = _changes(model, values, tones, near)
+    edges, changes, var = found.edges, found.changes, found.bent.copy()
     if (mode := model.measured_mode(model.inputs(values).rows)) is not None:
         lasting, own_part = forgotten(changes[len(tones) :], ev.measured.step, ev.measured.landing_s, mode.forgets)
         changes, var = np.concatenate([changes[: len(tones)], lasting]), var + own_part
@@ -108,7 +96,7 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
     scatter = model.per_step(values, "rebound_scatter")[ev.measured.step]
     if scatter.any():
         scatter = scatter * np.abs(slope_by_rebound(model, values))
-    var[:, 1] += _finite(base.ambiguity_s) ** 2 + scatter**2
+    var[:, 1] += finite(base.ambiguity_s) ** 2 + scatter**2
     none = np.zeros_like(opening)
     shared = np.stack([np.hstack([opening, none]), np.hstack([none, landing])])
     for back, slope in enumerate(edges, start=1):  # what is predicted from an earlier landing errs with it
@@ -123,7 +111,32 @@ def _propagated(model: ForwardModel, values: Values) -> Uncertainty:
         independent[:, 0],
         independent[:, 1],
         scatter,
+        found,
     )
+
+
+def _changes(model: ForwardModel, values: Values, tones: list[Complexes], near: Changes | None) -> Changes:
+    """By how much events change with each number that they depend on; of some known already from ``near``."""
+    ev, base, x, kicks = model.observations, model.predicted(values), model.inputs(values), kicks_of(model, values)
+    again, plate, z = ev.measured.wanted & (base.kind >= 0), x.plate.acceleration_mps2, ev.steps.plate.acceleration_mps2
+    width = plate.shape[1]  # a modulated plate has more tones than were measured
+    moves = np.zeros((len(z), len(tones) + len(kicks), max(width, 2)), dtype=np.complex128)
+    for i, by in enumerate(tones):  # an effect of the drive may change what is added to a tone
+        moves[:, i, :width] = model.inputs(values, z + by).plate.acceleration_mps2 - plate
+    for i, kick in enumerate(kicks, start=len(tones)):
+        moves[:, i, :2] = kick
+    at = np.stack([base.opening_s, base.landing_s, base.kind, base.hidden], axis=1)
+    found = Changes.none(at, moves)
+    # a plate mode that is not known as it moved rings on from flight to flight, what fades tell with it
+    chained = active(x.rows, "plate_mode") and model.measured_mode(x.rows) is None
+    if near is not None and not chained:
+        again &= ~found.hold(near, again, at, ev.measured.step, ev.steps.plate.period_s[ev.measured.step])
+    if again.any() and chained:
+        found.fill(again, at, *Moves(model, values, again).one_by_one(tones, kicks))
+    elif again.any():
+        moved = [plate + moves[:, i, :width] for i in range(len(tones))]
+        found.fill(again, at, *Moves(model, values, again).together(moved, kicks))
+    return found
 
 
 def slope_by_rebound(model: ForwardModel, values: Values) -> Floats:
@@ -167,111 +180,6 @@ def _tone_changes(model: ForwardModel, values: Values) -> list[Complexes]:
     return [wider[:, j // 2, None] * spread[:, j] for j in columns]
 
 
-@dataclass(frozen=True)
-class _Moves:
-    """Events ``again`` (n,) predicted with each number moved by one sigma, and each landing by `EDGE_STEP_S`.
-
-    Derivatives by the landing before and the one before that, (2, r, 2), changes by each number, (q, r, 2), and their
-    second orders; r events, openings and landings.
-    """
-
-    model: ForwardModel
-    values: Values
-    again: Bools
-
-    def one_by_one(self, tones: list[Complexes], kicks: Kicks) -> tuple[Floats, Floats, Floats]:
-        """Each move a prediction of its own: a plate mode rings on from flight to flight."""
-        model, z = self.model, self.model.observations.steps.plate.acceleration_mps2
-        base = model.predicted(self.values)
-        edges = np.zeros((2, int(self.again.sum()), 2))
-        for moved, rows in model.moved_landings(self.values, np.full(len(self.again), EDGE_STEP_S), self.again):
-            for back in (1, 2):
-                own = rows[back][self.again]
-                edges[back - 1, own] = edge_slope(self._events(moved) - self._events(base))[own]
-        moves: list[tuple[dict[str, Any], dict[str, Any]]] = [({"tones": z + by}, {"tones": z - by}) for by in tones]
-        moves += [({"kick": kick}, {"kick": (-kick[0], -kick[1])}) for kick in kicks]
-        sides = [
-            [self._events(model.predict(self.values, **x, near=base, wanted=self.again)) for x in pair]
-            for pair in moves
-        ]
-        ahead, behind = np.moveaxis(np.array(sides).reshape(len(moves), 2, -1, 2), 1, 0)
-        return edges, *_halves(ahead, behind, self._events(base))
-
-    def _events(self, p: Predicted) -> Floats:
-        return np.stack([p.opening_s[self.again], p.landing_s[self.again]], axis=1)
-
-    def together(self, changes: list[Complexes], kicks: Kicks) -> tuple[Floats, Floats, Floats]:
-        """All moves in one prediction, of copies of the flights that the events depend on."""
-        n, measured, x = len(self.again), self.model.observations.steps.plate, self.model.inputs(self.values)
-        # an effect of the drive may change what is added to a tone
-        moved = [
-            self.model.inputs(self.values, measured.acceleration_mps2 + by).plate.acceleration_mps2 for by in changes
-        ]
-        few = self.again.copy()
-        for back in range(1, BEFORE + 1):
-            few[:-back] |= self.again[back:]
-        index = np.flatnonzero(few)
-        z = x.plate.acceleration_mps2
-        first, q = 1 + 2 * len(moved), len(moved) + len(kicks)
-        plates = [z, *moved, *(2.0 * z - y for y in moved), *[z] * (2 * len(kicks) + 3)]
-        shifts = np.zeros((len(plates), n))
-        for colour in range(3):
-            shifts[len(plates) - 3 + colour, colour::3] = EDGE_STEP_S
-        if (mode := self.model.measured_mode(x.rows)) is not None:
-            seen = mode.read(self.model.reading(self.values, without="accelerometer_high_pass"))
-            plates = [driven(replace(x.plate, acceleration_mps2=y), seen.mode_amplitudes) for y in plates]
-            state = np.tile(mode.state, (len(plates), 1, 1))
-            for i, kick in enumerate(kicks):
-                state[first + i], state[first + len(kicks) + i] = mode.kicked(kick), mode.kicked((-kick[0], -kick[1]))
-            # its part has been taken out of the tones
-            nothing = np.zeros((len(plates) * len(z), seen.mode_amplitudes.shape[1]), dtype=np.complex128)
-            mode = replace(mode, state=state, mode_amplitudes=nothing)
-        found = _copies(self.model, x, plates, shifts, index, self.again, mode)[:, self.again[index]]
-        base, at = found[0], np.flatnonzero(self.again)
-        edges = np.stack([found[1 + 2 * q + (at - back) % 3, np.arange(len(at))] - base for back in (1, 2)])
-        ahead, behind = (
-            np.concatenate([found[1 + i * len(moved) :][: len(moved)], found[first + i * len(kicks) :][: len(kicks)]])
-            for i in (0, 1)
-        )
-        return edge_slope(edges), *_halves(ahead, behind, base)
-
-
-def _copies(
-    model: ForwardModel, x: Inputs, tones: Sequence[Complexes], shift_s: Floats, events: Integers, wanted: Bools,
-    mode: MeasuredMode | None,
-) -> Floats:  # fmt: skip
-    """Openings and landings (q, e, 2) of ``events`` (e,) in q copies with other tones (m, k) and landings.
-
-    ``shift_s`` (q, n) is added to landings; only events ``wanted`` (n,) are predicted. A plate ``mode`` is known as it
-    moved, with states (q, n, 4 or 8) and no part in ``tones``: what rings on from flights that are left out is in them.
-    """
-    q, e, seen, d = len(tones), len(events), model.measured_at(x, wanted), model.detection_at(x)
-    m = len(x.plate.period_s)
-    copy = np.repeat(np.arange(q), e)
-    follows = np.diff(events, prepend=-2) == 1
-
-    def each(values: Any) -> Any:
-        return np.tile(np.asarray(values)[events], q)
-
-    def perhaps(values: Floats | None) -> Floats | None:
-        return None if values is None else np.asarray(each(values))
-
-    measured = Measured(
-        each(seen.opening_s), (seen.landing_s + shift_s)[:, events].ravel(), each(seen.relaunched),
-        each(seen.linked) & np.tile(follows, q), each(seen.step) + m * copy, each(seen.wanted),
-        None if seen.other_step is None else np.where(each(seen.other_step) >= 0, each(seen.other_step) + m * copy, -1),
-        perhaps(seen.share), perhaps(seen.gained_mps), perhaps(seen.pressed_mps), perhaps(seen.pressed_at),
-        perhaps(seen.part), perhaps(seen.ahead_s), None if mode is None else mode.state[:, events].reshape(q * e, -1),
-    )  # fmt: skip
-    plate = PlateSteps(
-        np.tile(x.plate.omega_radps, (q, 1)), np.concatenate(tones), np.tile(x.plate.period_s, q), x.plate.derived
-    )
-    rows = x.rows if x.rows.ndim == 1 else np.tile(x.rows[events], (q, 1))
-    circuit = replace(d, gap_m=each(d.gap_m), weak_mps=each(d.weak_mps))
-    p = one_ahead(measured, plate, rows, circuit, mode=mode)
-    return np.stack([p.opening_s, p.landing_s], axis=1).reshape(q, e, 2)
-
-
 def _from_exact_landings(model: ForwardModel, base: Predicted, edges: Floats) -> Floats:
     """Openings and landings (n, 2) as predicted had no landing been rounded that a prediction leans on.
 
@@ -313,25 +221,11 @@ def forgotten(changes: Floats, step: Integers, time_s: Floats, rate: float) -> t
     return out.reshape(-1, *changes.shape[1:]), own
 
 
-def _halves(ahead: Floats, behind: Floats, base: Floats) -> tuple[Floats, Floats]:
-    """First and second order of changes from predictions either way; the second counts as noise of each event."""
-    return _finite(0.5 * (ahead - behind)), _finite(0.5 * (ahead + behind) - base)
-
-
 def _earlier(x: Floats, back: int) -> Floats:
     """The values of the event so many before, (n, ...); zero where there is none."""
     out = np.zeros_like(x)
     out[back:] = x[:-back]
     return out
-
-
-def _finite(x: Floats) -> Floats:
-    return np.where(np.abs(x) < LARGEST_CHANGE_S, np.nan_to_num(x), 0.0)
-
-
-def edge_slope(difference: Floats) -> Floats:
-    """Derivative from the change of an event with a landing moved by `EDGE_STEP_S`."""
-    return np.clip(np.nan_to_num(difference) / EDGE_STEP_S, -STEEPEST, STEEPEST)
 
 
 def rounding_errors(time_s: Floats, sigma_s: Floats, sampling_s: float, jitter_s: float) -> Floats:

@@ -16,6 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from analysis.linear_algebra import NotFiniteError, eigh
 from analysis.residuals.forward_model import ForwardModel, Residuals
+from analysis.residuals.noise.changes import Changes
 from analysis.residuals.noise.noise_model import NEVER, PlateNoise, excess_noise, log_odds, robust_loss
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.values import Values
@@ -82,17 +83,21 @@ class Whitener:
     excess_s: tuple[float, float]
     total_s: Floats  # uncertainty of the stacked events, without excess, before they are ordered by step
     lost: bool  # whether landings are so far off that a fit may begin on the wrong branch
+    changes: Changes  # of which uncertainties are made
 
     @classmethod
-    def of(cls, model: ForwardModel, values: Values, *, lean: bool = False) -> Whitener:
-        """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess."""
-        point = model.start(values)
-        return model.memory.recall(("whitener", lean, point.ordered), lambda: cls._made(model, point, lean))
+    def of(cls, model: ForwardModel, values: Values, near: Whitener | None = None, *, lean: bool = False) -> Whitener:
+        """From the uncertainty and the excess at ``values``; ``lean``: as if there were no excess.
+
+        What events change by is taken from a whitener ``near`` where they have hardly moved.
+        """
+        point, known = model.start(values), None if near is None else near.changes
+        return model.memory.recall(("whitener", lean, point.ordered), lambda: cls._made(model, point, known, lean))
 
     @classmethod
-    def _made(cls, model: ForwardModel, values: Values, lean: bool) -> Whitener:
+    def _made(cls, model: ForwardModel, values: Values, near: Changes | None, lean: bool) -> Whitener:
         ev = model.observations
-        u, r = uncertainty_at(model, values), model.residuals(values)
+        u, r = uncertainty_at(model, values, near), model.residuals(values)
         opening, landing = np.flatnonzero(model.from_rest), np.flatnonzero(ev.scored)
         step = np.concatenate([ev.measured.step[opening], ev.measured.step[landing]])
         period = ev.steps.plate.period_s[step]
@@ -123,7 +128,7 @@ class Whitener:
         sigma[noise.rows], log[noise.rows] = noise.scaled(r.plate)
         odds = np.concatenate([log_odds(np.exp(weights.log), period[order]), np.full(len(ev.plate), NEVER)])
         return cls(
-            opening, landing, step[order], order, weights, period, odds, sigma, log, excess, total, lost
+            opening, landing, step[order], order, weights, period, odds, sigma, log, excess, total, lost, u.changes
         )  # fmt: skip
 
     def near(self, other: Whitener) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.attribution.candidates import Prior, priors_of, scale_of
+from analysis.attribution.candidates import Prior, coordinate_of, priors_of, scale_of
 from analysis.attribution.fit import CURVATURE, Fitter, damped_step
 from analysis.residuals.forward_model import ForwardModel, Residuals
 from analysis.residuals.noise.noise_model import FREEDOM, robust_weight
@@ -102,6 +102,20 @@ def test_a_fit_sees_its_training_steps_only(fly_ramp: Callable[..., ForwardModel
     again = Fitter(shifted, {}, train).fit(whitener, (UP, DOWN), TRUTH)
     assert again.values == pytest.approx(fitted.values, rel=1e-6)
     assert spoilt.keys() == fitted.values.keys()
+
+
+def test_what_was_identified_stays_where_a_fit_would_hardly_move_it(fly_ramp: Callable[..., ForwardModel]) -> None:
+    """Begun at its best value it has the same one after a fit of the rest, as good as any; begun far off it moves."""
+    model = fly_ramp(TRUTH, 1)
+    fitter = Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
+    fitter.identified = {UP: Prior(TRUTH[UP], 1e-5)}
+    whitener, free = Whitener.of(model, TRUTH), (UP, DOWN)
+    best = fitter.fit(whitener, free, {**TRUTH, DOWN: 0.178})
+    near = fitter.fit(whitener, free, {**best.values, DOWN: best.values[DOWN] - 1e-3})
+    assert near.values[UP] == best.values[UP]
+    far = fitter.fit(whitener, free, {UP: 0.15, DOWN: 0.15})
+    assert far.values[UP] == pytest.approx(best.values[UP], abs=0.1 * best.sigma(UP))
+    assert max(near.loss, far.loss) < best.loss + 0.05
 
 
 def test_a_promise_is_kept_where_residuals_are_linear(fly_ramp: Callable[..., ForwardModel]) -> None:
@@ -203,7 +217,7 @@ def test_a_flight_that_leaps_does_not_hold_a_parameter(
     monkeypatch.setattr(model, "residuals", leaping)
     fitted = fitter.fit(whitener, (RATE,), {RATE: 0.3})
     assert fitted.values[RATE] == pytest.approx(smooth.values[RATE], abs=3 * smooth.sigma(RATE))
-    x = np.array([fitter.to_x(RATE, 0.3)])
+    x = np.array([coordinate_of(RATE, 0.3)])
     at_start = replace(fitted, x=x, raw=fitted.state.raw(x))
     made, recalled = (fitter.slope(at_start, RATE) for _ in range(2))
     assert made[row] == recalled[row] == 0.0 and np.count_nonzero(made) > 50

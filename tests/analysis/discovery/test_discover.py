@@ -83,7 +83,7 @@ def test_no_formula_is_sought_where_every_curve_loses_to_what_is_named(monkeypat
     """In place of an explanation none is worth fitting whose own curve foretells held-out steps worse by 12 nats."""
     curves = [SimpleNamespace(held_out=-88.0 + more) for more in (0.1, 4.0)]  # named effects have -100
     monkeypatch.setattr(module, "named_loss", lambda *_: np.full(10, -10.0))
-    monkeypatch.setattr(module, "TermSearch", lambda *_: None)
+    monkeypatch.setattr(module, "TermSearch", lambda *_, **__: None)
     monkeypatch.setattr(module, "_finalists", lambda *_: curves)
     model = SimpleNamespace(covariates=lambda _: {})
     explanation = SimpleNamespace(candidates=(), fitted=SimpleNamespace(values={}))

@@ -11,13 +11,61 @@ import pytest
 from analysis.events.edge_jitter import MIN_STEPS, Scatter
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
-from analysis.residuals.noise.uncertainty import forgotten, rounding_errors
+from analysis.residuals.noise import changes
+from analysis.residuals.noise.uncertainty import forgotten, rounding_errors, uncertainty_at
 from analysis.residuals.observations import ContactCircuit, Observations
 from analysis.thresholds import FROZEN
 
 SAMPLING_S = 5e-5
 IN_A_ROW = 5  # flights without a rest between them
 ROUNDING_S = SAMPLING_S / np.sqrt(12.0)
+
+
+RATE, LAG = ("viscous_damping", "rate_per_s"), ("accelerometer_lag", "delay_s")
+
+
+def test_an_event_that_hardly_moves_keeps_what_it_changes_by(
+    fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From values near by, uncertainties are those found anew within a hundredth, and most events are not flown."""
+    model = fly_ramp({RATE: 0.5}, 1)
+    near, flown = uncertainty_at(model, {RATE: 0.5}), []
+    here = {RATE: 0.501, LAG: 1e-6}
+    anew = uncertainty_at(model, here)
+    made = changes.Moves.together
+    monkeypatch.setattr(changes.Moves, "together", lambda x, *args: flown.append(x.again.sum()) or made(x, *args))
+    kept = uncertainty_at(model, here, near.changes)
+    assert sum(flown) < 0.5 * model.observations.scored.sum()
+    for name in ("opening_total_s", "landing_total_s"):
+        assert getattr(kept, name) == pytest.approx(getattr(anew, name), rel=0.01)
+    far = {RATE: 3.0}
+    assert uncertainty_at(model, far, near.changes).landing_total_s == pytest.approx(
+        uncertainty_at(model, far).landing_total_s, rel=0.01
+    )
+
+
+def test_an_event_is_moved_one_way_only_where_it_is_straight(
+    fly_ramp: Callable[..., ForwardModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flights of ten tones: what each tone changes them by is as from moves either way, to a hundredth of all."""
+    model = fly_ramp({RATE: 0.5}, 2)
+    steps = model.observations.steps
+    every = np.zeros((len(steps), 10, 5), dtype=np.complex128)  # errors of five tones, in both quadratures
+    every[:, np.arange(10), np.arange(10) // 2] = 1e-3 * np.tile([1.0, 1j], 5)
+    omega = steps.plate.omega_radps[:, :1] * np.arange(1.0, 6.0)
+    tones = np.zeros((len(steps), 5), dtype=np.complex128)
+    tones[:, : steps.plate.acceleration_mps2.shape[1]] = steps.plate.acceleration_mps2[:, :5]
+    plate = replace(steps.plate, omega_radps=omega, acceleration_mps2=tones)
+    wide = replace(steps, plate=plate, spread_mps2=every, forcing=np.arange(5) < np.ones((len(steps), 1)))
+    observations = replace(model.observations, steps=wide)
+    one_way = uncertainty_at(ForwardModel(observations, {}, like=model), {RATE: 0.5})
+    told = changes.Moves._bends
+    monkeypatch.setattr(changes.Moves, "_bends", lambda *args: (told(*args)[0], np.ones(len(args[3]), dtype=bool)))
+    both = uncertainty_at(ForwardModel(observations, {}, like=model), {RATE: 0.5})
+    assert not np.array_equal(one_way.landing_by_tone, both.landing_by_tone)
+    for name in ("opening", "landing"):
+        off = np.linalg.norm(getattr(one_way, f"{name}_by_tone") - getattr(both, f"{name}_by_tone"), axis=1)
+        assert np.all(off <= 0.01 * getattr(both, f"{name}_total_s"))
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 5e-6, 2e-5])
