@@ -42,7 +42,7 @@ from analysis.plate.step_state import (
 )
 from analysis.plate.windows import fit_windows, refined_hz
 from analysis.signals import block_means
-from daq.instrument.channel_limits import NO_ENDS, STANDS, Ends, blocks_at_an_end, share_at_an_end
+from daq.instrument.channel_limits import NO_ENDS, Ends, blocks_at_an_end, drive_is_cut_off
 from daq.lock_in import LockIn
 from daq.recording import Recording
 from daq.setup.setup import Forcing
@@ -152,7 +152,7 @@ class StepAccumulator:
                 own = piece.drive_v[max(start - piece.first, 0) : stop - piece.first][:STEP_SAMPLES]
                 # fewer samples of a step that goes on would be a part of a cycle
                 whole = own.size == min(STEP_SAMPLES, stop - start)
-                self.open.drive_cut_off = whole and share_at_an_end(own, self.rate_hz) > STANDS
+                self.open.drive_cut_off = whole and drive_is_cut_off(own, self.rate_hz)
             for a, b in self._unbroken(max(start, piece.first), min(stop, piece.last)):
                 self._add_span(self.open, piece.first, (a, b), means, begins)
             if stop <= piece.last:

@@ -291,6 +291,11 @@ def share_at_an_end(values: npt.NDArray[Any], rate_hz: float, ends: Ends | None 
     return float(_standing(values, low, high, max(int(STANDS_S * rate_hz), 1))) / len(values)
 
 
+def drive_is_cut_off(values: npt.NDArray[Any], rate_hz: float) -> bool:
+    """Whether a drive's reading stands at its end; below 8 kHz, where a sine's peaks crowd alike, none is said to."""
+    return rate_hz >= 8e3 and share_at_an_end(values, rate_hz) > STANDS
+
+
 def blocks_at_an_end(values: npt.NDArray[Any], width: int, skip: int, ends: Ends) -> Bools:
     """Which blocks of ``width`` values after the first ``skip`` hold one at an end, or are next to one that does."""
     out = np.zeros(max(len(values) - skip, 0) // width, dtype=np.bool_)

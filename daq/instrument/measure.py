@@ -16,6 +16,7 @@ from daq.instrument.channel_limits import (
     Ends,
     NoiseSpectrum,
     common_ends,
+    drive_is_cut_off,
     measure_noise,
     share_at_an_end,
 )
@@ -131,7 +132,7 @@ def measure(
         interpolation_hz(channels, rate_hz),
         ends_v,
         sum(share_at_an_end(x, rate_hz, ends_v) > STANDS for x in shown),
-        sum(share_at_an_end(v["drive"], rate_hz) > STANDS for _, v, _ in pieces if "drive" in v),
+        sum(drive_is_cut_off(v["drive"], rate_hz) for _, v, _ in pieces if "drive" in v),
         held,
     )
 

@@ -51,8 +51,8 @@ def _transfer(gain_ax: Any, lag_ax: Any, plates: list[StepPlate], x: Floats) -> 
     for p in plates:
         rows = [p.multiples.index(m) for m in p.forcing_multiples]
         k = rows[int(np.argmax(np.abs(p.acceleration.amplitudes[rows])))]
-        drive = p.drive.amplitudes[k] if p.drive is not None else np.nan
-        values.append(p.acceleration.amplitudes[k] / drive)
+        # not recorded, or its reading cut off
+        values.append(complex("nan") if p.drive is None else p.acceleration.amplitudes[k] / p.drive.amplitudes[k])
         sigmas.append(p.acceleration.amplitude_sigma()[k] / np.abs(p.acceleration.amplitudes[k]))
     transfer, sigma = np.array(values, dtype=np.complex128), np.array(sigmas)
     size = np.abs(transfer)

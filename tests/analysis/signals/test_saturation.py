@@ -12,7 +12,7 @@ from analysis.flights.compare import plausibility_warnings
 from analysis.residuals.observations import observed
 from analysis.statistics import nearest
 from daq.files.tables import Block
-from daq.instrument.channel_limits import NO_ENDS, common_ends, ends_in_noise, share_at_an_end
+from daq.instrument.channel_limits import NO_ENDS, common_ends, drive_is_cut_off, ends_in_noise, share_at_an_end
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 
@@ -178,3 +178,13 @@ def test_steps_of_a_saturated_accelerometer_are_told_and_left_out(make, tmp_path
     assert "the accelerometer saturates in step 2, 3:" in warning
     assert warning in seen.notes
     assert seen.steps.number.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("rate_hz", [1e3, 2e3, 5e3, 20e3])
+def test_a_whole_drive_of_few_samples_a_cycle_is_not_cut_off(rate_hz: float) -> None:
+    """The same few places of a sine are read in each cycle, so that readings crowd at its peaks, too."""
+    rng, time_s = np.random.default_rng(1), np.arange(int(rate_hz)) / rate_hz
+    for phase in rng.uniform(0.0, 2.0 * np.pi, 30):
+        drive = 0.3 * np.sin(2.0 * np.pi * 25.0 * time_s + phase) + rng.normal(0.0, 1e-3, time_s.size)
+        assert not drive_is_cut_off(drive, rate_hz)
+    assert drive_is_cut_off(np.minimum(drive, 0.25), rate_hz) == (rate_hz >= 8e3)
