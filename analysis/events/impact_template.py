@@ -242,8 +242,7 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     slow = _slow_under(fine, quick, (peak, end), width) if decay is None else _slow_without(fine, decay, width)
     # a waveform that ended in a step would put the edge of an impact into the recording
     share = np.clip((grid - peak) / min(width, end - peak), 0.0, 1.0)
-    before = float(np.mean(fine[: LEAD * FINE // 2])) if peak >= LEAD * FINE else 0.0  # the motion's, too
-    out = np.where((grid >= begin) & (grid < end), fine - (before + share * (slow - before)), 0.0)
+    out = np.where((grid >= begin) & (grid < end), fine - share * slow, 0.0)
     late = float(np.sqrt(np.mean(out[3 * out.size // 4 :] ** 2))) / float(np.abs(out).max())
     if decay is None and late > CUT_OFF:  # what follows a cut off end would be found as impacts
         return None

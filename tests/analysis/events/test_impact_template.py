@@ -108,18 +108,16 @@ def test_a_short_template_does_not_end_in_a_step(rings_v: float) -> None:
     assert known[LEAD * FINE + 4] == pytest.approx(-4e-3, rel=0.02)
 
 
-@pytest.mark.parametrize("before_v", [0.0, -3e-6])
-def test_what_a_plate_does_before_and_after_it_is_loaded_is_no_part_of_a_knock(before_v: float) -> None:
+def test_what_a_plate_does_after_it_is_loaded_is_no_part_of_a_knock() -> None:
     """The load settles within some milliseconds; a faint hum much later makes the template long."""
     time_s = (np.arange(300 * FINE) - LEAD * FINE) / (FINE * 20000.0)
     knock = np.where(time_s >= 0.0, -8e-4 * np.sin(2.0 * np.pi * 3000.0 * time_s), 0.0)
     knock *= np.exp(-np.maximum(time_s, 0.0) / 8e-5)
-    slow = np.where(time_s < 0.0, before_v, 1.5e-5 * np.exp(-time_s / 2e-3))
+    slow = np.where(time_s < 0.0, 0.0, 1.5e-5 * np.exp(-time_s / 2e-3))
     hum = np.where(time_s > 10.5e-3, 1e-6 * np.sin(2.0 * np.pi * 900.0 * time_s), 0.0)
     known = ringing_part(knock + slow + hum, 2e-7, 20000.0)
     assert known is not None
     assert abs(np.sum(known[time_s[: known.size] > 1.05e-3])) < 0.02 * np.sum(np.abs(knock))
-    assert np.abs(known[: (LEAD - 2) * FINE]).max() < 1e-6
 
 
 def test_landings_that_were_only_heard_may_begin_a_sample_early() -> None:
