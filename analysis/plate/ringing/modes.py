@@ -70,9 +70,8 @@ def identified_mode(
     if "drive" not in recording.channels or len(recording.gaps):
         return Identified()
     whole = _Recorded.of(recording, takeoff_s, landing_s, mask_s, high_pass_hz)
-    # of a long recording the last 100 s, where the ball is thrown hardest
-    record = whole.last(max(len(whole.acceleration) - round(100.0 / whole.block_s), 0))
-    forcing_hz, begun, forces, found = recording.setup.forcing.frequency_hz, [0], 0, None
+    record = whole.last(max(len(whole.acceleration) - round(100.0 / whole.block_s), 0))  # thrown hardest there
+    forcing_hz, begun, forces, found, earlier = recording.setup.forcing.frequency_hz, [0], 0, None, None
     for _ in range(4):  # three pieces may be left out
         if len(record.landing_s) < 20 or np.count_nonzero(record.known) < 1000:
             return Identified()
@@ -92,12 +91,16 @@ def identified_mode(
             seen, found = record.second(seen, begun, found, forces, forcing_hz)
         except NotFiniteError:  # a drive that stands still explains no acceleration
             return Identified()
-        if found is None or (worst := seen.worst_cluster(found)) is None:
+        worst = None if found is None else seen.worst_cluster(found)
+        # a flight that was missed spoils what follows: where the fit without a piece loses one before, it was none
+        if earlier and worst is not None and worst * CLUSTER_S < begun[-1] * record.block_s:
+            (seen, found), worst = earlier, None
+        if found is None or worst is None:
             break
-        # a flight that was missed here: what the plate does then is left out, and it rings on from an unknown state
-        record, ends = record.without(worst)
+        earlier = seen, found
+        record, ends = record.without(worst)  # after it the plate rings on from an unknown state
         begun.append(min(ends, len(record.known) - 2))
-    mode = None if found is None else seen.judged(found, forcing_hz)
+    mode = None if found is None else seen.all_judged(found, forcing_hz)
     if mode is None or found is None or not mode.sure:
         # what the ball did is known even where no mode is, if the plate surely answers; but the drive's part, fitted
         # with another mode, may hold some of this one's motion, so that the acceleration corrects no kick
@@ -105,9 +108,6 @@ def identified_mode(
             return Identified(mode)
         pushed = whole.pushed(seen, found)
         return Identified(mode, pushed=(replace(pushed, known=np.zeros_like(pushed.known)),))
-    if len(found) > 2 and (second := seen.judged(found, forcing_hz, 1)):
-        one_mps2 = float(np.std(seen.remainder(seen.followed([found[:2]]))))
-        mode = replace(mode, second=replace(second, before_mps2=one_mps2))
     pushed = whole.pushed(seen, found)
     return Identified(replace(mode, pushed=pushed), pushed=(pushed,))
 
@@ -357,8 +357,7 @@ def ringing_in_words(mode: PlateMode, gamma: Floats, span_s: Floats, drive_mps: 
 
     ``gamma`` of each step, (m,); the rest as in `parts_of_drive`.
     """
-    order = np.argsort(gamma)
-    gamma, span_s, drive_mps = gamma[order], span_s[order], drive_mps[order]
+    gamma, span_s, drive_mps = (x[np.argsort(gamma)] for x in (gamma, span_s, drive_mps))
     part = parts_of_drive(mode, span_s, drive_mps, np.ones(3))
     true = np.flatnonzero(part < UNTRUE)
     first = int(true[-1]) + 1 if len(true) else 0

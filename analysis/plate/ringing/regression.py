@@ -289,6 +289,14 @@ class Regression:
         bad = np.flatnonzero((count >= FEWEST_IN_CLUSTER) & (rms > TORN * np.median(rms[count > 0])))
         return int(bad[0]) if len(bad) else None
 
+    def all_judged(self, x: Floats, forcing_hz: float) -> PlateMode | None:
+        """The first mode at ``x``, with the second one where there are two; None where it is none."""
+        mode, second = self.judged(x, forcing_hz), self.judged(x, forcing_hz, 1) if len(x) > 2 else None
+        if mode is None or second is None:
+            return mode
+        before = self.remainder(self.followed([x[:2]]))
+        return replace(mode, second=replace(second, before_mps2=float(np.std(before))))
+
     def judged(self, x: Floats, forcing_hz: float, which: int = 0) -> PlateMode | None:
         """One of the modes at ``x`` with its covariance; None where it is none."""
         modes, columns = len(x) // 2, self.columns(x)

@@ -78,10 +78,13 @@ def test_a_known_high_pass_does_not_hide_a_mode(tmp_path: Path, corner_hz: float
     run = other_plant.Run(hidden=hidden, seed=4, gammas=tuple(gammas.tolist()), instrument=instrument, closure_s=5e-4)
     path = imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path)
     hiding, mode = _found(path), _found(path, high_pass_hz=corner_hz)
-    assert hiding is None or abs(hiding.frequency_hz - 3.4) > 0.3
-    assert mode is not None and mode.sure
-    off = np.array([mode.frequency_hz - 3.4, mode.damping - 0.2, mode.mass_ratio - 0.15])
-    assert (np.abs(off) < 3.0 * np.array(mode.sigmas())).all()
+
+    def right(mode: PlateMode) -> bool:
+        off = np.array([mode.frequency_hz - 3.4, mode.damping - 0.2, mode.mass_ratio - 0.15])
+        return bool((np.abs(off) < 3.0 * np.array(mode.sigmas())).all())
+
+    assert hiding is None or not right(hiding)
+    assert mode is not None and mode.sure and right(mode)
 
 
 @pytest.mark.parametrize(("mains_v", "low_pass_hz"), [(0.0, 0.0), (0.005, 0.0), (0.0, 5e3)])
@@ -282,6 +285,14 @@ def test_two_modes_of_a_whole_recording_are_driven_by_no_more_than_the_plate_sho
     assert max(float(np.abs(rings).max()) for rings in mode.pushed.after_changes) < 0.5  # m/s; 12 were seen
     for found, hidden in ((mode, (3.8485, 0.0490)), (mode.second, (9.354, 0.00081))):
         assert (found.frequency_hz, found.mass_ratio) == pytest.approx(hidden, rel=0.05)
+
+
+def test_a_piece_is_no_missed_flight_where_without_it_one_before_it_loses_its_fit(tmp_path: Path) -> None:
+    """A piece that noise put at the limit took three others with it, and the mode was off by three deviations."""
+    run = drawn(200091, without=False)
+    mode = _found(imported(other_plant.simulate(run), other_plant.profile_of(run), tmp_path))
+    assert mode is not None and mode.pushed is not None and not mode.pushed.torn_s
+    assert abs(mode.frequency_hz - run.hidden["table_resonance.hz"]) < 1.96 * mode.sigmas()[0]
 
 
 def test_of_several_minima_one_at_a_bound_is_left_for_one_in_range() -> None:
