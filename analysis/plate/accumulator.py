@@ -151,7 +151,7 @@ class StepAccumulator:
             if piece.drive_v is not None and not self.open.drive_cut_off:
                 own = piece.drive_v[max(start - piece.first, 0) : stop - piece.first][:STEP_SAMPLES]
                 # fewer samples of a step that goes on would be a part of a cycle
-                whole = own.size == min(STEP_SAMPLES, stop - start)
+                whole = own.size == min(STEP_SAMPLES, stop - start) > 0
                 self.open.drive_cut_off = whole and drive_is_cut_off(own, self.rate_hz)
             for a, b in self._unbroken(max(start, piece.first), min(stop, piece.last)):
                 self._add_span(self.open, piece.first, (a, b), means, begins)

@@ -59,6 +59,25 @@ def test_a_tone_keeps_its_phase_over_two_gaps(make, tmp_path: Path, lost: tuple[
     assert abs(step.tone(1)[0] - whole.tone(1)[0]) < 5.0 * whole.acceleration.amplitude_sigma()[0]
 
 
+def test_a_step_that_was_stopped_while_it_settled_has_no_motion(make, tmp_path: Path) -> None:
+    """Nothing of it is fitted, and nothing asked of its drive; the step after it is as it was."""
+    path = tmp_path / "stopped.h5"
+    with open_recording(make([0.4, 0.6], hold=40).path) as source:
+        with RecordingWriter(
+            path, source.setup, profile_text="", channels=source.channels, backend="test", simulated=True
+        ) as writer:
+            writer.append(Block(0, np.column_stack([source.codes(name) for name in source.channels])))
+            for step in source.steps:
+                step = step.copy()
+                step["settle_samples"] = step["n_samples"] if step["gamma"] < 0.5 else step["settle_samples"]
+                writer.mark_step(step)
+        second = plate_of(source).steps[1]
+    with open_recording(path) as stopped:
+        found = plate_of(stopped).steps
+    assert second is not None and found[0] is None and found[1] is not None
+    assert found[1].gamma == second.gamma
+
+
 def test_blocks_know_the_place_and_the_time_since_the_last_impact() -> None:
     """Each block's class is its place by the contact voltage, and how many masks it is clear of, written out."""
     rng = np.random.default_rng(4)
