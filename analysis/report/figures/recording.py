@@ -129,6 +129,7 @@ FIGURES = (
     ),
     Figure(
         "plate", draw_plate, "plate",
-        "The plate's gain and lag against the drive, one period of its acceleration, and its harmonics.",
+        "The plate's gain and lag against the drive (of steps that recorded the whole drive), one period of its "
+        "acceleration, and its harmonics.",
     ),
 )  # fmt: skip
