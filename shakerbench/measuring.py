@@ -20,8 +20,6 @@ from analysis.loop.result import ClosedLoop
 from analysis.loop.tables import loop_json
 from analysis.plate.motion import PlateMotion
 from analysis.report.wording import gamma_scale
-from bench.jobs.drop_test import Request, check_request
-from bench.jobs.drop_test import measure as measure_drop
 from bench.profiles.find import load_measuring
 from bench.profiles.improved import write_improved
 from bench.terminal.comparison import comparison_json, sentences
@@ -347,7 +345,9 @@ def drop(
     >>> drop("bounces.wav")["chosen"]  # doctest: +SKIP
     'constant_restitution'
     """
+    from bench.jobs.drop_test import Request, check_request, measure
+
     paths = tuple(Path(p) for p in ([files] if isinstance(files, str | Path) else files))
     request = Request(paths, fps, scale_m, heights_m=tuple(heights_m), gravity_mps2=g_mps2, seed=seed)
     check_request(request)
-    return measure_drop(request).outcome.payload
+    return measure(request).outcome.payload
