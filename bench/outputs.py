@@ -79,6 +79,7 @@ class File:
     form: Form  # what is written
     lasting: bool = False  # never replaced, whatever ``--overwrite`` says
     continues: Callable[[Path], bool] | None = None  # whether a file that is there may be gone on with
+    edited: bool = False  # a file that the command reads and changes in place
 
 
 @dataclass(frozen=True)
@@ -90,21 +91,8 @@ class Folder:
     makes: tuple[str, ...] = PICTURES
 
 
-@dataclass(frozen=True)
-class Edited:
-    """A profile that a command reads and changes in place."""
-
-    option: str
-    path: Path | None
-
-
-Output = File | Folder | Edited
-
-
-def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
-    """Refuse output paths that cannot be written, or would replace what must stay.
-
-    Raises `InputError` with the option, the path, and what to do.
+def check_outputs(*outputs: File | Folder, inputs: Iterable[Path | str | None] = (), overwrite: bool = False) -> None:
+    """Refuse output paths that cannot be written, or would replace what must stay: an `InputError` says what to do.
 
     ``outputs`` are all of the command; ``inputs`` are files, folders and names of profiles that it reads. With
     ``overwrite`` files that are there may be replaced.
@@ -118,15 +106,8 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
         try:
             if isinstance(output, File):
                 _check_file(output, path, named, read, overwrite)
-            elif isinstance(output, Folder):
+            else:
                 _check_folder(output, path, named, read, overwrite)
-            else:  # a profile that is changed in place
-                _refuse_input(path, named, read)
-                if not path.is_file():
-                    made = "make one from a shipped one: bench profile new rig.toml"
-                    raise InputError(f"{named}: wanted a profile's file to write into; {made}")
-                _check_suffix(PROFILE, path, named)
-                path.open("ab").close()  # opens for writing, changes nothing
         except (OSError, RuntimeError) as error:  # RuntimeError: links that lead to one another, before Python 3.13
             why = getattr(error, "strerror", None) or error
             raise InputError(f"{named}: cannot be written ({why}); name another place") from error
@@ -139,6 +120,9 @@ def check_outputs(*outputs: Output, inputs: Iterable[Path | str | None] = (), ov
 def _check_file(output: File, path: Path, named: str, read: list[Path], overwrite: bool) -> None:
     """One file: no input, no folder, a name that fits, in a folder that is there, nothing lost."""
     _refuse_input(path, named, read)
+    if output.edited and not path.is_file():
+        made = "make one from a shipped one: bench profile new rig.toml"
+        raise InputError(f"{named}: wanted a profile's file to write into; {made}")
     if path.is_dir() or str(output.path).endswith(("/", os.sep)):
         example = path / f"result{output.form.suffixes[0]}"
         raise InputError(f"{named}: is a folder; wanted the name of a file, as {example}")
@@ -158,7 +142,7 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
         raise InputError(
             f"{named}: exists already; recordings are never overwritten, not even with --overwrite; choose another name"
         )
-    if not overwrite:
+    if not overwrite and not output.edited:
         raise InputError(f"{named}: exists already; choose another name, or give --overwrite to replace it")
     path.open("ab").close()  # opens for writing, changes nothing
 

@@ -5,72 +5,51 @@ from __future__ import annotations
 import glob
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from bench.outputs import JSON, Edited, File, Folder, Json, Overwrite, Port, check_outputs
+from bench.outputs import JSON, PROFILE, File, Folder, Json, Overwrite, Port, check_outputs
 from bench.terminal.console import print_lines, write_json
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
     from bench.jobs.drop_test import Request
 
-Files = Annotated[list[Path], typer.Argument(help="Films, folders of frames, tables, WAV files or recordings.")]
-Fps = Annotated[float | None, typer.Option(help="Frames per second at which it was filmed (default: the file's own).")]
-Scale = Annotated[float | None, typer.Option(help="Metres a pixel (or a unit of the table).")]
-Sigma = Annotated[float, typer.Option(help="Relative uncertainty, one standard deviation.")]
-Size = Annotated[float | None, typer.Option(help="The ball's height in metres, as a scale (films only).")]
-Heights = Annotated[list[float] | None, typer.Option(help="Stated drop height, m: one for all, or one for each file.")]
-HeightSigma = Annotated[float, typer.Option(help="Uncertainty of the stated height, m.")]
-Use = Annotated[str, typer.Option(help="check the stated height, or use it as data.")]
-Gravity = Annotated[float, typer.Option(help="Local gravity, m/s^2.")]
-Mass = Annotated[float | None, typer.Option(help="The ball's mass, kg; with --diameter: bounds of its air drag.")]
-Diameter = Annotated[float | None, typer.Option(help="The ball's diameter, m.")]
-Balls = Annotated[Path | None, typer.Option(help="Table of balls with mass and size, for falls without a bounce.")]
-From = Annotated[float | None, typer.Option("--from", help="Leave out what is before this time of the file, s.")]
-Until = Annotated[float | None, typer.Option("--until", help="Leave out what is after this time of the file, s.")]
-Ignore = Annotated[list[float] | None, typer.Option(help="Leave out the event or frame nearest to this time, s.")]
-Add = Annotated[list[float] | None, typer.Option(help="Add an impact at this time, s.")]
-Region = Annotated[str | None, typer.Option(help="Part of the picture to look at: LEFT,TOP,RIGHT,BOTTOM in pixels.")]
-Axis = Annotated[float | None, typer.Option(help="Direction of the fall in the picture: degrees right of down.")]
-Out = Annotated[Path, typer.Option(help="Folder for the pictures.")]
-Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the check picture and the residuals.")]
-Into = Annotated[Path | None, typer.Option(help="Write the result into this rig profile.")]
-Stale = Annotated[
-    str, typer.Option(help="Effects declared before that this result does not measure: ask, keep or remove.")
-]
-Page = Annotated[bool, typer.Option("--page", help="Open the desk's page, where impacts are moved, added and removed.")]
-Seed = Annotated[int, typer.Option(help="Seed of the bootstrap.")]
-
 
 def command(
-    files: Files,
-    fps: Fps = None,
-    scale: Scale = None,
-    ball_size: Size = None,
-    scale_uncertainty: Sigma = 0.0,
-    fps_uncertainty: Sigma = 0.0,
-    drop_height: Heights = None,
-    height_uncertainty: HeightSigma = 0.005,
-    use_height: Use = "check",
-    gravity: Gravity = 9.80665,
-    mass: Mass = None,
-    diameter: Diameter = None,
-    balls: Balls = None,
-    from_s: From = None,
-    until_s: Until = None,
-    ignore: Ignore = None,
-    add: Add = None,
-    region: Region = None,
-    axis: Axis = None,
+    files: list[Path] = typer.Argument(help="Films, folders of frames, tables, WAV files or recordings."),
+    fps: float | None = typer.Option(None, help="Frames per second at which it was filmed (default: the file's own)."),
+    scale: float | None = typer.Option(None, help="Metres a pixel (or a unit of the table)."),
+    ball_size: float | None = typer.Option(None, help="The ball's height in metres, as a scale (films only)."),
+    scale_uncertainty: float = typer.Option(0.0, help="Relative uncertainty, one standard deviation."),
+    fps_uncertainty: float = typer.Option(0.0, help="Relative uncertainty, one standard deviation."),
+    drop_height: list[float] | None = typer.Option(
+        None, help="Stated drop height, m: one for all, or one for each file."
+    ),
+    height_uncertainty: float = typer.Option(0.005, help="Uncertainty of the stated height, m."),
+    use_height: str = typer.Option("check", help="check the stated height, or use it as data."),
+    gravity: float = typer.Option(9.80665, help="Local gravity, m/s^2."),
+    mass: float | None = typer.Option(None, help="The ball's mass, kg; with --diameter: bounds of its air drag."),
+    diameter: float | None = typer.Option(None, help="The ball's diameter, m."),
+    balls: Path | None = typer.Option(None, help="Table of balls with mass and size, for falls without a bounce."),
+    from_s: float | None = typer.Option(None, "--from", help="Leave out what is before this time of the file, s."),
+    until_s: float | None = typer.Option(None, "--until", help="Leave out what is after this time of the file, s."),
+    ignore: list[float] | None = typer.Option(None, help="Leave out the event or frame nearest to this time, s."),
+    add: list[float] | None = typer.Option(None, help="Add an impact at this time, s."),
+    region: str | None = typer.Option(None, help="Part of the picture to look at: LEFT,TOP,RIGHT,BOTTOM in pixels."),
+    axis: float | None = typer.Option(None, help="Direction of the fall in the picture: degrees right of down."),
     json_target: Json = None,
-    out: Out = Path(),
-    pictures: Pictures = True,
-    into: Into = None,
-    stale: Stale = "ask",
-    seed: Seed = 1,
-    page: Page = False,
+    out: Path = typer.Option(Path(), help="Folder for the pictures."),
+    pictures: bool = typer.Option(True, "--pictures/--no-pictures", help="Draw the check picture and the residuals."),
+    into: Path | None = typer.Option(None, help="Write the result into this rig profile."),
+    stale: str = typer.Option(
+        "ask", help="Effects declared before that this result does not measure: ask, keep or remove."
+    ),
+    seed: int = typer.Option(1, help="Seed of the bootstrap."),
+    page: bool = typer.Option(
+        False, "--page", help="Open the desk's page, where impacts are moved, added and removed."
+    ),
     port: Port = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -84,7 +63,7 @@ def command(
     made = tuple(f"{glob.escape(path.stem)}-{what}.png" for path in files for what in ("residuals", "track", "sound"))
     check_outputs(
         File("--json", json_target, JSON), Folder("--out", out if pictures and not page else None, made),
-        Edited("--into", into), inputs=[*files, balls], overwrite=overwrite,
+        File("--into", into, PROFILE, edited=True), inputs=[*files, balls], overwrite=overwrite,
     )  # fmt: skip
     by_hand = Corrections(from_s, until_s, tuple(ignore or ()), tuple(add or ()), parse_region(region), axis)
     request = Request(

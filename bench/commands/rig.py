@@ -6,8 +6,9 @@ import time
 from pathlib import Path
 
 import typer
+from rich.table import Table
 
-from bench.outputs import JSON, NPZ, Edited, File, Json, Overwrite, Scenario, Seed, check_outputs
+from bench.outputs import JSON, NPZ, PROFILE, File, Json, Overwrite, Scenario, Seed, check_outputs
 from bench.terminal.console import fail, print_lines, print_table, write_json
 from daq.setup.errors import InputError
 
@@ -25,8 +26,6 @@ def devices(
 
     Exits 0, also when nothing is there; 2 when a profile cannot be read.
     """
-    from rich.table import Table
-
     from bench.profiles.devices import found_devices
 
     check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
@@ -61,8 +60,6 @@ def check(
 
     Exits 0 when everything passed, 1 when something did not, 2 when the call was wrong.
     """
-    from rich.table import Table
-
     from bench.jobs.run_ramp import check_rig, open_rig
 
     check_outputs(File("--json", json, JSON), inputs=[profile, scenario], overwrite=overwrite)
@@ -96,13 +93,12 @@ def calibrate(
     Exits 0 when the values were written, 1 when the device failed, 2 when the call was wrong or nothing could be
     measured; the profile is then left as it was.
     """
-    from rich.table import Table
-
     from bench.jobs.calibrate import calibrate_into
 
     if kind not in KINDS:
         raise InputError(f"{kind}: wanted one of {', '.join(KINDS)}")
-    check_outputs(Edited("--into", into), File("--json", json, JSON), inputs=[scenario], overwrite=overwrite)
+    edited = File("--into", into, PROFILE, edited=True)
+    check_outputs(edited, File("--json", json, JSON), inputs=[scenario], overwrite=overwrite)
     profile, backend, measured = calibrate_into(into, kind, scenario, seed, _ask)
     answer = {"profile": into, "simulated": backend.simulated, "measured": measured}
     if not write_json(answer, json):

@@ -7,22 +7,27 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from analysis.drop.corrections import NOTHING, Corrections
+from analysis.drop.corrections import NOTHING, Corrections, Progress
+from analysis.drop.falls.fit import AIR_KG_PER_M3, Fall, with_balls
+from analysis.drop.falls.outcome import judge_falls, of_falls
+from analysis.drop.figures import FitPlot, camera_plot, draw_fit, draw_sound, draw_track, falls_plot, times_plot
+from analysis.drop.film.camera_fit import fit_camera
+from analysis.drop.film.outcome import Units, of_camera
+from analysis.drop.load import Known, Path2D, load_all
+from analysis.drop.outcome import Outcome
+from analysis.drop.read.balls import read_balls
+from analysis.drop.times.model_fit import Drop
+from analysis.drop.times.outcome import judge, of_times
+from bench.profiles.edit import declare, with_values
+from daq.files.disk import write_whole
 from daq.files.json_values import json_object
 from daq.setup.errors import InputError
 from daq.setup.values import STANDARD_GRAVITY_MPS2
-
-if TYPE_CHECKING:
-    from analysis.drop.corrections import Progress
-    from analysis.drop.figures import FitPlot
-    from analysis.drop.film.outcome import Units
-    from analysis.drop.load import Known, Path2D
-    from analysis.drop.outcome import Outcome
-    from analysis.drop.times.model_fit import Drop
+from rig.profile import parse_profile
 
 # what `bench drop` calls each number of a request, the positive ones first, and each of its corrections
 POSITIVE = {
@@ -73,7 +78,6 @@ class Request:
     @property
     def drag_limits(self) -> tuple[float, float]:
         """Smallest and largest drag of a sphere of this mass and size, 1/m."""
-        from analysis.drop.falls.fit import AIR_KG_PER_M3
 
         if self.mass_kg is None or self.diameter_m is None:
             return 0.0, np.inf
@@ -88,10 +92,7 @@ class Request:
 
 
 def check_request(request: Request) -> None:
-    """Refuse options that contradict each other or mean nothing.
-
-    Raises `InputError` with the option, and what was wanted.
-    """
+    """Refuse options that contradict each other or mean nothing: an `InputError` says what was wanted."""
     if request.use_height not in ("check", "data"):
         raise InputError(f"--use-height {request.use_height}: expected check or data")
     if request.use_height == "data" and not request.heights_m:
@@ -166,12 +167,7 @@ class DropTest:
 
 
 def measure(request: Request, progress: Progress | None = None, known: Known | None = None) -> DropTest:
-    """Read, fit and judge; ``known`` has what is slow and does not depend on corrections by hand.
-
-    Raises `InputError` for anything that is no drop test, with the file and what to do.
-    """
-    from analysis.drop.load import Path2D, load_all
-
+    """Read, fit and judge (raises `InputError`); ``known`` has what is slow and does not depend on corrections."""
     loaded: list[tuple[int, Any]]
     loaded = [
         (number, item)
@@ -200,8 +196,6 @@ def measure(request: Request, progress: Progress | None = None, known: Known | N
 
 def draw(done: DropTest, out: Path) -> None:
     """Check pictures of sounds and films, and the fit with its residuals, into the folder ``out``; each is said."""
-    from analysis.drop.figures import draw_fit, draw_sound, draw_track
-    from analysis.drop.times.model_fit import Drop
 
     def target(name: str, what: str) -> Path:
         return out / f"{Path(name).stem}-{what}.png"
@@ -223,9 +217,6 @@ def draw(done: DropTest, out: Path) -> None:
 
 def _from_times(drops: list[Drop], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Impact times: the models, judged on held-out bounces."""
-    from analysis.drop.figures import times_plot
-    from analysis.drop.times.outcome import judge, of_times
-
     rng, stated = np.random.default_rng(request.seed), [request.stated[number] for number in numbers]
     g, without_heights = request.gravity_mps2, None
     verdict = judge(drops, g, rng, request.drag_limits)
@@ -238,11 +229,6 @@ def _from_times(drops: list[Drop], numbers: list[int], request: Request) -> tupl
 
 def _from_falls(paths: list[Path2D], numbers: list[int], request: Request) -> tuple[Outcome, FitPlot]:
     """Falls without a bounce: the causes, judged on the other drops of each ball."""
-    from analysis.drop.falls.fit import Fall, with_balls
-    from analysis.drop.falls.outcome import judge_falls, of_falls
-    from analysis.drop.figures import falls_plot
-    from analysis.drop.read.balls import read_balls
-
     falls = []
     for item in paths:
         if item.fall is None:
@@ -269,10 +255,6 @@ def _from_paths(
     paths: list[Path2D], numbers: list[int], request: Request
 ) -> tuple[Outcome, FitPlot, list[tuple[int, float, bool]]]:
     """Films and tracked positions: flights, restitution, the models; and the impacts in each file's own time."""
-    from analysis.drop.figures import camera_plot
-    from analysis.drop.film.camera_fit import fit_camera
-    from analysis.drop.film.outcome import of_camera
-
     if request.use_height == "data":
         raise InputError("--use-height data: a film or a path measures the height itself; say --use-height check")
     units = _units(paths, request)
@@ -294,8 +276,6 @@ def _from_paths(
 
 def _units(paths: list[Path2D], request: Request) -> Units:
     """Seconds a frame and metres a unit: what was said on the command line first, then what the files say."""
-    from analysis.drop.film.outcome import Units
-
     rates = [item.frame_s or 0.0 for item in paths]
     if request.fps is None and max(rates) > 1.01 * min(rates):
         raise InputError("the files have different frame rates; say --fps, or run them one by one")
@@ -319,23 +299,11 @@ def _units(paths: list[Path2D], request: Request) -> Units:
 def declare_into(profile: Path, outcome: Outcome, stale: str, ask: Callable[[str], bool | None]) -> str | None:
     """Write what was measured into a profile that still reads afterwards; returns why nothing was written.
 
+    ``stale``: "keep" or "remove" effects that are declared and that this result was measured without; "ask" about
+    them, by ``ask``, whose answer is None where there is none.
+
     Raises `InputError` where the profile cannot be read, or would be none any more.
-
-    Parameters
-    ----------
-    profile
-        The file.
-    outcome
-        What was measured; nothing that is unexplained, or compatible with zero, is in it.
-    stale
-        "keep" or "remove" effects that are declared and that this result was measured without; "ask" about them.
-    ask
-        Puts a question; None where there is no answer.
     """
-    from bench.profiles.edit import declare, with_values
-    from daq.files.disk import write_whole
-    from rig.profile import parse_profile
-
     if not outcome.measured:
         reasons = "; ".join(outcome.payload["unexplained_because"]) or "every value is compatible with zero"
         return f"{profile}: nothing was written into it: {reasons}"

@@ -15,7 +15,7 @@ import typer
 from typer.testing import CliRunner
 
 from bench.cli import COMMANDS, app
-from bench.outputs import CSV, HDF5, JSON, PACKED_CSV, PICTURE, Edited, File, Folder, check_outputs
+from bench.outputs import CSV, HDF5, JSON, PACKED_CSV, PICTURE, File, Folder, check_outputs
 from daq.setup.errors import InputError
 
 READ = {
@@ -149,7 +149,7 @@ def test_every_command_that_writes_files_can_be_told_to_replace_them(words: tupl
     assert bool(more_for(words)) == (words != ("demo",))
 
 
-def refused(*outputs: File | Folder | Edited, **options: Any) -> str:
+def refused(*outputs: File | Folder, **options: Any) -> str:
     """The words with which outputs are refused; empty where they are taken."""
     try:
         check_outputs(*outputs, **options)
