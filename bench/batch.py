@@ -36,12 +36,7 @@ PARTS = ("reprocess", "compare", "close-loop")
 
 
 def examine(path: Path, parts: tuple[str, ...], profile: Path | None = None, anyway: bool = False) -> Row:
-    """The row of one recording.
-
-    Text, numbers or None by column; ``failed`` is the reason why something is missing, else None.
-
-    ``parts`` is what to do, of `PARTS`; ``profile`` replaces the recording's own.
-    """
+    """The row of one recording: text, numbers or None by column; ``failed`` is why something is missing, else None."""
     began = time.process_time()
     row: Row = {"failed": None}
     try:
@@ -123,10 +118,7 @@ def _verdict(path: Path, setup: Setup | None, *, anyway: bool) -> Row:
 
 
 def find_recordings(places: Sequence[Path]) -> tuple[list[Path], int]:
-    """Recordings named, and those in the folders named and below; and how many other HDF5 files were there.
-
-    Raises `InputError` for a place that does not exist, or where there is no recording at all.
-    """
+    """Recordings named, or in folders named and below (`InputError`: none); how many other HDF5 files were there."""
     found: dict[Path, Path] = {}
     others = 0
     for place in places:
@@ -203,10 +195,7 @@ def run_batch(
 
 
 def write_table(rows: Sequence[Row], path: Path) -> None:
-    """Write ``rows`` as Parquet or CSV, by the ending of ``path``; the common columns first, values of effects by name.
-
-    Raises `OSError` when the disk refuses.
-    """
+    """Write ``rows`` as Parquet or CSV, by the ending of ``path``; the common columns before those of effects."""
     found = dict.fromkeys(name for row in rows for name in row)
     names = [n for n in found if "." not in n] + sorted(n for n in found if "." in n)
     with whole(path) as part:

@@ -28,9 +28,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "devices": ("rig:devices", "List sound cards and serial ports, and which profile fits."),
     "check": ("rig:check", "Before a run: is the rig wired as its profile says?"),
     "calibrate": ("rig:calibrate", "Measure a rig's scales and write them into its profile."),
-    "ramp": ("ramp", "Run a profile's ramp and record it."),
+    "ramp": ("ramp:ramp", "Run a profile's ramp and record it."),
     "live": ("live", "A page to start, watch and stop runs, in a browser."),
-    "explore": ("explore", "Let the rig choose its own steps until one explanation stands."),
+    "explore": ("ramp:explore", "Let the rig choose its own steps until one explanation stands."),
     "import": ("exchange:import_", "Turn somebody's CSV, HDF5, WAV, MATLAB or other file into a recording."),
     "export": ("exchange:export", "Write a recording as CSV, HDF5, Parquet, MATLAB and other forms."),
     "reprocess": ("reprocess", "Recording to flights, plate motion and pictures."),
@@ -38,21 +38,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "predict": ("predict", "Predicted orbits, diagrams and bifurcations."),
     "close-loop": ("close_loop", "Find the residual, name the missing effect, report before and after."),
     "stake": ("close_loop:stake", "Hold a later run against the prediction that a verdict staked on it."),
-    "batch": ("batch", "Folders of recordings, one row each; resumable, on many cores."),
-    "report": ("report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
+    "batch": ("batch:batch", "Folders of recordings, one row each; resumable, on many cores."),
+    "report": ("batch:report", "One page of recordings: verdict, figures, steps, provenance; also PDF."),
     "drop": ("drop", "Drop tests by camera, sound or contact."),
     "info": ("recordings:info", "Contents of a recording: note, keys, profile, steps, state."),
     "runs": ("runs", "Table of the recordings in a folder, filtered and sorted."),
     "tag": ("runs:tag", "Tag a recording, or take tags away."),
     "note": ("runs:note", "Add a note to a recording."),
-    "verify": (
-        "recordings:verify",
-        "Check whether a recording is complete, stopped, incomplete or damaged.",
-    ),
-    "recover": (
-        "recordings:recover",
-        "Rebuild a verified recording from one that was cut off or is damaged.",
-    ),
+    "verify": ("recordings:verify", "Check whether a recording is complete, stopped, incomplete or damaged."),
+    "recover": ("recordings:recover", "Rebuild a verified recording from one that was cut off or is damaged."),
     "mcp": ("mcp", "An agent's door: plan, ramp and verdicts over the Model Context Protocol."),
     "virtual": ("rig:virtual", "The simulated plant as a process of its own, behind a real driver."),
     "paper": ("paper", "The seed paper, figure by figure, each number with the effect that moves it."),
@@ -131,9 +125,9 @@ app = typer.Typer(
 def _print_version(wanted: bool) -> None:
     """Version and Python, and leave."""
     if wanted:
-        from bench import __version__
+        from daq.setup.provenance import software_version
 
-        typer.echo(f"bench {__version__} (shakerbench; Python {sys.version.split()[0]})")
+        typer.echo(f"bench {software_version()} (shakerbench; Python {sys.version.split()[0]})")
         raise typer.Exit
 
 

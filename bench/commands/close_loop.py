@@ -13,25 +13,14 @@ import typer
 
 from bench import outputs
 from bench.outputs import File, Folder, check_outputs
-from bench.terminal.console import (
-    EXIT_FAILED,
-    fail,
-    new_table,
-    print_lines,
-    print_table,
-    speaker,
-    warn,
-    write_json,
-)
+from bench.terminal.console import EXIT_FAILED, fail, print_lines, progress_bar, speaker, warn, write_json
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
-    from analysis.explore.stake import Outcome
     from analysis.loop.close_loop import FittedLoop
     from analysis.loop.design import Ranked
     from analysis.loop.result import ClosedLoop
     from analysis.loop.term_effect import TermEffect
-    from daq.setup.setup import Stake
 
 
 def command(
@@ -137,7 +126,6 @@ def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, in
     from analysis.loop.close_loop import fit_loop
     from bench.jobs.loops import until_clear
     from bench.profiles.find import load_measuring
-    from bench.terminal.progress import progress_bar
 
     quiet, failure, text = wanted.json == "-", "", None
     if again is not None:
@@ -243,23 +231,7 @@ def stake(
         "flights": outcome.flights, "plate": outcome.plate, "verdict": verdict,
     }  # fmt: skip
     if write_json(answer, json):
-        _print_stake(staked, outcome)
+        from bench.terminal.loop_display import show_stake
+
+        show_stake(staked, outcome)
         print_lines(*([] if verdict is None else [f"verdict amended: {verdict}"]))
-
-
-def _print_stake(stake: Stake, outcome: Outcome) -> None:
-    """The table for a person, and what it says."""
-    named, rival = (" + ".join(names) or "the declared model" for names in (stake.named, stake.rival))
-    table = new_table("gamma", "found\n(us)", "predicted\n(us)", "by the rival\n(us)", "landings", "")
-    for s in outcome.steps:
-        table.add_row(
-            f"{s.staked.gamma:g}", f"{s.median_us:.1f}", f"0 +- {s.half_us:.1f}",
-            "elsewhere" if s.staked.rival_us is None else f"{s.staked.rival_us:.1f}",
-            str(s.landings), "met" if s.met else "missed",
-        )  # fmt: skip
-    print_table(table)
-    print_lines(
-        f"median of measured minus predicted landings, one flight ahead; the rival is {rival}",
-        f"rms over noise and parameters' uncertainty: flights {outcome.flights:.2f}, plate {outcome.plate:.2f}",
-        f"{named}: {outcome.words}",
-    )

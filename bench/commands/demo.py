@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from bench.outputs import Folder, Scenario, check_outputs
-from bench.terminal.console import DEFECTS, EXIT_FAILED, fail, write_json
-from bench.terminal.progress import progress_bar
+from bench.terminal.console import DEFECTS, EXIT_FAILED, fail, print_lines, progress_bar, write_json
 from daq.setup.errors import InputError
 from daq.setup.values import STANDARD_GRAVITY_MPS2
 
@@ -218,14 +217,10 @@ def _close(recording: Path, flights: Flights, folder: Path) -> tuple[ClosedLoop,
         with progress_bar() as say:
             write_report(loop, folder / "report", recording=recording, progress=say)
 
-    def write_profile() -> None:
-        for line in write_improved(loop, recording, folder / "improved.toml"):
-            typer.echo(line)
-
     outputs = (
         ("verdict as JSON", lambda: write_json(loop_json(loop), str(folder / "verdict.json"))),
         ("report", write_page),
-        ("improved profile", write_profile),
+        ("improved profile", lambda: print_lines(*write_improved(loop, recording, folder / "improved.toml"))),
     )
     return loop, conclude(loop, [recording], outputs)
 

@@ -7,19 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+from rich.table import Table
 
 from bench import outputs
 from bench.outputs import HDF5, JSON, File, Json, Overwrite, check_outputs
-from bench.terminal.console import (
-    ACHIEVED,
-    EXIT_USAGE,
-    fail,
-    next_command,
-    print_lines,
-    print_table,
-    readable,
-    write_json,
-)
+from bench.terminal.console import ACHIEVED, next_command, print_lines, print_table, progress_bar, readable, write_json
 from daq.setup.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,7 +61,6 @@ def import_(
     Example: bench import os.csv -p shaker.toml -o os.h5 --channel 0 --map accelerometer=Z:g --map frequency=Freq
     """
     from bench.profiles.find import load_measuring
-    from bench.terminal.progress import progress_bar
     from daq.files.tables import STEP_DTYPE
     from daq.importers.formats.columns import parse_map
     from daq.importers.formats.open import open_source
@@ -111,8 +102,6 @@ def _selected(channel: list[str]) -> dict[str, str]:
 
 def _print(summary: ImportSummary) -> None:
     """The summary as a person reads it."""
-    from rich.table import Table
-
     from daq.importers.formats.columns import listed
 
     rate_hz, steps = summary.timebase.rate_hz, summary.steps
@@ -170,7 +159,7 @@ def export(
     kind = to.value if to is not None else out.name.removesuffix(".gz").rpartition(".")[2].lower()
     kind = OTHER_ENDINGS.get(kind, kind)
     if kind not in FORMS:
-        fail(f"{out}: the ending does not say what to write; wanted --to {', '.join(FORMS)}.", EXIT_USAGE)
+        raise InputError(f"{out}: the ending does not say what to write; wanted --to {', '.join(FORMS)}.")
     notes = out.with_name(f"{out.name}.notes.txt")
     check_outputs(
         File("--out", out, FORMS[kind]), File("--json", json, JSON), File("--out", notes, outputs.NOTES),

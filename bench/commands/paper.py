@@ -6,7 +6,8 @@ from pathlib import Path
 
 import typer
 
-from bench.outputs import Overwrite
+from bench.outputs import Folder, Overwrite, check_outputs
+from bench.terminal.console import progress_bar
 
 
 def command(
@@ -24,9 +25,7 @@ def command(
     driven here.
     """
     from bench.jobs.paper import paper
-    from bench.outputs import Folder, check_outputs
     from bench.profiles.find import load
-    from bench.terminal.progress import progress_bar
 
     check_outputs(Folder("--out", out, makes=("paper.md", "paper/*")), inputs=[profile], overwrite=overwrite)
     with progress_bar() as say:

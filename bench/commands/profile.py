@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from rich.table import Table
 
 from bench.outputs import JSON, PROFILE, File, Json, Overwrite, check_outputs
 from bench.terminal.console import EXIT_USAGE, GAMMA, fail, new_table, print_lines, print_table, write_json
@@ -27,8 +28,6 @@ def list_profiles(json: Json = None, overwrite: Overwrite = False) -> None:
 
     Example: bench profile list
     """
-    from rich.table import Table
-
     from bench.profiles.find import load, scenario_names, shipped_folder, shipped_names
 
     check_outputs(File("--json", json, JSON), overwrite=overwrite)

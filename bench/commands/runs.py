@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import typer
 
 from bench.outputs import JSON, File, Json, Overwrite, check_outputs
-from bench.terminal.console import EXIT_FAILED, new_table, print_lines, print_table, readable, warn, write_json
+from bench.terminal.console import (
+    EXIT_FAILED,
+    new_table,
+    print_lines,
+    print_table,
+    progress_bar,
+    readable,
+    warn,
+    write_json,
+)
 from bench.web.packages import serve_pages
 from daq.setup.errors import InputError, require_file
 
@@ -49,19 +58,18 @@ def command(
     Example: bench runs runs --tag new-spring --sort -gamma
     """
     from bench.runs.catalogue import Catalogue, Query
-    from bench.terminal.progress import progress_bar
 
     check_outputs(File("--json", json, JSON), inputs=[folder], overwrite=overwrite)
     query = Query(
         profile=profile_name, c=c, gamma=gamma, tags=tuple(tag), verdict=verdict, ended=ended, since=since,
         until=until, text=text, lost=lost, sort=sort, limit=limit,
     )  # fmt: skip
-    with Catalogue(folder, anew=rescan) as catalogue:
-        if catalogue.said:
-            warn(catalogue.said)
-        with progress_bar(quiet=json == "-") as bar:
-            read = catalogue.update(all_bytes=verify, progress=bar)
-        rows = catalogue.runs(query)
+    catalogue = Catalogue(folder, anew=rescan)
+    if catalogue.said:
+        warn(catalogue.said)
+    with progress_bar(quiet=json == "-") as bar:
+        read = catalogue.update(all_bytes=verify, progress=bar)
+    rows = catalogue.runs(query)
     answer = {
         "folder": catalogue.folder, "catalogue": catalogue.path, "said": catalogue.said or None, "files_read": read,
         "runs": rows,
@@ -153,10 +161,7 @@ def note(
 
 
 def _changed(recording: Path, change: Callable[[Remarks], Remarks] | None, json: str | None) -> None:
-    """Change the remarks on a recording, and show its tags and its whole notebook, as JSON where that is asked for.
-
-    Raises `InputError` where the file is missing or no recording, or ``change`` refuses.
-    """
+    """Change the remarks on a recording (raises `InputError`), and show its tags and its whole notebook."""
     from daq.recording.header import Header, read_headers
     from daq.recording.notebook import as_line, change_remarks, notebook, read_remarks, side_file
 

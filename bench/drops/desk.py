@@ -36,10 +36,7 @@ _SAME_S = 1e-7
 
 
 def moved(part: Corrections, gone_s: float | None, new_s: float | None, same_s: float = _SAME_S) -> Corrections:
-    """``part`` with an impact taken away (``gone_s``), added (``new_s``) or, with both, moved.
-
-    An added impact within ``same_s`` of ``gone_s`` is the one that is meant.
-    """
+    """``part`` with an impact taken away (``gone_s``, known to ``same_s``), added (``new_s``) or, with both, moved."""
     ignored, added = part.ignore_s, part.add_s
     if gone_s is not None:
         own = [t for t in added if abs(t - gone_s) <= same_s]
@@ -63,10 +60,7 @@ def side_file(file: Path) -> Path:
 
 
 def saved_request(target: Path, files: Sequence[Path]) -> Request | None:
-    """The request of the result in ``target``, on ``files``; None where there is none, or one of other files.
-
-    Raises `InputError` where the file is there and is no result of a drop test.
-    """
+    """The request of the result in ``target`` on ``files``; None: none, or other files' (`InputError`: no result)."""
     try:
         text = target.read_text(encoding="utf-8")
     except OSError:
@@ -86,16 +80,10 @@ Message = dict[str, Any]
 
 
 class DropDesk:
-    """State of the page, and what browsers may do to it.
+    """State of the page, and what browsers may do to it; files of ``folder`` may be opened.
 
-    Parameters
-    ----------
-    folder
-        Of files that may be opened.
-    request
-        A drop test to show from the start, of files anywhere; None leaves the choice to the browser.
-    target
-        File for the JSON; None: next to the first file.
+    ``request``: a drop test to show from the start, of files anywhere; None leaves the choice to the browser.
+    ``target``: file for the JSON; None: next to the first file.
     """
 
     def __init__(self, folder: Path, request: Request | None = None, target: Path | None = None) -> None:

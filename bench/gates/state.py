@@ -111,10 +111,7 @@ def now() -> str:
 
 
 def load_state(folder: Path) -> tuple[State, str]:
-    """The state in a folder, and a fault; where the file holds no state it is set aside, and the fault says where to.
-
-    Raises `OSError` when the file cannot be read or set aside.
-    """
+    """The state in a folder, and a fault: a file that holds no state is set aside, and the fault says where to."""
     path = folder / FILE
     if not path.is_file():
         return State(), ""

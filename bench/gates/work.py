@@ -21,10 +21,7 @@ Ask = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work: the gate, which of its kinds, the profile's file, and what a simulated rig hides.
-
-    For a verdict also the recording, and where the improved profile goes.
-    """
+    """Work of a gate, of one of its kinds; a verdict has also the recording, and where the improved profile goes."""
 
     gate: str
     kind: str

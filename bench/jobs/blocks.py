@@ -78,17 +78,16 @@ def by_person(block: Chosen, wanted: NextSteps) -> Chosen:
     ratio = {} if wanted.ratio is None else {"forcing.ratio": wanted.ratio}
     changes = _in_order(wanted.gammas) | ratio | {"stake": None}  # other steps are another prediction
     text = with_values(block.text, changes, "the block")
+    refuse_forbidden("these gammas", parse_profile(text, "the block"))
+    return chosen(text, f"chosen by a person{f', {wanted.why}' if wanted.why else ''}")
+
+
+def chosen(text: str, why: str) -> Chosen:
+    """The block with the profile ``text``; its reason says the forcing, and ``why``."""
     profile = parse_profile(text, "the block")
-    refuse_forbidden("these gammas", profile)
-    why = f"chosen by a person{f', {wanted.why}' if wanted.why else ''}"
-    return Chosen(text, run_seconds(profile), f"{forcing_in_words(profile)}: {why}")
-
-
-def forcing_in_words(profile: Profile) -> str:
-    """The forcing of a block in words."""
-    forcing, ramp = profile.forcing, profile.ramp
-    listed = ", ".join(f"{g:g}" for g in ramp.gammas())
-    return f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {listed}"
+    forcing, gammas = profile.forcing, ", ".join(f"{g:g}" for g in profile.ramp.gammas())
+    words = f"c = {forcing.ratio}, {forcing.frequency_hz:g} Hz, gamma {gammas}: {why}"
+    return Chosen(text, run_seconds(profile), words)
 
 
 def tells(path: Path) -> bool:
@@ -109,15 +108,17 @@ def as_driven(path: Path) -> Chosen:
 
 # -- what may be driven ------------------------------------------------------------------------------------------------
 def offers(text: str, aims: Aims) -> list[Option]:
-    """Every forcing that may be driven, up and down, with the gammas that the limits allow.
-
-    Raises `InputError` where the limits allow none.
-    """
+    """Every forcing that may be driven, up and down, with the gammas that the limits allow (`InputError`: none)."""
     profile = parse_profile(text, "profile")
-    found = []
+    own, found = profile.ramp.gammas(), []
     for ratio in aims.ratios:
+        takeoff, own_takeoff = (0.5 if c == 1 else 1.0 / (1.0 + c**2) for c in (ratio, profile.forcing.ratio))
+        scale = takeoff / own_takeoff
+        # from just above take-off to half as far again as the profile's own ramp
+        low, high = max(min(own) * scale, 1.1 * takeoff), 1.5 * max(own) * scale
+        range_of_ratio = [float(f"{g:.4g}") for g in np.linspace(low, high, 10)]
         for frequency_hz in aims.frequencies_hz or (profile.forcing.frequency_hz,):
-            allowed = [g for g in _gammas(profile, ratio) if _allowed(text, aims, ratio, frequency_hz, g)]
+            allowed = [g for g in range_of_ratio if _allowed(text, aims, ratio, frequency_hz, g)]
             if len(allowed) < aims.steps:
                 continue
             for gammas in (allowed, allowed[::-1]):
@@ -128,16 +129,6 @@ def offers(text: str, aims: Aims) -> list[Option]:
             f"the limits of this profile allow no block of {aims.steps} steps: raise [limits], or give fewer"
         )
     return found
-
-
-def _gammas(profile: Profile, ratio: int) -> list[float]:
-    """Gammas for a ratio: the range of the profile's ramp over its take-off, and farther."""
-    own = profile.ramp.gammas()
-    takeoff, own_takeoff = (0.5 if c == 1 else 1.0 / (1.0 + c**2) for c in (ratio, profile.forcing.ratio))
-    scale = takeoff / own_takeoff
-    # from just above take-off to half as far again as the profile's own ramp
-    low, high = max(min(own) * scale, 1.1 * takeoff), 1.5 * max(own) * scale
-    return [float(f"{g:.4g}") for g in np.linspace(low, high, 10)]
 
 
 def block_text(text: str, aims: Aims, ratio: int, frequency_hz: float, gammas: Sequence[float]) -> str:
@@ -184,24 +175,17 @@ IN_WORDS = ("name", "description", "calibration_days")  # of a setup: they chang
 def staked_block(
     text: str, fitted: FittedLoop, options: Sequence[Option], aims: Aims, recordings: Sequence[Path]
 ) -> Chosen | None:
-    """The block that a verdict is staked on, its profile with the prediction; None where none can be.
-
-    ``text`` is the profile of the rig, ``fitted`` the fits behind the verdict on ``recordings``; ``options`` are the
-    forcings that may be driven, and ``aims`` say how long each step is held.
-    """
+    """The block that a verdict on ``recordings`` is staked on, its profile with the prediction; None: none can be."""
     written = f"{software_version()} {software_commit()}".strip(), now_utc()
     found = staked(fitted, options, aims.steps, written, recordings)
     if found is None:
         return None
     block, stake = found
-    forcing = block.option.setup.forcing
-    own = with_values(text, {"stake": None}, "the profile")
-    own = block_text(own, aims, forcing.ratio, forcing.frequency_hz, block.gammas)
-    own = own.rstrip("\n") + "\n\n" + stake_toml(stake)
-    profile = parse_profile(own, "the stake")
+    forcing, own = block.option.setup.forcing, with_values(text, {"stake": None}, "the profile")
+    own = block_text(own, aims, forcing.ratio, forcing.frequency_hz, block.gammas).rstrip("\n")
+    own = f"{own}\n\n{stake_toml(stake)}"
     named, rival = (" + ".join(names) or "the declared model" for names in (stake.named, stake.rival))
-    why = f"{named} is staked on it, {stake.nats:.2g} nats against it if {rival} is right"
-    return Chosen(own, run_seconds(profile), f"{forcing_in_words(profile)}: {why}")
+    return chosen(own, f"{named} is staked on it, {stake.nats:.2g} nats against it if {rival} is right")
 
 
 def write_stake(
@@ -209,9 +193,7 @@ def write_stake(
 ) -> list[str]:
     """Write what the verdict on ``recordings`` is staked on to the file ``path``; what was written, in lines.
 
-    ``text`` is that of the profile by which the loop was closed, if not the first recording's own.
-
-    Raises `InputError` where that profile cannot be driven.
+    ``text`` is that of the profile by which the loop was closed, if not the first's own (raises `InputError`).
     """
     if loop.verdict != "explained":
         return [f"stake: {path} is not written, because only a verdict that explains everything stakes a prediction"]

@@ -37,13 +37,10 @@ LEAST_PAIRS = 20  # of impacts and edges
 def calibrate_into(
     path: Path, kind: str, scenario: Path | None, seed: int, ask: Callable[[bool], None]
 ) -> tuple[Profile, Backend, list[MeasuredValue]]:
-    """Do what `bench calibrate` does, and write it into the profile's file.
+    """Do what `bench calibrate` does, and write it into the profile's file, which a failure leaves as it was.
 
-    Raises `InputError` or `BackendError` when the device failed or nothing could be measured; the file is left as it
-    was. Returns the profile as it was, its back end, and what was measured.
-
-    ``kind``: accelerometer, drive or contact. ``ask`` is called before the accelerometer is laid upside down (True) and
-    back (False).
+    Raises `InputError` or `BackendError`. Returns the profile as it was, its back end, and what was measured. ``ask``
+    is called before the accelerometer is laid upside down (True) and back (False).
     """
     profile, backend = open_rig(path, "calibrate", scenario, seed)
     if kind == "accelerometer":

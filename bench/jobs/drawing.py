@@ -12,8 +12,7 @@ import sys
 from analysis.loop.result import ClosedLoop
 from analysis.report.figures.several import write_pictures
 from analysis.report.page import write_report
-from bench.terminal.console import DEFECTS, EXIT_FAILED, EXIT_USAGE, end_with_defect
-from bench.terminal.progress import progress_bar
+from bench.terminal.console import DEFECTS, EXIT_FAILED, EXIT_USAGE, end_with_defect, progress_bar
 from daq.setup.errors import InputError
 
 

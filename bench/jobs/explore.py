@@ -35,10 +35,9 @@ from bench.jobs.blocks import (
     as_driven,
     block_text,
     by_person,
-    forcing_in_words,
+    chosen,
     offers,
     outcome_of,
-    run_seconds,
     staked_block,
     tells,
 )
@@ -71,9 +70,7 @@ def explore(
     text: str, folder: Path, aims: Aims, drive: Drive, *, say: Callable[[str], None], ask: Asked | None = None,
     anyway: bool = False,
 ) -> Explored:  # fmt: skip
-    """Choose, drive and judge blocks until an aim is reached.
-
-    Raises `InputError` for a profile that cannot be driven, or recordings that cannot be read.
+    """Choose, drive and judge blocks until an aim is reached (raises `InputError`).
 
     ``text`` is the profile (TOML). ``folder`` is for ``block-01.h5`` and on; blocks there are taken as driven, but for
     one stopped too early to tell anything. ``drive`` drives a block; ``ask`` is asked before each (None: go on
@@ -233,17 +230,17 @@ def _next(
     # a block that says less is not worth its time
     worth = block is not None and (block.nats >= 0.2 or block.sharpening > 0.5)
     if block is not None and worth and (block.sharpening > 0.5 or not _in_vain(block, blocks)):
-        chosen = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
+        following = _chosen(text, block.option, block.gammas, aims, _in_words(block, pools, wanted))
     elif worth:
-        chosen = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
+        following = _farthest(text, options, blocks, aims, "what seems to tell most was driven before and did not")
     elif loop.verdict == "explained" and len(loop.selection.ties) > 1:
         others = ", ".join(" + ".join(names) for names in loop.selection.ties[1:])
         return None, f"{' + '.join(loop.selection.names)} explains everything; no block would tell it from {others}"
     else:
-        chosen = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
-    if chosen.seconds > left_s:
+        following = _farthest(text, options, blocks, aims, "no known explanation is left to be tested")
+    if following.seconds > left_s:
         return None, f"the budget of {aims.budget_s:.1f} s of rig time is spent"
-    return chosen, ""
+    return following, ""
 
 
 def _held(aims: Aims, loop: ClosedLoop | None) -> Aims:
@@ -330,9 +327,7 @@ def _as_sharp_as_can_be(loop: ClosedLoop, best: Hypothesis, aims: Aims, pools: S
 def _chosen(text: str, option: Option, gammas: Sequence[float], aims: Aims, reason: str) -> Chosen:
     """A block in words: what is driven, and why."""
     forcing = option.setup.forcing
-    own = block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas)
-    profile = parse_profile(own)
-    return Chosen(own, run_seconds(profile), f"{forcing_in_words(profile)}: {reason}")
+    return chosen(block_text(text, aims, forcing.ratio, forcing.frequency_hz, gammas), reason)
 
 
 def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], aims: Aims, reason: str) -> Chosen:
@@ -346,13 +341,13 @@ def _farthest(text: str, options: Sequence[Option], blocks: Sequence[Chosen], ai
     # up and down in turn: what drifts with time then changes the other way with gamma, as no compression does
     rising = len(blocks) % 2 == 0
     option = min((option for option in options if option.rising == rising), key=lambda x: len(driven(x)))
-    near, chosen = driven(option), list[float]()
+    near, gammas = driven(option), list[float]()
     if not near:
         places = np.linspace(1, len(option.gammas) - 2, aims.steps).round().astype(int)
         return _chosen(text, option, [option.gammas[i] for i in places], aims, f"{reason}: spread over the range")
-    while len(chosen) < aims.steps:
-        rest = [g for g in option.gammas if g not in chosen]
-        chosen.append(max(rest, key=lambda g: min(abs(g - other) for other in (*near, *chosen))))
+    while len(gammas) < aims.steps:
+        rest = [g for g in option.gammas if g not in gammas]
+        gammas.append(max(rest, key=lambda g: min(abs(g - other) for other in (*near, *gammas))))
     return _chosen(
-        text, option, sorted(chosen, reverse=not rising), aims, f"{reason}: as far as can be from the steps driven"
+        text, option, sorted(gammas, reverse=not rising), aims, f"{reason}: as far as can be from the steps driven"
     )

@@ -14,11 +14,7 @@ from rig.profile import BranchTable, Profile
 
 
 def branch_hold(profile: Profile) -> BranchHold:
-    """What holds the ball through the ramp of ``profile``, by its ``[control.branch]`` or the defaults.
-
-    Raises `daq.setup.errors.InputError` where no locked cycle of one flight a period is stable anywhere below the
-    ramp's largest gamma.
-    """
+    """What holds the ball through a ramp, by its ``[control.branch]`` or the defaults (raises as `locked_branch`)."""
     table = (profile.control.branch if profile.control else None) or BranchTable()
     branch = locked_branch(profile)
     known = LockedBranch(branch.gamma, branch.phase[:, 0], branch.multiplier)

@@ -28,8 +28,7 @@ from analysis.loop.term_effect import TermEffect, check_new, effect_source
 from bench.outputs import PYTHON, File, check_outputs
 from bench.profiles.find import load_measuring
 from bench.profiles.improved import possible_runs, profile_of, profile_text, write_improved
-from bench.terminal.console import EXIT_USAGE, speaker, warn, write_json
-from bench.terminal.progress import progress_bar
+from bench.terminal.console import EXIT_USAGE, progress_bar, speaker, warn, write_json
 from daq.files.disk import Journal, write_whole
 from daq.instrument.instrument import refuse_doubtful
 from daq.recording import open_recording
@@ -51,10 +50,9 @@ def verdict_file(recordings: Sequence[Path]) -> Path:
 
 
 def keep_verdict(loop: ClosedLoop, recordings: Sequence[Path]) -> str:
-    """Write a closed loop into the folder of its recordings, in place of an earlier one.
+    """Write a closed loop into the folder of its recordings; why it could not be saved, in a sentence, else empty.
 
-    Returns why it could not be saved, in a sentence; empty where it is saved. A folder that cannot be written, as of an
-    archive, or a file of that name that is no closed loop, costs no verdict.
+    A folder that cannot be written, as of an archive, or a file of that name that is no closed loop, costs no verdict.
     """
     path = verdict_file(recordings)
     try:
@@ -87,9 +85,7 @@ def conclude(
 
 
 def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False, **more: Any) -> Path:
-    """Have a verdict drawn by `bench.jobs.drawing`: what computes a verdict needs none of what draws it.
-
-    Raises `InputError` when it could not be written. Returns the path of what was written.
+    """Have a verdict drawn by `bench.jobs.drawing`; the path of what was written (`InputError`: it could not be).
 
     ``more``: further arguments of `write_report`, or of `analysis.report.figures.several.write_pictures`.
     """
@@ -105,12 +101,7 @@ def drawn(found: ClosedLoop | JointVerdict, folder: Path, *, quiet: bool = False
 
 
 def place_for(name: str, *, overwrite: bool) -> Path:
-    """The file of a new effect, checked before any work; its folder is made.
-
-    A file that is to be replaced is left out of the library of this process.
-
-    Raises `InputError` for what is no name, a name that is taken, and a place that cannot be written.
-    """
+    """The file of a new effect, name and place checked before any work (raises `InputError`); its folder is made."""
     if not name.isidentifier():
         check_new(name)
     folders = user_effects.folders()
@@ -142,37 +133,29 @@ def keep_term(
 ) -> tuple[TermEffect, list[str]]:
     """Write the discovered term of ``loop`` as the effect ``path``, and close the loop again with it.
 
-    Raises `InputError` where there is no term that can become an effect.
-
     ``recordings`` and ``profile`` are as the loop was closed with; ``improved`` is where the improved profile of the
-    loop with the effect goes, if anywhere. Returns what became of the term, and lines about the improved profile.
+    loop with the effect goes. Returns what became of the term, and lines about that profile; raises `InputError`.
     """
     write_whole(path, effect_source(loop, path.stem))
     # the library is read, and its kernels are compiled, once in a process: the new effect needs another
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        again, lines = pool.submit(_close_again, list(recordings), profile, improved, quiet).result()
     form = "" if loop.discovered is None else loop.discovered.suggested
-    return TermEffect(path.stem, str(path), form, *again), lines
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_close_again, path, form, list(recordings), profile, improved, quiet).result()
 
 
 def _close_again(
-    recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
-) -> tuple[tuple[Any, ...], list[str]]:
-    """The second loop as `TermEffect` holds it, by the library as it is now; lines about the improved profile."""
+    path: Path, form: str, recordings: list[Path], profile: Path | None, improved: Path | None, quiet: bool
+) -> tuple[TermEffect, list[str]]:
+    """The second loop, by the library as it is now, of the term in ``path``; lines about the improved profile."""
     from analysis.report.wording import verdict_line
 
     setup, text = (None, None) if profile is None else load_measuring(profile)
     with progress_bar(quiet) as bar:
         loop = close_loop(recordings, setup=setup, progress=bar, anyway=True)
     lines = [] if improved is None else write_improved(loop, recordings[0], improved, text)
-    return (
-        loop.verdict,
-        verdict_line(loop),
-        loop.selection.effects,
-        loop.errors.before,
-        loop.errors.after,
-        loop.errors.landing_floor_us,
-    ), lines
+    found, errors = loop.selection.effects, loop.errors
+    about = path.stem, str(path), form, loop.verdict, verdict_line(loop)
+    return TermEffect(*about, found, errors.before, errors.after, errors.landing_floor_us), lines
 
 
 BEGINS = b'{"key"'  # of a file of summaries
@@ -187,13 +170,9 @@ def judge_runs(
     *,
     anyway: bool = False,
 ) -> bool:
-    """Judge the runs, show the verdict and write what is asked for; whether everything could be written.
+    """Judge runs of one rig, show the verdict and write what is asked for; whether everything could be written.
 
-    Raises `InputError` or `OSError` for recordings or a profile that will not do, and files that cannot be read or
-    written.
-
-    The recordings are of one rig; ``profile`` replaces their own. ``summaries`` is the file of the runs' summaries, to
-    go on after an interruption; verdict and pictures go to ``json`` and ``report``.
+    ``summaries`` is the file of the runs' summaries, to go on after an interruption. Raises `InputError` or `OSError`.
     """
     from analysis.joint.join_runs import join_runs
     from analysis.joint.result import joint_json
@@ -244,11 +223,8 @@ def until_clear(
 ) -> tuple[ClosedLoop, FittedLoop, list[Path], str]:
     """Close the loop, and while several explanations tie, make the run that would separate them.
 
-    Raises `InputError` when the first recording was not made on the simulated rig.
-
-    ``scenario`` is what the simulated rig hides, which the analysis never reads; ``seed`` is of the new runs' noise.
-    Returns the last loop and its fitted model, all recordings, and why a next run could not be made (empty: none
-    failed).
+    ``scenario`` is what the simulated rig hides, which the analysis never reads (`InputError`: it is no simulated rig).
+    Returns the last loop and its fits, all recordings, and why a next run could not be made (empty: none failed).
     """
     made = list(recordings)
     with open_recording(made[0]) as opened:

@@ -143,10 +143,7 @@ def write_plan(plan: Path, text: str) -> Path:
 
 
 def recorded(plan: Path, seed: int) -> Path:
-    """The recording of a run next to its profile: the one that is there, or one of the simulated rig.
-
-    Raises `InputError` where it is not there and cannot be made here, and says how to record it.
-    """
+    """The recording of a run next to its profile, or one of the simulated rig; an `InputError` says how to make it."""
     path, name = plan.with_suffix(".h5"), plan.stem
     if path.exists():
         return path
@@ -207,10 +204,7 @@ def draw_all(shown: Mapping[str, Measured], pictures: Path, seed: int) -> None:
 def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None]) -> dict[str, Numbers]:
     """Make the page ``paper.md`` in ``out``, its pictures and tables in ``paper``, its recordings in ``runs``.
 
-    Raises `InputError` for a run that cannot be made here, and a folder that cannot be written.
-
-    ``text`` is the profile of the rig whose runs are shown; ``runs`` already holds those of a rig that is not
-    simulated. ``seed`` is of the simulated rigs' noise, and of their instruments.
+    ``text`` is the profile of the rig whose runs are shown: one that is not simulated has recorded them (`InputError`).
     """
     (out / "runs").mkdir(parents=True, exist_ok=True)
     names, shipped = [*RUNS, *(name for name in MODELS if name not in RUNS)], load("paper")[1]

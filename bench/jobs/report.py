@@ -22,8 +22,7 @@ from analysis.flights.table import FlightFlag
 from analysis.loop.close_loop import close_loop
 from analysis.loop.result import ClosedLoop, load_verdict
 from bench.jobs.loops import keep_verdict, verdict_file
-from bench.terminal.console import DEFECTS
-from bench.terminal.progress import progress_bar
+from bench.terminal.console import DEFECTS, progress_bar
 from daq.files.disk import whole
 from daq.recording import Recording, open_recording
 from daq.recording.notebook import BY_HAND, in_words
@@ -34,14 +33,12 @@ if TYPE_CHECKING:
     from analysis.report.run_page import Section
 
 
-def report(
+def sections_of(
     recordings: Sequence[Path], *, with_loop: bool, say: Callable[[str], None], quiet: bool
 ) -> tuple[list[Section], list[dict[str, Any]]]:
-    """Sections of the recordings, in their order, and an answer for scripts of each; one is held at a time.
+    """Sections of the recordings, in their order, and an answer for scripts of each (raises `InputError`).
 
     An answer's ``loop`` says where its closed loop comes from: ``saved``, ``computed`` or ``none``.
-
-    Raises `InputError` when a recording cannot be read.
     """
     from analysis.report.figures.flights import measured
     from analysis.report.run_page import section_of
@@ -96,10 +93,7 @@ def _loop(
 
 
 def not_of(loop: ClosedLoop, recording: Recording, flights: Flights) -> str:
-    """Why a saved answer is not this recording's, in words; empty where it is.
-
-    File name, date, profile and, to the last digit, every take-off time have to agree.
-    """
+    """Why a saved answer is not this recording's; empty where date, profile and, to the last digit, take-offs agree."""
     if len(loop.sources) != 1:
         return f"it was found from {len(loop.sources)} recordings together"
     source = loop.sources[0]
@@ -145,10 +139,7 @@ def refuse_without_printer() -> None:
 
 
 def print_pdf(page: Path, pdf: Path) -> None:
-    """Print the page ``page`` to ``pdf``, which appears only when it is whole.
-
-    Raises `InputError` when nothing can print it, or the printing failed.
-    """
+    """Print the page ``page`` to ``pdf``, which appears only when it is whole; raises `InputError` where it cannot."""
     refuse_without_printer()
     found = browser()
     with whole(pdf) as part, tempfile.TemporaryDirectory() as folder:

@@ -76,12 +76,8 @@ def check_rig(profile: Profile, backend: Backend, *, tap: bool = False) -> list[
     """The findings of `bench check`, with a ``tap`` of the table; raises `InputError`, `BackendError`."""
     if not backend.simulated:
         warm_up(profile)
-    return Check(profile, backend, ask_tap if tap else None).run()
-
-
-def ask_tap() -> None:
-    """Ask for a tap, on standard error."""
-    print(f"hit the resting table once now, within {TAP_S / 2.0:g} s", file=sys.stderr, flush=True)
+    words = f"hit the resting table once now, within {TAP_S / 2.0:g} s"
+    return Check(profile, backend, (lambda: print(words, file=sys.stderr, flush=True)) if tap else None).run()
 
 
 def record(
@@ -155,9 +151,7 @@ def warm_up(profile: Profile) -> None:
 
 
 def continued(profile: Profile, first: Path | None, step: int | None = None) -> tuple[Profile, dict[str, Any]]:
-    """The rest of a ramp, and the free keys by which the new recording names the first.
-
-    Raises `InputError` when ``first`` was driven by another ramp, has nothing left, or there is no such step.
+    """The rest of a ramp, and the free keys by which the new recording names the first (raises `InputError`).
 
     ``profile`` is the whole ramp's, as for ``first``, the recording that was stopped (None: the whole ramp is left);
     ``step``, numbered as `bench plan` does (from 0), is repeated and no other.

@@ -11,7 +11,6 @@ import math
 import signal
 import tempfile
 import threading
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,6 @@ from model.orbits.attractor import Ball
 from model.surveys import ensemble
 from model.surveys.diagram import KINDS, Rows, adaptive, empty_rows
 from model.surveys.diagram import diagram as rows_at
-from model.tones import Forcing
 
 MOST_GAMMAS = 1_000_000
 
@@ -88,7 +86,7 @@ def _answer(request: Request) -> None:
     elif request.branches and request.files.figure is None and request.files.out is None:
         _branches(ball, request, *request.gamma_range)
     else:
-        _diagram(ball, request, forcing_of(request), parse_effects(request.effects))
+        _diagram(ball, request)
 
 
 def _is_diagram(path: Path) -> bool:
@@ -141,12 +139,9 @@ def _bifurcations(ball: Ball, request: Request, low: float, high: float) -> None
             print(f"{b.gamma:16.10f} {b.gamma * peak:16.10f}  {b.type:<22} {b.before.period} -> {b.after.period}")
 
 
-def _diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[str, Mapping[str, float]]) -> None:
-    """Fly the diagram that ``request`` asks for, and write it as HDF5, picture and JSON, whichever were asked for.
-
-    Raises `InputError` for options that contradict one another.
-    """
-    job = _job(request, effects)
+def _diagram(ball: Ball, request: Request) -> None:
+    """Fly the diagram that ``request`` asks for, and write it as HDF5, picture and JSON, whichever were asked for."""
+    job = _job(request)
     ensemble.check(job)
     if request.files.json is not None and not request.diagram.adaptive:
         _check_json(job.size, job)
@@ -172,10 +167,10 @@ def _diagram(ball: Ball, request: Request, forcing: Forcing, effects: Mapping[st
     if request.files.figure is not None and not job.axes:
         from bench.predict.figures import diagram_picture  # matplotlib is slow to import
 
-        diagram_picture(rows.sorted(), forcing, request, request.files.figure)
+        diagram_picture(rows.sorted(), forcing_of(request), request, request.files.figure)
 
 
-def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemble.Job:
+def _job(request: Request) -> ensemble.Job:
     """The diagram as a job of points, which may be flown in part and gone on with; raises `InputError`."""
     if request.diagram.steps > MOST_GAMMAS:
         raise InputError(f"--steps wants at most {MOST_GAMMAS:,} (half a kilobyte each), not {request.diagram.steps:,}")
@@ -200,8 +195,8 @@ def _job(request: Request, effects: Mapping[str, Mapping[str, float]]) -> ensemb
             raise InputError(wanted)
         axes.append(ensemble.Axis(name.strip(), tuple(numbers.tolist())))
     return ensemble.Job(
-        request.ratio, tuple(gammas.tolist()), math.radians(request.phase_deg), effects, tuple(axes),
-        frequency_hz=request.frequency_hz, sweep=request.sweep is not None, keep=request.diagram.keep,
+        request.ratio, tuple(gammas.tolist()), math.radians(request.phase_deg), parse_effects(request.effects),
+        tuple(axes), frequency_hz=request.frequency_hz, sweep=request.sweep is not None, keep=request.diagram.keep,
         g_mps2=request.g_mps2,
     )  # fmt: skip
 

@@ -35,11 +35,9 @@ OF_MASS = {
 
 
 def what_if(profile: Described, changes: tuple[str, ...]) -> Described:
-    """The profile with ``KEY=VALUE`` of each change: a key of the profile, or ``effect.parameter``.
+    """The profile with ``KEY=VALUE`` of each change: a key of it, or ``effect.parameter`` (raises `InputError`).
 
     With the ball's mass its weight against the table changes, and what a force does to it.
-
-    Raises `InputError` for a change of another form, a key that is not there, or a value that does not fit.
     """
     data = profile.model_dump()
     for change in changes:
@@ -71,10 +69,7 @@ def what_if(profile: Described, changes: tuple[str, ...]) -> Described:
 
 
 def with_profile(request: Request, given: GivenProfile) -> Request:
-    """``request`` with what the profile ``given`` says; options given with it come on top.
-
-    Raises `InputError` when there is no such profile, it contradicts an option, or its two tones differ in size.
-    """
+    """``request`` with what the profile says, under the options given with it (`InputError` where they contradict)."""
     name, setup = given.name, what_if(load_measuring(given.name)[0], given.what_if)
     forcing = setup.forcing
     if request.ratio not in (1, forcing.ratio):
@@ -99,13 +94,17 @@ def with_profile(request: Request, given: GivenProfile) -> Request:
 
 
 def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> float:
-    """Gamma of the plate, for tones of equal size one, where the programme asks for ``asked``.
+    """Gamma of the plate, for tones of equal size one (else `InputError`), where the programme asks for ``asked``.
 
     ``controlled``: a loop drives the plate until its accelerometer shows what is asked.
-
-    Raises `InputError` when the two tones differ in size: `bench predict` has no option for that.
     """
-    size = _size(setup)
+    tones = [abs(z) for _, z in setup.forcing.displacement_tones()]
+    if len(tones) > 1 and not math.isclose(tones[0], tones[1], rel_tol=1e-9):
+        b = setup.forcing.amplitude
+        raise InputError(
+            f"profile {setup.name!r}: forcing.amplitude = {list(b)}; predict knows two tones of equal size only"
+        )
+    size = tones[0] / 2.0 if len(tones) == 1 else tones[0]  # over that of `Forcing.superposition`
     declared: Effects = setup.declared_values()
     if controlled:
         omega_radps = np.array([2.0 * np.pi * setup.forcing.frequency_hz])
@@ -114,24 +113,8 @@ def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> floa
     return asked * size * plate_gain(declared, level_g)
 
 
-def _size(setup: Setup) -> float:
-    """By how much the tones are larger than those of `Forcing.superposition`."""
-    tones = [abs(z) for _, z in setup.forcing.displacement_tones()]
-    if len(tones) == 1:
-        return tones[0] / 2.0
-    if not math.isclose(tones[0], tones[1], rel_tol=1e-9):
-        b = setup.forcing.amplitude
-        raise InputError(
-            f"profile {setup.name!r}: forcing.amplitude = {list(b)}; predict knows two tones of equal size only"
-        )
-    return tones[0]
-
-
 def ramp_json(request: Request, given: GivenProfile) -> list[dict[str, Any]]:
-    """The motion in each step of the profile's ramp, in its order, the state carried along.
-
-    Raises `InputError` when the profile has no ramp.
-    """
+    """The motion in each step of the profile's ramp, the state carried along; raises `InputError` without a ramp."""
     profile = what_if(load(given.name)[0], given.what_if)
     asked = profile.ramp.gammas()
     plate = [plate_gamma(profile, g, controlled=profile.control is not None) for g in asked]

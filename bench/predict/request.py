@@ -72,10 +72,7 @@ class Request:
 
 
 def parse_effects(given: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """``name.parameter=value`` options as a table by effect and parameter.
-
-    Raises `InputError` for text of another form.
-    """
+    """``name.parameter=value`` options as a table by effect and parameter (raises `InputError`)."""
     effects: dict[str, dict[str, float]] = {}
     for text in given:
         place, equals, value = text.partition("=")

@@ -18,8 +18,7 @@ from rig.profile import Profile
 def found_devices(profiles: Sequence[str]) -> dict[str, Any]:
     """What is there: ``cards``, ``ports``, and as ``problem`` why no card could be looked for (else empty).
 
-    ``profiles``, paths or names, are held against it besides the shipped ones; raises `InputError` where one cannot be
-    read.
+    Shipped profiles and ``profiles``, paths or names, are held against it (raises `InputError`).
     """
     known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *profiles])]
     try:

@@ -115,10 +115,7 @@ def _table(node: Mapping[str, Any], kind: str | None) -> dict[str, Any] | None:
 
 
 def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
-    """The profile ``text`` with each of ``values`` at its dotted key.
-
-    Raises `InputError`, which calls the text ``where``, when it is not TOML, or a key leads through something that is
-    no table.
+    """The profile ``text`` with each of ``values`` at its dotted key (raises `InputError`, which calls it ``where``).
 
     ``values`` are numbers, strings, dates, lists and tables by dotted key, ``ramp.gamma``; tables that are missing are
     made. None takes a key away.
@@ -157,10 +154,7 @@ def with_values(text: str, values: Mapping[str, Any], where: str) -> str:
 
 
 def declare(text: str, measured: Iterable[MeasuredValue], on: datetime.date, where: str) -> str:
-    """The profile ``text`` with ``measured``, with uncertainty, date and source; raises as `with_values`.
-
-    The uncertainty has two digits, the value one more than it can carry.
-    """
+    """The profile ``text`` with ``measured`` to two digits of the uncertainty, dated, with source; as `with_values`."""
     found = {}
     for one in measured:
         value, uncertainty = float(one.value), float(one.uncertainty)
@@ -173,11 +167,7 @@ def declare(text: str, measured: Iterable[MeasuredValue], on: datetime.date, whe
 
 
 def write_into(path: Path, measured: Iterable[MeasuredValue], on: datetime.date) -> None:
-    """Put each value at its dotted key in the profile ``path``.
-
-    Raises `InputError` when the file would not be a profile any more (it is left as it was), `OSError` when it cannot
-    be read or written.
-    """
+    """Put each value at its dotted key in the profile ``path``, or leave it as it was (`InputError`, `OSError`)."""
     text = declare(path.read_bytes().decode("utf-8"), measured, on, str(path))
     parse_profile(text, str(path))
     with whole(path) as part:

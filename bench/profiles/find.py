@@ -101,9 +101,6 @@ def refusal(profile: str, faults: list[str]) -> str:
 
 
 def refuse_forbidden(name: str, profile: Profile) -> None:
-    """Refuse a ramp that a limit forbids; ``name`` is how it was called.
-
-    Raises `InputError` with the step and the limit.
-    """
+    """Refuse a ramp that a limit forbids, with step and limit (`InputError`); ``name`` is how it was called."""
     if faults := planned(profile)[2]:
         raise InputError(refusal(name, faults))

@@ -30,12 +30,10 @@ def write_improved(loop: ClosedLoop, recording: Path, path: Path, text: str | No
     """Write the profile of ``recording`` with the effects of ``loop`` declared in it to the new file ``path``.
 
     A loop whose verdict is "unexplained" declares nothing; its effects are written as comments, ready to be declared by
-    whoever believes them.
+    whoever believes them. Returns what was written, and what was found and is not declared, a line each.
 
-    Raises `InputError` when the recording holds no profile. Returns what was written, and what was found and is not
-    declared, a line each.
-
-    ``recording`` is the first of the loop's; ``text`` is the profile by which it was closed, where that is not its own.
+    ``recording`` is the loop's first (`InputError`: without a profile); ``text`` is the profile by which the loop was
+    closed, where that is not its own.
     """
     text = profile_text(recording) if text is None else text
     if not text.strip():
@@ -142,10 +140,7 @@ def new_profile(name: str, like: str) -> str:
 
 
 def profile_in(folder: Path, like: str) -> str:
-    """The name in ``folder`` of the profile ``like``; one from elsewhere is written there, as `new_profile`, first.
-
-    A new profile takes a free name, ``my-simulated.toml`` or ``my-simulated-2.toml``. Raises `InputError`, OSError.
-    """
+    """The name in ``folder`` of the profile ``like``; one from elsewhere is first written there, as `new_profile`."""
     given = find_profile(like).resolve()
     if like not in shipped_names() and given.parent == folder:
         return given.name

@@ -1,14 +1,15 @@
-"""A comparison of recording and model in sentences, and for a machine."""
+"""A comparison of recording and model as tables, in sentences, and for a machine."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rich.console import Console
+
+from analysis.flights.compare import Comparison
+from analysis.report.wording import GammaScale
+from bench.terminal.console import CYCLES, new_table, print_lines
 from daq.files.json_values import json_object
-
-if TYPE_CHECKING:
-    from analysis.flights.compare import Comparison
-    from analysis.report.wording import GammaScale
 
 BAND = ("low_s", "high_s", "observed", "expected", "p_value")
 
@@ -95,3 +96,21 @@ def comparison_json(held: Comparison) -> dict[str, Any]:
         ],
         "steps": steps,
     })  # fmt: skip
+
+
+def show(held: Comparison, name: str, simulated: bool, scale: GammaScale) -> None:
+    """Tables for a person."""
+    title = f"{name}{' (simulated rig)' if simulated else ''} against the model"
+    headings = ("step", scale.name.replace("_", "\n"), "measured", "model", "n", "ratio", "rms us", "")
+    table = new_table(*headings, words=("measured", "model"), title=title)  # only these are folded
+    for s in held.steps:
+        model = s.predicted.removesuffix(f", period {s.predicted.partition('-')[0]}")
+        ratio = f"{s.mean_ratio:.4f}" if s.mean_ratio == s.mean_ratio else ""
+        rms = f"{1e6 * s.rms_s:.1f}" if s.rms_s == s.rms_s else ""
+        table.add_row(
+            str(s.step), f"{scale.factor * s.gamma:.4f}", s.measured.label, model,
+            str(s.measured.flights), ratio, rms, "?" if s.unfit_reason else "",
+        )  # fmt: skip
+    Console().print(table)
+    columns = "n: measured flights; ratio: their mean time over the model's; rms: of their distance to the nearest time"
+    print_lines(*unfit_steps(held), *sentences(held, scale), f"{columns} predicted", CYCLES)

@@ -1,4 +1,4 @@
-"""Exit codes, error lines, tables for a person and JSON for a machine, shared by all commands.
+"""Exit codes, error lines, progress, tables for a person and JSON for a machine, shared by all commands.
 
 Exit 0: the job was done; 1: the run failed; 2: the call was wrong. A defect, which no person's input should cause, puts
 its traceback into a file, and one line says where that lies.
@@ -6,12 +6,14 @@ its traceback into a file, and one line says where that lies.
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -36,10 +38,7 @@ def warn(message: str) -> None:
 
 
 def write_json(payload: Any, target: str | Path | None) -> bool:
-    """Write ``payload`` as JSON to the file ``target``, or to standard output when it is ``-``; nothing when None.
-
-    Returns whether standard output is left to a person. A file that cannot be written ends the program with status 1.
-    """
+    """Write JSON to a file, or to standard output where ``target`` is ``-``; whether that is left to a person."""
     if target is None:
         return True
     from daq.files.json_values import json_text
@@ -113,10 +112,7 @@ def new_table(*headings: str, words: Collection[str] = (), title: str | None = N
 
 
 def print_table(table: Table) -> None:
-    """Print a table; where a narrow terminal would cut it, each row as ``heading value`` pairs instead.
-
-    In a pipe a table has the width that it needs.
-    """
+    """Print a table, in a pipe as wide as it needs; a narrow terminal gets each row as ``heading value`` pairs."""
     from rich.console import Console
     from rich.measure import Measurement
 
@@ -158,10 +154,10 @@ DEFECTS = (ValueError, ArithmeticError, LookupError, TypeError, AttributeError)
 
 def end_with_defect(error: Exception) -> NoReturn:
     """Write the traceback into a file of the system's folder for temporary ones, name it, and leave with status 1."""
-    from bench import __version__
+    from daq.setup.provenance import software_version
 
     call = " ".join(["bench", *sys.argv[1:]])
-    about = f"shakerbench {__version__}, Python {platform.python_version()}, {platform.platform()}\n{call}\n\n"
+    about = f"shakerbench {software_version()}, Python {platform.python_version()}, {platform.platform()}\n{call}\n\n"
     text = about + "".join(traceback.format_exception(error))
     try:
         with tempfile.NamedTemporaryFile(
@@ -176,3 +172,60 @@ def end_with_defect(error: Exception) -> NoReturn:
     fail(
         f"this is a defect of shakerbench, not of the call; {lies}: please report it with that file{made}", EXIT_FAILED
     )
+
+
+class _Compiling:
+    """Watcher of compilations (`kernels.kernel.watchers`): ``say`` gets the kernel's name (or none), and how many."""
+
+    def __init__(self, say: Callable[[str, int], None]) -> None:
+        self._say, self._depth, self._done = say, 0, 0
+
+    def on_start(self, name: str) -> None:
+        self._depth += 1
+        self._say(name, self._done)
+
+    def on_end(self) -> None:
+        self._depth, self._done = self._depth - 1, self._done + 1
+        if self._depth == 0:
+            self._say("", self._done)
+
+
+@functools.cache
+def _announce() -> None:
+    """Say at the first call that kernels are being compiled."""
+    sys.stderr.write("compiling the kernels for this machine, once; this can take a minute\n")
+
+
+@contextmanager
+def progress_bar(quiet: bool = False) -> Iterator[Callable[[str, float], None]]:
+    """A bar that follows ``(what, fraction done)``; where there is no terminal, only compiling is announced.
+
+    Compiling happens once on a machine and can take a minute; without a word it looks like a program that hangs.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from kernels.kernel import watchers
+
+    columns = (TextColumn("{task.description:<34}"), BarColumn(bar_width=24), TimeElapsedColumn())
+    console = Console(stderr=True)
+    doing = "starting"
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task(doing, total=1.0)
+
+        def say(what: str, part: float) -> None:
+            nonlocal doing
+            doing = what
+            bar.update(task, description=what, completed=part)
+
+        def compiling(kernel: str, done: int) -> None:
+            if not quiet and not console.is_terminal:
+                _announce()
+            bar.update(task, description=f"compiling, once: {kernel} ({done} done)" if kernel else doing)
+
+        listener = _Compiling(compiling)
+        watchers.append(listener)
+        try:
+            yield say
+        finally:
+            watchers.remove(listener)

@@ -1,4 +1,4 @@
-"""Terminal display of a closed loop and of runs judged together, and the writing of outputs one by one."""
+"""Terminal display of a closed loop, a stake and runs judged together, and the writing of outputs one by one."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from collections.abc import Callable, Sequence
 from rich.console import Console
 from rich.table import Table
 
+from analysis.explore.stake import Outcome
 from analysis.joint.result import JointVerdict, OverRuns
 from analysis.loop.result import ClosedLoop
 from analysis.loop.verdict import short_verdict
 from analysis.report import wording
 from analysis.report.wording import microseconds, plus_minus
+from bench.terminal.console import new_table, print_lines, print_table
 from daq.setup.errors import InputError
+from daq.setup.setup import Stake
 from model.effects.registry import unit_of
 
 
@@ -45,11 +48,26 @@ def show(loop: ClosedLoop) -> None:
         out.print(f"  {line}", soft_wrap=True)
 
 
-def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
-    """Write each output by its function; one that fails is reported under its name and does not stop the others.
+def show_stake(stake: Stake, outcome: Outcome) -> None:
+    """Print what came of a stake: its steps, and what they say."""
+    named, rival = (" + ".join(names) or "the declared model" for names in (stake.named, stake.rival))
+    table = new_table("gamma", "found\n(us)", "predicted\n(us)", "by the rival\n(us)", "landings", "")
+    for s in outcome.steps:
+        table.add_row(
+            f"{s.staked.gamma:g}", f"{s.median_us:.1f}", f"0 +- {s.half_us:.1f}",
+            "elsewhere" if s.staked.rival_us is None else f"{s.staked.rival_us:.1f}",
+            str(s.landings), "met" if s.met else "missed",
+        )  # fmt: skip
+    print_table(table)
+    print_lines(
+        f"median of measured minus predicted landings, one flight ahead; the rival is {rival}",
+        f"rms over noise and parameters' uncertainty: flights {outcome.flights:.2f}, plate {outcome.plate:.2f}",
+        f"{named}: {outcome.words}",
+    )
 
-    Returns whether all were written.
-    """
+
+def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
+    """Whether each output was written by its function; one that fails is reported and does not stop the others."""
     complete = True
     for name, write in outputs:
         try:

@@ -107,10 +107,7 @@ def leave_keys_to_the_parent() -> None:
 def spawned(
     body: Callable[..., None], *arguments: Any, name: str, daemon: bool = False
 ) -> tuple[Connection, BaseProcess]:
-    """A started process that runs ``body`` on its end of a pipe and the arguments; our end, and the process.
-
-    The body calls `leave_keys_to_the_parent` first. A daemon ends with this process.
-    """
+    """A started process (a daemon ends with ours) that runs ``body`` on its end of a pipe; our end, and the process."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=body, args=(theirs, *arguments), name=name, daemon=daemon)
@@ -154,10 +151,7 @@ PERSON = "a person"
 
 
 def steps_from(text: str) -> NextSteps:
-    """Next steps from words as ``0.8, 1.2: why`` or ``c=2 0.8 1.2``; no gammas leave the choice to the rig.
-
-    Raises `InputError` for what is no number.
-    """
+    """Next steps from ``0.8, 1.2: why`` or ``c=2 0.8 1.2`` (raises `InputError`); none leave the choice to the rig."""
     what, _, why = text.partition(":")
     ratio, gammas = None, list[float]()
     for word in re.split(r"[,\s]+", what.strip()):
@@ -191,10 +185,7 @@ def free_keys(settings: list[str]) -> dict[str, Any]:
 
 
 def obey(request: StopRequest, line: str) -> str:
-    """Do what a line typed during a run asks; what was understood, in words.
-
-    Raises `InputError` for what cannot be done, or is not understood.
-    """
+    """Do what a line typed during a run asks; what was understood, in words (`InputError`: not understood)."""
     word, _, why = (part.strip() for part in line.partition(":"))
     match word.lower():
         case "" | "h" | "hold":
@@ -214,11 +205,7 @@ def obey(request: StopRequest, line: str) -> str:
 
 
 class TypedLines:
-    """Lines typed at a terminal.
-
-    ``descriptor`` is read to its end, without a buffer, by a thread that ends with the program: it may end while the
-    thread waits.
-    """
+    """Lines typed at a terminal: a thread, which ends with the program, reads ``descriptor`` without a buffer."""
 
     def __init__(self, descriptor: int) -> None:
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()

@@ -30,10 +30,7 @@ MOST_BODY_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class Access:
-    """Address of the server, and what a request needs.
-
-    Raises `InputError` for another address than the own machine's without a token.
-    """
+    """Address of the server, and what a request needs; without a token only the own machine's (`InputError`)."""
 
     host: str  # where the server listens
     port: int
@@ -184,13 +181,7 @@ def _confined(send: Send, host: str) -> Send:
 
 
 def file_inside(folder: Path, name: str) -> Path:
-    """The file ``name`` below ``folder``, links followed.
-
-    Raises `starlette.exceptions.HTTPException` (404) where there is no such file or it lies elsewhere: a request
-    learns nothing of the two.
-
-    ``name`` is a relative path with forward slashes, from a request.
-    """
+    """The file by its relative path below ``folder``, links followed; else a 404 that tells nothing of why."""
     refused = HTTPException(404, "no such file in the runs' folder")
     parts = name.split("/")
     if not name or any(part in ("", ".", "..") or "\\" in part or ":" in part or "\0" in part for part in parts):

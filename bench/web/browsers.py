@@ -137,10 +137,7 @@ class Hub:
         self.tell_lease()
 
     async def serve(self, browser: Browser, greet: Greet, obey: Obey) -> None:
-        """Serve one browser until it is gone: first what ``greet`` sends, then every object it says is obeyed.
-
-        What is no object in JSON, or says what cannot be, is passed over.
-        """
+        """Serve one browser until it is gone: ``greet`` it, then obey each JSON object it says, and nothing else."""
         delivering = asyncio.create_task(browser.deliver())
         self.enter(browser)
         try:

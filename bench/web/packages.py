@@ -31,9 +31,7 @@ def serve_pages(
 ) -> None:
     """Serve sections until Ctrl-C; their address is printed, and opened in a browser where a person looks on.
 
-    Raises `InputError` without the packages, and when the address cannot be bound.
-
-    Arguments are as of `bench.web.serve.serve`, `bench.web.serve.Place` and `bench.web.serve.bind`.
+    Arguments are as of `bench.web.serve`'s `serve`, `Place` and `bind` (raises `InputError`).
     """
     require_packages()
     from bench.web.serve import Place, bind, serve

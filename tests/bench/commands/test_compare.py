@@ -6,8 +6,7 @@ import pytest
 from analysis.flights.classify import StepClass
 from analysis.flights.compare import Comparison, FirstBifurcation, StepComparison
 from analysis.report.wording import gamma_scale
-from bench.commands import compare
-from bench.terminal.comparison import sentences
+from bench.terminal.comparison import sentences, show
 from daq.setup.setup import Forcing
 
 
@@ -30,7 +29,7 @@ def held(ratio: int) -> Comparison:
 def test_no_number_is_cut(columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Numbers stand whole; words are folded where there is no room, and the steps in doubt are listed with reasons."""
     monkeypatch.setenv("COLUMNS", columns)
-    compare._print(held(1), "run.h5", True, gamma_scale(Forcing(frequency_hz=25.0, ratio=1), 1))
+    show(held(1), "run.h5", True, gamma_scale(Forcing(frequency_hz=25.0, ratio=1), 1))
     shown = capsys.readouterr().out
     assert "\u2026" not in shown
     assert "n-cycle: a motion of n flights" in " ".join(shown.split()) and "n: measured flights" in shown

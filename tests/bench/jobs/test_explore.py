@@ -13,7 +13,7 @@ from analysis.attribution.candidates import parameter_of
 from analysis.explore.choice import Pool
 from analysis.explore.explanations import Explanation, Weighed
 from analysis.loop.result import DetectionLimits
-from bench.commands.explore import Driver
+from bench.commands.ramp import Driver
 from bench.jobs.blocks import Aims, Driven, by_person, offers, run_seconds, tells
 from bench.jobs.blocks import Chosen as Block
 from bench.jobs.explore import _can_be_shown, _held, _in_vain, _next, _not_shown, explore

@@ -15,12 +15,12 @@ import pytest
 from rich.table import Table
 from typer.testing import CliRunner
 
-import bench
 from bench.cli import COMMANDS, app
 from bench.profiles.find import find_scenario, scenario_names, shipped_folder
 from bench.terminal.console import next_command, print_table, write_json
 from bench.terminal.streams import SafeStream, nearest
 from daq.setup.errors import InputError
+from daq.setup.provenance import software_version
 from kernels import BLAS_THREADS
 
 ROOT = Path(__file__).parents[3]
@@ -175,7 +175,7 @@ def test_a_json_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFix
 def test_version_module_and_mistyped_names() -> None:
     """`python -m bench --version` tells the version; a name that is nearly right is answered with the right one."""
     done = called("--version")
-    assert done.returncode == 0 and done.stdout.decode().startswith(f"bench {bench.__version__} ")
+    assert done.returncode == 0 and done.stdout.decode().startswith(f"bench {software_version()} ")
     result = CliRunner().invoke(app, ["plna", "simulated"])
     assert result.exit_code == 2 and "did you mean plan?" in result.stderr
     result = CliRunner().invoke(app, ["xyzzy"])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.terminal import progress
+from bench.terminal import console
 from kernels.kernel import watchers
 
 
@@ -16,12 +16,12 @@ def compiles(name: str) -> None:
 
 def test_compiling_is_announced_once_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     """However many kernels are compiled, one line says so; the quiet bar says nothing."""
-    progress._announce.cache_clear()
-    with progress.progress_bar(quiet=True) as say:
+    console._announce.cache_clear()
+    with console.progress_bar(quiet=True) as say:
         say("fitting", 0.1)
         compiles("march")
     assert capsys.readouterr().err == ""
-    with progress.progress_bar() as say:
+    with console.progress_bar() as say:
         say("fitting", 0.1)
         compiles("march")
         compiles("one_ahead")
@@ -31,7 +31,7 @@ def test_compiling_is_announced_once_where_there_is_no_terminal(capsys: pytest.C
 def test_the_watcher_names_the_kernel_and_counts() -> None:
     """Kernel and number of those done while compiling, nothing between compilations; deaf after the bar has gone."""
     told: list[tuple[str, int]] = []
-    listener = progress._Compiling(lambda name, done: told.append((name, done)))
+    listener = console._Compiling(lambda name, done: told.append((name, done)))
     watchers.append(listener)
     try:
         compiles("march")
