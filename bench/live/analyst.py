@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.uncertainty import uncertainty_at
 from analysis.residuals.observations import Observations, observed
 from bench.live.board import Board, Message
-from bench.terminal.run_console import leave_keys_to_the_parent, spawned
+from bench.terminal.run_console import leave_keys_to_the_parent
 from daq.files.seal import Checked
 from daq.recording import Recording, open_recording
 from daq.recording.opening import open_checked
@@ -234,16 +233,11 @@ def _mean_ms(setup: Setup, effects: Effects, gamma: float) -> float:
 AGAIN_S = 0.4  # least time between two reductions of a growing step
 
 
-def start_analyst(profile: Profile, board_name: str, *, pictures: bool) -> tuple[Connection, BaseProcess]:
-    """Start the process; ``pictures``: whether a page wants flights and the prediction, besides verdicts.
-
-    Returns the pipe of its results, and the process.
-    """
-    return spawned(analyse, board_name, profile, pictures, name="analyst", daemon=True)
-
-
 def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool) -> None:
-    """The process: until the run has ended and all is said, or no one listens any more."""
+    """The process (`spawned`): until the run has ended and all is said, or no one listens any more.
+
+    Results go into ``pipe``; ``pictures``: whether a page wants flights and the prediction, besides verdicts.
+    """
     leave_keys_to_the_parent()
     if hasattr(os, "nice"):
         # behind the run, the recorder and the page
@@ -267,10 +261,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
 
 
 class Analyst:
-    """Steps of one run, reduced as they grow.
-
-    Results go into ``pipe``; ``pictures`` as of `start_analyst`.
-    """
+    """Steps of one run, reduced as they grow; arguments as of `analyse`."""
 
     def __init__(self, profile: Profile, board: Board, pipe: Connection, pictures: bool) -> None:
         self.done = False

@@ -150,10 +150,7 @@ class WatchedRecorder(RecorderProcess):
 
 
 class RunSide:
-    """Events out and commands in, for one run (`bench.jobs.run_ramp.Onlooker`).
-
-    ``also`` is called after each block too.
-    """
+    """Events out and commands in, for one run (`bench.jobs.run_ramp.Onlooker`); ``also`` is called after each block."""
 
     def __init__(self, board: Board, also: Callable[[Status], None] | None = None, clock: Clock = SYSTEM) -> None:
         self._board, self._also, self._clock = board, also, clock

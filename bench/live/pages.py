@@ -32,10 +32,7 @@ COMMANDS = ("finish", "ramp_down", "pause", "go_on", "note", "next")
 
 
 class Desk:
-    """What browsers see and do.
-
-    ``watched``: profile and board of a run in a terminal; None where runs are started from the page.
-    """
+    """What browsers see and do; ``watched``: profile and board of a run in a terminal (None: runs are started here)."""
 
     def __init__(self, watched: tuple[Profile, str] | None) -> None:
         self.hub = Hub()
@@ -57,11 +54,7 @@ class Desk:
         return None if watch is None or watch.out not in ("", out) else watch.ended
 
     def start(self, profile: Path, scenario: str | None, asked: AskedRun) -> Message:
-        """Start a ramp in a process of its own, which outlives this one.
-
-        Raises `InputError` when the profile cannot be read. Returns what `attach` needs to find the run again:
-        ``board``, ``profile`` and ``out``.
-        """
+        """Start a ramp in a process that outlives this one (raises `InputError`); what `attach` needs to find it."""
         known, _ = load(profile)
         if self.watch is not None:
             self.watch.close()

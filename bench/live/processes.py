@@ -8,84 +8,50 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
+from bench.jobs.run_ramp import Onlooker, make_backend, record
 from bench.live.board import LONGEST_NOTE, Board, Message, RunSide
 from bench.profiles.edit import with_values
 from bench.profiles.find import load, refuse_forbidden
 from bench.terminal.run_console import free_keys, leave_keys_to_the_parent, spawned
 from bench.web.packages import require_packages
+from daq.files.disk import Closing
 from daq.setup.errors import InputError
 from rig.execution.operator import Status, StopRequest
 from rig.profile import Profile, parse_profile
 from rig.programme.ramp import NextSteps
 
-if TYPE_CHECKING:
-    from bench.jobs.run_ramp import Onlooker
-
 SECTIONS = ("bench.live.pages", "bench.runs.pages", "bench.drops.desk", "bench.agent.section")
 LINGER_S = 3.0  # in which browsers get the last word of a run
-
-
-class PageProcess:
-    """The page of one run, in a process of its own that the run never waits for.
-
-    Raises `InputError` when the page cannot be served.
-
-    ``host`` and ``port`` as of `bench.web.serve.bind`.
-    """
-
-    def __init__(self, profile: Profile, board: Board, folder: Path, host: str, port: int | None) -> None:
-        require_packages()
-        made_of = SECTIONS, profile, board.name, str(folder), host, port
-        ours, self._process = spawned(_serve_run, *made_of, name="page")
-        self.url, fault = "", "it does not start"
-        try:
-            if ours.poll(60.0):
-                self.url, fault = ours.recv()
-        except EOFError:
-            pass  # it ended before it could say why
-        if not self.url:
-            self._process.terminate()
-            raise InputError(f"the page cannot be served: {fault}")
-
-    def close(self) -> None:
-        """Let the page say how the run ended, and end it."""
-        self._process.join(LINGER_S)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(LINGER_S)
 
 
 def _serve_run(
     pipe: Connection, modules: tuple[str, ...], profile: Profile, board: str, folder: str, host: str, port: int | None
 ) -> None:
-    """The page's process during a run."""
+    """The page's process during a run: sends its address, or why there is none."""
     from bench.web.serve import Place, bind, serve
-
-    def answer(url: str, fault: str) -> None:
-        pipe.send((url, fault))
-        pipe.close()
 
     leave_keys_to_the_parent()
     try:
         listening, access = bind(host, port)
     except InputError as error:
-        answer("", str(error))
+        pipe.send(("", str(error)))
         return
     place = Place(Path(folder).resolve(), {"live": {"watched": (profile, board)}})
-    serve(listening, access, modules, place, on_ready=lambda: answer(access.url, ""), own_signals=False)
+    serve(listening, access, modules, place, on_ready=lambda: pipe.send((access.url, "")), own_signals=False)
 
 
-class Onlookers:
+class Onlookers(Closing):
     """One page for several runs, one after another, and the printed verdicts; a context in which they are driven.
 
     ``folder`` is of the recordings; ``page`` the address and port, None for no page; with ``watch`` the verdict after
@@ -94,36 +60,44 @@ class Onlookers:
 
     def __init__(self, folder: Path, page: tuple[str, int | None] | None, *, watch: bool = False) -> None:
         self._folder, self._page, self._watch = folder, page, watch
-        self._served: PageProcess | None = None
+        self._served: BaseProcess | None = None
         self._boards: list[Board] = []
         self._profiles = TemporaryDirectory()
 
-    def __enter__(self) -> Onlookers:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._served is not None:
-            self._served.close()
+    def close(self) -> None:
+        """Let the page say how the last run ended, and end it."""
+        if (page := self._served) is not None:
+            page.join(LINGER_S)
+            page.terminate()
+            page.join(LINGER_S)
         for board in self._boards:
             board.close()
         self._profiles.cleanup()
 
+    def _serve(self, profile: Profile, board: str, host: str, port: int | None) -> None:
+        """Start the page, a process of its own that no run waits for (`InputError`: it cannot be served)."""
+        require_packages()
+        made_of = SECTIONS, profile, board, str(self._folder), host, port
+        ours, self._served = spawned(_serve_run, *made_of, name="page")
+        url, fault = "", "it does not start"
+        with suppress(EOFError):  # it ended before it could say why
+            if ours.poll(60.0):
+                url, fault = ours.recv()
+        if not url:
+            self._served.terminate()
+            raise InputError(f"the page cannot be served: {fault}")
+        typer.echo(f"watch it at {url}", err=True)
+
     @contextmanager
     def of_run(self, profile: Profile, text: str, why: str = "") -> Iterator[Onlooker | None]:
-        """An onlooker for `bench.jobs.run_ramp.record` during the next run; None where no one looks on.
-
-        Raises `InputError` when the page cannot be served.
-
-        ``why`` is the reason of the run, said on a page that is there already.
-        """
+        """An onlooker for `bench.jobs.run_ramp.record` during the next run, which ``why`` is for; None for no one."""
         if self._page is None and not self._watch:
             yield None
             return
         board = Board()
         self._boards.append(board)
         if self._page is not None and self._served is None:
-            self._served = PageProcess(profile, board, self._folder, *self._page)
-            typer.echo(f"watch it at {self._served.url}", err=True)
+            self._serve(profile, board.name, *self._page)
         elif self._page is not None:
             path = Path(self._profiles.name) / f"{len(self._boards)}.toml"
             path.write_text(text, encoding="utf-8")
@@ -144,9 +118,9 @@ class _Watcher:
     """The analyst of a run, whose verdicts are printed."""
 
     def __init__(self, profile: Profile, board_name: str) -> None:
-        from bench.live.analyst import start_analyst
+        from bench.live.analyst import analyse
 
-        self._pipe, self._process = start_analyst(profile, board_name, pictures=False)
+        self._pipe, self._process = spawned(analyse, board_name, profile, False, name="analyst", daemon=True)
         self._blocks = 0
         self._printed: dict[int, str] = {}  # by step
 
@@ -189,10 +163,7 @@ class AskedRun:
 
 
 def asked_of(said: Message, folder: Path, stem: str, seed: int) -> AskedRun:
-    """What the page asks of a run before it starts: name, note and keys; the name is dated where none is given.
-
-    Raises `InputError` for a name that is taken, or none of a file, and keys that are none.
-    """
+    """What the page asks of a run: name (by default a date), note and keys (`InputError` where one will not do)."""
     name = str(said.get("name", "")).strip().removesuffix(".h5") or f"{stem}-{datetime.now():%Y%m%d-%H%M%S}"
     if not re.fullmatch(r"[\w.+ -]{1,100}", name) or name.startswith("."):
         raise InputError(f"name {name!r}: wanted at most 100 letters, digits and . _ + -, as run-12")
@@ -238,7 +209,6 @@ def run_profile(profile: str, board_name: str, scenario: str | None, asked: Aske
 
 def _drive(checked: Profile, text: str, side: RunSide, scenario: str | None, asked: AskedRun) -> NextSteps | None:
     """One run; the steps that a person chose to follow it, or None."""
-    from bench.jobs.run_ramp import make_backend, record
 
     def check(steps: NextSteps) -> None:
         if steps.ratio not in (None, checked.forcing.ratio):

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.wording import gamma_scale
-from bench.live.analyst import start_analyst
+from bench.live.analyst import analyse
 from bench.live.board import Board, Message
 from bench.live.scope_data import MOST_BINS_PER_S, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
+from bench.terminal.run_console import spawned
 from daq.files.json_values import json_object
 from daq.files.tables import Block
 from daq.recorder.shared_ring import RingReader
@@ -56,7 +57,7 @@ class WatchedRun:
         self._bins = np.zeros((0, 2, 0), np.int16)  # of the scope, not sent yet
         self._bins_end = 0  # samples before the end of the last one, lost ones counted
         self._spectrum_at = 0.0
-        self._pipe, self._analyst = start_analyst(profile, board.name, pictures=True)
+        self._pipe, self._analyst = spawned(analyse, board.name, profile, True, name="analyst", daemon=True)
         self._say(self._plan())
 
     @property

@@ -280,7 +280,7 @@ def test_a_scope_gets_frames_at_every_tick_though_they_come_in_bursts(
     """Six blocks at once every 59 ms: each of the ticks, 50 ms apart, sends a piece, and all pieces are the frames."""
     pipe = SimpleNamespace(poll=lambda: False, close=lambda: None)
     gone = SimpleNamespace(terminate=lambda: None, join=lambda _: None)
-    monkeypatch.setattr(watched_run, "start_analyst", lambda *_, **__: (pipe, gone))
+    monkeypatch.setattr(watched_run, "spawned", lambda *_, **__: (pipe, gone))
     pieces: list[bytes] = []
     profile = load("simulated")[0]
     watch = watched_run.WatchedRun(profile, board, lambda m, **_: pieces.append(m) if isinstance(m, bytes) else None)
