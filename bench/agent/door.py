@@ -61,10 +61,7 @@ def disarm(folder: Path) -> None:
 
 
 def take(folder: Path, profile_text: str, name: str) -> None:
-    """Use up the permission to run a profile.
-
-    Raises `InputError` where there is none: none was given, it is over, used up, or of another profile.
-    """
+    """Use up the permission to run a profile; `InputError` where none was given, or it is over, used or another's."""
     try:
         found = json.loads((folder / FILE).read_text(encoding="utf-8"))
         is_armed = found["profile_sha256"] == _digest(profile_text) and armed(folder)["profile"] is not None
@@ -133,10 +130,9 @@ class Door:
 
     def catalogue(self, text: str = "", limit: int = 20) -> Answer:
         """Recordings with their verdicts, the newest first; each word of ``text`` must occur in a row."""
-        with Catalogue(self.folder) as catalogue:
-            catalogue.update()
-            rows = catalogue.runs(Query(text=_text(text, "text"), limit=_whole(limit, "limit", 1, 1000)))
-        return {"runs": rows}
+        catalogue = Catalogue(self.folder)
+        catalogue.update()
+        return {"runs": catalogue.runs(Query(text=_text(text, "text"), limit=_number(limit, "limit", 1, 1000, int)))}
 
     def plan(self, profile: str, values: Values | None = None) -> Answer:
         """Every step of a ramp with its peaks of drive and plate; ``values`` are keys of [ramp] and [forcing]."""
@@ -153,14 +149,14 @@ class Door:
         self, profile: str, name: str, values: Values | None = None, scenario: str = "", seed: int = 0, note: str = ""
     ) -> Answer:
         """Drive and record a ramp as ``name``.h5; free on the simulated rig, hardware must be armed by a person."""
-        options = [*self._hidden(scenario), "--seed", str(_whole(seed, "seed", 0, 2**31))]
+        options = [*self._hidden(scenario), "--seed", str(_number(seed, "seed", 0, 2**31, int))]
         if note := _text(note, "note"):
             options += [f"--note={note}"]
         return self._drive("ramp", profile, values, ["--out", str(self._new(name, ".h5")), *options])
 
     def explore(self, profile: str, name: str, scenario: str = "", seed: int = 0, budget_s: float = 60.0) -> Answer:
         """Let the rig choose its own steps, into the folder ``name``; hardware must be armed by a person."""
-        options = [*self._hidden(scenario), "--seed", str(_whole(seed, "seed", 0, 2**31))]
+        options = [*self._hidden(scenario), "--seed", str(_number(seed, "seed", 0, 2**31, int))]
         options += ["--budget", repr(_number(budget_s, "budget_s", 1.0, LONGEST_S))]
         return self._drive("explore", profile, None, ["--out", str(self._new(name, "")), *options])
 
@@ -266,16 +262,12 @@ def _plain(key: str, value: Any) -> None:
             raise InputError(f"values: {key}: wanted numbers up to 1e6, at most {MOST_VALUES} of them, or a word")
 
 
-def _number(value: Any, name: str, least: float, most: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
-        raise InputError(f"{name}: wanted a number from {least:g} to {most:g}, found {str(value)[:80]!r}")
-    return float(value)
-
-
-def _whole(value: Any, name: str, least: int, most: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-        raise InputError(f"{name}: wanted a whole number from {least} to {most}, found {str(value)[:80]!r}")
-    return value
+def _number(value: Any, name: str, least: float, most: float, kind: type = float) -> Any:
+    is_one = isinstance(value, int if kind is int else int | float) and not isinstance(value, bool)
+    if not (is_one and least <= value <= most):
+        word = "whole number" if kind is int else "number"
+        raise InputError(f"{name}: wanted a {word} from {least:.12g} to {most:.12g}, found {str(value)[:80]!r}")
+    return kind(value)
 
 
 def _text(value: Any, name: str) -> str:

@@ -42,9 +42,5 @@ def section(place: Place) -> Section:
             raise HTTPException(422, "wanted JSON with profile: a name, or null") from error
         return state(request)
 
-    routes = [
-        Route("/agent", show),
-        Route("/agent/armed", state),
-        Route("/agent/armed", change, methods=["POST"]),
-    ]
+    routes = [Route("/agent", show), Route("/agent/armed", state), Route("/agent/armed", change, methods=["POST"])]
     return Section("agent", "Agent", "/agent", routes, HERE / "static")

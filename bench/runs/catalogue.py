@@ -19,7 +19,7 @@ from typing import Any
 from analysis.loop.verdict import VERDICTS
 from bench.outputs import probe
 from bench.runs.folder import PLACE, Found, files_below, run_of, stated_quantities
-from daq.files.disk import Closing, write_whole
+from daq.files.disk import write_whole
 from daq.files.json_values import json_values
 from daq.recording.header import Header, read_headers
 from daq.recording.notebook import ENDING, Entry, Remarks, change_remarks, notebook, read_remarks, side_file
@@ -111,10 +111,8 @@ def _summary(row: Row) -> str:
     return str(row["loop"]["summary"]) if row["loop"] else ""
 
 
-class Catalogue(Closing):
-    """The runs below ``folder``, made absolute. Any number of processes and threads may use it at once.
-
-    Raises `InputError` where there is no such folder.
+class Catalogue:
+    """The runs below ``folder`` (else `InputError`). Any number of processes and threads may use it at once.
 
     With ``anew`` it is made from the files: it is empty here, and unchanged for others, until `update` is done. Its
     file is ``path``, None where it is only in memory; ``said`` is what a person should know of that, in a sentence, or
@@ -143,13 +141,8 @@ class Catalogue(Closing):
         if anew:
             self._files, self._anew = {}, True
 
-    def close(self) -> None:
-        """Nothing is held open."""
-
     def update(self, *, all_bytes: bool = False, progress: Callable[[str, float], None] | None = None) -> int:
-        """Read the files that are new or have changed, and forget those that are gone.
-
-        Returns the number of files read.
+        """Read the files that are new or have changed, and forget those that are gone; how many were read.
 
         With ``all_bytes`` every byte of the recordings is compared with its checksum, where that has not been done.
         """
@@ -240,10 +233,7 @@ class Catalogue(Closing):
         return sorted(out, key=lambda q: (q["name"], q["date"])) + sorted(fitted, key=lambda q: q["date"])
 
     def file_of(self, row: Row) -> Path:
-        """The file of a run; never one outside the folder.
-
-        Raises `InputError` where it is gone, or leads elsewhere.
-        """
+        """The file of a run, never one outside the folder; raises `InputError` where it is gone, or leads elsewhere."""
         try:
             path = self.folder.joinpath(str(row["path"])).resolve(strict=True)
         except (OSError, RuntimeError) as error:
@@ -262,10 +252,7 @@ class Catalogue(Closing):
         return read_remarks(side_file(self.file_of(row)))
 
     def change_remarks(self, row: Row, change: Callable[[Remarks], Remarks]) -> Remarks:
-        """Change tags and notes of a run in its side file, one process at a time.
-
-        Raises `InputError` where the file cannot be written, or ``change`` refuses.
-        """
+        """Change tags and notes of a run in its side file, one process at a time (raises `InputError`)."""
         changed = change_remarks(self.file_of(row), row["identity"], change)
         name = row["path"] + ENDING
         with self._lock:

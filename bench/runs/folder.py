@@ -45,10 +45,7 @@ def run_id(path: str) -> str:
 
 
 def files_below(folder: Path) -> Iterator[Found]:
-    """Files below a folder that may matter to the catalogue, without hidden ones and links that lead out of it.
-
-    Raises `InputError` where the folder is none, or cannot be read.
-    """
+    """Files that may matter to the catalogue, no hidden ones and no links that lead out (`InputError`: unreadable)."""
     if not folder.is_dir():
         raise InputError(f"{folder}: wanted the folder of the recordings; there is none of that name")
     root = folder.resolve()

@@ -86,8 +86,6 @@ class Pages:
                     scope.close()
                 if self._workshop is not None:
                     self._workshop.close()
-                if self._catalogue is not None:
-                    self._catalogue.close()
                 self._catalogue = self._workshop = None
 
     @property

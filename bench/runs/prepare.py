@@ -85,9 +85,7 @@ def _verdict(loop: ClosedLoop) -> dict[str, Any]:
 
 
 def evidence(loop: ClosedLoop, identity: str, gaps: Integers, rate_hz: float) -> dict[str, Any]:
-    """Rivals, steps and flights of one recording in a closed loop, flights as columns in order of take-off.
-
-    Raises `InputError` where the loop is of other recordings.
+    """Rivals, steps and flights (columns by take-off) of one recording in a closed loop; `InputError`: it is of others.
 
     ``identity`` (`daq.recording.header.stored_id`), ``gaps`` and ``rate_hz`` are of the recording; times are also given
     as its scope counts them.
@@ -156,11 +154,7 @@ FLIGHTS_VERSION = 4
 
 
 def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Path:
-    """Make the pyramid of a recording, where there is none yet, and give its place.
-
-    That is ``by_identity``, under the recording's identity (None where it has none), or ``by_file``, under the file's
-    size and time of change, for a recording that is not whole.
-    """
+    """Make a recording's pyramid where there is none yet: under its identity where it is whole, else the file's."""
     with open_recording(recording) as opened:
         target = by_file if by_identity is None or opened.is_less or opened.damage else by_identity
         if not has_pyramid(target, pyramid_key(opened)):
@@ -212,10 +206,7 @@ def make_evidence(recording: Path, loop: Path, target: Path) -> Path:
 
 
 class Workshop:
-    """Makes pyramids and flights of the runs of one folder, each once.
-
-    Where nothing can be written in the folder, a temporary one is used until `close`.
-    """
+    """Makes pyramids and flights of one folder's runs, each once, there or, until `close`, in a temporary folder."""
 
     def __init__(self, folder: Path) -> None:
         self._lock = threading.Lock()
@@ -243,10 +234,7 @@ class Workshop:
             self._temporary.cleanup()
 
     def pyramid(self, row: Row, file: Path) -> Path | None:
-        """The pyramid of a run; None while it is being made.
-
-        Raises `InputError` where it cannot be made.
-        """
+        """The pyramid of a run; None while it is being made (raises InputError)."""
         by_file = self.place / f"{_file_key(file)}.pyramid"
         whole = row["identity"] and row["ended"] != "damaged"
         by_identity = self.place / f"{row['identity']}.pyramid" if whole else None

@@ -59,10 +59,7 @@ def events_of(flights: Flights, gaps: Integers, length_s: float) -> dict[str, li
 
 
 def change_of(answer: dict[str, Any], recorded_s: Callable[[float], float]) -> Callable[[Remarks], Remarks]:
-    """The change that a page asks for: ``undo``, or ``kind``, ``was_s`` and ``now_shown_s`` of an event.
-
-    Raises `ValueError` or `KeyError` or `TypeError` or `InputError` where it asks for none.
-    """
+    """The change that a page asks for (or an error): ``undo``, or an event's ``kind``, ``was_s``, ``now_shown_s``."""
     if answer.get("undo") is True:
         return lambda now: with_event(now, None)
     was_s, shown_s = (None if answer[key] is None else float(answer[key]) for key in ("was_s", "now_shown_s"))

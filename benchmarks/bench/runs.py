@@ -64,7 +64,8 @@ def catalogue(folder: Path, n: int) -> None:
         place.mkdir(exist_ok=True)
         shutil.copy(folder / "small.h5", place / f"run{k:05d}.h5")
     for anew, what in ((True, "rescan"), (False, "warm call")):
-        with timed(f"{what} of {n + 1} recordings"), Catalogue(folder, anew=anew) as known:
+        with timed(f"{what} of {n + 1} recordings"):
+            known = Catalogue(folder, anew=anew)
             read = known.update()
             rows = known.runs(Query(sort="gamma", text="run0", limit=50))
         print(f"   {read} files read, {len(rows)} rows shown")

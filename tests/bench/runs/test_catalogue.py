@@ -34,9 +34,9 @@ def row_of(catalogue: Catalogue, name: str) -> dict:
 
 def test_what_a_row_says(folder: Path) -> None:
     """Each recording is a row with its profile, c, range of gamma, steps, losses, end and note."""
-    with Catalogue(folder) as catalogue:
-        assert catalogue.update() == 3
-        row = row_of(catalogue, "b.h5")
+    catalogue = Catalogue(folder)
+    assert catalogue.update() == 3
+    row = row_of(catalogue, "b.h5")
     assert row["path"] == "one/b.h5"
     assert (row["profile"], row["c"], row["gamma_low"], row["gamma_high"]) == ("paper", 2, 1.0, 1.4)
     assert (row["steps"], row["lost_samples"], row["ended"], row["simulated"]) == (2, 70, "complete", True)
@@ -45,31 +45,31 @@ def test_what_a_row_says(folder: Path) -> None:
 
 def test_only_what_has_changed_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second call reads nothing; a new file is read, a removed one is forgotten; a rescan reads all of them."""
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-    with Catalogue(folder) as catalogue:
-        monkeypatch.setattr(catalogue_module, "read_headers", lambda paths, **_: iter([]) if not list(paths) else 1 / 0)
-        assert catalogue.update() == 0
-        monkeypatch.undo()
-        record(folder / "new.h5")
-        (folder / "two" / "c.h5").unlink()
-        assert catalogue.update() == 1
-        assert sorted(names(catalogue)) == ["a.h5", "b.h5", "new.h5"]
-    with Catalogue(folder, anew=True) as catalogue:
-        assert catalogue.runs() == []
-        assert catalogue.update() == 3
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    catalogue = Catalogue(folder)
+    monkeypatch.setattr(catalogue_module, "read_headers", lambda paths, **_: iter([]) if not list(paths) else 1 / 0)
+    assert catalogue.update() == 0
+    monkeypatch.undo()
+    record(folder / "new.h5")
+    (folder / "two" / "c.h5").unlink()
+    assert catalogue.update() == 1
+    assert sorted(names(catalogue)) == ["a.h5", "b.h5", "new.h5"]
+    catalogue = Catalogue(folder, anew=True)
+    assert catalogue.runs() == []
+    assert catalogue.update() == 3
 
 
 def test_a_rescan_shows_the_old_state_until_it_is_done(folder: Path) -> None:
     """While one catalogue is made anew from the files, another finds every run; afterwards both have the new state."""
-    with Catalogue(folder) as other:
-        other.update()
-        with Catalogue(folder, anew=True) as rescan:
-            record(folder / "new.h5")
-            assert names(rescan) == [] and sorted(names(other)) == ["a.h5", "b.h5", "c.h5"]
-            assert rescan.update() == 4
-            assert sorted(names(rescan)) == sorted(names(other)) == ["a.h5", "b.h5", "c.h5", "new.h5"]
-            assert rescan.update() == other.update() == 0
+    other = Catalogue(folder)
+    other.update()
+    rescan = Catalogue(folder, anew=True)
+    record(folder / "new.h5")
+    assert names(rescan) == [] and sorted(names(other)) == ["a.h5", "b.h5", "c.h5"]
+    assert rescan.update() == 4
+    assert sorted(names(rescan)) == sorted(names(other)) == ["a.h5", "b.h5", "c.h5", "new.h5"]
+    assert rescan.update() == other.update() == 0
 
 
 @pytest.mark.parametrize(
@@ -87,9 +87,9 @@ def test_a_rescan_shows_the_old_state_until_it_is_done(folder: Path) -> None:
 )  # fmt: skip
 def test_filters_and_orders(folder: Path, conditions: dict, found: list[str]) -> None:
     """Each condition leaves the runs that meet it, taken literally, in the order asked for."""
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        assert names(catalogue, **({"sort": "name"} | conditions)) == found
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    assert names(catalogue, **({"sort": "name"} | conditions)) == found
 
 
 def test_unknown_words_are_refused(folder: Path) -> None:
@@ -104,17 +104,17 @@ def test_unknown_words_are_refused(folder: Path) -> None:
 def test_tags_and_notes_lie_beside_the_recording(folder: Path) -> None:
     """A lost catalogue loses none of them, and the sealed recording is byte for byte what it was."""
     before = (folder / "one" / "a.h5").read_bytes()
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        row = row_of(catalogue, "a.h5")
-        catalogue.change_remarks(row, lambda now: with_note(with_tags(now, ("warm", "new")), "after\nlunch"))
-        catalogue.change_remarks(row, lambda now: with_tags(now, ("new",), remove=True))
-        assert row_of(catalogue, "a.h5")["tags"] == ["warm"]
-        assert names(catalogue, tags=("warm",)) == ["a.h5"] and names(catalogue, tags=("war",)) == []
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    row = row_of(catalogue, "a.h5")
+    catalogue.change_remarks(row, lambda now: with_note(with_tags(now, ("warm", "new")), "after\nlunch"))
+    catalogue.change_remarks(row, lambda now: with_tags(now, ("new",), remove=True))
+    assert row_of(catalogue, "a.h5")["tags"] == ["warm"]
+    assert names(catalogue, tags=("warm",)) == ["a.h5"] and names(catalogue, tags=("war",)) == []
     shutil.rmtree(folder / ".shakerbench")
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        row = row_of(catalogue, "a.h5")
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    row = row_of(catalogue, "a.h5")
     assert (row["tags"], row["notes"]) == (["warm"], "first <b>run</b>\nafter\nlunch")
     assert (folder / "one" / "a.h5").read_bytes() == before
     assert verify(folder / "one" / "a.h5").state == "complete"
@@ -122,30 +122,30 @@ def test_tags_and_notes_lie_beside_the_recording(folder: Path) -> None:
 
 def test_remarks_of_another_recording_are_not_taken(folder: Path) -> None:
     """Where another recording takes the name, the tags of the one before do not stick to it."""
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        catalogue.change_remarks(row_of(catalogue, "a.h5"), lambda now: with_tags(now, ("warm",)))
-        shutil.copy(folder / "one" / "b.h5", folder / "one" / "a.h5")
-        catalogue.update()
-        assert row_of(catalogue, "a.h5")["tags"] == []
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    catalogue.change_remarks(row_of(catalogue, "a.h5"), lambda now: with_tags(now, ("warm",)))
+    shutil.copy(folder / "one" / "b.h5", folder / "one" / "a.h5")
+    catalogue.update()
+    assert row_of(catalogue, "a.h5")["tags"] == []
 
 
 def test_wrong_tags_and_a_wrong_side_file(folder: Path) -> None:
     """A tag is one word; a side file that holds something else is said, and kept."""
-    with Catalogue(folder) as catalogue:
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    row = row_of(catalogue, "a.h5")
+    for tag in ("", "two words", "a,b", "x" * 65, "a\x1bb"):
+        with pytest.raises(InputError, match="wanted one word"):
+            catalogue.change_remarks(row, lambda now, tag=tag: with_tags(now, (tag,)))
+    side = side_file(folder / "one" / "a.h5")
+    for wrong in ("{", "[]", '{"format": "x"}', "[" * 100_000):
+        side.write_text(wrong)
         catalogue.update()
-        row = row_of(catalogue, "a.h5")
-        for tag in ("", "two words", "a,b", "x" * 65, "a\x1bb"):
-            with pytest.raises(InputError, match="wanted one word"):
-                catalogue.change_remarks(row, lambda now, tag=tag: with_tags(now, (tag,)))
-        side = side_file(folder / "one" / "a.h5")
-        for wrong in ("{", "[]", '{"format": "x"}', "[" * 100_000):
-            side.write_text(wrong)
-            catalogue.update()
-            assert "mend it" in row_of(catalogue, "a.h5")["remarks_problem"]
-            with pytest.raises(InputError, match="mend it"):
-                catalogue.change_remarks(row, lambda now: with_tags(now, ("warm",)))
-            assert side.read_text() == wrong
+        assert "mend it" in row_of(catalogue, "a.h5")["remarks_problem"]
+        with pytest.raises(InputError, match="mend it"):
+            catalogue.change_remarks(row, lambda now: with_tags(now, ("warm",)))
+        assert side.read_text() == wrong
 
 
 def test_damaged_files_are_listed_with_the_reason(folder: Path) -> None:
@@ -157,9 +157,9 @@ def test_damaged_files_are_listed_with_the_reason(folder: Path) -> None:
     (folder / "short.h5").write_bytes(content[: len(content) // 2])
     (folder / "text.h5").write_text("hello")
     (folder / "empty.h5").write_bytes(b"")
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        why = {row["path"]: row["why"] for row in catalogue.runs(Query(ended="damaged"))}
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    why = {row["path"]: row["why"] for row in catalogue.runs(Query(ended="damaged"))}
     assert set(why) == {"spoilt.h5", "short.h5", "text.h5", "empty.h5"}
     assert "differ from what was written" in why["spoilt.h5"]
     assert "cannot be read as HDF5" in why["short.h5"] and "cannot be read as HDF5" in why["text.h5"]
@@ -174,27 +174,27 @@ def test_a_large_recording_is_compared_on_demand(folder: Path, monkeypatch: pyte
     content = bytearray(path.read_bytes())
     content[where : where + 8] = b"\xff" * 8
     path.write_bytes(content)
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        row = row_of(catalogue, "a.h5")
-        assert (row["ended"], row["all_bytes"]) == ("complete", False)
-        catalogue.update(all_bytes=True)
-        row = row_of(catalogue, "a.h5")
-        assert (row["ended"], row["all_bytes"]) == ("damaged", True)
-        assert catalogue.update(all_bytes=True) == 0
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    row = row_of(catalogue, "a.h5")
+    assert (row["ended"], row["all_bytes"]) == ("complete", False)
+    catalogue.update(all_bytes=True)
+    row = row_of(catalogue, "a.h5")
+    assert (row["ended"], row["all_bytes"]) == ("damaged", True)
+    assert catalogue.update(all_bytes=True) == 0
 
 
 def test_a_run_that_goes_on_is_listed(folder: Path) -> None:
     """A recording that is being written is a row, incomplete, and becomes complete when it is closed."""
     writer = record(folder / "now.h5", close=False)
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        row = row_of(catalogue, "now.h5")
-        assert (row["ended"], row["steps"], row["identity"]) == ("incomplete", 2, "")
-        catalogue.change_remarks(row, lambda now: with_tags(now, ("early",)))
-        writer.close()
-        catalogue.update()
-        row = row_of(catalogue, "now.h5")
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    row = row_of(catalogue, "now.h5")
+    assert (row["ended"], row["steps"], row["identity"]) == ("incomplete", 2, "")
+    catalogue.change_remarks(row, lambda now: with_tags(now, ("early",)))
+    writer.close()
+    catalogue.update()
+    row = row_of(catalogue, "now.h5")
     assert (row["ended"], row["tags"]) == ("complete", ["early"])
 
 
@@ -207,31 +207,31 @@ def test_verdicts_are_found_by_the_recording_s_identity(folder: Path, closed_loo
     shutil.copy(run, folder / "copy.h5")
     assert keep_verdict(verdict_on(closed_loop, run), [run]) == ""
     (folder / "broken.loop").write_text("no closed loop", encoding="utf-8")
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        assert sorted(names(catalogue, verdict="explained")) == ["a.h5", "copy.h5"]
-        loop = row_of(catalogue, "copy.h5")["loop"]
-        assert loop["summary"] == "explained: coulomb_friction" and loop["file"] == "one/a.loop"
-        assert (loop["before_us"], loop["after_us"], loop["floor_us"]) == (52.0, 5.0, 5.0)
-        later = dataclasses.replace(verdict_on(closed_loop, run, 0.2), verdict="unexplained")
-        save_verdict(later, folder / "later.loop")
-        catalogue.update()
-        assert row_of(catalogue, "a.h5")["loop"]["verdict"] == "unexplained"
-        assert len(catalogue.loops(identity)) == 2
-        mu = [q for q in catalogue.quantities() if q["name"] == "coulomb_friction.mu_up"]
-        assert [(q["value"], q["unit"]) for q in mu] == [(0.2, "g")] * 2
-        (folder / "later.loop").unlink()
-        catalogue.update()
-        assert row_of(catalogue, "a.h5")["loop"]["verdict"] == "explained"
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    assert sorted(names(catalogue, verdict="explained")) == ["a.h5", "copy.h5"]
+    loop = row_of(catalogue, "copy.h5")["loop"]
+    assert loop["summary"] == "explained: coulomb_friction" and loop["file"] == "one/a.loop"
+    assert (loop["before_us"], loop["after_us"], loop["floor_us"]) == (52.0, 5.0, 5.0)
+    later = dataclasses.replace(verdict_on(closed_loop, run, 0.2), verdict="unexplained")
+    save_verdict(later, folder / "later.loop")
+    catalogue.update()
+    assert row_of(catalogue, "a.h5")["loop"]["verdict"] == "unexplained"
+    assert len(catalogue.loops(identity)) == 2
+    mu = [q for q in catalogue.quantities() if q["name"] == "coulomb_friction.mu_up"]
+    assert [(q["value"], q["unit"]) for q in mu] == [(0.2, "g")] * 2
+    (folder / "later.loop").unlink()
+    catalogue.update()
+    assert row_of(catalogue, "a.h5")["loop"]["verdict"] == "explained"
 
 
 def test_the_sensitivity_over_time(folder: Path, closed_loop: ClosedLoop) -> None:
     """It is what each profile states, and that times the fitted gain where a verdict has one."""
     run = folder / "one" / "a.h5"
     keep_verdict(verdict_on(closed_loop, run), [run])
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        found = [q for q in catalogue.quantities() if q["name"] == "accelerometer.sensitivity"]
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    found = [q for q in catalogue.quantities() if q["name"] == "accelerometer.sensitivity"]
     assert [q["value"] for q in found if q["origin"] == "profile"] == [0.1] * 3
     (fitted,) = [q for q in found if q["origin"] == "verdict"]
     assert fitted["value"] == pytest.approx(0.101) and fitted["sigma"] == pytest.approx(1e-4)
@@ -246,34 +246,34 @@ def test_links_out_of_the_folder_are_not_followed(folder: Path, tmp_path: Path) 
         (folder / "dir").symlink_to(tmp_path / "outside")
     except OSError:
         pass  # Windows lets not everybody make symbolic links
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        assert sorted(names(catalogue)) == ["a.h5", "b.h5", "c.h5"]
-        with pytest.raises(InputError, match="outside"):
-            catalogue.file_of({"path": "../outside/o.h5"})
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    assert sorted(names(catalogue)) == ["a.h5", "b.h5", "c.h5"]
+    with pytest.raises(InputError, match="outside"):
+        catalogue.file_of({"path": "../outside/o.h5"})
 
 
 def test_a_folder_that_cannot_be_written(folder: Path) -> None:
     """The catalogue is kept in memory, one sentence says so, and it answers as ever."""
     (folder / ".shakerbench").write_text("in the way")
-    with Catalogue(folder) as catalogue:
-        assert catalogue.path is None and "in memory" in catalogue.said
-        assert catalogue.update() == 3
-        assert len(catalogue.runs()) == 3
+    catalogue = Catalogue(folder)
+    assert catalogue.path is None and "in memory" in catalogue.said
+    assert catalogue.update() == 3
+    assert len(catalogue.runs()) == 3
 
 
 def test_a_catalogue_of_a_newer_version(folder: Path) -> None:
     """It is left as it is, which is said with what to do; the recordings are listed all the same."""
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        path = catalogue.path
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    path = catalogue.path
     assert path is not None
     newer = json.dumps({"version": VERSION + 1, "rows": []})
     path.write_text(newer)
     for anew in (False, True):
-        with Catalogue(folder, anew=anew) as catalogue:
-            assert "newer version" in catalogue.said and "remove that file" in catalogue.said
-            assert catalogue.update() == 3
+        catalogue = Catalogue(folder, anew=anew)
+        assert "newer version" in catalogue.said and "remove that file" in catalogue.said
+        assert catalogue.update() == 3
     assert path.read_text() == newer
 
 
@@ -284,20 +284,20 @@ def test_a_damaged_catalogue_is_made_again(folder: Path, spoil: bytes) -> None:
     """Rubbish in place of the catalogue costs nothing but the time to read the files."""
     (folder / ".shakerbench").mkdir()
     (folder / ".shakerbench" / "runs.json").write_bytes(spoil)
-    with Catalogue(folder) as catalogue:
-        assert "made again" in catalogue.said
-        assert catalogue.update() == 3
-    with Catalogue(folder) as catalogue:
-        assert catalogue.said == "" and catalogue.update() == 0
+    catalogue = Catalogue(folder)
+    assert "made again" in catalogue.said
+    assert catalogue.update() == 3
+    catalogue = Catalogue(folder)
+    assert catalogue.said == "" and catalogue.update() == 0
 
 
 def _use(folder: Path, tag: str, turns: int) -> None:
     """Body of a process: bring the catalogue up to date and tag the same recording, again and again."""
     for k in range(turns):
-        with Catalogue(folder, anew=k == 1) as catalogue:
-            catalogue.update()
-            row = row_of(catalogue, "a.h5")
-            catalogue.change_remarks(row, lambda now, k=k: with_tags(now, (f"{tag}{k}",)))
+        catalogue = Catalogue(folder, anew=k == 1)
+        catalogue.update()
+        row = row_of(catalogue, "a.h5")
+        catalogue.change_remarks(row, lambda now, k=k: with_tags(now, (f"{tag}{k}",)))
 
 
 def test_two_processes_at_once(folder: Path) -> None:
@@ -309,27 +309,27 @@ def test_two_processes_at_once(folder: Path) -> None:
     for process in processes:
         process.join()
     assert [process.exitcode for process in processes] == [0, 0]
-    with Catalogue(folder) as catalogue:
-        catalogue.update()
-        assert sorted(row_of(catalogue, "a.h5")["tags"]) == sorted(f"{tag}{k}" for tag in "xy" for k in range(6))
+    catalogue = Catalogue(folder)
+    catalogue.update()
+    assert sorted(row_of(catalogue, "a.h5")["tags"]) == sorted(f"{tag}{k}" for tag in "xy" for k in range(6))
 
 
 def test_threads_share_a_catalogue(folder: Path) -> None:
     """Threads that update and ask at once get whole answers."""
     failures: list[BaseException] = []
-    with Catalogue(folder) as catalogue:
+    catalogue = Catalogue(folder)
 
-        def use() -> None:
-            try:
-                for _ in range(10):
-                    catalogue.update()
-                    assert len(catalogue.runs()) == 3
-            except BaseException as error:  # noqa: BLE001 (handed to the test)
-                failures.append(error)
+    def use() -> None:
+        try:
+            for _ in range(10):
+                catalogue.update()
+                assert len(catalogue.runs()) == 3
+        except BaseException as error:  # noqa: BLE001 (handed to the test)
+            failures.append(error)
 
-        threads = [threading.Thread(target=use) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+    threads = [threading.Thread(target=use) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
     assert failures == []
