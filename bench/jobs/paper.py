@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from analysis.report.wording import gamma_scale
 from bench.jobs.run_ramp import record
 from bench.predict.figures import draw_diagram
 from bench.profiles.edit import with_values
-from bench.profiles.find import load, planned, refusal
+from bench.profiles.find import load, refuse_forbidden
 from daq.files.disk import write_whole
 from daq.recording import open_recording
 from daq.setup.errors import InputError
@@ -70,20 +70,7 @@ FIGURES: tuple[tuple[str, str, int | None, Callable[[Measured, Canvas], None]], 
 EXPECTED = {"lock": math.hypot(math.pi, 1.0), "doubling": math.hypot(math.pi, 2.0)}  # gamma_peak, of the ideal ball
 
 
-@dataclass(frozen=True)
-class Numbers:
-    """What the paper states, of one run; gamma_peak at c = 1, else gamma. NaN: not seen."""
-
-    step: float  # distance of the ramp's steps
-    onset: float  # take-off, known to half a step
-    first: float  # first change after it, known to half a step
-    changed_to: str  # its type
-    predicted: float  # first change of the model with the rig's own effects
-    one_cycles: float  # greatest step with a 1-cycle below 4.6, where the ideal ball's cycle of two flights ends
-    shorter: float  # median part by which all flights are shorter than the ideal ball's, from 1.3 to 4
-    at_two: float  # median flight time over the ideal ball's, rebounds left out, from 2 to 2.3
-    in_band: float  # part of the flights from 5 to 8 that last .056 to .064 s
-    repeats: float  # part of the steps above 2.3 with a cycle
+Numbers = dict[str, Any]  # of one run; gamma_peak at c = 1, else gamma; NaN: not seen
 
 
 def numbers(shown: Measured, effects: Effects) -> Numbers:
@@ -101,18 +88,22 @@ def numbers(shown: Measured, effects: Effects) -> Numbers:
     start = next((0.5 * (c.gamma_before + c.gamma_after) for c in held.changes if c.type == "take-off"), math.nan)
     ones = [g for g, s in zip(peak, held.steps, strict=True) if s.measured.kind == "cycle" and s.measured.n == 1]
     high = flights.duration_s[fine & (factor * flights.gamma >= 5.0) & (factor * flights.gamma <= 8.0)]
-    return Numbers(
-        step=float(np.median(np.diff(peak))),
-        onset=factor * start,
-        first=factor * held.first.middle,
-        changed_to=held.first.measured.type if held.first.measured else "none",
-        predicted=factor * first_bifurcation(flights, shown.recording.setup, effects).predicted_gamma,
-        one_cycles=max((g for g in ones if g < 4.6), default=math.nan),
-        shorter=1.0 - _median(every[(peak > 1.3) & (peak < 4.0)]),
-        at_two=_median(main[(peak > 1.95) & (peak < 2.35)]),
-        in_band=_mean((high > 0.056) & (high < 0.064)),
-        repeats=_mean([s.measured.kind == "cycle" for s in held.steps if factor * s.gamma > 2.3]),
-    )
+    return {
+        "step": float(np.median(np.diff(peak))),  # distance of the ramp's steps
+        "onset": factor * start,  # take-off, known to half a step
+        "first": factor * held.first.middle,  # first change after it, known to half a step, and its type
+        "changed_to": held.first.measured.type if held.first.measured else "none",
+        # first change of the model with the rig's own effects
+        "predicted": factor * first_bifurcation(flights, shown.recording.setup, effects).predicted_gamma,
+        # greatest step with a 1-cycle below 4.6, where the ideal ball's cycle of two flights ends
+        "one_cycles": max((g for g in ones if g < 4.6), default=math.nan),
+        # median part by which all flights are shorter than the ideal ball's
+        "shorter": 1.0 - _median(every[(peak > 1.3) & (peak < 4.0)]),
+        # median flight time over the ideal ball's, rebounds left out
+        "at_two": _median(main[(peak > 1.95) & (peak < 2.35)]),
+        "in_band": _mean((high > 0.056) & (high < 0.064)),  # part of the flights from 5 to 8 that last so long, s
+        "repeats": _mean([s.measured.kind == "cycle" for s in held.steps if factor * s.gamma > 2.3]),
+    }
 
 
 def effects_of(run: str) -> Effects:
@@ -148,8 +139,7 @@ def recorded(plan: Path, seed: int) -> Path:
     if path.exists():
         return path
     profile, own = load(plan)
-    if faults := planned(profile)[2]:
-        raise InputError(refusal(str(plan), faults))
+    refuse_forbidden(str(plan), profile)
     if profile.backend.kind != "simulated":
         raise InputError(f"{path}: not there; record it: bench ramp {plan} --out {path}")
     instrument = ordinary_instrument(np.random.default_rng(seed)) if name in (*RUNS, "lighter") else {}
@@ -223,6 +213,6 @@ def paper(text: str, out: Path, seed: int, progress: Callable[[str, float], None
     template = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
     page = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).from_string(template)
     write_whole(out / "paper.md", page.render(found=found, expected=EXPECTED, cpu_s=time.process_time()) + "\n")
-    lines = [",".join(map(str, (name, *asdict(one).values()))) for name, one in found.items()]
-    write_whole(out / "paper" / "numbers.csv", "\n".join([",".join(("run", *asdict(found["full"]))), *lines]) + "\n")
+    lines = [",".join(map(str, (name, *one.values()))) for name, one in found.items()]
+    write_whole(out / "paper" / "numbers.csv", "\n".join([",".join(("run", *found["full"])), *lines]) + "\n")
     return found

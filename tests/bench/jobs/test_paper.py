@@ -45,8 +45,8 @@ def test_the_page_holds_every_figure_with_its_data(tmp_path: Path, monkeypatch: 
         with (tmp_path / "paper" / f"{name}.csv").open(encoding="utf-8") as file:
             assert len(list(csv.reader(file))) > 20
     ideal, friction = found["ideal"], found["friction"]
-    assert ideal.first == pytest.approx(math.hypot(math.pi, 1.0), abs=0.5 * ideal.step)
-    assert ideal.shorter == pytest.approx(0.0, abs=1e-3) and ideal.in_band == 0.0
-    assert friction.at_two == pytest.approx(0.825, abs=0.01)
-    assert found["slow"].onset == pytest.approx(1.3, abs=found["slow"].step)
-    assert found["slow"].first == pytest.approx(found["slow"].predicted, abs=0.2)
+    assert ideal["first"] == pytest.approx(math.hypot(math.pi, 1.0), abs=0.5 * ideal["step"])
+    assert ideal["shorter"] == pytest.approx(0.0, abs=1e-3) and ideal["in_band"] == 0.0
+    assert friction["at_two"] == pytest.approx(0.825, abs=0.01)
+    assert found["slow"]["onset"] == pytest.approx(1.3, abs=found["slow"]["step"])
+    assert found["slow"]["first"] == pytest.approx(found["slow"]["predicted"], abs=0.2)
