@@ -14,13 +14,11 @@ import multiprocessing
 import os
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.flights.assemble import flights_of
 from analysis.flights.classify import classify
@@ -37,7 +35,6 @@ from daq.recording import Recording, open_recording
 from daq.recording.opening import open_checked
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from kernels.arrays import Floats
 from model.bifurcations.forbidden_zones import forbidden_zones
 from model.effects.registry import Effects, ball_effects, resolve
 from model.orbits.attractor import attractor
@@ -51,27 +48,12 @@ PLAIN, DOUBTFUL, POOR = range(3)  # marks of a flight
 _POOR = FlightFlag.FALSE | FlightFlag.SETTLING | FlightFlag.CUT | FlightFlag.GAP
 
 
-@dataclass(frozen=True)
-class ReducedStep:
-    """One step as a page shows it."""
-
-    asked: float
-    gamma: float  # measured on the plate; NaN where it could not be
-    label: str  # class of the motion
-    landing_s: Floats  # of each flight since the step's first sample, (n,)
-    duration_s: Floats  # of each flight, (n,)
-    residual_s: Floats  # landing less its prediction by the declared model, (n,); NaN where not compared
-    noise_s: Floats  # uncertainty of that, (n,)
-    mark: NDArray[np.uint8]  # `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight), (n,)
-    tones: list[dict[str, Any]]  # of each tone: multiple, amplitude and phase (degrees) on the plate and asked for
-
-    def shows(self, other: ReducedStep, within_s: float) -> bool:
-        """Whether another reduction of the step shows the same flights, none moved by more than ``within_s``."""
-        if self.label != other.label or not np.array_equal(self.mark, other.mark):
-            return False
-        columns = ("duration_s", "landing_s", "residual_s")
-        pairs = ((getattr(self, name), getattr(other, name)) for name in columns)
-        return all(np.allclose(x, y, rtol=0.0, atol=within_s, equal_nan=True) for x, y in pairs)
+def shows(one: Message, other: Message, within_s: float) -> bool:
+    """Whether two reductions of a step show the same flights, none moved by more than ``within_s``."""
+    if one["label"] != other["label"] or not np.array_equal(one["columns"][-1], other["columns"][-1]):
+        return False
+    pairs = zip(one["columns"][:3], other["columns"][:3], strict=True)
+    return all(np.allclose(x, y, rtol=0.0, atol=within_s, equal_nan=True) for x, y in pairs)
 
 
 def cut_to(recording: Recording, n_samples: int) -> None:
@@ -82,8 +64,12 @@ def cut_to(recording: Recording, n_samples: int) -> None:
     recording.gaps = recording.gaps[recording.gaps[:, 0] < recording.n_samples]
 
 
-def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[list[ReducedStep], Observations]:
-    """All steps of a run so far, and the observations for its verdict; raises `InputError` for too few samples.
+def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[list[Message], Observations]:
+    """All steps of a run so far as messages, and the observations for its verdict (`InputError`: too few samples).
+
+    A message has the step's gammas, asked for and on the plate (NaN: unknown), class, tones, and columns of its
+    flights: duration, landing since its first sample, residual of that by the declared model (NaN: not compared), its
+    uncertainty (all s), and mark: `PLAIN`, `DOUBTFUL` (double hit, or unsure) or `POOR` (settling, cut, no flight).
 
     ``recording`` is open: the run's, however long it is yet. ``played_first`` has, by step, the index of its first
     sample among the played ones, from which phases count; where it is not known, that among the recorded ones does.
@@ -98,22 +84,16 @@ def reduce_run(recording: Recording, played_first: Mapping[int, int]) -> tuple[l
         noise[row] = uncertainty_at(model, {}).landing_total_s[judged]
     mark = np.where(flights.has(FlightFlag.DOUBLE_HIT | FlightFlag.UNSURE), DOUBTFUL, PLAIN)
     mark = np.where(flights.has(_POOR), POOR, mark).astype(np.uint8)
-    labels, steps = {one.step: one.label for one in classify(flights)}, []
+    labels, steps = {one.step: one.label for one in classify(flights)}, list[Message]()
     for k, row in enumerate(recording.steps):
         own, plate, first = flights.step == k, flights.plate.steps[k], int(row["first_sample"])
-        steps.append(
-            ReducedStep(
-                asked=float(row["gamma"]),
-                gamma=math.nan if plate is None else plate.gamma,
-                label=labels.get(k, "undecided"),
-                landing_s=flights.landing_s[own] - first / recording.rate_hz,
-                duration_s=flights.duration_s[own],
-                residual_s=residual[own],
-                noise_s=noise[own],
-                mark=mark[own],
-                tones=_tones(flights, k, recording.setup, row, played_first.get(k, first)),
-            )
-        )
+        landing_s = flights.landing_s[own] - first / recording.rate_hz
+        steps.append({
+            "kind": "flights", "step": k, "asked": float(row["gamma"]),
+            "gamma": math.nan if plate is None else plate.gamma, "label": labels.get(k, "undecided"),
+            "tones": _tones(flights, k, recording.setup, row, played_first.get(k, first)),
+            "columns": (flights.duration_s[own], landing_s, residual[own], noise[own], mark[own]),
+        })  # fmt: skip
     return steps, seen
 
 
@@ -257,7 +237,7 @@ def analyse(pipe: Connection, board_name: str, profile: Profile, pictures: bool)
     except (BrokenPipeError, ConnectionResetError):
         return  # no one listens
     finally:
-        analyst.close()
+        board.close()
 
 
 class Analyst:
@@ -272,7 +252,7 @@ class Analyst:
         self._ended: set[int] = set()
         self._played_first: dict[int, int] = {}
         self._is_over = False
-        self._sent: dict[int, tuple[ReducedStep, bool]] = {}
+        self._sent: dict[int, tuple[Message, bool]] = {}
         self._n_final = self._looks = 0
         self._judged_first = -1  # first sample of the last step that was judged
         self._due_s = 0.0
@@ -298,10 +278,6 @@ class Analyst:
             return True
         self.done = self._is_over
         return False
-
-    def close(self) -> None:
-        """Let go of the shared memory."""
-        self._board.close()
 
     def _reduce(self) -> bool:
         """Reduce the run where it is due; whether there was something to do."""
@@ -332,7 +308,7 @@ class Analyst:
             self._due_s = time.monotonic() + AGAIN_S
             return False  # too short yet, or just being closed
         for k, step in enumerate(steps):
-            self._send(k, step, k < n_final, exact=is_last)
+            self._send(step, k < n_final, exact=is_last)
         if looks and n_final:
             self._n_final, self._looks = n_final, self._looks + 1
             self._judged_first = judged
@@ -343,17 +319,13 @@ class Analyst:
         self._due_s = now + max(AGAIN_S, 4.0 * (now - began))
         return True
 
-    def _send(self, k: int, step: ReducedStep, is_final: bool, *, exact: bool) -> None:
+    def _send(self, step: Message, is_final: bool, *, exact: bool) -> None:
         """Send a step that differs from what was sent of it: visibly, or at all at the end (``exact``)."""
         if not self._pictures and not is_final:
             return
-        known = self._sent.get(k)
+        known = self._sent.get(step["step"])
         # a flight that moves by less, as more is known of the instruments, is no news while the run lasts
-        if known is not None and known[1] == is_final and known[0].shows(step, 0.0 if exact else 2e-5):
+        if known is not None and known[1] == is_final and shows(known[0], step, 0.0 if exact else 2e-5):
             return
-        self._sent[k] = step, is_final
-        self._pipe.send({
-            "kind": "flights", "step": k, "final": is_final, "asked": step.asked, "gamma": step.gamma,
-            "label": step.label, "tones": step.tones,
-            "columns": (step.duration_s, step.landing_s, step.residual_s, step.noise_s, step.mark),
-        })  # fmt: skip
+        self._sent[step["step"]] = step, is_final
+        self._pipe.send(step | {"final": is_final})

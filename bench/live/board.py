@@ -96,11 +96,7 @@ class Lane:
 
 
 class Board:
-    """Shared memory of a run and its page; raises `OSError` where there is no such board, or no room for one.
-
-    ``name`` is of an existing board to attach to; None makes one, which ends with its maker. The lane ``events`` leads
-    from the run to the page, ``commands`` from the page to the run.
-    """
+    """Shared memory of a run and its page (or `OSError`): the board ``name``, or a new one that ends with its maker."""
 
     def __init__(self, name: str | None = None) -> None:
         self._owner = name is None

@@ -52,11 +52,7 @@ def _serve_run(
 
 
 class Onlookers(Closing):
-    """One page for several runs, one after another, and the printed verdicts; a context in which they are driven.
-
-    ``folder`` is of the recordings; ``page`` the address and port, None for no page; with ``watch`` the verdict after
-    each step is printed on standard error.
-    """
+    """A page (address and port) for runs one after another, and with ``watch`` their verdicts on standard error."""
 
     def __init__(self, folder: Path, page: tuple[str, int | None] | None, *, watch: bool = False) -> None:
         self._folder, self._page, self._watch = folder, page, watch

@@ -55,9 +55,6 @@ class PlateHeight:
     """Displacement of the plate from its accelerometer, as codes of ``least_m`` metres: one more trace of the scope.
 
     Acceleration is integrated twice; what is slower than a tenth of the forcing is forgotten.
-
-    ``frequency_hz`` is that of the first tone; ``mps2_per_code`` and ``least_m`` scale the accelerometer's codes
-    and the result's.
     """
 
     def __init__(self, rate_hz: float, frequency_hz: float, mps2_per_code: float, least_m: float) -> None:

@@ -30,19 +30,13 @@ Tell = Callable[..., None]
 
 
 class WatchedRun:
-    """A run that is being watched.
-
-    ``tell`` sends a message to every browser: a mapping or bytes, with ``passing=True`` for what a late browser may
-    miss. ``successor`` has board, profile (path) and reason of the run that follows, once it was announced; ``ended``
-    how the run ended (``how``, ``why``, ``n_samples``), None while it is under way; ``out`` the name of the recording,
-    empty before.
-    """
+    """A run that is being watched; ``tell`` sends browsers a mapping or bytes, ``passing`` what a late one may miss."""
 
     def __init__(self, profile: Profile, board: Board, tell: Tell) -> None:
         self.profile, self.board, self._tell = profile, board, tell
-        self.successor: Message | None = None
-        self.ended: Message | None = None
-        self.out = ""
+        self.successor: Message | None = None  # board, profile (path) and reason of the run that follows, if announced
+        self.ended: Message | None = None  # ``how``, ``why`` and ``n_samples``; None while it is under way
+        self.out = ""  # name of the recording, empty before there is one
         self._heard_at = time.monotonic()
         self._latest: dict[str, str] = {}  # the last message of each kind
         self._models: list[str] = []

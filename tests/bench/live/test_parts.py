@@ -22,7 +22,7 @@ from analysis.residuals.observations import Observations
 from bench.jobs.blocks import Chosen, by_person
 from bench.jobs.run_ramp import make_backend, record
 from bench.live import watched_run
-from bench.live.analyst import DOUBTFUL, PLAIN, Analyst, ReducedStep, cut_to, predicted, reduce_run, verdict_of
+from bench.live.analyst import DOUBTFUL, PLAIN, Analyst, cut_to, predicted, reduce_run, verdict_of
 from bench.live.board import EVENT_SLOTS, Board, RunSide
 from bench.live.scope_data import SCOPE, MinMax, PlateHeight, flights_piece, scope_piece, spectrum_piece
 from bench.profiles.find import load, shipped_folder
@@ -177,7 +177,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return out
 
 
-def so_far(path: Path, n_steps: int) -> tuple[list[ReducedStep], Observations]:
+def so_far(path: Path, n_steps: int) -> tuple[list[dict[str, Any]], Observations]:
     """The first steps of a recording as a page reduces them while the run lasts."""
     with open_recording(path) as recording:
         row = recording.steps[n_steps - 1]
@@ -188,21 +188,20 @@ def so_far(path: Path, n_steps: int) -> tuple[list[ReducedStep], Observations]:
 def test_step_is_reduced_as_the_analysis_does_it(recorded: dict[str, Path]) -> None:
     """Cycle, tones on target, and residuals of the ideal ball at its noise; the prediction meets the flights."""
     steps, _ = so_far(recorded["ideal"], 4)
-    assert [s.label for s in steps][:2] == ["1-cycle", "1-cycle"]
+    assert [s["label"] for s in steps][:2] == ["1-cycle", "1-cycle"]
     for step in steps:
-        (tone,) = step.tones
+        (tone,), (_, _, residual_s, noise_s, _) = step["tones"], step["columns"]
         assert tone["mps2"] == pytest.approx(tone["target_mps2"], rel=0.01)
         assert tone["deg"] == pytest.approx(tone["target_deg"], abs=0.5)
-        compared = np.isfinite(step.residual_s)
-        assert compared.sum() > 5 and np.median(np.abs(step.residual_s[compared])) < 3 * np.median(
-            step.noise_s[compared]
-        )
+        compared = np.isfinite(residual_s)
+        assert compared.sum() > 5 and np.median(np.abs(residual_s[compared])) < 3 * np.median(noise_s[compared])
     setup = load("simulated")[0]
     portions = list(predicted(setup, (0.8, 2.2)))
     assert portions[-1]["part"] == 1.0
     gamma, tau = (np.concatenate([p[key] for p in portions]) for key in ("gamma", "tau_ms"))
     near = tau[np.abs(gamma - 2.4) < 0.02]  # gamma_peak of the second step
-    measured = 1e3 * np.median(steps[1].duration_s[steps[1].mark == PLAIN])
+    duration_s, *_, mark = steps[1]["columns"]
+    measured = 1e3 * np.median(duration_s[mark == PLAIN])
     assert np.min(np.abs(near - measured)) < 0.3
 
 
@@ -216,7 +215,8 @@ def test_page_ends_with_the_flights_of_the_file(board: Board, tmp_path: Path) ->
     """A page that is four steps behind shows at the end the flights, classes and residuals that `reprocess` finds."""
     text = load("simulated")[1].replace("{ start = 0.4, stop = 2.6, steps = 23 }", "[0.8, 1.2, 1.6, 2.0, 2.2, 2.4]")
     profile, path, sent, watching = parse_profile(text, "six.toml"), tmp_path / "six.h5", Sent(), Board(board.name)
-    analyst = Analyst(profile, Board(board.name), sent, pictures=True)
+    analyst_board = Board(board.name)
+    analyst = Analyst(profile, analyst_board, sent, pictures=True)
     options = {"quiet": True, "paced": True, "onlooker": RunSide(board)}
     run = Thread(target=record, args=(profile, text, make_backend(profile), path), kwargs=options)
     run.start()
@@ -242,7 +242,7 @@ def test_page_ends_with_the_flights_of_the_file(board: Board, tmp_path: Path) ->
         assert np.isfinite(residual_s).sum() > 5 and np.nanmedian(noise_s) < 5e-5
         assert set(mark[np.isfinite(residual_s)]) <= {PLAIN, DOUBTFUL}
     assert verdicts[-1]["step"] == 5 and verdicts[-1]["within"]
-    analyst.close()
+    analyst_board.close()
     watching.close()
 
 
