@@ -59,8 +59,7 @@ def ramp(
     Exits 0 when the ramp was completed, 1 when it was stopped or failed (what was recorded is there), 2 when the call
     was wrong.
     """
-    from bench.jobs.hold_branch import branch_hold
-    from bench.jobs.run_ramp import continued, make_backend, record
+    from bench.jobs.run_ramp import branch_hold, continued, make_backend, record
     from bench.live.processes import Onlookers
     from bench.profiles.find import load, refuse_forbidden
     from bench.terminal.run_console import free_keys

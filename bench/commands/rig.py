@@ -26,7 +26,7 @@ def devices(
 
     Exits 0, also when nothing is there; 2 when a profile cannot be read.
     """
-    from bench.profiles.devices import found_devices
+    from bench.jobs.run_ramp import found_devices
 
     check_outputs(File("--json", json, JSON), inputs=profiles or [], overwrite=overwrite)
     found = found_devices(profiles or [])

@@ -56,7 +56,7 @@ def work(pipe: Connection, job: Job) -> None:
 
 def _card(job: Job, ask: Ask, tell: Ask) -> Message:
     """What is plugged in, what its inputs carry, and the loop-back."""
-    from bench.profiles.devices import fits, found_devices
+    from bench.jobs.run_ramp import fits, found_devices
     from rig.backends.portaudio import Card
 
     profile, backend = open_rig(job.profile, "check", job.scenario, job.seed)

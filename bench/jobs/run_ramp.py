@@ -1,4 +1,4 @@
-"""A ramp driven through the back end of its profile and recorded, with a display and soft stops; a stopped one resumed.
+"""A rig and its devices; a ramp driven and recorded, with a display and soft stops; a stopped one resumed.
 
 A resumed ramp, or one step repeated, is a new recording: it names the first, which is only read, and from which step it
 goes on.
@@ -7,32 +7,40 @@ goes on.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from bench.profiles.find import find_scenario, load
+import numpy as np
+
+from bench.profiles.find import find_scenario, load, shipped_names
 from bench.terminal.run_console import TypedLines, run_display, stop_on_signals
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import Recording, open_recording
 from daq.recording.writer import RecordingWriter
 from daq.setup.errors import InputError
 from daq.setup.setup import Setup
-from rig.backends.base import Backend
+from rig.backends.base import Backend, BackendError
 from rig.backends.kinds.base import OpenOptions
+from rig.backends.kinds.soundcard import CardOptions
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
 from rig.checks.check import TAP_S, Check, Finding
-from rig.execution.branch_hold import BranchHold
+from rig.execution.branch_hold import BranchHold, LockedBranch
 from rig.execution.operator import RunSummary, Status, StopRequest
 from rig.execution.priority import before_other_work
 from rig.execution.run import run_ramp
-from rig.profile import Profile, parse_profile
+from rig.profile import BranchTable, Profile, parse_profile
 from rig.programme.ramp import plan
 from rig.programme.sequencer import largest_block
 from rig.sim.scenario import Scenario
+
+if TYPE_CHECKING:
+    from model.bifurcations.continuation import CycleBranch
+    from rig.backends.portaudio import Card
 
 
 class Onlooker(Protocol):
@@ -54,10 +62,7 @@ def make_backend(
     watched: bool = False,
     replay: Path | None = None,
 ) -> Backend:
-    """The back end that ``profile`` asks for, and no other; raises `InputError`, also for what it would not heed.
-
-    A simulated rig that is ``watched`` keeps to the clock, as a device does by itself.
-    """
+    """The back end that ``profile`` asks for (or `InputError`); a simulated one ``watched`` keeps to the clock."""
     real_time |= watched and profile.backend.kind == "simulated"
     if scenario is not None and profile.backend.kind == "simulated":
         scenario = find_scenario(scenario)
@@ -80,6 +85,74 @@ def check_rig(profile: Profile, backend: Backend, *, tap: bool = False) -> list[
     return Check(profile, backend, (lambda: print(words, file=sys.stderr, flush=True)) if tap else None).run()
 
 
+def found_devices(profiles: Sequence[str]) -> dict[str, Any]:
+    """What is there: ``cards``, ``ports``, and as ``problem`` why no card could be looked for (else empty).
+
+    Shipped profiles and ``profiles``, paths or names, are held against it (raises `InputError`).
+    """
+    from serial.tools.list_ports import comports
+
+    from rig.backends.portaudio import cards
+
+    known = [load(name)[0] for name in dict.fromkeys([*shipped_names(), *profiles])]
+    try:
+        there, why = cards(), ""
+    except BackendError as error:
+        there, why = [], str(error)
+    listed = [asdict(card) | {"profiles": [p.name for p in known if fits(p, card)]} for card in there]
+    ports = [
+        {
+            "port": port.device,
+            "description": port.description,
+            "profiles": [p.name for p in known if getattr(p.backend, "port", "") == port.device],
+        }
+        for port in comports()
+    ]
+    return {"cards": listed, "ports": ports, "problem": why}
+
+
+def fits(profile: Profile, card: Card) -> bool:
+    """True where the profile's sound card can be ``card``: its name, and enough channels."""
+    table = profile.backend
+    if not isinstance(table, CardOptions) or table.device.lower() not in card.name.lower():
+        return False
+    inputs = table.inputs.wired(profile.channels).values() if table.kind == "soundcard" else [0]
+    return card.outputs >= table.output and card.inputs >= max(inputs)
+
+
+def branch_hold(profile: Profile) -> BranchHold:
+    """What holds the ball through a ramp, by its ``[control.branch]`` or the defaults (raises as `locked_branch`)."""
+    table = (profile.control.branch if profile.control else None) or BranchTable()
+    branch = locked_branch(profile)
+    known = LockedBranch(branch.gamma, branch.phase[:, 0], branch.multiplier)
+    return BranchHold(profile, table, known)
+
+
+def locked_branch(profile: Profile) -> CycleBranch:
+    """The branch of locked cycles of one flight a period that reaches highest in the ramp; raises `InputError`."""
+    from model.bifurcations.continuation import cycle_branches
+    from model.effects.registry import ball_effects
+    from model.orbits.make_ball import make_ball
+    from model.tones import Forcing
+
+    multiples, displacements = zip(*profile.forcing.displacement_tones(), strict=True)
+    forcing = Forcing.of_displacements(multiples, np.array(displacements), from_first=False)
+    frequency_hz, g_mps2 = profile.forcing.frequency_hz, profile.g_mps2.value
+    ball = make_ball(forcing, ball_effects(profile.declared_values()), frequency_hz=frequency_hz, g_mps2=g_mps2)
+    highest = max(profile.ramp.gammas())
+    found = [
+        branch
+        for branch in cycle_branches(ball, 0.1 * highest, 1.02 * highest, 1)
+        if branch.periods == 1 and len(branch.gamma) > 2 and abs(branch.multiplier).min() < 1.0
+    ]
+    if not found:
+        raise InputError(
+            f"profile {profile.name!r}: up to gamma {highest:g} the ball has no stable locked cycle of one flight a "
+            "period from which to be held; raise ramp.gamma, or leave --hold-branch out"
+        )
+    return max(found, key=lambda branch: float(branch.gamma[-1]))
+
+
 def record(
     profile: Profile,
     text: str,
@@ -100,7 +173,7 @@ def record(
     Lines ``typed`` meanwhile are obeyed; ``request`` is for whoever wants to know what was asked of the run.
 
     What cannot wait (a device, a paced rig) is recorded by a process of its own; a rig at full speed is recorded here.
-    An ``onlooker`` needs such a process. ``hold`` holds the ball on a branch (`bench.jobs.hold_branch`).
+    An ``onlooker`` needs such a process. ``hold`` holds the ball on a branch (`branch_hold`).
     """
     programme = plan(profile)
     options: dict[str, Any] = dict(

@@ -1,4 +1,4 @@
 """Profiles of rigs: found by name, planned, edited in place, improved, and turned into the next run's.
 
-Other packages take `find`, `edit`, `improved` and `devices`.
+Other packages take `find`, `edit` and `improved`.
 """

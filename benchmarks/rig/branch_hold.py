@@ -17,7 +17,7 @@ import numpy as np
 
 from analysis.flights.assemble import flights_of
 from analysis.residuals.held import HeldStep, held_steps
-from bench.jobs.hold_branch import branch_hold, locked_branch
+from bench.jobs.run_ramp import branch_hold, locked_branch
 from bench.profiles.find import load
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter

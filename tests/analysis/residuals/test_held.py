@@ -14,7 +14,7 @@ from analysis.report.figures.flights import draw_bifurcations, measured
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.held import held_steps
 from analysis.residuals.observations import observed
-from bench.jobs.hold_branch import branch_hold
+from bench.jobs.run_ramp import branch_hold
 from bench.profiles.find import load
 from daq.recording import Recording, open_recording
 from daq.recording.writer import RecordingWriter

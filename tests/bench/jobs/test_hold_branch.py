@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.jobs.hold_branch import locked_branch
+from bench.jobs.run_ramp import locked_branch
 from bench.profiles.find import load
 from daq.setup.errors import InputError
 from rig.profile import parse_profile

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.profiles.devices import fits
+from bench.jobs.run_ramp import fits
 from daq.files.tables import BlockFlag
 from daq.recorder.recorder_process import RecorderProcess
 from daq.recording import open_recording
