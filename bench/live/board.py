@@ -55,11 +55,6 @@ class Lane:
         """Bytes that a lane takes."""
         return 8 + slots * n_bytes
 
-    @property
-    def waiting(self) -> bool:
-        """Whether a message came since the last `read`."""
-        return int(self._put[0]) != self._seen
-
     def put(self, message: Mapping[str, Any]) -> bool:
         """Put a message on the lane; False for one that is too long, which is left out."""
         packed = json.dumps(message, separators=(",", ":"), ensure_ascii=False)
@@ -181,9 +176,8 @@ class RunSide:
 
     def _after_block(self, status: Status) -> None:
         """Take commands, send the state of the run where it is due or another one, draw."""
-        if self._board.commands.waiting:
-            for command in self._board.commands.read()[0]:
-                self._obey(command)
+        for command in self._board.commands.read()[0]:
+            self._obey(command)
         now = self._clock.monotonic_s()
         state = (status.state, status.step.index, self._request.pause, self._request.wanted)
         # twenty states a second at most: a simulation's blocks come far faster than a page shows them
