@@ -127,7 +127,10 @@ def _check_file(output: File, path: Path, named: str, read: list[Path], overwrit
         example = path / f"result{output.form.suffixes[0]}"
         raise InputError(f"{named}: is a folder; wanted the name of a file, as {example}")
     _refuse_input(path.with_name(f"{path.name}.part"), named, read)  # where some forms grow until they are whole
-    _check_suffix(output.form, path, named)
+    suffix, form = path.suffix.lower(), output.form
+    packed = Path(path.stem).suffix.lower() + suffix if suffix == ".gz" else suffix
+    if packed not in form.suffixes and (form.only or suffix in KNOWN):  # the name stands for another form
+        raise InputError(f"{named}: wanted a name ending in {' or '.join(form.suffixes)}, {form.name} is written there")
     if not path.exists():
         folder = path.resolve().parent  # where a link that leads nowhere would put it
         if not folder.exists():
@@ -162,14 +165,6 @@ def _check_folder(output: Folder, path: Path, named: str, read: list[Path], over
             f"{named}: holds {there[0].name}{more} already; choose another folder, or give --overwrite to replace what "
             "is written again"
         )
-
-
-def _check_suffix(form: Form, path: Path, named: str) -> None:
-    """Refuse a name that stands for another form."""
-    suffix = path.suffix.lower()
-    packed = Path(path.stem).suffix.lower() + suffix if suffix == ".gz" else suffix
-    if packed not in form.suffixes and (form.only or suffix in KNOWN):
-        raise InputError(f"{named}: wanted a name ending in {' or '.join(form.suffixes)}, {form.name} is written there")
 
 
 def probe(folder: Path) -> None:
