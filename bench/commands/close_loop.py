@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -119,10 +119,7 @@ class _Wanted:
 
 
 def _close(recordings: list[Path], wanted: _Wanted, again: tuple[Path | None, int] | None, *, anyway: bool) -> bool:
-    """Close the loop, show the verdict and write what is wanted; whether all could be written.
-
-    ``again``: what the simulated rig hides, and a seed, for runs that are made until one explanation stands.
-    """
+    """Close the loop, show the verdict, write what is wanted: whether all could be; ``again``: scenario and seed."""
     from analysis.loop.close_loop import fit_loop
     from bench.jobs.loops import until_clear
     from bench.profiles.find import load_measuring
@@ -161,8 +158,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
         term_effect, improved = keep_term(loop, path, recordings, wanted.profile, wanted.improved, quiet=quiet)
         lines([*term_effect_in_words(term_effect), *improved])
 
-    def rank() -> None:
-        ranked.extend(possible_runs(loop, fitted, recordings[0]))
+    def rank(first: Path) -> None:
+        ranked.extend(possible_runs(loop, fitted, first))
         for run in ranked[:3]:
             say(f"  a next run worth {run.nats:.0f} nats: {run.design.description}")
 
@@ -181,13 +178,9 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
             say(f"next run: {path} is not written, because nothing ties that another run would separate")
 
     # the order matters: ranking and the term's effect are part of the JSON; the profile is then that of the second loop
-    writers: list[tuple[str, Callable[[], object]]] = []
-    if wanted.effect_file is not None:
-        writers.append(("the term's effect", partial(keep, wanted.effect_file)))
-    as_json = partial(write_json, target=wanted.json)
-    writers.append(("list of next runs", rank))
-    writers.append(("verdict as JSON", lambda: as_json(loop_json(loop, ranking_json(ranked), term_effect))))
-    for name, write, path in (
+    possible: list[tuple[str, Callable[[Any], object], object]] = [
+        ("the term's effect", keep, wanted.effect_file), ("list of next runs", rank, recordings[0]),
+        ("verdict as JSON", lambda to: write_json(loop_json(loop, ranking_json(ranked), term_effect), to), wanted.json),
         ("report", report, wanted.report),
         (
             "improved profile", lambda path: lines(write_improved(loop, recordings[0], path, text)),
@@ -195,9 +188,8 @@ def _write(loop: ClosedLoop, fitted: FittedLoop, recordings: list[Path], wanted:
         ),
         ("next run's profile", following, wanted.next_run),
         ("stake", lambda path: lines(write_stake(loop, fitted, recordings, text, path)), wanted.stake),
-    ):  # fmt: skip
-        if path is not None:
-            writers.append((name, partial(write, path)))
+    ]  # fmt: skip
+    writers = [(name, partial(write, to)) for name, write, to in possible if to is not None]
     return conclude(loop, recordings, writers, quiet=quiet)
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 import math
+import shutil
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -123,8 +125,6 @@ def _simulated(name: str) -> tuple[Profile, str]:
 
 def _sealed(seed: int, profile: Profile) -> Hidden:
     """A scenario drawn by chance among the effects that have a name, beyond what the profile's calibrations allow."""
-    from dataclasses import replace
-
     import numpy as np
 
     from rig.sim.scenario import left_open, ordinary_instrument, pool, sealed_scenario
@@ -137,8 +137,6 @@ def _sealed(seed: int, profile: Profile) -> Hidden:
 
 def _claim(folder: Path) -> None:
     """Make the folder, or clear what an unfinished demo left in it; `InputError` where it holds anything else."""
-    import shutil
-
     if folder.exists():
         if not folder.is_dir() or (any(folder.iterdir()) and not (folder / UNFINISHED).is_file()):
             raise InputError(f"{folder}: exists already; name a new folder by --out")

@@ -42,18 +42,13 @@ class Aims:
     """When to stop, and what may be changed."""
 
     budget_s: float  # rig time
-    # standard deviation asked for, by effect and parameter
-    until: Mapping[ParameterId, float] = field(default_factory=dict)
-    # size down to which "nothing missing" is to be shown, in units of the size at which each effect would
-    # matter
-    limit: float = 1.0
+    until: Mapping[ParameterId, float] = field(default_factory=dict)  # standard deviation asked for
+    limit: float = 1.0  # down to which "nothing missing" is to be shown, in units of the size that would matter
     ratios: tuple[int, ...] = (1, 2, 3)  # values of c that may be driven
     frequencies_hz: tuple[float, ...] = ()  # of the first tone, that may be driven
     steps: int = 4  # of each block
     hold_cycles: int = 14  # of each step
-    # waited after each fade. The plate must settle, the ball need not: each flight is judged from the event
-    # before.
-    settle_cycles: int = 4
+    settle_cycles: int = 4  # after each fade, for the plate; the ball need not settle, as flights are judged singly
 
 
 @dataclass(frozen=True)
@@ -232,12 +227,7 @@ def read_stake(path: Path) -> tuple[Stake, str]:
 def outcome_of(
     stake: Stake, text: str, recording: Path, known: MutableMapping[Path, Observations] | None = None
 ) -> Outcome:
-    """What a later recording says to the stake in the profile ``text``.
-
-    Raises `InputError` where it was begun before the prediction was written, is of another rig, or lacks a staked step.
-
-    ``known`` is that of `analysis.residuals.observations.observations_from`.
-    """
+    """What a recording says to a stake (`InputError`: it was begun before, is another rig's, or lacks a step)."""
     with open_recording(recording) as opened:
         started = str(opened.attrs.get("started") or "")
         try:

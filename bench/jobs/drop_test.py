@@ -161,8 +161,7 @@ class DropTest:
     items: list[tuple[int, Drop | Path2D]]  # (file number, Drop or Path2D) what was read
     outcome: Outcome  # the result; `draw` adds to its sentences
     plot: FitPlot  # data and models
-    # (item, time, bounced) impacts of films and paths in each file's own time, and whether a flight was measured on
-    # both sides
+    # impacts of films and paths: item, time in the file, and whether a flight was measured on both sides
     fitted_impacts_s: list[tuple[int, float, bool]] = field(default_factory=list)
 
 

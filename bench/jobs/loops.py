@@ -71,10 +71,7 @@ def conclude(
     *,
     quiet: bool = False,
 ) -> bool:
-    """Show a verdict unless ``quiet``, save it with its recordings, then write each output; whether all were written.
-
-    The verdict comes first: no output that cannot be written takes it away.
-    """
+    """Show a verdict unless ``quiet``, save it, then write each output (none takes it away); whether all were."""
     from bench.terminal.loop_display import show, write_outputs
 
     if not quiet:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import platform
+import shlex
 import sys
 import tempfile
 import traceback
@@ -16,6 +17,8 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
+
+import typer
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,8 +66,6 @@ def readable(text: str | None) -> str | None:
 
 def speaker(quiet: bool) -> Callable[[str], None]:
     """A function that prints a line for a person, or nothing where standard output belongs to the JSON."""
-    import typer
-
     return (lambda line: None) if quiet else typer.echo
 
 
@@ -93,8 +94,6 @@ CYCLES = (
 
 def next_command(recording: Path, stake: str | Path | None = None) -> str:
     """The line after a command that made a recording: what to do with it; ``stake`` is the profile of a staked run."""
-    import shlex
-
     judge = "bench close-loop" if stake is None else f"bench stake {shlex.quote(str(stake))}"
     return f"next: {judge} {shlex.quote(str(recording))}   (bench compare: step by step; bench report: one page)"
 

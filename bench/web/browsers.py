@@ -19,10 +19,7 @@ NAME, NO_NAME = re.compile(r"[0-9a-f]{16,64}"), 4400  # of a browser; why a sock
 
 
 class Browser:
-    """One open page; ``name`` is its own choice and survives a reload.
-
-    ``words_only``: it draws no scope. ``reads_only``: it belongs to someone who may look and do nothing else.
-    """
+    """One open page, by its own name; ``words_only``: it draws no scope, ``reads_only``: it may do nothing else."""
 
     def __init__(self, socket: WebSocket, name: str) -> None:
         self.socket, self.name = socket, name

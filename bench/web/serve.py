@@ -113,10 +113,7 @@ PORT = 8625
 
 
 def bind(host: str = LOOPBACK, port: int | None = None) -> tuple[socket.socket, Access]:
-    """A listening socket and the access that goes with it, which has a token where other machines may come in.
-
-    Port None takes the first free one from `PORT` on, 0 any. Raises `InputError` when the address cannot be bound.
-    """
+    """A listening socket and its access; port None: the first free one from `PORT` on, 0: any (or `InputError`)."""
     # another server of a second run may have the first ports
     ports = [port] if port is not None else range(PORT, PORT + 20)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -146,11 +143,7 @@ def serve(
     on_ready: Callable[[], None] | None = None,
     own_signals: bool = True,
 ) -> None:
-    """Serve sections until the process is to end.
-
-    Each of ``modules`` has a function ``section(place)``. ``on_ready`` is called once pages are answered; with
-    ``own_signals`` Ctrl-C and SIGTERM end the server.
-    """
+    """Serve sections (``section(place)`` of each module) to the end; ``on_ready`` is called once pages are answered."""
     app = make_app(access, [importlib.import_module(name).section(place) for name in modules])
     Server(app, on_ready, own_signals=own_signals).run([listening])
 
