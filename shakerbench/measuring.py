@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -132,14 +132,9 @@ class LoopResult:
         return write_improved(self.loop, self.recordings[0], Path(path))
 
 
-@contextmanager
-def _opened(recording: Recording | str | Path) -> Iterator[Recording]:
+def _opened(recording: Recording | str | Path) -> AbstractContextManager[Recording]:
     """An open recording, which stays open, or one behind a path."""
-    if isinstance(recording, Recording):
-        yield recording
-    else:
-        with open_file(recording) as opened:
-            yield opened
+    return nullcontext(recording) if isinstance(recording, Recording) else open_file(recording)
 
 
 def open_recording(path: str | Path) -> Recording:
