@@ -39,11 +39,7 @@ HERE = Path(__file__).parent
 
 
 class Gates(Passed):
-    """The six gates of one rig: what browsers do, and the jobs and runs that they start; `live` shows the runs.
-
-    ``offered``: a profile's path or name, taken where none was chosen in the folder yet; None leaves the choice to the
-    person.
-    """
+    """The six gates of one rig, and what they start; ``offered``: a profile, taken where none was chosen yet."""
 
     def __init__(self, folder: Path, live: Desk, offered: str | None) -> None:
         super().__init__(folder)
@@ -147,7 +143,8 @@ class Gates(Passed):
         parse_profile(text, self.state.profile)
         before = read_toml_text(self.path)
         write_whole(self.path, text)
-        self._keep(self.state.edited(before) if undo is None else replace(self.state, undo=undo))
+        undo = (*self.state.undo, before)[-20:] if undo is None else undo  # 20 changes can be undone
+        self._keep(replace(self.state, undo=undo))
         self.read_profile()
 
     def _change(self, values: Message) -> None:

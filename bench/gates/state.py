@@ -27,11 +27,7 @@ _WIRED = ("terminal", "coupling", "range_v", "serial_number", "sign")  # of a ch
 
 
 def inputs_of(gate: str, profile: Profile, rig: Mapping[str, Any], device: Mapping[str, Any]) -> Inputs:
-    """What a gate is passed with, by name: its own inputs and those of the gates before it.
-
-    ``gate`` is one before ``verdict``, which judges the recording. ``rig`` is what a simulated rig hides, and its seed,
-    empty for a device; ``device`` the card as the first gate found it.
-    """
+    """What a gate before ``verdict`` is passed with, by name: its own inputs and those of the gates before it."""
     whole = profile.model_dump(mode="json")
     backend = dict(whole["backend"])
     wired = backend.pop("inputs", None)
@@ -99,10 +95,6 @@ class State:
     def passed(self, gate: str, result: Result) -> Self:
         """This state with the result of a gate."""
         return replace(self, results=self.results | {gate: result})
-
-    def edited(self, before: str) -> Self:
-        """This state after the profile, whose text was ``before``, was changed; 20 changes can be undone."""
-        return replace(self, undo=(*self.undo, before)[-20:])
 
 
 def now() -> str:

@@ -1,7 +1,4 @@
-"""The report of recordings: flights and their pictures, a closed loop at hand or computed, a section each, and paper.
-
-A page goes on paper through a headless Chromium (Chrome, Edge), or WeasyPrint where no browser is there.
-"""
+"""The report of recordings: flights and pictures, a closed loop at hand or computed, a section each, and paper."""
 
 from __future__ import annotations
 
@@ -140,7 +137,6 @@ def refuse_without_printer() -> None:
 
 def print_pdf(page: Path, pdf: Path) -> None:
     """Print the page ``page`` to ``pdf``, which appears only when it is whole; raises `InputError` where it cannot."""
-    refuse_without_printer()
     found = browser()
     with whole(pdf) as part, tempfile.TemporaryDirectory() as folder:
         if found is None:

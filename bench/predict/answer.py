@@ -1,6 +1,4 @@
-"""The answer to a request of `bench predict`: an orbit, a list of bifurcations, or a diagram.
-
-Diagrams are over a range of gammas and any other axes, on one core, several, or a cluster.
+"""The answer to a request of `bench predict`: an orbit, a list of bifurcations, or a diagram over gammas and more.
 
 With ``--json -`` standard output carries the JSON and nothing else; progress goes to standard error.
 """

@@ -94,10 +94,7 @@ def with_profile(request: Request, given: GivenProfile) -> Request:
 
 
 def plate_gamma(setup: Setup, asked: float, *, controlled: bool = False) -> float:
-    """Gamma of the plate, for tones of equal size one (else `InputError`), where the programme asks for ``asked``.
-
-    ``controlled``: a loop drives the plate until its accelerometer shows what is asked.
-    """
+    """Gamma of the plate where the programme asks for ``asked``; ``controlled``: until its accelerometer shows it."""
     tones = [abs(z) for _, z in setup.forcing.displacement_tones()]
     if len(tones) > 1 and not math.isclose(tones[0], tones[1], rel_tol=1e-9):
         b = setup.forcing.amplitude

@@ -1,10 +1,4 @@
-"""Profiles made from others: the improved model, the next run, a new one from a shipped one.
-
-The improved profile declares what was found, with value, uncertainty and the recording it is from, and every line of
-the recording's profile stays. What is not believed, belongs to one run or has no name is not declared: it stands in
-comments at the end. The next run has another ratio, other gammas or another order of steps; it is parsed and checked
-against the rig's limits, and a design that a limit forbids is passed over.
-"""
+"""Profiles made from others: the improved model, the next run within the rig's limits, a new one from a shipped one."""
 
 from __future__ import annotations
 
