@@ -52,9 +52,7 @@ class Query:
     ended: str = ""  # one of `ENDS`
     since: str = ""  # date as ISO 8601, or the beginning of one
     until: str = ""  # the same; what begins so is included
-    # every word of it occurs in the file's name, the profile, a note, a tag, the reason of an end or the
-    # verdict
-    text: str = ""
+    text: str = ""  # words, each in the file's name, the profile, a note, a tag, the reason of an end or the verdict
     lost: bool = False  # only runs that lost samples
     sort: str = "date"  # one of `SORTS`; after a minus: backwards
     limit: int = -1  # how many rows at most; -1: all
@@ -142,10 +140,7 @@ class Catalogue:
             self._files, self._anew = {}, True
 
     def update(self, *, all_bytes: bool = False, progress: Callable[[str, float], None] | None = None) -> int:
-        """Read the files that are new or have changed, and forget those that are gone; how many were read.
-
-        With ``all_bytes`` every byte of the recordings is compared with its checksum, where that has not been done.
-        """
+        """Read files that are new, changed or (``all_bytes``) not compared whole, and forget those gone; how many."""
         found = {file.path: file for file in files_below(self.folder)}
         with self._updating:
             self._take_in()
@@ -176,10 +171,7 @@ class Catalogue:
         return len(changed)
 
     def runs(self, query: Query | None = None) -> list[Row]:
-        """Rows of the runs that a query asks for, in its order; see `bench.runs.folder.run_of` for what they hold.
-
-        To that come ``tags``, all ``notes``, ``remarks_problem`` and the latest verdict on the run as ``loop``.
-        """
+        """Rows (`bench.runs.folder.run_of`) that a query asks for, with ``tags``, ``notes`` and the latest ``loop``."""
         with self._lock:
             self._take_in()
             loops = self._loops()
@@ -207,10 +199,7 @@ class Catalogue:
             return self._loops().get(identity, []) if identity else []
 
     def quantities(self, ids: Sequence[str] = ()) -> list[Row]:
-        """Calibrations and effects, as profiles state and verdicts fit them, by date; of all runs, or of some.
-
-        Each has id, path, date, name, value, sigma, unit and origin; of a verdict, the latest on the run counts.
-        """
+        """Calibrations and effects by date, as profiles state and the latest verdicts fit them; of all or some runs."""
         with self._lock:
             loops, entries = self._loops(), [entry for entry in self._files.values() if "run" in entry]
         out: list[Row] = []

@@ -46,8 +46,6 @@ def run_id(path: str) -> str:
 
 def files_below(folder: Path) -> Iterator[Found]:
     """Files that may matter to the catalogue, no hidden ones and no links that lead out (`InputError`: unreadable)."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: wanted the folder of the recordings; there is none of that name")
     root = folder.resolve()
     try:
         yield from _below(root, "", root, 0)
@@ -77,30 +75,10 @@ def _below(folder: Path, prefix: str, root: Path, depth: int) -> Iterator[Found]
 
 
 def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
-    """The row of a recording, or of a file that should be one and does not read; None where something is not known.
-
-    id, path
-        Short name in addresses, and the file's path below the folder.
-    identity
-        `daq.recording.header.stored_id`.
-    date
-        Start of the run (UTC), or when it was imported.
-    profile, c, frequency_hz
-        Name of the profile, ratio of the tones, frequency of the first.
-    gamma_low, gamma_high, steps
-        Range of the steps' gamma (achieved where it was measured, else commanded), and their number.
-    seconds, rate_hz, n_samples, lost_samples
-        Length without what was lost, samples a second, samples a channel, samples declared as lost.
-    ended, why
-        complete, stopped, failed, incomplete, or damaged where something does not read back; the reason.
-    all_bytes
-        Whether every byte was compared with the checksums, or only tables and indexes.
-    note, notes
-        As `bench ramp` was given it; that one and those typed during the run, a line each.
-    """
+    """The row of a recording, or of a file that should be one and does not read; None where something is not known."""
     attrs: Mapping[str, Any] = {} if isinstance(header, Unread) else header.attrs
     identity = "" if isinstance(header, Unread) else header.identity
-    row: dict[str, Any] = {"id": run_id(path), "path": path, "identity": identity}
+    row: dict[str, Any] = {"id": run_id(path), "path": path, "identity": identity}  # as in `daq.recording.header`
     nothing = (
         "date", "profile", "c", "frequency_hz", "gamma_low", "gamma_high", "steps", "seconds", "rate_hz", "n_samples",
         "lost_samples",
@@ -115,21 +93,21 @@ def run_of(path: str, header: Header | Unread) -> dict[str, Any]:
     gammas = [g for achieved, commanded in pairs if (g := commanded if achieved is None else achieved) is not None]
     damaged, ended = header.state == "damaged", str(attrs.get("ended", "") or "incomplete")
     return row | {
-        "date": str(attrs.get("started") or attrs.get("imported_at") or "") or None,
+        "date": str(attrs.get("started") or attrs.get("imported_at") or "") or None,  # UTC
         "profile": str(header.setup["name"]),
         "c": header.ratios[0] if len(set(header.ratios)) == 1 else int(forcing["ratio"]),
-        "frequency_hz": float(forcing["frequency_hz"]),
-        "gamma_low": min(gammas, default=None),
+        "frequency_hz": float(forcing["frequency_hz"]),  # of the first tone
+        "gamma_low": min(gammas, default=None),  # achieved where it was measured, else commanded
         "gamma_high": max(gammas, default=None),
         "steps": len(header.gammas),
-        "seconds": header.n_samples / header.rate_hz,
+        "seconds": header.n_samples / header.rate_hz,  # without what was lost
         "rate_hz": header.rate_hz,
-        "n_samples": header.n_samples,
-        "lost_samples": header.lost_samples,
+        "n_samples": header.n_samples,  # of a channel
+        "lost_samples": header.lost_samples,  # that were declared as lost
         "ended": "damaged" if damaged else "incomplete" if header.state == "incomplete" else ended,
         "why": "; ".join(header.where) if damaged else str(attrs.get("why") or ""),
-        "all_bytes": header.all_bytes,
-        "notes": "\n".join(one.text for one in entries_of(header)),
+        "all_bytes": header.all_bytes,  # whether every byte was compared with the checksums, or tables and indexes
+        "notes": "\n".join(one.text for one in entries_of(header)),  # as given, and typed during the run; a line each
     }
 
 

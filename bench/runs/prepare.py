@@ -163,10 +163,7 @@ def make_pyramid(recording: Path, by_identity: Path | None, by_file: Path) -> Pa
 
 
 def make_flights(recording: Path, target: Path, changes: tuple[EventChange, ...]) -> Path:
-    """Steps, flights and events of a recording as JSON in the file ``target``.
-
-    There is no file where the recording's ``changes`` by hand became others before the flights were found.
-    """
+    """Steps, flights and events as JSON in ``target``; no file where ``changes`` by hand became others meanwhile."""
     with open_recording(recording) as opened:
         flights, steps, rate_hz, gaps = flights_of(opened), opened.steps, opened.rate_hz, opened.gaps
         events = events_of(flights, gaps, opened.n_samples / rate_hz)

@@ -1,6 +1,5 @@
-"""The scope of one run, and its events on the page.
+"""The scope of one run, and its events on the page: those that were found, and changes by hand.
 
-Events of a run on its page: those that were found, with their places in the scope, and changes by hand.
 The scope's time counts lost samples, that of events does not (`daq.recording.reader.timestamps_ns`).
 """
 
