@@ -30,6 +30,7 @@ from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.explore.explanations import adjusted_gradient_and_information, secants_at, slopes_at
 from analysis.joint.population import Priors, Quadratic
 from analysis.joint.result import RunOutcome
+from analysis.loop.result import as_tree, from_tree
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
@@ -51,46 +52,28 @@ PLACES: tuple[Place, ...] = tuple((("systematic", name), ()) for name in NAMES)
 UNIT_S = 1e-6  # of their coordinates
 
 
-@dataclass(frozen=True)
-class Systematics:
-    """What one run tells of the errors of `NAMES`."""
+def systematic_errors(model: ForwardModel, whitener: Whitener, at: Values) -> tuple[Floats, tuple[float, ...]]:
+    """What a run at the parameter values ``at`` tells of the errors of `NAMES`, per `UNIT_S`.
 
-    slopes: Floats  # derivatives of the bare residuals to each, per `UNIT_S`, (r, 2)
-    # standard deviations of their priors, in `UNIT_S`, (2,); 0 where the run has no such edges
-    sigma: tuple[float, ...]
-
-    @classmethod
-    def of(cls, model: ForwardModel, whitener: Whitener, at: Values) -> Systematics:
-        """From one run at the parameter values ``at``."""
-        observations = model.observations
-        brief = np.append(observations.measured.relaunched[1:] & observations.measured.linked[1:], False)
-        now = model.residuals(at)
-        raw, columns = whitener.stacked(now), []
-        for closings, openings in ((np.zeros_like(brief), 1.0), (brief, 0.0)):
-            late_s = np.where(closings, EDGE_STEP_S, 0.0)
-            earlier = model.predict(at, landing_shift_s=-late_s, near=now.predicted)
-            there = replace(
-                now,
-                landing_s=np.where(
-                    observations.scored, observations.measured.landing_s - late_s - earlier.landing_s, np.nan
-                ),
-                opening_s=np.where(
-                    model.from_rest,
-                    observations.measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s,
-                    np.nan,
-                ),
-            )
-            change = of_same_events(whitener.stacked(there) - raw, whitener)
-            columns.append(change * UNIT_S / EDGE_STEP_S)
-        edges = (observations.opening_sigma_s, model.from_rest), (observations.landing_sigma_s, brief)
-        opening_s, closing_s = (float(np.median(sigma_s[some])) if some.any() else 0.0 for sigma_s, some in edges)
-        # all edges together may be off by a tenth of one edge's uncertainty; closings by half of what their prior
-        # allows
-        sigma_s = (0.1 * opening_s, min(0.5 * observations.circuit.closure_s, closing_s))
-        return cls(np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s))
-
-
-Row = dict[str, Any]
+    Derivatives of the bare residuals, (r, 2), and standard deviations of their priors; 0 where it has no such edges.
+    """
+    observations, measured = model.observations, model.observations.measured
+    brief = np.append(measured.relaunched[1:] & measured.linked[1:], False)
+    now = model.residuals(at)
+    raw, columns = whitener.stacked(now), []
+    for closings, openings in ((np.zeros_like(brief), 1.0), (brief, 0.0)):
+        late_s = np.where(closings, EDGE_STEP_S, 0.0)
+        earlier = model.predict(at, landing_shift_s=-late_s, near=now.predicted)
+        landed = np.where(observations.scored, measured.landing_s - late_s - earlier.landing_s, np.nan)
+        opened = measured.opening_s - openings * EDGE_STEP_S - earlier.opening_s
+        there = replace(now, landing_s=landed, opening_s=np.where(model.from_rest, opened, np.nan))
+        change = of_same_events(whitener.stacked(there) - raw, whitener)
+        columns.append(change * UNIT_S / EDGE_STEP_S)
+    edges = (observations.opening_sigma_s, model.from_rest), (observations.landing_sigma_s, brief)
+    opening_s, closing_s = (float(np.median(sigma_s[some])) if some.any() else 0.0 for sigma_s, some in edges)
+    # all edges together may be off by a tenth of one edge's uncertainty; closings by half of what their prior allows
+    sigma_s = (0.1 * opening_s, min(0.5 * observations.circuit.closure_s, closing_s))
+    return np.column_stack(columns), tuple(s / UNIT_S for s in sigma_s)
 
 
 @dataclass(frozen=True)
@@ -143,32 +126,24 @@ class RunSummary:
     columns: tuple[Place, ...]
     options: tuple[Option, ...]  # the candidates
     quadratic: Quadratic  # log likelihood about the run's own fit
-    # widths of the priors of shared systematic errors, see `analysis.joint.summary.Systematics`.
+    # widths of the priors of shared systematic errors, see `systematic_errors`
     systematic_sigma: tuple[float, ...]
     lost: bool  # whether landings are so far off that nothing is linear
 
-    def as_row(self) -> Row:
+    def as_row(self) -> dict[str, Any]:
         """For a journal: numbers, texts and arrays packed as text."""
-        packed = {
-            k: base64.b64encode(np.ascontiguousarray(v, dtype="<f8").tobytes()).decode("ascii")
-            for k, v in vars(self.quadratic).items()
-        }
-        options = [(o.names, o.sizes) for o in self.options]
-        return {**vars(self), **packed, "outcome": vars(self.outcome), "quadratic": None, "options": options}
+        arrays: dict[str, Floats] = {}
+        tree = as_tree(self, "", arrays)
+        packed = {k: (v.shape, base64.b64encode(v.astype("<f8").tobytes()).decode("ascii")) for k, v in arrays.items()}
+        return {"summary": tree, "arrays": packed}
 
     @classmethod
-    def from_row(cls, row: Row) -> RunSummary:
+    def from_row(cls, row: Mapping[str, Any]) -> RunSummary:
         """From a journal."""
-        k = len(row["columns"])
-        arrays = {
-            name: np.frombuffer(base64.b64decode(row[name]), dtype="<f8").astype(np.float64)
-            for name in ("origin", "gradient", "information")
-        }
-        quadratic = Quadratic(arrays["origin"], arrays["gradient"], arrays["information"].reshape(k, k))
-        outcome = RunOutcome(**row["outcome"] | {"failed": tuple(row["outcome"]["failed"])})
-        options = tuple(Option(tuple(names), tuple(map(_place, sizes))) for names, sizes in row["options"])
-        columns = tuple(map(_place, row["columns"]))
-        return cls(outcome, columns, options, quadratic, tuple(row["systematic_sigma"]), row["lost"])
+        packed = row["arrays"].items()
+        arrays = {k: np.frombuffer(base64.b64decode(text), "<f8").reshape(shape) for k, (shape, text) in packed}
+        found: RunSummary = from_tree(cls, row["summary"], arrays)
+        return found
 
 
 def summarise(
@@ -236,7 +211,7 @@ def _to_second_order(
 ) -> tuple[Quadratic, tuple[float, ...]]:
     """The run's log likelihood about its own fit, origin in coordinates; and the priors of shared systematic errors."""
     at, whitener = {**model.base, **fitted.fitted.values}, fitted.whitener
-    errors = Systematics.of(model, whitener, at)
+    errors, sigma = systematic_errors(model, whitener, at)
     ours = np.array([place in PLACES for place in columns])
     raw, slopes = slopes_at(model, fitter, whitener, at, [p for p in columns if p not in PLACES])
     sizes = len(columns) - int(np.flatnonzero(ours)[-1]) - 1  # of candidates, last of all
@@ -244,17 +219,11 @@ def _to_second_order(
         tried = columns[-sizes:]
         slopes[:, -sizes:] = secants_at(model, fitter, whitener, at, tried, raw, slopes[:, -sizes:])
     both = np.empty((len(raw), len(columns)))
-    both[:, ours], both[:, ~ours] = errors.slopes, slopes
+    both[:, ours], both[:, ~ours] = errors, slopes
     origin = np.zeros(len(columns))
     for i, (key, _) in enumerate(columns[: int(np.flatnonzero(ours)[0])]):
         origin[i] = coordinate_of(key, at.get(key, null_value_of(key)))
-    return Quadratic(origin, *adjusted_gradient_and_information(whitener, raw, both)), errors.sigma
-
-
-def _place(entry: Sequence[Any]) -> Place:
-    """A column's meaning from JSON."""
-    (name, q), shapes = entry
-    return (name, q), tuple(((n, p), float(v)) for (n, p), v in shapes)
+    return Quadratic(origin, *adjusted_gradient_and_information(whitener, raw, both)), sigma
 
 
 @dataclass(frozen=True)

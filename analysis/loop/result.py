@@ -270,7 +270,7 @@ FORMAT, VERSION = "shakerbench closed loop", 3
 def save_verdict(loop: ClosedLoop, path: Path) -> None:
     """Write a closed loop to the file ``path``; raises `InputError` where the file cannot be written."""
     arrays: dict[str, np.ndarray] = {}
-    tree = _plain(loop, "", arrays)
+    tree = as_tree(loop, "", arrays)
     try:
         with whole(path) as part, disk_file(part) as disk, h5py.File(disk, "w") as file:
             file.attrs.update(format=FORMAT, version=VERSION)
@@ -301,13 +301,13 @@ def load_verdict(path: Path) -> ClosedLoop:
             found = file.attrs.get("format"), file.attrs.get("version")
             if found != (FORMAT, VERSION):
                 raise InputError(f"{path}: {wanted}, found format {found[0]!r}, version {found[1]!r}")
-            loop: ClosedLoop = _value(ClosedLoop, json.loads(file["values"][()]), file)
+            loop: ClosedLoop = from_tree(ClosedLoop, json.loads(file["values"][()]), file)
     except (OSError, KeyError, TypeError, ValueError, ValidationError) as error:
         raise InputError(f"{path}: {wanted} ({error}); save it again") from error
     return loop
 
 
-def _plain(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
+def as_tree(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
     """JSON values of a value; arrays go to ``arrays``, by their place in the result."""
     if isinstance(value, np.ndarray):
         arrays[place] = value
@@ -315,32 +315,32 @@ def _plain(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name), f"{place}/{f.name}", arrays) for f in dataclasses.fields(value)}
+        return {f.name: as_tree(getattr(value, f.name), f"{place}/{f.name}", arrays) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {key: _plain(x, f"{place}/{key}", arrays) for key, x in value.items()}
+        return {key: as_tree(x, f"{place}/{key}", arrays) for key, x in value.items()}
     if isinstance(value, tuple):
-        return [_plain(x, f"{place}/{i}", arrays) for i, x in enumerate(value)]
+        return [as_tree(x, f"{place}/{i}", arrays) for i, x in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):
         return str(float(value))  # "nan" and "inf" are no JSON numbers
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _value(kind: Any, tree: Any, file: h5py.File) -> Any:
-    """Value of the type ``kind`` from its JSON values."""
+def from_tree(kind: Any, tree: Any, arrays: Any) -> Any:
+    """Value of the type ``kind`` from `as_tree`; ``arrays`` has the arrays, or data sets, by their places."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
-        return None if tree is None else _value(next(k for k in inner if k is not type(None)), tree, file)
+        return None if tree is None else from_tree(next(k for k in inner if k is not type(None)), tree, arrays)
     if origin is np.ndarray:
-        return file[tree["array"]][()]
+        return arrays[tree["array"]][()]
     if origin is tuple:
         kinds = inner[:1] * len(tree) if inner[1:] == (Ellipsis,) else inner
-        return tuple(_value(k, x, file) for k, x in zip(kinds, tree, strict=True))
+        return tuple(from_tree(k, x, arrays) for k, x in zip(kinds, tree, strict=True))
     if origin is not None and origin is not Literal and issubclass(origin, Mapping):
-        return {key: _value(inner[1], x, file) for key, x in tree.items()}
+        return {key: from_tree(inner[1], x, arrays) for key, x in tree.items()}
     if dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
         there = [f.name for f in dataclasses.fields(kind) if f.name in tree or f.default is dataclasses.MISSING]
-        return kind(**{name: _value(hints[name], tree[name], file) for name in there})  # type: ignore[operator]
+        return kind(**{name: from_tree(hints[name], tree[name], arrays) for name in there})  # type: ignore[operator]
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return kind.model_validate(tree)
     return float(tree) if kind is float else tree

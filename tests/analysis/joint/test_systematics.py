@@ -8,7 +8,7 @@ import pytest
 from analysis.attribution.candidates import priors_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Refits
-from analysis.joint.summary import NAMES, UNIT_S, Systematics
+from analysis.joint.summary import NAMES, UNIT_S, systematic_errors
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.observations import observations_from
@@ -26,7 +26,7 @@ def model(tmp_path_factory):
 def test_derivatives_are_what_later_edges_do(model):
     """Edges that are dated later change the residuals as the derivatives say, against their sign: later is measured."""
     whitener = Whitener.of(model, {})
-    found = Systematics.of(model, whitener, {})
+    slopes, _ = systematic_errors(model, whitener, {})
     seen = model.observations
     brief = np.append(seen.measured.relaunched[1:] & seen.measured.linked[1:], False)
     assert 3 < brief.sum() < len(seen) / 2
@@ -37,7 +37,7 @@ def test_derivatives_are_what_later_edges_do(model):
         change = whitener.stacked(moved.residuals({})) - before
         same = np.abs(change) < 1e-4
         assert same.mean() > 0.95
-        expected = -found.slopes[:, column] * LATE_S / UNIT_S
+        expected = -slopes[:, column] * LATE_S / UNIT_S
         np.testing.assert_allclose(change[same], expected[same], rtol=0.02, atol=0.02 * LATE_S)
         assert np.any(change[same] != 0.0)
 
@@ -46,8 +46,8 @@ def test_priors_are_parts_of_an_edge(model):
     """Openings may be off by a tenth of an edge's uncertainty, brief contacts by no more than an edge's own."""
     fitter = Fitter(model, priors_of(model.observations.setup), np.ones(len(model.observations.steps), dtype=bool))
     whitener = Refits(fitter).converged((), Whitener.of(model, {}), (), {}).whitener
-    found = Systematics.of(model, whitener, {})
-    assert len(found.sigma) == len(NAMES)
+    _, sigma = systematic_errors(model, whitener, {})
+    assert len(sigma) == len(NAMES)
     edge_us = 1e6 * float(np.median(model.observations.landing_sigma_s))
-    assert 0.05 * edge_us < found.sigma[0] < 0.2 * edge_us
-    assert found.sigma[1] <= 1.1 * edge_us
+    assert 0.05 * edge_us < sigma[0] < 0.2 * edge_us
+    assert sigma[1] <= 1.1 * edge_us
