@@ -99,17 +99,8 @@ def discover(
     the best curve, the term is the one that it is a formula of; else, of those within chance of the best, the one of
     least curvature.
 
-    Parameters
-    ----------
-    model, fitter
-        The forward model and its fits; the fitter's steps may be used.
-    explanation
-        The best set of named effects.
-    limits
-        Thresholds of gains and ties.
-    in_place
-        Only look for what could refute an explanation: a term in the place of its effects on the ball, and none where
-        every curve there loses to them. Decision 712.
+    ``explanation`` is the best set of named effects. With ``in_place`` only what could refute it is looked for: a term
+    in the place of its effects on the ball, and none where every curve there loses to them. Decision 712.
     """
     train, tables = fitter.train, model.covariates(explanation.fitted.values)
     named = named_loss(model, explanation, train)

@@ -4,9 +4,6 @@ The solver is Gauss-Newton on the robust loss of stacked residuals of take-offs 
 `scipy.optimize.least_squares` cannot do it: the widths of the residuals are found anew in each pass, from a quantile
 that falls from pass to pass, so that a fit that begins among other events is drawn to the right ones; and slopes, each
 a prediction of all flights, are taken anew only after a step that gained much. Decision 369.
-
-A term with one value for each flight is screened on a table of predictions at constant values: a flight's residual
-depends only on its own value, so that every covariate can use the same table.
 """
 
 from __future__ import annotations
@@ -18,16 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy.special import ndtri
 
-from analysis.discovery.terms import (
-    EVENT_GRIDS,
-    FIRST_KNOTS,
-    AugmentedModel,
-    Curve,
-    Term,
-    basis_of,
-    event_term,
-    hat_functions,
-)
+from analysis.discovery.terms import AugmentedModel, Curve
 from analysis.linear_algebra import lstsq
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.changes import Changes
@@ -38,6 +26,7 @@ from analysis.thresholds import FARTHEST_PERIODS, LEAST_EXCESS_S
 from kernels.arrays import Bools, Floats, Integers
 
 CURVE_FOLDS = 8  # of the cross-validation over steps
+Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) that it is taken of
 
 
 @dataclass(frozen=True)
@@ -76,6 +65,16 @@ class StackedResiduals:
         steps = np.flatnonzero(self.fit_steps)
         for i in range(CURVE_FOLDS):
             yield np.isin(self.step, steps[i::CURVE_FOLDS])
+
+    def held_out(
+        self, r: Floats, slopes: Floats, after: Callable[[Floats], Floats], penalty: Penalty | None = None
+    ) -> tuple[Floats, Floats]:
+        """Residuals, each step's as they are ``after`` the step of a fit to the others; these steps (f, p)."""
+        held, moves = r.copy(), []
+        for fold in self.folds():
+            moves.append(newton_step(self.without(fold), r, slopes, penalty=penalty))
+            held[fold] = after(moves[-1])[fold]
+        return held, np.array(moves)
 
     def residuals(self, model: ForwardModel, values: Values) -> Floats:
         """Residuals of this stack at ``values``, clipped at `FARTHEST_PERIODS`."""
@@ -124,7 +123,6 @@ class StackedResiduals:
 
 
 X = TypeVar("X")
-Penalty = tuple[Floats, Floats]  # quadratic form (p, p), and the values (p,) that it is taken of
 
 
 @dataclass(frozen=True)
@@ -199,119 +197,18 @@ def descend(
     return x, r
 
 
-TAILS = (0.9, 0.8, 0.65)  # quantiles of the residuals that set the robust width in the first passes
-SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # the same in the last passes: the median
-START_SIZES: dict[str, Floats] = {
-    "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
-    "friction": np.geomspace(0.005, 2.0, 6),
-    "restitution": np.geomspace(0.03, 0.9, 6),
-}
-
-
-@dataclass(frozen=True)
-class ScreenedTerm:
-    """A curve and its loss on the steps of the fit."""
-
-    curve: Curve
-    loss: float
-
-
-def residual_table(model: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Floats:
-    """Residuals (g, k) at each constant value of ``EVENT_GRIDS[name]``."""
-    n = len(model.observations)
-    one, term = np.ones((n, 1)), event_term(name, "")
-    still = np.zeros(n)
-    rows = [
-        stack.residuals(AugmentedModel(model, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
-        for x in EVENT_GRIDS[name]
-    ]
-    return np.array(rows)
-
-
-def best_constant(table: Floats, stack: StackedResiduals, name: str) -> tuple[float, float]:
-    """Best constant value and its loss."""
-    losses = [stack.loss(r) for r in table]
-    best = int(np.argmin(losses))
-    return float(EVENT_GRIDS[name][best]), losses[best]
-
-
-def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floats, knots: Floats) -> ScreenedTerm:
-    """Spline of one covariate on the table: the best value near each knot, then Gauss-Newton.
-
-    ``table`` and ``stack`` are of `residual_table`; ``x`` are the covariate's values (n,), and at ``knots`` the spline
-    bends.
-    """
-    grid = EVENT_GRIDS[term.name]
-    basis = basis_of(x, knots)
-    near = hat_functions(x, knots)[stack.event]
-    values = np.full(len(knots), best_constant(table, stack, term.name)[0])
-    weights = near * stack.train[:, None]
-    for tail in TAILS:
-        r, _ = _interpolated(table, grid, near @ values)
-        width = stack.widths(r, tail)
-        # near each knot the constant value that fits the events there best: a start for every value, without a slope
-        by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
-        values = grid[np.argmin(by_value, axis=0)]
-    rows = basis[stack.event]
-    problem = Problem[Curve](
-        lambda c: _interpolated(table, grid, c.table[stack.event])[0],
-        lambda c, _: _interpolated(table, grid, c.table[stack.event])[1][:, None] * rows,
-        _moved,
-        penalty_of_curve,
-    )
-    curve, r = descend(problem, Curve(term, knots, values, basis), stack, (*TAILS[1:], *SHARP))
-    return ScreenedTerm(curve, stack.loss(r))
-
-
-def _interpolated(table: Floats, grid: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Residuals at each event's own value, linearly interpolated, and their slope."""
-    i = np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2)
-    k = np.arange(table.shape[1])
-    slope = (table[i + 1, k] - table[i, k]) / (grid[i + 1] - grid[i])
-    return table[i, k] + slope * (value - grid[i]), slope
-
-
-def _moved(curve: Curve, step: Floats) -> Curve:
-    return curve.moved(curve.values + step)
-
-
-def penalty_of_curve(curve: Curve) -> Penalty:
-    """Penalty of bending, weighted for a curve of this spread; with more knots than usual each may bend less."""
-    values, least = curve.values, 10.0 * curve.term.nudge
-    rough = curve.roughness * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
-    size = max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)
-    return curve.penalty / (rough * size) ** 2, values
-
-
-def best_start(model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
-    """``curve`` or a plain shape of some size in its place, whichever predicts best.
-
-    A strong term sends flights to other landings than a weak one, so that a descent from zero ends in a local minimum.
-    The shapes are constant, proportional to the covariate, to its square, and falling linearly to zero.
-    """
-    x = curve.knots / float(np.max(np.abs(curve.knots)))
-    falls = (curve.knots[-1] - curve.knots) / (curve.knots[-1] - curve.knots[0])
-    unit = model.gravity if curve.term.against_motion else 1.0
-    sizes = unit * START_SIZES[curve.term.name]
-    shapes = (np.ones_like(x), x, x * np.abs(x), falls)
-    starts = [curve, *(curve.moved(size * shape) for shape in shapes for size in sizes)]
-    losses = [stack.loss(stack.residuals(AugmentedModel(model, [c], dwell_s), values)) for c in starts]
-    return starts[int(np.argmin(losses))]
-
-
 def fit_in_flight(
     model: ForwardModel, values: Values, stack: StackedResiduals, start: Curve, dwell_s: Floats, tails: Sequence[float]
-) -> ScreenedTerm:
+) -> Curve:
     """Gauss-Newton by predictions, a pass for each of ``tails``; slopes are taken anew after a step of large gain."""
     problem = Problem[Curve](
         lambda c: stack.residuals(AugmentedModel(model, [c], dwell_s), values),
         lambda c, r: jacobian_of(model, values, stack, c, dwell_s, r),
-        _moved,
-        penalty_of_curve,
+        Curve.stepped,
+        Curve.penalty,
     )
     # after a gain of five nats the slopes of the start no longer hold
-    curve, r = descend(problem, start, stack, tails, 5.0)
-    return ScreenedTerm(curve, stack.loss(r))
+    return descend(problem, start, stack, tails, 5.0)[0]
 
 
 def jacobian_of(

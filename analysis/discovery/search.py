@@ -1,6 +1,8 @@
 """Search for one smooth term in addition to named effects: all terms are screened, the best are fitted jointly.
 
-A curve is judged on steps that it was not fitted to, with everything else refitted.
+A term with one value for each flight is screened on a table of predictions at constant values: a flight's residual
+depends only on its own value, so that every covariate can use the same table. A curve is judged on steps that it was
+not fitted to, with everything else refitted.
 """
 
 from __future__ import annotations
@@ -17,21 +19,7 @@ from analysis.attribution.coarse_search import subsample
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.computing import THREADS
-from analysis.discovery.fit import (
-    SHARP,
-    TAILS,
-    ScreenedTerm,
-    StackedResiduals,
-    best_constant,
-    best_start,
-    fit_in_flight,
-    jacobian_of,
-    newton_step,
-    normal_equations,
-    penalty_of_curve,
-    residual_table,
-    screen_covariate,
-)
+from analysis.discovery.fit import Problem, StackedResiduals, descend, fit_in_flight, jacobian_of, normal_equations
 from analysis.discovery.terms import (
     EVENT_GRIDS,
     IN_FLIGHT,
@@ -39,13 +27,15 @@ from analysis.discovery.terms import (
     Curve,
     Term,
     basis_of,
+    event_term,
     event_terms,
+    hat_functions,
     knots_of,
     ranges_of,
 )
 from analysis.linear_algebra import pinv
 from analysis.residuals.forward_model import ForwardModel
-from analysis.residuals.noise.noise_model import robust_loss
+from analysis.residuals.noise.noise_model import log_odds, robust_loss
 from analysis.residuals.noise.whitening import Whitener
 from analysis.residuals.values import ParameterId, Values
 from analysis.statistics import Z95
@@ -53,12 +43,98 @@ from kernels.arrays import Bools, Floats
 from model.effects.registry import effect
 
 FINALISTS = 5  # screened terms that are fitted jointly, at most
-SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `analysis.discovery.fit.TAILS`, for terms within the flight
+SCREENING_TAILS = (0.9, 0.7, 0.5, 0.5, 0.5)  # as `TAILS`, for terms within the flight
 NEAREST_COVARIATE = {  # of a whole flight, for a quantity that varies within it
     "since_impact_s": "dwell_s",
     "impact_mps": "previous_impact_mps",
 }
+TAILS = (0.9, 0.8, 0.65)  # quantiles of the residuals that set the robust width in the first passes
+SHARP = (0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # the same in the last passes: the median
 ROUGHNESS = np.geomspace(0.01, 0.6, 8)  # candidates of the smoothing parameter
+START_SIZES: dict[str, Floats] = {
+    "force": np.concatenate([np.geomspace(0.05, 80.0, 7), -np.geomspace(0.05, 80.0, 7)]),
+    "friction": np.geomspace(0.005, 2.0, 6),
+    "restitution": np.geomspace(0.03, 0.9, 6),
+}
+
+
+@dataclass(frozen=True)
+class ScreenedTerm:
+    """A curve and its loss on the steps of the fit."""
+
+    curve: Curve
+    loss: float
+
+
+def residual_table(model: ForwardModel, values: Values, stack: StackedResiduals, name: str) -> Floats:
+    """Residuals (g, k) at each constant value of ``EVENT_GRIDS[name]``."""
+    n = len(model.observations)
+    one, term = np.ones((n, 1)), event_term(name, "")
+    still = np.zeros(n)
+    rows = [
+        stack.residuals(AugmentedModel(model, [Curve(term, np.zeros(1), np.array([x]), one)], still), values)
+        for x in EVENT_GRIDS[name]
+    ]
+    return np.array(rows)
+
+
+def best_constant(table: Floats, stack: StackedResiduals, name: str) -> tuple[float, float]:
+    """Best constant value and its loss."""
+    losses = [stack.loss(r) for r in table]
+    best = int(np.argmin(losses))
+    return float(EVENT_GRIDS[name][best]), losses[best]
+
+
+def screen_covariate(table: Floats, stack: StackedResiduals, term: Term, x: Floats, knots: Floats) -> ScreenedTerm:
+    """Spline of one covariate on the table: the best value near each knot, then Gauss-Newton.
+
+    ``table`` and ``stack`` are of `residual_table`; ``x`` are the covariate's values (n,), and at ``knots`` the spline
+    bends.
+    """
+    grid = EVENT_GRIDS[term.name]
+    basis = basis_of(x, knots)
+    near = hat_functions(x, knots)[stack.event]
+    values = np.full(len(knots), best_constant(table, stack, term.name)[0])
+    weights = near * stack.train[:, None]
+    for tail in TAILS:
+        r, _ = _interpolated(table, grid, near @ values)
+        width = stack.widths(r, tail)
+        # near each knot the constant value that fits the events there best: a start for every value, without a slope
+        by_value = robust_loss(table / width, log_odds(width, stack.period_s)) @ weights
+        values = grid[np.argmin(by_value, axis=0)]
+    rows = basis[stack.event]
+    problem = Problem[Curve](
+        lambda c: _interpolated(table, grid, c.table[stack.event])[0],
+        lambda c, _: _interpolated(table, grid, c.table[stack.event])[1][:, None] * rows,
+        Curve.stepped,
+        Curve.penalty,
+    )
+    curve, r = descend(problem, Curve(term, knots, values, basis), stack, (*TAILS[1:], *SHARP))
+    return ScreenedTerm(curve, stack.loss(r))
+
+
+def _interpolated(table: Floats, grid: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Residuals at each event's own value, linearly interpolated, and their slope."""
+    i = np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2)
+    k = np.arange(table.shape[1])
+    slope = (table[i + 1, k] - table[i, k]) / (grid[i + 1] - grid[i])
+    return table[i, k] + slope * (value - grid[i]), slope
+
+
+def best_start(model: ForwardModel, values: Values, stack: StackedResiduals, curve: Curve, dwell_s: Floats) -> Curve:
+    """``curve`` or a plain shape of some size in its place, whichever predicts best.
+
+    A strong term sends flights to other landings than a weak one, so that a descent from zero ends in a local minimum.
+    The shapes are constant, proportional to the covariate, to its square, and falling linearly to zero.
+    """
+    x = curve.knots / float(np.max(np.abs(curve.knots)))
+    falls = (curve.knots[-1] - curve.knots) / (curve.knots[-1] - curve.knots[0])
+    unit = model.gravity if curve.term.against_motion else 1.0
+    sizes = unit * START_SIZES[curve.term.name]
+    shapes = (np.ones_like(x), x, x * np.abs(x), falls)
+    starts = [curve, *(curve.moved(size * shape) for shape in shapes for size in sizes)]
+    losses = [stack.loss(stack.residuals(AugmentedModel(model, [c], dwell_s), values)) for c in starts]
+    return starts[int(np.argmin(losses))]
 
 
 @dataclass(frozen=True)
@@ -171,7 +247,7 @@ class TermSearch:
                 values = constant if start is None else start.at(curve.knots)
                 curve = curve.moved(values * (self.model.gravity if term.against_motion else 1.0))
             curve = best_start(*few[0], curve, self.dwell)
-            curve = fit_in_flight(*few[1], curve, self.dwell, SCREENING_TAILS).curve
+            curve = fit_in_flight(*few[1], curve, self.dwell, SCREENING_TAILS)
             augmented = AugmentedModel(self.model, [curve], self.dwell)
             return ScreenedTerm(curve, stack.loss(stack.residuals(augmented, self.values)))
 
@@ -193,7 +269,7 @@ class TermSearch:
             if first and curve.term.name != "threshold" and self._gap_matters(stack):
                 stack = stack.landings()
             tails = (TAILS[-1], *passes) if first else passes
-            curve = fit_in_flight(self.model, values, stack, curve, self.dwell, tails).curve
+            curve = fit_in_flight(self.model, values, stack, curve, self.dwell, tails)
             if first:
                 curve = self._cross_validated_roughness(curve, values, stack)
             augmented = AugmentedModel(self.model, [curve], self.dwell)
@@ -205,31 +281,26 @@ class TermSearch:
         stack = StackedResiduals.of(augmented, values, self.train, near.changes)
         r = stack.residuals(augmented, values)
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
-        # residuals, each step's with the curve that the others give; these curves
-        held, curves = r.copy(), []
-        for fold in stack.folds():
-            step = newton_step(stack.without(fold), r, jacobian, penalty=penalty_of_curve(curve))
-            other = curve.moved(curve.values + step)
-            curves.append(other.values)
-            held[fold] = stack.residuals(AugmentedModel(self.model, [other], self.dwell), values)[fold]
+
+        def after(step: Floats) -> Floats:
+            return stack.residuals(AugmentedModel(self.model, [curve.stepped(step)], self.dwell), values)
+
+        held, moves = stack.held_out(r, jacobian, after, curve.penalty())
+        curves = np.array([curve.stepped(step).values for step in moves])
         losses = {"events": stack.by_step(held), "plate": plate_loss(augmented, values)}
         explanation = Hypothesis(self.named, fitted, near, losses)
-        normal, _ = normal_equations(stack, r, jacobian, penalty=penalty_of_curve(curve))
+        normal, _ = normal_equations(stack, r, jacobian, penalty=curve.penalty())
         covariance, scatter = np.asarray(pinv(normal, rcond=1e-14), np.float64), stack.scatter(held)
-        return RefinedTerm(curve, covariance, np.array(curves), scatter, augmented, explanation)
+        return RefinedTerm(curve, covariance, curves, scatter, augmented, explanation)
 
     def _cross_validated_roughness(self, curve: Curve, values: Values, stack: StackedResiduals) -> Curve:
         """The curve with the smoothing parameter of least loss in 8-fold cross-validation over steps (linearised)."""
         r = stack.residuals(AugmentedModel(self.model, [curve], self.dwell), values)
         jacobian = jacobian_of(self.model, values, stack, curve, self.dwell, r)
-        folds = list(stack.folds())
 
         def unseen(roughness: float) -> float:
-            bent, held = replace(curve, roughness=roughness), r.copy()
-            for fold in folds:
-                held[fold] += jacobian[fold] @ newton_step(
-                    stack.without(fold), r, jacobian, penalty=penalty_of_curve(bent)
-                )
+            penalty = replace(curve, roughness=roughness).penalty()
+            held, _ = stack.held_out(r, jacobian, lambda step: r + jacobian @ step, penalty)
             return float(stack.by_step(held)[self.train].sum())
 
         return replace(curve, roughness=min(ROUGHNESS, key=unseen))

@@ -23,7 +23,7 @@ import numpy as np
 from analysis.attribution.choice import LogScoreDifference, penalised_best, tied
 from analysis.attribution.fit import Fitted, Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis
-from analysis.discovery.fit import Problem, StackedResiduals, descend, newton_step
+from analysis.discovery.fit import Problem, StackedResiduals, descend
 from analysis.discovery.search import RefinedTerm, plate_loss
 from analysis.discovery.terms import AugmentedModel, Curve, Term, hat_functions
 from analysis.linear_algebra import lstsq, pinv
@@ -323,12 +323,13 @@ class _FormFits:
 
     def held_out(self, p: _Fit) -> Floats:
         """Stacked residuals, each step's with the values that the others give."""
-        held = p.r.copy()
-        for fold in self.stack.folds():
-            step = newton_step(self.stack.without(fold), p.r, p.slopes)
-            other = self.model(p.form, self._within(p.form, p.values + step * self._units(p.form)))
-            held[fold] = self.stack.residuals(other, p.others.values)[fold]
-        return held
+        unit = self._units(p.form)
+
+        def after(step: Floats) -> Floats:
+            other = self.model(p.form, self._within(p.form, p.values + step * unit))
+            return self.stack.residuals(other, p.others.values)
+
+        return self.stack.held_out(p.r, p.slopes, after)[0]
 
     def explanation(self, p: _Fit, held: Floats) -> Hypothesis:
         """The named effects with the form; ``held`` are its held-out residuals."""

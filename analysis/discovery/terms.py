@@ -176,6 +176,10 @@ class Curve:
         """The same with other values, within bounds."""
         return Curve(self.term, self.knots, np.clip(values, self.term.low, self.term.high), self.basis, self.roughness)
 
+    def stepped(self, step: Floats) -> Curve:
+        """The same after a step of its values, within bounds."""
+        return self.moved(self.values + step)
+
     @property
     def total_curvature(self) -> float:
         """Total change of slope over the mean slope: 0 for a straight line, 4 for a hump."""
@@ -211,10 +215,15 @@ class Curve:
         """Value of the term in each row of the basis."""
         return np.asarray(np.clip(self.basis @ self.values, self.term.low, self.term.high))
 
-    @property
-    def penalty(self) -> Floats:
-        """Bending energy as a quadratic form of the values, (k, k)."""
-        return penalty_of(tuple(self.knots.tolist()))
+    def penalty(self) -> tuple[Floats, Floats]:
+        """Penalty of bending, weighted for a curve of this spread, as a quadratic form (k, k); and the values.
+
+        With more knots than usual each may bend less.
+        """
+        values, least = self.values, 10.0 * self.term.nudge
+        rough = self.roughness * min(1.0, (FIRST_KNOTS - 1) / max(len(values) - 1, 1))
+        size = max(float(np.ptp(values)), 0.3 * float(np.max(np.abs(values), initial=0.0)), least)
+        return penalty_of(tuple(self.knots.tolist())) / (rough * size) ** 2, values
 
     @property
     def points(self) -> Floats:

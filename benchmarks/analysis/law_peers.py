@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from analysis.attribution.fit import Fitter
-from analysis.discovery.fit import StackedResiduals, residual_table
+from analysis.discovery.fit import StackedResiduals
+from analysis.discovery.search import residual_table
 from analysis.discovery.terms import EVENT_GRIDS, AugmentedModel, Curve, event_term
 from analysis.residuals.covariates import COVARIATES
 from analysis.residuals.forward_model import ForwardModel

@@ -12,8 +12,8 @@ from analysis.attribution.candidates import Candidate
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import Hypothesis
 from analysis.discovery.discover import discover
-from analysis.discovery.fit import StackedResiduals, best_start, fit_in_flight
-from analysis.discovery.search import SCREENING_TAILS, TermSearch
+from analysis.discovery.fit import StackedResiduals, fit_in_flight
+from analysis.discovery.search import SCREENING_TAILS, TermSearch, best_start
 from analysis.discovery.terms import IN_FLIGHT, Curve, basis_of, event_term, knots_of, ranges_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
@@ -157,7 +157,7 @@ def test_a_restitution_that_falls_with_the_impact_speed_is_followed(
     stack = StackedResiduals.of(model, search.values, search.train)
     start = best_start(model, search.values, stack, Curve.even(term, span), search.dwell)
     look = fit_in_flight(model, search.values, stack, start, search.dwell, SCREENING_TAILS)
-    found = search.refine(look.curve)
+    found = search.refine(look)
     speeds = np.quantile(search.tables["impact_mps"][model.observations.scored], [0.3, 0.4, 0.5])
     assert found.curve.at(speeds) == pytest.approx(0.12 - 0.3 * speeds, abs=0.012)
 
