@@ -225,14 +225,6 @@ class Candidate(Generic[F]):
     # Units are of different kinds, of which an effect may change some and leave the others: their gains add up.
     gains_add_up: bool = False
 
-    def intervals(self) -> dict[str, tuple[float, float, float]]:
-        """Value, lower and upper end of the 95 % interval of each parameter, inside its limits."""
-        found = {}
-        for name, (value, half) in self.estimates.items():
-            low, high = self.limits.get(name, (-np.inf, np.inf))
-            found[name] = (value, max(value - half, low), min(value + half, high))
-        return found
-
 
 def beyond_zero(estimates: Estimates) -> bool:
     """Whether every interval after that of ``e0`` excludes zero; a drag or friction below zero is none."""
@@ -319,15 +311,3 @@ def choose(models: Sequence[Candidate[Any]]) -> tuple[str, ...]:
         if tie:
             tied.append(rival)
     return (best.model.name, *(rival.model.name for rival in tied))
-
-
-def stable_choice(choices: Sequence[tuple[str, ...]], order: Sequence[BounceModel]) -> tuple[str, ...]:
-    """One tie set from those of all data (the first) and of data short of an impact.
-
-    A model is chosen only if no part of the data that lacks one impact calls for a simpler one; what the others call
-    for is tied with it.
-    """
-    size = {model.name: len(model.parameters) for model in order}
-    best = min((ties[0] for ties in choices), key=lambda name: size[name])
-    named = dict.fromkeys([*(ties[0] for ties in choices), *choices[0]])
-    return (best, *(name for name in named if name != best))

@@ -104,17 +104,15 @@ def payload_of(
 def model_json(candidate: Candidate[Any], to_si: Mapping[str, float], per: float, unit: str = "ms") -> dict[str, Any]:
     """A fitted model for the JSON.
 
-    Parameters
-    ----------
-    to_si
-        Factor of each parameter to SI; a parameter that is missing here cannot be given.
-    per, unit
-        Factor of the candidate's errors to ``unit``; NaN where it is not known.
+    ``to_si`` are factors of the parameters to SI (one that is missing cannot be given), ``per`` that of the candidate's
+    errors to ``unit``, NaN where it is not known.
     """
     parameters: dict[str, Interval] = {}
-    for name, numbers in candidate.intervals().items():
+    for name, (value, half) in candidate.estimates.items():
         if name in to_si:
-            entry = interval(*(to_si[name] * number for number in numbers))
+            low, high = candidate.limits.get(name, (-np.inf, np.inf))
+            ends = max(value - half, low), min(value + half, high)
+            entry = interval(*(to_si[name] * number for number in (value, *ends)))
             parameters |= {key: entry for key in _KEYS.get(name, (name,))}
     errors = {f"rms_{unit}": per * candidate.rms, f"held_out_rms_{unit}": per * candidate.held_out_rms}
     return {key: error if np.isfinite(error) else None for key, error in errors.items()} | {

@@ -93,11 +93,8 @@ class _Film:
 
     def __init__(self, fit: CameraFit, best: CameraCandidate, units: Units) -> None:
         self.fit, self.best, self.units = fit, best, units
-        self.shape, self.draws, self.seen = (
-            fit.shapes[best.model.shape],
-            fit.values[best.model.shape],
-            fit.impacts[best.model.shape],
-        )
+        shape = best.model.shape
+        self.shape, self.draws, self.seen = fit.shapes[shape], fit.values[shape], fit.impacts[shape]
         self.g = float(self.shape.values[0])  # unit / frame^2
         self.timed = units.frame_s is not None  # without a frame rate, nothing in seconds or metres is given
         # Seconds a frame and metres a unit; what is not known is what makes gravity gravity.
@@ -108,7 +105,7 @@ class _Film:
             self.to_si |= {"e1_s_per_m": self.frame_s / self.scale, "k_per_m": 1.0 / self.scale}
         # Relative, of anything in m/s^2: time counts twice.
         self.unit_uncertainty = float(np.hypot(units.scale_uncertainty, 2.0 * units.frame_rate_uncertainty))
-        self.fall = float(np.nanmax(fit.fall_height[best.model.shape][0], initial=0.0))  # unit
+        self.fall = float(np.nanmax(fit.fall_height[shape][0], initial=0.0))  # unit
 
     def gravity(self, where: str) -> outcome.Interval | None:
         """Measured gravity where scale and frame rate are known; refused where it is not gravity."""
@@ -354,13 +351,7 @@ def refuse_other_motion(fit: CameraFit, where: str) -> None:
 def uneven_floor(clip: Integers, floor: Floats, draws: Floats, fall: float) -> str | None:
     """A floor or camera that moved: impacts of one clip at heights that differ by far more than their errors.
 
-    Parameters
-    ----------
-    clip, floor : (n,)
-        Clip and height of each impact.
-    draws : (m, n) float64
-    fall : float
-        Height of the fall, in the unit of ``floor``.
+    ``clip`` and ``floor`` (n,) are those of the impacts, with draws (m, n); ``fall`` is the height of the fall.
     """
     for number in np.unique(clip):
         own = (clip == number) & np.isfinite(floor)

@@ -15,14 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from analysis.drop.corrections import NOTHING, Corrections, Progress
-from analysis.drop.film.background import (
-    SEARCH_WIDTH,
-    Picture,
-    Still,
-    stabilised,
-    still_by_order,
-    still_of,
-)
+from analysis.drop.film.background import SEARCH_WIDTH, Picture, Still, stabilised, still_by_order, still_of
 from analysis.drop.film.track import Track, ball_of, parabolas
 from analysis.drop.film.video import Film, Image, open_film, opencv, part_of, smaller
 from analysis.statistics import mad_sigma

@@ -92,21 +92,13 @@ def noise_of(flights: Sequence[Flight]) -> float:
 
 
 def fit_shape(
-    name: str,
-    flights: Sequence[Flight],
-    acceleration: float,
-    noise: float,
-    near: Floats | None = None,
+    name: str, flights: Sequence[Flight], acceleration: float, noise: float, near: Floats | None = None,
     unit: float = 1.0,
-) -> Shape:
+) -> Shape:  # fmt: skip
     """Fit one shape to all flights: least squares of its values, with each flight's apex the best for them.
 
-    Parameters
-    ----------
-    near
-        Parameters to start from, where a fit to nearly the same flights is known.
-    unit
-        Chi-square that counts as 1 against the prior: residuals may be larger than ``noise``, or not independent.
+    It starts from the values ``near``, of a fit to nearly the same flights. A chi-square of ``unit`` counts as 1
+    against the prior: residuals may be larger than ``noise``, or not independent.
     """
     span, reach = max(float(np.ptp(f.height)) for f in flights), flights[0].reach
     whole = float(max(f.height.max() for f in flights) - min(f.height.min() for f in flights))

@@ -23,16 +23,8 @@ def why_no_drop(
 ) -> tuple[str | None, bool]:
     """Reason why a chain is none of a ball's (None where it may be one), and whether chance makes as good ones.
 
-    Parameters
-    ----------
-    before_s, after_s : (rows,) float64
-        Successive flights.
-    loudness : (n,) float64
-        Logarithm of the peak of each impact, NaN where not known.
-    impacts_s : (n,) float64
-        The chain.
-    others_s, weight : (m,) float64
-        Events outside the chain, and how much of an impact each is, 0 to 1.
+    ``before_s`` and ``after_s`` (rows,) are successive flights of the chain ``impacts_s`` (n,), ``loudness`` (n,)
+    logarithms of peaks, NaN where not known; ``others_s`` (m,) events outside it, each by its ``weight`` an impact.
     """
     ratio = np.log(after_s / before_s)
     near = (others_s > impacts_s[0] - _NEAR_S) & (others_s < impacts_s[-1] + _NEAR_S)
@@ -136,13 +128,7 @@ def _strays(before: Floats, ratio: Floats, row: int) -> bool:
 def ends_unlike_in_loudness(loudness: Floats, impacts_s: Floats, single: Bools) -> tuple[bool, bool]:
     """Whether the first of a chain is far too quiet, and the last far too loud, for the speeds that the flights say.
 
-    Parameters
-    ----------
-    loudness : (n,) float64
-        Logarithm of the peak of each impact, NaN where not known.
-    impacts_s : (n,) float64
-    single : (n - 1,) bool
-        Intervals that are one flight.
+    ``loudness`` (n,) are logarithms of peaks, NaN where not known; ``single`` as in `ends_that_stray`.
     """
     speed = np.where(single, np.log(np.diff(impacts_s)), np.nan)
     loud = 1.3 * speed  # the peak goes with a power of 1 to 1.6

@@ -242,14 +242,8 @@ def _two_at_once(drops: list[Bounces], events: Onsets) -> bool:
 def best_chain(events: Floats, strength: Floats, may_break: bool = True) -> tuple[list[int], list[int], list[bool]]:
     """The chain of events that shrinks most steadily: a dynamic programme over pairs of events, for all ratios at once.
 
-    Returns indices of its events, impacts missed in each of its intervals, and the impacts where the pattern breaks.
-
-    Parameters
-    ----------
-    events, strength : (n,) float64
-        Times, s, and how much of an impact each event is.
-    may_break : bool
-        Irregular bounces may interrupt the pattern.
+    Returns indices of its events, impacts missed in each of its intervals, and the impacts where the pattern breaks, as
+    irregular bounces ``may_break`` it. ``events`` and ``strength`` (n,) are those of `Onsets`.
     """
     skipped = np.concatenate(([0.0], np.cumsum(_SKIP_COST * strength)))
     # by the pair that ends a chain: (kinds, ratios) of scores, of the link to the pair before, of the last flights

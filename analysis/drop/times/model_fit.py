@@ -23,6 +23,8 @@ from analysis.statistics import mad_sigma
 from kernels.arrays import Bools, Floats, Integers
 
 _PAD_M = 0.1  # height of a drop that pads
+ENOUGH_DROPS = 4  # from which whole drops are held out, not bounces
+_MOST_FOLDS = 8
 _RELATIVE_STEP = 1e-4  # of a flight, for the slope of the next by it
 
 
@@ -315,3 +317,45 @@ def _widths(model: BounceModel, theta: Floats, rows: Rows, g_mps2: float, start:
         options={"xatol": 0.03, "fatol": 0.01, "maxiter": 150},
     )
     return Widths(*(float(x) for x in np.exp(found.x)))
+
+
+def again(whole: Fit, rows: Rows, g_mps2: float) -> Fit:
+    """The same model fitted to other rows, with the widths that it has."""
+    theta = converge(whole.model, whole.theta, rows, whole.widths, g_mps2)
+    covariance = wider(linearised(whole.model, theta, rows, whole.widths, g_mps2)[0], whole.covariance)
+    return replace(whole, theta=theta, covariance=covariance, freedom=rows.count - len(theta))
+
+
+def folds_of(rows: Rows) -> list[Bools]:
+    """Rows that each fold holds out: whole drops where there are enough, else every so many-th bounce."""
+    with_data = np.flatnonzero(rows.valid.any(axis=1))
+    fold_of = np.full(rows.valid.shape, -1)
+    if len(with_data) >= ENOUGH_DROPS:
+        fold_of[with_data] = (np.arange(len(with_data)) % _MOST_FOLDS)[:, None]
+    elif rows.count >= 5:  # fewer bounces than this leave nothing to hold out
+        fold_of[rows.valid] = np.arange(rows.count) % min(_MOST_FOLDS, rows.count)
+    return [rows.valid & (fold_of == k) for k in range(int(fold_of.max()) + 1)]
+
+
+def held_out(whole: Fit, rows: Rows, g_mps2: float) -> tuple[Floats, float]:
+    """Held-out log likelihood of each unit, and rms error of the flights, s (NaN where nothing is held out)."""
+    by_drop = bool(rows.valid.any(axis=1).sum() >= ENOUGH_DROPS)
+    model, widths = whole.model, whole.widths
+    squares, scores = [np.empty(0)], [np.empty(0)]
+    for held in folds_of(rows):
+        fitted, unseen = rows.keep(~held), rows.keep(held)
+        theta = converge(model, whole.theta, fitted, widths, g_mps2)
+        residual = rows.after_s - predict_s(model, theta, rows, g_mps2)
+        squares.append(residual[held & ~rows.from_height] ** 2)
+        # What the fitted rows leave open of the parameters is part of the covariance. Else a model is blamed for
+        # where its best value happens to lie: the first, longest flight is far outside the others.
+        noise = noise_of(model, theta, unseen, g_mps2).lower(widths)
+        slope = np.where(held[..., None], sensitivities(model, theta, unseen, g_mps2), 0.0)
+        left_open = slope @ linearised(model, theta, fitted, widths, g_mps2)[0] @ slope.transpose(0, 2, 1)
+        lower = np.linalg.cholesky(noise @ noise.transpose(0, 2, 1) + left_open)
+        white = np.linalg.solve(lower, np.where(held, residual, 0.0)[..., None])[..., 0]
+        log = -0.5 * white**2 - np.log(np.diagonal(lower, axis1=1, axis2=2)) - 0.5 * np.log(2 * np.pi)
+        log = np.where(held, log, 0.0)
+        scores.append(log.sum(axis=1)[held.any(axis=1)] if by_drop else log[held])
+    errors = np.concatenate(squares)
+    return np.concatenate(scores), float(np.sqrt(errors.mean())) if len(errors) else float("nan")

@@ -10,37 +10,10 @@ import numpy as np
 from scipy import stats
 
 from analysis.drop import outcome, thresholds
-from analysis.drop.laws import (
-    BOUNDS,
-    CONSTANT,
-    FRICTION,
-    MODELS,
-    Candidate,
-    Estimates,
-    Verdict,
-    beyond_zero,
-    choose,
-    gain_of,
-    stable_choice,
-)
-from analysis.drop.times.model_fit import (
-    Drop,
-    Fit,
-    Rows,
-    converge,
-    fit,
-    linearised,
-    noise_of,
-    predict_s,
-    sensitivities,
-    usable_rows,
-    wider,
-)
-from kernels.arrays import Bools, Floats
+from analysis.drop.laws import BOUNDS, CONSTANT, FRICTION, MODELS, Candidate, Verdict, beyond_zero, choose, gain_of
+from analysis.drop.times.model_fit import ENOUGH_DROPS, Drop, Fit, Rows, again, fit, folds_of, held_out, usable_rows
 
 ANY_DRAG = (0.0, np.inf)
-_ENOUGH_DROPS = 4  # from which whole drops are held out, not bounces
-_MOST_FOLDS = 8
 _USUAL_JITTER_S = 5e-4  # of a phone, a microphone or a contact, with the size of the ball's dent
 _DRAWS = 1000
 
@@ -51,14 +24,14 @@ Judged = Candidate[Fit]  # not identifiable where another with fewer parameters 
 def _candidate(fitted: Fit, rows: Rows, g_mps2: float, drag_limits: tuple[float, float]) -> Judged:
     """A fitted model, tried on bounces of ``rows`` that it was not fitted to."""
     pairs = zip(fitted.theta.tolist(), fitted.half_width().tolist(), strict=True)
-    said: Estimates = dict(zip(fitted.model.parameters, pairs, strict=True))
+    said = dict(zip(fitted.model.parameters, pairs, strict=True))
     rms = float(np.sqrt(np.nanmean(fitted.residuals_s[~rows.from_height] ** 2)))
-    scores, held_out = _held_out(fitted, rows, g_mps2)
+    scores, missed = held_out(fitted, rows, g_mps2)
     may_be = beyond_zero(said) and _is_physical(said, drag_limits)
-    return Candidate(fitted.model, scores, rms, held_out, True, fitted, said, may_be, BOUNDS)
+    return Candidate(fitted.model, scores, rms, missed, True, fitted, said, may_be, BOUNDS)
 
 
-def _is_physical(estimates: Estimates, drag_limits: tuple[float, float]) -> bool:
+def _is_physical(estimates: dict[str, tuple[float, float]], drag_limits: tuple[float, float]) -> bool:
     """Whether the interval of the drag reaches what mass and size allow."""
     k, half = estimates.get("k_per_m", (drag_limits[0], 0.0))
     return k + half >= drag_limits[0] and k - half <= drag_limits[1]
@@ -72,7 +45,7 @@ def judge(
     ``drag_limits``: smallest and largest ``k`` that the ball's mass and size allow, 1/m.
     """
     rows, left_out = usable_rows(drops, g_mps2)
-    can_hold_out = bool(_folds(rows))
+    can_hold_out = bool(folds_of(rows))
     with_height = bool((rows.from_height & rows.valid).any())
     candidates: list[Judged] = []
     for model in MODELS:
@@ -83,10 +56,13 @@ def judge(
     able = [r for r in candidates if r.identifiable]
     if can_hold_out:
         parts = [
-            [_candidate(_again(r.fit, part, g_mps2), part, g_mps2, drag_limits) for r in able]
-            for part in _trimmed(rows)
+            [_candidate(again(r.fit, part, g_mps2), part, g_mps2, drag_limits) for r in able] for part in _trimmed(rows)
         ]
-        ties = stable_choice([choose(models) for models in (able, *parts)], MODELS)
+        choices = [choose(models) for models in (able, *parts)]
+        # no part of the data that lacks an impact may call for a simpler model; what the others call for is tied
+        size = {model.name: len(model.parameters) for model in MODELS}
+        first = [part[0] for part in choices]
+        ties = tuple(dict.fromkeys([min(first, key=lambda name: size[name]), *first, *choices[0]]))
     else:  # every simple model may be the one
         simple = [model for model in MODELS if len(model.parameters) <= 2]
         ties = tuple(model.name for model in simple if model is not FRICTION or with_height)
@@ -110,18 +86,11 @@ def _trimmed(rows: Rows) -> list[Rows]:
     """The rows without the last, the last two, and the first of each drop, where single bounces decide."""
     flights = rows.flights
     # a row may be left out at an end only of seven or more
-    if int(rows.valid.any(axis=1).sum()) >= _ENOUGH_DROPS or int(flights.sum()) < 7:
+    if int(rows.valid.any(axis=1).sum()) >= ENOUGH_DROPS or int(flights.sum()) < 7:
         return []
     behind = np.cumsum(flights[:, ::-1], axis=1)[:, ::-1]  # flights from here to the end
     first = np.cumsum(flights, axis=1) == 1
     return [rows.keep(~(flights & out)) for out in (behind <= 1, behind <= 2, first)]
-
-
-def _again(whole: Fit, rows: Rows, g_mps2: float) -> Fit:
-    """The same model fitted to other rows, with the widths that it has."""
-    theta = converge(whole.model, whole.theta, rows, whole.widths, g_mps2)
-    covariance = wider(linearised(whole.model, theta, rows, whole.widths, g_mps2)[0], whole.covariance)
-    return replace(whole, theta=theta, covariance=covariance, freedom=rows.count - len(theta))
 
 
 def _same_times(constant: Judged) -> Judged:
@@ -136,41 +105,6 @@ def _same_times(constant: Judged) -> Judged:
     same = replace(own, model=FRICTION, theta=np.append(own.theta, 0.0), covariance=covariance)
     said, limits = {"e0": (e0, np.inf), "mu": (0.0, np.inf)}, {"e0": (e0 - half, max(1.0, e0)), "mu": (0.0, most)}
     return replace(constant, model=FRICTION, fit=same, identifiable=False, estimates=said, limits=limits)
-
-
-def _folds(rows: Rows) -> list[Bools]:
-    """Rows that each fold holds out: whole drops where there are enough, else every so many-th bounce."""
-    with_data = np.flatnonzero(rows.valid.any(axis=1))
-    fold_of = np.full(rows.valid.shape, -1)
-    if len(with_data) >= _ENOUGH_DROPS:
-        fold_of[with_data] = (np.arange(len(with_data)) % _MOST_FOLDS)[:, None]
-    elif rows.count >= 5:  # fewer bounces than this leave nothing to hold out
-        fold_of[rows.valid] = np.arange(rows.count) % min(_MOST_FOLDS, rows.count)
-    return [rows.valid & (fold_of == k) for k in range(int(fold_of.max()) + 1)]
-
-
-def _held_out(whole: Fit, rows: Rows, g_mps2: float) -> tuple[Floats, float]:
-    """Held-out log likelihood of each unit, and rms error of the flights, s (NaN where nothing is held out)."""
-    by_drop = bool(rows.valid.any(axis=1).sum() >= _ENOUGH_DROPS)
-    model, widths = whole.model, whole.widths
-    squares, scores = [np.empty(0)], [np.empty(0)]
-    for held in _folds(rows):
-        fitted, unseen = rows.keep(~held), rows.keep(held)
-        theta = converge(model, whole.theta, fitted, widths, g_mps2)
-        residual = rows.after_s - predict_s(model, theta, rows, g_mps2)
-        squares.append(residual[held & ~rows.from_height] ** 2)
-        # What the fitted rows leave open of the parameters is part of the covariance. Else a model is blamed for
-        # where its best value happens to lie: the first, longest flight is far outside the others.
-        noise = noise_of(model, theta, unseen, g_mps2).lower(widths)
-        slope = np.where(held[..., None], sensitivities(model, theta, unseen, g_mps2), 0.0)
-        left_open = slope @ linearised(model, theta, fitted, widths, g_mps2)[0] @ slope.transpose(0, 2, 1)
-        lower = np.linalg.cholesky(noise @ noise.transpose(0, 2, 1) + left_open)
-        white = np.linalg.solve(lower, np.where(held, residual, 0.0)[..., None])[..., 0]
-        log = -0.5 * white**2 - np.log(np.diagonal(lower, axis1=1, axis2=2)) - 0.5 * np.log(2 * np.pi)
-        log = np.where(held, log, 0.0)
-        scores.append(log.sum(axis=1)[held.any(axis=1)] if by_drop else log[held])
-    errors = np.concatenate(squares)
-    return np.concatenate(scores), float(np.sqrt(errors.mean())) if len(errors) else float("nan")
 
 
 def _lack_of_fit(fitted: Fit, rows: Rows, g_mps2: float) -> list[str]:
@@ -232,15 +166,13 @@ def of_times(
     ``stated`` are heights that a person gave, with standard uncertainties; ``without_heights`` is the verdict that does
     not use them, where ``verdict`` does.
     """
+    best = verdict.candidate(verdict.best)
     heights = [_height(drop, without_heights or verdict, g_mps2, rng) for drop in drops]
     each = [_of_one(*parts) for parts in zip(drops, heights, stated, verdict.left_out, strict=True)]
     if without_heights is not None:
         off = [one["stated_height_m"].get("sigmas_off", 0.0) for one in each if "stated_height_m" in one]
         worst = max(off, key=abs, default=0.0)
-        if (
-            abs(worst) > thresholds.CONTRADICTION_SIGMAS
-            and "mu" not in verdict.candidate(verdict.best).model.parameters
-        ):
+        if abs(worst) > thresholds.CONTRADICTION_SIGMAS and "mu" not in best.model.parameters:
             doubt = (
                 f"a stated height taken as data is {worst:+.1f} sigma from what the impacts say, and friction does not "
                 "account for it: check the height, and from which point of the ball it was measured"
@@ -252,7 +184,6 @@ def of_times(
     si = dict.fromkeys(BOUNDS, 1.0)
     payload["models"] = [outcome.model_json(one, si, 1e3) | _quality(one) for one in verdict.candidates]
     payload["drops"] = each
-    best = verdict.candidate(verdict.best)
     rows = int(np.isfinite(best.fit.residuals_s).sum())
     source = f"drop test by impact times, {len(drops)} drop(s), {rows} bounces ({drops[0].name}), {verdict.best}"
     return outcome.Outcome(
