@@ -58,14 +58,7 @@ def staked(
 
     None where nothing is named, where a drift is (a later run does not share it), or no rival differs anywhere.
 
-    Parameters
-    ----------
-    fitted
-        The fits behind the verdict.
-    options, steps
-        Forcings that may be driven, and the steps of a block.
-    written, recordings
-        Software and time of writing, and the recordings that the verdict is on.
+    ``options`` are forcings that may be driven, ``steps`` those of a block, ``written`` software and time of writing.
     """
     model, best = fitted.model, fitted.selection.best
     if not best.free or any(q.endswith(TREND) for _, q in best.free):
@@ -181,11 +174,6 @@ def _predicted(
     return out
 
 
-def _free_of_priors(model: ForwardModel) -> Fitter:
-    """What has coordinates and bounds of parameters, and fits nothing."""
-    return Fitter(model, {}, np.ones(len(model.observations.steps), dtype=bool))
-
-
 @dataclass(frozen=True)
 class _Intervals:
     """What noise and the parameters' own uncertainty make of the median landing of a step."""
@@ -194,6 +182,9 @@ class _Intervals:
     step: Integers  # (n,)
     noise: Uncertainty
     slopes: Floats  # of landings by the parameters' coordinates, (n, K)
+    whitener: Whitener  # of all residuals, which are ``raw``, with derivatives ``stacked``
+    raw: Floats
+    stacked: Floats
     covariance: Floats
     sigmas: float  # half an interval, so many standard deviations
 
@@ -203,14 +194,17 @@ class _Intervals:
     ) -> _Intervals:
         """Of the observations of ``model``; ``m`` intervals together are missed by chance with `MISSED_P`."""
         ev, whitener = model.observations, Whitener.of(model, values, lean=True)
-        _, stacked = slopes_at(model, _free_of_priors(model), whitener, values, [(key, ()) for key in keys])
+        # nothing is fitted: coordinates and bounds of parameters, free of priors
+        fitter = Fitter(model, {}, np.ones(len(ev.steps), dtype=bool))
+        raw, stacked = slopes_at(model, fitter, whitener, values, [(key, ()) for key in keys])
         slopes = np.zeros((len(ev), len(keys)))
         landing = np.flatnonzero(whitener.order >= len(whitener.opening))
         slopes[whitener.landing[whitener.order[landing] - len(whitener.opening)]] = stacked[landing]
         usable = ev.scored & ~near_grazing(model, values)
         # the noise's own scale is known to `SCALE_KNOWN`; two sides, and as many intervals as steps
         sigmas = (1.0 + SCALE_KNOWN) * float(norm.isf(0.5 * MISSED_P / m))
-        return cls(usable, ev.measured.step, uncertainty_at(model, values), slopes, covariance, sigmas)
+        noise = uncertainty_at(model, values)
+        return cls(usable, ev.measured.step, noise, slopes, whitener, raw, stacked, covariance, sigmas)
 
     def landings(self, steps: Integers) -> Integers:
         """Landings of some steps that count."""
@@ -305,8 +299,7 @@ def held_against(stake: Stake, observations: Observations, numbers: Sequence[Int
             missed = np.where(np.isfinite(missed_s[events]), missed_s[events], period_s)
             median, half = 1e6 * float(np.median(missed)), 1e6 * intervals.half_s(events)
         steps.append(StepMet(step, median, half, len(events)))
-    whitener = Whitener.of(model, values, lean=True)
-    raw, slopes = slopes_at(model, _free_of_priors(model), whitener, values, [(key, ()) for key in keys])
+    whitener, raw, slopes = intervals.whitener, intervals.raw, intervals.stacked
     flights = _flights(whitener, raw, slopes, stake, intervals.usable)
     n, sigma = len(whitener.step), observations.plate.sigma
     z = np.clip(raw[n:] / sigma, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)

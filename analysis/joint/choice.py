@@ -25,20 +25,12 @@ from analysis.attribution.choice import (
     required_gain,
     tied,
 )
-from analysis.joint.population import (
-    Population,
-    Quadratic,
-    constancy,
-    each_on_its_own,
-    normal_equations,
-    one_run_alone,
-)
+from analysis.joint.population import Population, constancy, each_on_its_own, one_run_alone
 from analysis.joint.result import OverRuns, Systematic
 from analysis.joint.summary import NAMES, PLACES, UNIT_S, Aligned, Option, width_of
-from analysis.linear_algebra import bounded_step
 from analysis.residuals.values import ParameterId
 from analysis.thresholds import Thresholds
-from kernels.arrays import Floats, Integers
+from kernels.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ class Candidates:
     def __init__(self, model: Aligned, found: Population, limits: Thresholds) -> None:
         self.model, self.found, self.limits = model, found, limits
         self.every = np.ones(len(found.runs), dtype=np.bool_)
-        self.before = left_out_losses(model, found, found.free)
+        self.before = model.left_out(found, found.free)
         self._places = np.arange(model.named, len(model.columns), dtype=np.int64)
         total = np.sum([run.information for run in found.runs], axis=0)
         free, tried = found.free, self._places
@@ -83,11 +75,11 @@ class Candidates:
             if len(shown) == 0:
                 continue
             free = np.concatenate([self.found.free, shown])
-            x = bounded_fit(self.found.runs, self.found.x, self.model, free)
-            gain = loss_of(self.model, self.found, self.found.x) - loss_of(self.model, self.found, x)
+            x = self.model.fit(self.found.runs, self.found.x, free)
+            gain = self.model.loss(self.found, self.found.x) - self.model.loss(self.found, x)
             if gain < self.limits.reported_nats:
                 continue
-            losses = left_out_losses(self.model, self.found, free)
+            losses = self.model.left_out(self.found, free)
             held_out = LogScoreDifference.of(self.before, losses, self.every)
             p = self._p(gain, x)
             one = Tested(option, x[rows], gain, losses, held_out, p, self._refusal(held_out, p, depth))
@@ -164,31 +156,6 @@ class Candidates:
         first = self.model.named
         groups = [tuple(int(j) - first for j in self.model.places_of(o)) for o in self.model.options]
         return ScoreSpace.scaled(parts, self._information, self._whole, groups, self._signs)
-
-
-def loss_of(model: Aligned, found: Population, x: Floats) -> float:
-    """Loss of all runs and of the priors at a point, nats."""
-    away = x - model.prior.mean
-    return sum(run.loss_at(x) for run in found.runs) + 0.5 * float(model.prior.precision @ away**2)
-
-
-def bounded_fit(runs: Sequence[Quadratic], start: Floats, model: Aligned, free: Integers) -> Floats:
-    """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
-    # the means of calibrations, which come first, are held by their priors
-    x, bounded = start.copy(), free >= len(model.point.own)
-    below = np.where(bounded, (model.low - start)[free], -np.inf)
-    above = np.where(bounded, (model.high - start)[free], np.inf)
-    x[free] += bounded_step(*normal_equations(runs, start, model.prior, free), below, above, rcond=1e-13)
-    return x
-
-
-def left_out_losses(model: Aligned, found: Population, free: Integers) -> Floats:
-    """Loss of each run at the fit of all others, (R,)."""
-    out = np.empty(len(found.runs))
-    for i, run in enumerate(found.runs):
-        others = [*found.runs[:i], *found.runs[i + 1 :]]
-        out[i] = run.loss_at(bounded_fit(others, found.x, model, free))
-    return out
 
 
 def parameters_over_runs(

@@ -24,16 +24,7 @@ from analysis.attribution.candidates import (
     scale_of,
     value_at,
 )
-from analysis.joint.choice import (
-    Candidates,
-    Tested,
-    bounded_fit,
-    days_since_first,
-    left_out_losses,
-    loss_of,
-    parameters_over_runs,
-    systematics_of,
-)
+from analysis.joint.choice import Candidates, Tested, days_since_first, parameters_over_runs, systematics_of
 from analysis.joint.population import LEAST_SPREAD, Population, each_on_its_own, fit_population
 from analysis.joint.result import Candidate, JointVerdict
 from analysis.joint.summary import Aligned, Point, RunSummary, aligned, summarise
@@ -62,25 +53,13 @@ def join_runs(
     journal: Journal | None = None,
     progress: Progress | None = None,
 ) -> JointVerdict:
-    """Judge many runs of one rig together, each with its own calibrations.
+    """Judge many runs of one rig together, each with its own calibrations; ``setup`` replaces what they store.
 
-    Parameters
-    ----------
-    recordings
-        At least three; one is in memory at a time, and the flights of the first ones.
-    setup
-        Replaces the setups stored in the recordings.
-    journal
-        Keeps every summary, so that a verdict that was interrupted goes on.
-    progress
-        Called with what is being done and the fraction of the pass.
+    One recording is in memory at a time, and the flights of the first ones. The ``journal`` has every summary, so that
+    a verdict that was interrupted goes on; ``progress`` is called with what is being done and the fraction of the pass.
 
-    Raises
-    ------
-    InputError
-        Where a file is no recording or shows too little, there are too few, or two hold the same samples.
-    ValueError
-        For declared effects that do not exist or are out of bounds.
+    Raises `InputError` where a file is no recording or shows too little, there are fewer than three, or two hold the
+    same samples; `ValueError` for declared effects that do not exist or are out of bounds.
     """
     if len(recordings) < 3:  # fewer tell nothing of how runs differ
         raise InputError(
@@ -223,7 +202,7 @@ class _Search:
         model = aligned(summaries, point, frozenset(n for names in named for n in names))
         start = model.runs[0].origin.copy()
         found = fit_population(model.runs, start, model.width, model.prior, np.arange(model.named, dtype=np.int64))
-        found = dataclasses.replace(found, x=bounded_fit(found.runs, found.x, model, found.free))
+        found = dataclasses.replace(found, x=model.fit(found.runs, found.x, found.free))
         return _State(point, named, summaries, model, found)
 
     def _with_candidates(self, state: _State) -> _State:
@@ -257,9 +236,9 @@ class _Search:
         without = _without(there, frozenset(key for key, _ in tested[0].option.sizes))
         if without is None:
             return tested
-        gain = loss_of(there.model, there.found, without.x) - loss_of(there.model, there.found, there.found.x)
-        gains = left_out_losses(there.model, without, without.free)
-        gains = gains - left_out_losses(there.model, there.found, there.found.free)
+        gain = there.model.loss(there.found, without.x) - there.model.loss(there.found, there.found.x)
+        gains = there.model.left_out(without, without.free)
+        gains = gains - there.model.left_out(there.found, there.found.free)
         return [candidates.judged_again(tested[0], gain, gains, depth), *tested[1:]]
 
     def _with(self, state: _State, chosen: Tested) -> _State:
@@ -300,12 +279,12 @@ class _Search:
 
     def _without_idle(self, state: _State) -> _State:
         """Step back: the named effect that runs left out do not need is dropped, the least needed first."""
-        full = left_out_losses(state.model, state.found, state.found.free)
+        full = state.model.left_out(state.found, state.found.free)
         gains = {}
         for names in state.named:
             without = _without(state, frozenset(k for k in state.point.shared if k[0] in names))
             if without is not None:
-                gains[names] = float((left_out_losses(state.model, without, without.free) - full).sum())
+                gains[names] = float((state.model.left_out(without, without.free) - full).sum())
         least = min(gains, key=lambda n: gains[n], default=None)
         if least is None or gains[least] > FROZEN.first_effect_nats:
             return state
@@ -344,7 +323,7 @@ def _without(state: _State, keys: frozenset[ParameterId]) -> Population | None:
     x, rows = state.found.x.copy(), np.array(list(places), dtype=np.int64)
     x[rows] = [coordinate_of(k, null_value_of(k)) for k in places.values()]
     free = np.setdiff1d(state.found.free, rows)
-    return dataclasses.replace(state.found, x=bounded_fit(state.found.runs, x, state.model, free), free=free)
+    return dataclasses.replace(state.found, x=state.model.fit(state.found.runs, x, free), free=free)
 
 
 def _moved(point: Point, values: dict[ParameterId, float]) -> Point:

@@ -28,8 +28,9 @@ from analysis.attribution.chance import Place, places
 from analysis.attribution.fit import Fitter, of_same_events
 from analysis.attribution.hypothesis import Hypothesis, Refits
 from analysis.explore.explanations import adjusted_gradient_and_information, secants_at, slopes_at
-from analysis.joint.population import Priors, Quadratic
+from analysis.joint.population import Population, Priors, Quadratic, normal_equations
 from analysis.joint.result import RunOutcome
+from analysis.linear_algebra import bounded_step
 from analysis.loop.result import as_tree, from_tree
 from analysis.loop.verdict import failed_tests
 from analysis.residuals.forward_model import ForwardModel
@@ -249,6 +250,26 @@ class Aligned:
     def places_of(self, option: Option) -> Integers:
         """Columns of a candidate."""
         return self.named + np.array([self.columns[self.named :].index(s) for s in option.sizes], dtype=np.int64)
+
+    def loss(self, found: Population, x: Floats) -> float:
+        """Loss of all runs and of the priors at a point, nats."""
+        away = x - self.prior.mean
+        return sum(run.loss_at(x) for run in found.runs) + 0.5 * float(self.prior.precision @ away**2)
+
+    def fit(self, runs: Sequence[Quadratic], start: Floats, free: Integers) -> Floats:
+        """Fit of what is free, within the bounds of sizes and shared parameters, (K,)."""
+        # the means of calibrations, which come first, are held by their priors
+        x, bounded = start.copy(), free >= len(self.point.own)
+        below = np.where(bounded, (self.low - start)[free], -np.inf)
+        above = np.where(bounded, (self.high - start)[free], np.inf)
+        x[free] += bounded_step(*normal_equations(runs, start, self.prior, free), below, above, rcond=1e-13)
+        return x
+
+    def left_out(self, found: Population, free: Integers) -> Floats:
+        """Loss of each run at the fit of all others, (R,)."""
+        others = ([*found.runs[:i], *found.runs[i + 1 :]] for i in range(len(found.runs)))
+        fits = (self.fit(some, found.x, free) for some in others)
+        return np.array([run.loss_at(x) for run, x in zip(found.runs, fits, strict=True)])
 
 
 def aligned(summaries: Sequence[RunSummary], point: Point, released: frozenset[str]) -> Aligned:
