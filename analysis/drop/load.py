@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -212,20 +211,15 @@ def _table(path: Path, corrections: Corrections) -> list[Drop] | list[Path2D]:
                 hint = ". Are these milliseconds or microseconds? Then say so in the heading: time (ms)"
                 error = InputError(why + hint)
             refused = refused or error
-            not_read.append(f"{label}: {_without(why, path)}")
+            bare = why.removeprefix(f"{path}: ").removeprefix(f"{path.name}: ")  # without the file's name in front
+            bare = bare.split("): ", 1)[-1] if bare.startswith(f"{path.name} (") else bare
+            not_read.append(f"{label}: {bare}")
     if refused is not None and not drops and not paths:
         raise refused
     said = tuple(f"{path.name}: not read: {words}" for words in not_read)
     if drops:
         return [replace(drops[0], not_read=said), *drops[1:]]
     return [replace(paths[0], not_read=said), *paths[1:]]
-
-
-def _without(words: str, path: Path) -> str:
-    """A reason without the file's name in front."""
-    for start in (f"{path}: ", f"{path.name}: "):
-        words = words.removeprefix(start)
-    return re.sub(r"^.*?\): ", "", words) if words.startswith(f"{path.name} (") else words
 
 
 def _path(found: Points, name: str, corrections: Corrections) -> Path2D:
