@@ -28,10 +28,12 @@ def found_by(loop: ClosedLoop, term: str, of: str, form: Form | None, unit: str)
     x, gain = np.linspace(0.01, 0.5, 9), LogScoreDifference(90.0, 9.0, 80.0, 8.0)
     forms: tuple[FittedForm, ...] = ()
     if form is not None:
-        n, kinds = len(form.parameters), tuple(kind for _, kind in form.parameters)
+        n = len(form.parameters)
         values = (0.3, 0.2, 0.1)[:n]
         forms = (
-            FittedForm(form.name, form.expression, form.names, kinds, ("1",) * n, values, values, -3.0, 2.0, True),
+            FittedForm(
+                form.name, form.expression, form.parameters, form.kinds, ("1",) * n, values, values, -3.0, 2.0, True
+            ),
         )
     discovered = Discovery(
         term, Covariate("some quantity"), "it rises", Band(x, x + 0.1, x, x, unit), x, gain,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -34,6 +35,10 @@ from model.effects.curves import KNOTS
 
 Kind = Literal["value", "slope", "curvature", "width", "place", "power"]
 
+KINDS: dict[str, Kind] = {  # what a parameter of a formula may be called, sizes first
+    "size": "value", "slope": "slope", "bend": "curvature", "edge": "place", "centre": "place", "width": "width",
+    "power": "power",
+}  # fmt: skip
 SIZES = frozenset({"value", "slope", "curvature"})  # kinds in which an expression is linear
 UNITS = {"_mps2": "m/s^2", "_mps": "m/s", "_rad": "rad", "_m": "m", "_s": "s"}  # by the ending of a quantity's name
 
@@ -44,23 +49,27 @@ class Form:
 
     name: str  # for a table
     expression: str  # value of the term, of the quantity ``x`` and the parameters, as Python with numpy writes it
-    parameters: tuple[tuple[str, Kind], ...]  # names with the kind of each, sizes first
     signed: bool = False  # True for one that differs from a simpler one only where ``x`` takes both signs
 
+    @functools.cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters, sizes first: those of `KINDS` in the expression."""
+        return tuple(name for name in KINDS if re.search(rf"\b{name}\b", self.expression))
+
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(name for name, _ in self.parameters)
+    def kinds(self) -> tuple[Kind, ...]:
+        """Kind of each parameter."""
+        return tuple(KINDS[name] for name in self.parameters)
 
     @property
     def sizes(self) -> int:
         """Number of parameters in which the expression is linear."""
-        return sum(kind in SIZES for _, kind in self.parameters)
+        return sum(kind in SIZES for kind in self.kinds)
 
     def at(self, x: Floats, values: Sequence[float] | Floats) -> Floats:
         """Value at ``x``; 0 where it is not known."""
         known = np.isfinite(x)
-        y = _compiled(self.expression, self.names)(np.where(known, x, 1.0), *values)
+        y = _compiled(self.expression, self.parameters)(np.where(known, x, 1.0), *values)
         return np.asarray(np.where(known, np.nan_to_num(y), 0.0))
 
     def units(self, term: Term) -> tuple[str, ...]:
@@ -70,7 +79,7 @@ class Form:
         if x == "1":
             over = squared = y
         named = {"value": y, "slope": over, "curvature": squared, "width": x, "place": x, "power": "1"}
-        return tuple(named[kind] for _, kind in self.parameters)
+        return tuple(named[kind] for kind in self.kinds)
 
 
 def quantity_unit(name: str) -> str:
@@ -85,39 +94,28 @@ def _compiled(expression: str, names: tuple[str, ...]) -> Callable[..., Floats]:
 
 
 FORMS: tuple[Form, ...] = (
-    Form("constant", "size", (("size", "value"),)),
-    Form("proportional", "slope * x", (("slope", "slope"),)),
-    Form("square", "bend * x**2", (("bend", "curvature"),)),
-    Form("straight line", "size + slope * x", (("size", "value"), ("slope", "slope"))),
-    Form("constant and square", "size + bend * x**2", (("size", "value"), ("bend", "curvature"))),
-    Form("parabola", "slope * x + bend * x**2", (("slope", "slope"), ("bend", "curvature"))),
-    Form("power", "size * (np.abs(x) / {span}) ** power", (("size", "value"), ("power", "power"))),
-    Form("exponential decay", "size * np.exp(-x / width)", (("size", "value"), ("width", "width"))),
-    Form("saturation", "size * (1.0 - np.exp(-x / width))", (("size", "value"), ("width", "width"))),
-    Form("hyperbola", "size / (1.0 + np.abs(x) / width)", (("size", "value"), ("width", "width"))),
-    Form("hyperbolic saturation", "size * x / (np.abs(x) + width)", (("size", "value"), ("width", "width"))),
-    Form("threshold", "slope * np.maximum(x - edge, 0.0)", (("slope", "slope"), ("edge", "place"))),
-    Form("step", "size * (x > edge)", (("size", "value"), ("edge", "place"))),
-    Form("Lorentzian at zero", "size / (1.0 + (x / width) ** 2)", (("size", "value"), ("width", "width"))),
-    Form("sine", "size * np.cos(x - centre)", (("size", "value"), ("centre", "place"))),
-    Form("sign", "size * np.sign(x)", (("size", "value"),), True),
-    Form("odd square", "bend * x * np.abs(x)", (("bend", "curvature"),), True),
-    Form(
-        "odd power", "size * np.sign(x) * (np.abs(x) / {span}) ** power", (("size", "value"), ("power", "power")), True,
-    ),
-    Form(
-        "smooth step", "size / (1.0 + np.exp(np.minimum((edge - x) / width, 50.0)))",
-        (("size", "value"), ("edge", "place"), ("width", "width")),
-    ),
-    Form(
-        "Lorentzian", "size / (1.0 + ((x - centre) / width) ** 2)",
-        (("size", "value"), ("centre", "place"), ("width", "width")),
-    ),
-    Form(
-        "Gaussian", "size * np.exp(-(((x - centre) / width) ** 2))",
-        (("size", "value"), ("centre", "place"), ("width", "width")),
-    ),
-)  # fmt: skip
+    Form("constant", "size"),
+    Form("proportional", "slope * x"),
+    Form("square", "bend * x**2"),
+    Form("straight line", "size + slope * x"),
+    Form("constant and square", "size + bend * x**2"),
+    Form("parabola", "slope * x + bend * x**2"),
+    Form("power", "size * (np.abs(x) / {span}) ** power"),
+    Form("exponential decay", "size * np.exp(-x / width)"),
+    Form("saturation", "size * (1.0 - np.exp(-x / width))"),
+    Form("hyperbola", "size / (1.0 + np.abs(x) / width)"),
+    Form("hyperbolic saturation", "size * x / (np.abs(x) + width)"),
+    Form("threshold", "slope * np.maximum(x - edge, 0.0)"),
+    Form("step", "size * (x > edge)"),
+    Form("Lorentzian at zero", "size / (1.0 + (x / width) ** 2)"),
+    Form("sine", "size * np.cos(x - centre)"),
+    Form("sign", "size * np.sign(x)", True),
+    Form("odd square", "bend * x * np.abs(x)", True),
+    Form("odd power", "size * np.sign(x) * (np.abs(x) / {span}) ** power", True),
+    Form("smooth step", "size / (1.0 + np.exp(np.minimum((edge - x) / width, 50.0)))"),
+    Form("Lorentzian", "size / (1.0 + ((x - centre) / width) ** 2)"),
+    Form("Gaussian", "size * np.exp(-(((x - centre) / width) ** 2))"),
+)
 """All that are tried, short ones first; ``{span}`` is a round number near the largest ``x``."""
 
 
@@ -171,7 +169,7 @@ class FittedForm:
 
     def at(self, x: Floats) -> Floats:
         """Value where the covariate is ``x``, SI; a force points up."""
-        return Form(self.name, self.expression, tuple((name, "value") for name in self.parameters)).at(x, self.values)
+        return Form(self.name, self.expression).at(x, self.values)
 
 
 @dataclass(frozen=True)
@@ -251,7 +249,7 @@ class _FormFits:
         # no point of the curve counts as known better than to 2 % of its spread
         weight = 1.0 / np.hypot(self.band, 0.02 * max(float(np.ptp(y)), float(np.max(np.abs(y))), 1e-12))
         best: tuple[Floats, float] = np.zeros(len(form.parameters)), np.inf
-        for shape in itertools.product(*(self.kinds[kind][2] for _, kind in form.parameters if kind not in SIZES)):
+        for shape in itertools.product(*(self.kinds[kind][2] for kind in form.kinds if kind not in SIZES)):
             columns = np.column_stack([form.at(x, (*unit, *shape)) for unit in np.eye(form.sizes)])
             size = lstsq(columns * weight[:, None], y * weight, rcond=None)[0]
             far = float(np.mean(((columns @ size - y) * weight) ** 2))
@@ -277,11 +275,11 @@ class _FormFits:
 
     def _units(self, form: Form) -> Floats:
         """Size of each parameter that is one unit of its coordinate."""
-        return np.array([self.kinds[kind][0] for _, kind in form.parameters])
+        return np.array([self.kinds[kind][0] for kind in form.kinds])
 
     def _within(self, form: Form, values: Floats) -> Floats:
         """Values within what their kinds allow."""
-        low, high = np.array([self.kinds[kind][1] for _, kind in form.parameters]).T
+        low, high = np.array([self.kinds[kind][1] for kind in form.kinds]).T
         return np.clip(values, low, high)
 
     # -- a form fitted to the events ---------------------------------------------------------------------------------
@@ -349,10 +347,10 @@ class _FormFits:
         slopes = [of_same_events(bare(p.values + step) - here, whitener) / NUDGE for step in steps]
         sigmas = np.sqrt(np.maximum(np.diag(p.others.covariance_of(np.column_stack(slopes))), 0.0)) * unit
         up = -1.0 if self.curve.term.name == "force" and self.curve.term.columns else 1.0  # fitted as a pull
-        sign = np.array([up if kind in SIZES else 1.0 for _, kind in p.form.parameters])
+        sign = np.array([up if kind in SIZES else 1.0 for kind in p.form.kinds])
         form = p.form
         return FittedForm(
-            form.name, form.expression, form.names, tuple(kind for _, kind in form.parameters),
+            form.name, form.expression, form.parameters, form.kinds,
             form.units(self.curve.term), tuple((sign * p.values).tolist()), tuple(sigmas.tolist()), loss, error,
             as_good,
         )  # fmt: skip
