@@ -15,31 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, candidates_of, priors_of
+from analysis.attribution.candidates import candidates_of, priors_of
 from analysis.attribution.detectability import detection_limits
 from analysis.attribution.fit import Fitter
-from analysis.attribution.hypothesis import Refits, Rejected, remaining_candidates, with_hidden_free
+from analysis.attribution.hypothesis import Refits, Rejected, with_hidden_free
 from analysis.attribution.rebound_scatter import with_scatter
 from analysis.attribution.selection import SelectionResult, StepwiseSelection
 from analysis.discovery.discover import discover
 from analysis.linear_algebra import NotFiniteError
-from analysis.loop.other_forms import beyond_own_form
-from analysis.loop.result import (
-    Calibration,
-    ClosedLoop,
-    DetectionLimits,
-    HeldOutErrors,
-    PlateTable,
-    Selection,
-    TestedCandidate,
-)
-from analysis.loop.tables import (
-    added_effects,
-    fitted_parameters,
-    flight_table,
-    source_of,
-    step_table,
-)
+from analysis.loop.result import ClosedLoop, DetectionLimits, HeldOutErrors, PlateTable
+from analysis.loop.tables import flight_table, selected, source_of, step_table
 from analysis.loop.verdict import Failed, confirmed_on_reserve, failed_tests, verdict_of
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.lack_of_fit import goodness_of_fit
@@ -133,10 +118,7 @@ def judge_loop(
     if not anyway:
         refuse_doubtful(recordings, setup)
     observations = observations_from(
-        recordings,
-        setup=setup,
-        progress=lambda name, part: say(f"reading {name}", 0.15 * part),
-        known=known,
+        recordings, setup=setup, progress=lambda name, part: say(f"reading {name}", 0.15 * part), known=known
     )
     names = ", ".join(p.name for p in recordings)
     if len(observations.steps) < 2 * limits.reserve_every or not len(observations.plate):
@@ -192,7 +174,7 @@ def _loop_of(
     detection, unidentifiable = detection_limits(selection.best, limits)
     result = ClosedLoop(
         **judged,
-        selection=_selected(selection, candidates_of(model, seen), limits),
+        selection=selected(selection, candidates_of(model, seen), limits),
         detection=DetectionLimits(detection, unidentifiable),
         flights=flight_table(model, *points),
         plate=PlateTable(plate.kind, plate.step, plate.value, plate.sigma, *(model.residuals(x).plate for x in points)),
@@ -287,28 +269,6 @@ def _judge(selection: SelectionResult, limits: Thresholds) -> dict[str, Any]:
     failed = failed_tests(named, left, after, floors, limits, chance, given)
     errors = HeldOutErrors(held_out_errors(model, before, rows, left_out), after, given, *floors)
     return {"verdict": verdict_of(named, failed), "failed": failed, "errors": errors, "remainder": left}
-
-
-def _selected(found: SelectionResult, library: Sequence[Candidate], limits: Thresholds) -> Selection:
-    """Outcome of the selection among a ``library`` as names and numbers."""
-    best = found.best
-    beyond = beyond_own_form(best, remaining_candidates(library, best), limits)
-    parameters = fitted_parameters(best, found.scatter, beyond)
-    return Selection(
-        effects=added_effects(best.names, parameters),
-        names=best.names,
-        ties=tuple(x.names for x in found.ties),
-        parameters=parameters,
-        calibrations=tuple(
-            Calibration(*key, float(best.fitted.values[key]), best.fitted.sigma(key), prior.mean, prior.sigma)
-            for key, prior in sorted(best.fitted.fitter.priors.items())
-            if key in best.fitted.keys and key not in best.free
-        ),
-        candidates=tuple(TestedCandidate(names, c.gain, c.error) for names, c in found.tried),
-        rounds=found.rounds,
-        rejected=found.rejected,
-        chance=found.chance,
-    )
 
 
 def withdraw_unconfirmed(

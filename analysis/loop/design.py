@@ -70,10 +70,7 @@ class Ranked:
 def designs_for(gamma: Floats, ratio: int) -> list[Design]:
     """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations with it.
 
-    Parameters
-    ----------
-    gamma, ratio
-        Of the steps of the run that was made, (m,), and its c.
+    ``gamma`` (m,) and ``ratio`` are those of the run that was made.
     """
     low, high = float(np.min(gamma)), float(np.max(gamma))
 
@@ -137,16 +134,8 @@ def simulate_steps(
 ) -> Observations:
     """Noise-free observations of steps one after another, with the uncertainties of ``model``.
 
-    Parameters
-    ----------
-    setup
-        That of ``model``, with the forcing of these steps.
-    gammas
-        In the order of the run, (m,).
-    model, fitted
-        Observations that tell how uncertain everything is, and the parameters that act.
-    carried
-        Whether the motion at the end of a step is the start of the next one, as on a rig; else each starts from rest.
+    ``setup`` is that of ``model``, with the forcing of these steps; ``gammas`` are in the order of the run, (m,). Where
+    motion is ``carried`` the end of a step is the start of the next one, as on a rig; else each starts from rest.
     """
     observations = model.observations
     values = model.start(fitted)
@@ -255,18 +244,11 @@ def ranking_json(ranked: Sequence[Ranked]) -> dict[str, object] | None:
         return None
     best = ranked[0].design
     return {
-        "id": best.id,
-        "description": best.description,
-        "tone_ratio": best.ratio,
-        "gammas": list(best.gammas),
+        "id": best.id, "description": best.description, "tone_ratio": best.ratio, "gammas": list(best.gammas),
         "order": best.order,
         "ranked": [
-            {
-                "id": r.design.id,
-                "description": r.design.description,
-                "nats": r.nats,
-                "closest_rival": list(r.closest_rival),
-            }
+            {"id": r.design.id, "description": r.design.description, "nats": r.nats,
+             "closest_rival": list(r.closest_rival)}
             for r in ranked
         ],
-    }
+    }  # fmt: skip

@@ -54,7 +54,7 @@ class FittedParameter:
     sigma: float  # its standard deviation
     added: bool  # True for a parameter of an added effect, False for a calibration or a nuisance
     trend: bool = False  # True where the value is the parameter's change over the whole run
-    # how much farther below and above than its form alone says the interval reaches: see `other_forms`
+    # how much farther below and above than its form alone says the interval reaches: see `beyond_own_form`
     beyond: tuple[float, float] = (0.0, 0.0)
 
 
@@ -209,46 +209,23 @@ class DetectionLimits:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Result of closing the loop.
-
-    Attributes
-    ----------
-    verdict, failed
-        The verdict, and the tests that forbid "explained" or "nothing missing".
-    selection
-        Effects that were added, and what else was tried.
-    discovered
-        A smooth term found where no named effect suffices, or None.
-    errors
-        On the held-out steps.
-    remainder
-        Goodness of fit of the best hypothesis on all steps.
-    detection
-        The size below which the run could not have shown an effect.
-    steps, flights, plate
-        Measurement, prediction and residual, step by step, flight by flight and datum by datum.
-    setup, limits
-        Measuring setup and thresholds that were used.
-    sources
-        Provenance of the recordings.
-    notes
-        Remarks on the data, in words.
-    """
+    """Result of closing the loop."""
 
     verdict: Verdict
-    failed: tuple[Failed, ...]
-    selection: Selection
-    discovered: Discovery | None
-    errors: HeldOutErrors
-    remainder: GoodnessOfFit
-    detection: DetectionLimits
+    failed: tuple[Failed, ...]  # tests that forbid "explained" or "nothing missing"
+    selection: Selection  # effects that were added, and what else was tried
+    discovered: Discovery | None  # a smooth term found where no named effect suffices
+    errors: HeldOutErrors  # on the held-out steps
+    remainder: GoodnessOfFit  # of the best hypothesis on all steps
+    detection: DetectionLimits  # the size below which the run could not have shown an effect
+    # measurement, prediction and residual: step by step, flight by flight and datum by datum
     steps: StepTable
     flights: FlightTable
     plate: PlateTable
     setup: Setup
-    limits: Thresholds
-    sources: tuple[Source, ...]
-    notes: tuple[str, ...]
+    limits: Thresholds  # of the verdict
+    sources: tuple[Source, ...]  # provenance of the recordings
+    notes: tuple[str, ...]  # remarks on the data, in words
 
     @property
     def held_out(self) -> tuple[int, ...]:

@@ -13,12 +13,11 @@ Decision 285.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.attribution.candidates import Candidate, candidates_of, null_value_of, parameter_of, priors_of
+from analysis.attribution.candidates import candidates_of, null_value_of, parameter_of, priors_of
 from analysis.attribution.fit import Fitted, Fitter
 from analysis.attribution.hypothesis import Refits
 from analysis.residuals.forward_model import ForwardModel
@@ -59,14 +58,9 @@ def level_of_look(look: int) -> float:
 
 
 def judge_so_far(observations: Observations, look: int) -> SoFar | None:
-    """Judge a run by what it has recorded so far; None without flights to judge.
+    """Judge a run by its finished steps so far; None without flights to judge.
 
-    Parameters
-    ----------
-    observations
-        Of all finished steps.
-    look
-        The number of this look at the run, from 1; looks may be left out.
+    ``look`` is the number of this look at the run, from 1; looks may be left out.
     """
     if not observations.scored.any():
         return None
@@ -96,25 +90,13 @@ def _promising(model: ForwardModel, fitter: Fitter, declared: Fitted) -> tuple[P
         free = tuple(key for key in candidate.free if key not in declared.free)
         if not free or any(key[1].endswith(TREND) for key in free):
             continue
-        gain, values = _linear(fitter, declared, candidate, free)
+        shapes = [key for key in free if parameter_of(key).is_shape]
+        settings = sorted({tuple(start.get(key, null_value_of(key)) for key in shapes) for start in candidate.starts})
+        # a dozen settings of a candidate's shapes, evenly
+        few = (dict(zip(shapes, at, strict=True)) for at in settings[:: max(1, len(settings) // 12)])
+        gain, values = max((fitter.linear_step(declared, free, at) for at in few), key=lambda step: step[0])
         best = found.get(candidate.names)
         if gain > FROZEN.gain_nats and (best is None or gain > best.gain):
             found[candidate.names] = Promising(candidate.names, gain, {key: values[key] for key in free})
     # by the linear gain only, before any fit of them: a few names are a hint while the run lasts, no verdict
     return tuple(sorted(found.values(), key=lambda one: -one.gain)[:4])
-
-
-def _linear(
-    fitter: Fitter, declared: Fitted, candidate: Candidate, free: Sequence[ParameterId]
-) -> tuple[float, dict[ParameterId, float]]:
-    """The largest linearised gain over the candidate's shapes, and the values there."""
-    shapes = [key for key in free if parameter_of(key).is_shape]
-    if not shapes:
-        return fitter.linear_step(declared, free)
-    settings = {tuple(start.get(key, null_value_of(key)) for key in shapes) for start in candidate.starts}
-    # a dozen settings of a candidate's shapes, evenly
-    steps = [
-        fitter.linear_step(declared, free, dict(zip(shapes, at, strict=True)))
-        for at in sorted(settings)[:: max(1, len(settings) // 12)]
-    ]
-    return max(steps, key=lambda one: one[0], default=(0.0, {key: null_value_of(key) for key in free}))

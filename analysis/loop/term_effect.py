@@ -117,7 +117,7 @@ def effect_source(loop: ClosedLoop, name: str) -> str:
 
 def _source(loop: ClosedLoop, found: Discovery, name: str) -> str:
     """The template, filled."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # only a term that is kept needs it
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # only --keep-term needs it
 
     form, term = found.form, HOOKS[found.term]
     # only a force can be a friction of the time since the impact, and what is no argument of the hook is a parameter

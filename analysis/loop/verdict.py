@@ -55,25 +55,13 @@ def failed_tests(
 ) -> tuple[Failed, ...]:
     """Tests that forbid to call a recording explained; empty where all are passed.
 
-    Parameters
-    ----------
-    named
-        Whether an effect has been added. Held-out events are tested only then: without a name, structure beyond the
-        noise is what the tests of the remainder are for. These leave landings that are other events than predicted out,
-        so that more of them than `OUTLIER_FRACTION` have the held-out landings tested as well.
-    left
-        What remains, on all steps.
-    after, floors_us
-        Errors on the held-out steps, and the noise floors of landings and take-offs there.
-    limits
-    chance_us
-        Root mean squares that noise hardly exceeds there, see
-        `analysis.residuals.prediction_errors.noise_quantiles_us`.
-    given
-        The held-out landings conditioned on the openings of their steps.
+    ``left`` is of all steps; the others are of the held-out ones: errors, noise floors of landings and take-offs, what
+    noise hardly exceeds (`noise_quantiles_us`), and landings conditioned on the openings of their steps.
 
-    Notes
-    -----
+    Held-out events are tested where an effect was ``named``: without a name, structure beyond the noise is what the
+    tests of the remainder are for. These leave landings that are other events than predicted out, so that more of them
+    than `OUTLIER_FRACTION` have the held-out landings tested as well.
+
     The contact circuit may shift all edges of a step by `SHARED_S`, so that no floor counts for less. Of take-offs the
     smaller of both measures counts: a few are hidden by a bounce, and where few steps open from rest, the middle one of
     them is no robust value. Nor may chance decide: the tones of a few steps err for all of their flights. Landings
@@ -105,29 +93,16 @@ def verdict_of(named: bool, failed: Sequence[Failed]) -> Verdict:
 
 
 def confirmed_on_reserve(
-    worse: Floats,
-    better: Floats,
-    train: Bools,
-    limits: Thresholds,
-    *,
-    further: bool,
+    worse: Floats, better: Floats, train: Bools, limits: Thresholds, *, further: bool
 ) -> tuple[bool, LogScoreDifference]:
     """Whether an added effect stands on steps that its fit had not seen, and its gain on all of them.
 
     A small gain of the first effect stands if all steps together gain in proportion, and the reserved ones lie no more
     than two standard deviations below what the others promise: their sign alone would refute a weak effect one time in
-    eight. A small gain of a further one stands only if the reserved steps gain as well.
+    eight. A small gain of a ``further`` one stands only if the reserved steps gain as well, and twice the gain is
+    asked, as it is the largest of many by chance.
 
-    Parameters
-    ----------
-    worse, better
-        Losses by step without and with the effect, nats, (m,).
-    train
-        False for the reserved steps.
-    limits
-        Thresholds of the verdict.
-    further
-        True for an effect after another: twice the gain is asked, as it is the largest of many by chance.
+    ``worse`` and ``better`` are losses by step without and with the effect, nats, (m,).
     """
     gain = LogScoreDifference.of(worse, better, np.ones_like(train))
     stands = gain.exceeds(limits.next_effect_nats, limits.next_effect_sigmas)

@@ -26,7 +26,7 @@ STAGES = {
     "reading": "observations_from",
     "judging": "_judge",
     "limits": "detection_limits",
-    "tables": "_selected",
+    "tables": "selected",
 }
 WANTED = (  # kind, plant and what is hidden: light and heavy ones in turn
     ("clean", "other", ()), ("strong", "other", ("coulomb_friction",)), ("strong", "other", ("mains_hum",)),

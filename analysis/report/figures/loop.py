@@ -28,14 +28,7 @@ LANDINGS = (
     "gamma", "flight_s", "height_m", "takeoff_phase_rad", "launch_mps", "plate_speed_at_takeoff_mps",
     "impact_mps", "previous_flight_s", "time_in_run_s",
 )  # fmt: skip
-TAKEOFFS = (
-    "gamma",
-    "dwell_s",
-    "previous_impact_mps",
-    "takeoff_phase_rad",
-    "previous_flight_s",
-    "time_in_run_s",
-)
+TAKEOFFS = ("gamma", "dwell_s", "previous_impact_mps", "takeoff_phase_rad", "previous_flight_s", "time_in_run_s")
 COLUMNS = 3  # of panels
 PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}  # under a number in a panel
 

@@ -14,13 +14,7 @@ from matplotlib.figure import Figure as Canvas
 
 from analysis.plate.motion import StepPlate
 from analysis.report.figures import style
-from analysis.report.figures.flights import (
-    Measured,
-    draw_bifurcations,
-    draw_history,
-    draw_return_maps,
-    draw_trajectory,
-)
+from analysis.report.figures.flights import Measured, draw_bifurcations, draw_history, draw_return_maps, draw_trajectory
 from analysis.report.figures.style import Figure
 from analysis.report.wording import gamma_scale
 from daq.recording import Recording

@@ -10,7 +10,7 @@ from scipy import stats
 from analysis.attribution.candidates import Candidate, candidates_of
 from analysis.attribution.fit import Fitter
 from analysis.attribution.selection import StepwiseSelection
-from analysis.loop.other_forms import _interval, beyond_own_form
+from analysis.loop.tables import _interval, beyond_own_form
 from analysis.residuals.forward_model import ForwardModel
 from analysis.thresholds import FROZEN
 
