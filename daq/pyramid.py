@@ -118,12 +118,7 @@ def _read(path: Path) -> tuple[Layout, list[Extremes]] | None:
 def build_pyramid(recording: Recording, path: Path) -> None:
     """Write the pyramid of an open recording, which is read once, to ``path``, whole or not at all.
 
-    Raises
-    ------
-    OSError
-        When the disk refuses.
-    InputError
-        When samples do not read back.
+    Raises `OSError` when the disk refuses, `InputError` when samples do not read back.
     """
     layout = Layout.of(recording)
     stretches, begins, bucket = layout.starts, layout.first_buckets, layout.bucket

@@ -75,29 +75,15 @@ watchers: list[Watcher] = []
 
 
 class Kernel:
-    """A function that runs as machine code.
+    """A function that runs as machine code, compiled with ``options`` as `numba.njit` takes them.
 
-    Parameters
-    ----------
-    function
-        What is compiled.
-    options
-        As `numba.njit` takes them.
-    find
-        Finds or makes the machine code of a kernel for arguments of given kinds, of which it gets an example.
-
-    Attributes
-    ----------
-    py_func, targetoptions
-        Function and options, under the names that numba's own dispatcher has for them.
-    callables : dict
-        The machine code in use, by the kinds of the arguments (`kind`).
+    ``find`` finds or makes the machine code for arguments of given kinds, of which it gets an example.
     """
 
     def __init__(self, function: Function, options: dict[str, Any], find: Finder) -> None:
         functools.update_wrapper(self, function)
-        self.py_func, self.targetoptions = function, options
-        self.callables: dict[tuple[Kind, ...], Function] = {}
+        self.py_func, self.targetoptions = function, options  # numba's own dispatcher has these names for them
+        self.callables: dict[tuple[Kind, ...], Function] = {}  # machine code in use, by the arguments' kinds
         self._find = find
         self._count: int = function.__code__.co_argcount
 

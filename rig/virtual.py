@@ -44,30 +44,6 @@ from rig.sim.scenario import Scenario
 PRIORITY = 40  # of the server, where it may have one
 
 
-class PlantLog:
-    """All that the plant gave, period by period, written as NPZ (``frame``: the server's frame of each period's first,
-    ``codes``) on exit; nothing where ``path`` is None.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
-        self._frames: list[int] = []
-        self._codes: list[NDArray[np.int16]] = []
-
-    def keep(self, frame: int, codes: NDArray[np.int16]) -> None:
-        """One period."""
-        if self._path is not None:
-            self._frames.append(frame)
-            self._codes.append(codes)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._path is not None:
-            np.savez(self._path, frame=np.array(self._frames), codes=np.array(self._codes))
-
-
 class PlantClient:
     """A client of a JACK server that takes the drive, period by period, the server's skipped frames included.
 
@@ -114,16 +90,18 @@ class PlantClient:
 class JackPlant(PlantClient):
     """A plant behind the ports of the client ``profile.backend.device``.
 
-    The profile's ``[channels]`` give the full scale of the inputs; ``log`` records all that the plant gave. Raises
+    The profile's ``[channels]`` give the full scale of the inputs. All that the plant gave is written to ``log`` at the
+    end, where there is one, as NPZ: the server's ``frame`` of each period's first, and the ``codes``. Raises
     `InputError` as `PlantClient`.
     """
 
-    def __init__(self, profile: Profile, scenario: Scenario, seed: int, server: str, log: PlantLog) -> None:
+    def __init__(self, profile: Profile, scenario: Scenario, seed: int, server: str, log: Path | None) -> None:
         rng = np.random.default_rng(seed)
         made = functools.partial(Plant, scenario, profile.sampling.rate_hz, further=profile.channels.recorded())
         made(rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
         self._plant = made(rng)
-        self._profile, self._log = profile, log
+        self._log = log
+        self._kept: list[tuple[int, NDArray[np.int16]]] = []
         super().__init__(profile, server)
         ports = {number: name for name, number in self._card.inputs.wired(profile.channels).items()}
         self._names = [ports.get(number, "") for number in range(1, max(ports) + 1)]
@@ -146,7 +124,8 @@ class JackPlant(PlantClient):
         if frame is not None:
             for port, name in zip(self._outs, self._names, strict=True):
                 port.get_array()[:] = heard.get(name, 0.0)
-            self._log.keep(frame, codes)
+            if self._log is not None:
+                self._kept.append((frame, codes))
 
     def __enter__(self) -> Self:
         gc.collect()
@@ -157,6 +136,10 @@ class JackPlant(PlantClient):
     def __exit__(self, *exc: object) -> None:
         self._client.deactivate()
         self._client.close()
+        if self._log is not None:
+            np.savez(
+                self._log, frame=np.array([at for at, _ in self._kept]), codes=np.array([x for _, x in self._kept])
+            )
 
 
 @contextmanager

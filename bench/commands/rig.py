@@ -147,17 +147,17 @@ def virtual(
     from rig.backends.kinds.soundcard import card_options
     from rig.sim.scenario import Scenario as Hidden
     from rig.sim.scenario import load_scenario
-    from rig.virtual import JackPlant, JackSerialPlant, PlantLog, jack_server
+    from rig.virtual import JackPlant, JackSerialPlant, jack_server
 
     check_outputs(File("--log", log, NPZ), inputs=[profile, scenario], overwrite=overwrite)
     checked, _ = load(profile)
     device, rate_hz = card_options(checked.backend).device, checked.sampling.rate_hz
     hidden = Hidden("ideal") if scenario is None else load_scenario(find_scenario(scenario))
-    with stop_on_signals() as request, jack_server(server, rate_hz, period) as started, PlantLog(log) as keep:
+    with stop_on_signals() as request, jack_server(server, rate_hz, period) as started:
         plant = (
             JackSerialPlant(checked, hidden, seed, server, ppm=ppm, ppm_per_minute=0.0)
             if checked.backend.kind == "soundcard+serial"
-            else JackPlant(checked, hidden, seed, server, keep)
+            else JackPlant(checked, hidden, seed, server, log)
         )
         with plant:
             was = "started" if started else "was there"

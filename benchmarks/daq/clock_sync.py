@@ -19,7 +19,7 @@ import numpy as np
 
 from analysis.flights.assemble import FlightFlag, flights_of
 from bench.profiles.find import load
-from daq.clocks.clock_sync import ClockTracker, fit_clock, played_s
+from daq.clocks.clock_sync import ClockTracker, fit_clock
 from daq.recording import open_recording
 from daq.recording.writer import RecordingWriter
 from rig.backends.serial_daq import SerialReader, SoundcardSerialBackend
@@ -27,6 +27,7 @@ from rig.execution.run import run_ramp
 from rig.profile import parse_profile
 from rig.sim.scenario import Scenario
 from rig.virtual import SerialDevice
+from tests.fakes.played_time import played_s
 from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE_HZ = 20000.0

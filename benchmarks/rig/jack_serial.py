@@ -119,8 +119,8 @@ def run(options: argparse.Namespace) -> int:
 def compare(path: Path, events: Path) -> None:
     """Event times by the map against what really happened; the plant's own start is one unknown number of samples."""
     from analysis.flights.assemble import FlightFlag, flights_of
-    from daq.clocks.clock_sync import played_s
     from daq.recording import open_recording
+    from tests.fakes.played_time import played_s
 
     with open_recording(path) as recording:
         flights, rows, gaps = flights_of(recording), recording.clock_map, recording.gaps

@@ -68,22 +68,10 @@ class ColumnWriter:
 
     Raises `InputError` when ``path`` exists and may not be replaced.
 
-    Parameters
-    ----------
-    path
-        Final name. The writer works in ``<path>.part`` and renames at the end.
-    setup
-        What was measured with what.
-    dtypes
-        Channel name to sample type: integer for codes, float for volts.
-    scales
-        Channel name to ``(volts_per_code, offset_v)``.
-    attributes
-        Root attributes (text, numbers, bools).
-    overwrite
-        Whether ``path`` may exist (a closing run replaces its own frames file).
-    compression
-        ``lz4`` (bitshuffle-LZ4) or ``gzip`` for readers without that plugin.
+    It works in ``<path>.part`` and renames at the end; a closing run may ``overwrite`` its own frames file. By channel
+    name ``dtypes`` are integer for codes, float for volts, and ``scales`` ``(volts_per_code, offset_v)``;
+    ``attributes`` are the root's (text, numbers, bools). ``compression`` is bitshuffle-LZ4, or ``gzip`` for readers
+    without that plugin.
     """
 
     def __init__(
@@ -207,17 +195,11 @@ class ColumnWriter:
     ) -> None:
         """Write tables and attributes, close, read every stored byte back, and seal the file.
 
+        ``side`` are `daq.files.tables.SIDE_TABLES` by name, of which one without rows is left out, ``late`` attributes
+        known only now (``ended``, ``why``, ...).
+
         Raises `OSError` when the disk refuses, or what was written does not read back: the tables, or a stored byte of
         a sample that differs from those that were read back when it was written.
-
-        Parameters
-        ----------
-        steps, blocks
-            `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
-        side
-            `daq.files.tables.SIDE_TABLES` by name; one without rows is left out.
-        late
-            Attributes known only now (``ended``, ``why``, ...).
         """
         self.flush()
         for name, rows in {"steps": steps, "blocks": blocks, **(side or {})}.items():

@@ -61,8 +61,6 @@ class Checked:
     patches: tuple[tuple[int, bytes], ...] = ()  # offset and right bytes of what differs and is known
     # by column, samples that differ for good, as ``(first, one past the last)``
     lost: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
-    # the same of samples that were put right by their checksum
-    mended: Mapping[str, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     where: tuple[str, ...] = ()  # one line for each thing that differs
     seal_differs: bool = False  # the seal itself is damaged: nothing was compared
 
@@ -202,7 +200,7 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
     if seal is False:
         return None
     patches: list[tuple[int, bytes]] = []
-    spans: dict[bool, dict[str, tuple[tuple[int, int], ...]]] = {True: {}, False: {}}
+    lost: dict[str, tuple[tuple[int, int], ...]] = {}
     where: list[str] = []
     fixed: dict[int, bytes] | None = None  # sectors that the parity gives, once they are asked for
     if seal.is_less:
@@ -217,13 +215,10 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
             if len(data) == n_bytes and zlib.crc32(data) == row["crc32"]:
                 continue
             place = f"bytes {row['offset']} to {row['offset'] + row['n_bytes'] - 1}"
-            right, how = copy, "a second copy has them"
+            right = copy
             if not right:
                 fixed = _by_parity(path, seal) if fixed is None else fixed
-                right, how = _with(data, row, fixed), "differ, and are computed from the parity"
-            if not right:
-                right = mended(data, n_bytes, int(row["crc32"]))
-                how = "one byte differs and is put right by its checksum"
+                right = _with(data, row, fixed)
             if is_table:
                 where.append(
                     f"{place} (tables, attributes, indexes) differ from what was written; a second copy has them"
@@ -231,13 +226,13 @@ def _compare(path: Path, *, samples: bool) -> Checked | None:
             else:
                 name, first = seal.columns[row["column"]], int(row["first_sample"])
                 last = first + int(row["n_samples"])
-                how = how if right else "differ from what was written"
+                how = "differ, and are computed from the parity" if right else "differ from what was written"
                 where.append(f"{name}: samples {first} to {last - 1} ({place}): {how}")
-                of = spans[bool(right)]
-                of[name] = (*of.get(name, ()), (first, last))
+                if not right:
+                    lost[name] = (*lost.get(name, ()), (first, last))
             if right:
                 patches.append((int(row["offset"]), right))
-    return Checked(tuple(patches), spans[False], spans[True], tuple(where))
+    return Checked(tuple(patches), lost, tuple(where))
 
 
 def _by_parity(path: Path, seal: Seal) -> dict[int, bytes]:
@@ -256,38 +251,6 @@ def _with(data: bytes, extent: np.void, sectors: dict[int, bytes]) -> bytes:
         if a < b:
             right[a - first : b - first] = sector[a - k * SECTOR : b - k * SECTOR]
     return bytes(right) if len(right) == extent["n_bytes"] and zlib.crc32(right) == extent["crc32"] else b""
-
-
-def mended(data: bytes, n_bytes: int, crc: int) -> bytes:
-    """The original of ``data`` if one byte of it changed since its CRC-32 was ``crc``; nothing if more did.
-
-    The CRC is linear: the difference of the two is that of a message that is zero but for the changed byte. It is run
-    backwards, byte by byte, until it is that of a single byte. Other damage passes for this with a chance of
-    ``n_bytes / 2**24``; HDF5's own checksum of the chunk then refuses it.
-    """
-    if len(data) != n_bytes:
-        return b""
-    table, back, single = _tables()
-    state = zlib.crc32(data) ^ crc
-    for at in range(n_bytes - 1, -1, -1):
-        if state in single:
-            return data[:at] + bytes([data[at] ^ single[state]]) + data[at + 1 :]
-        # one step of the CRC backwards: its highest byte says which table entry was added
-        k = back[state >> 24]
-        state = ((state ^ table[k]) << 8 | k) & 0xFFFFFFFF
-    return b""
-
-
-@functools.cache
-def _tables() -> tuple[list[int], dict[int, int], dict[int, int]]:
-    """Of CRC-32: what a byte adds, which byte gave a highest byte, which byte gave a state."""
-    table = []
-    for value in range(256):
-        for _ in range(8):
-            value = value >> 1 ^ (0xEDB88320 if value & 1 else 0)
-        table.append(value)
-    back = {entry >> 24: k for k, entry in enumerate(table)}
-    return table, back, {entry: k for k, entry in enumerate(table) if k}
 
 
 def text_crc(attributes: Mapping[str, Any]) -> int:

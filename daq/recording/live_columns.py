@@ -23,18 +23,10 @@ from kernels.arrays import Integers
 
 
 class LiveColumns:
-    """Columns of the blocks of a run, a chunk at a time.
+    """Columns of the blocks of a run, a chunk at a time, its ``channels`` in the order of a frame.
 
-    Parameters
-    ----------
-    begin
-        Makes the column file; called when the first chunk is full. A short run has none.
-    channels
-        Names, in the order of a frame.
-    rate_hz
-        Samples a second.
-    spare_bytes
-        Gives, for the samples so far, the bytes that the disk must have free for what is more important.
+    ``begin`` makes the column file, when the first chunk is full: a short run has none. ``spare_bytes`` gives, for the
+    samples so far, the bytes that the disk must have free for what is more important.
     """
 
     def __init__(

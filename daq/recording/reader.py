@@ -212,12 +212,7 @@ class Recording(Closing):
     ) -> NDArray[Any]:
         """Raw codes ``(stop - start,)`` of a channel, as stored (volts where the recording was imported).
 
-        Parameters
-        ----------
-        channel, start, stop
-            ``stop`` None is the end.
-        out
-            Array of the stored type to read into, at least as long; saves the allocation.
+        ``stop`` None is the end; ``out`` is an array of the stored type to read into, at least as long.
         """
         stop = self.n_samples if stop is None else min(stop, self.n_samples)
         if self._holes is None:

@@ -62,12 +62,8 @@ class UnreadableError(InputError):
 def examine(path: Path) -> tuple[Recording, Survey]:
     """Open a recording in whatever state, all of it checked first; and what another process found, where one read it.
 
-    Raises
-    ------
-    InputError
-        When there is no such file, or it never was a recording.
-    UnreadableError
-        When nothing of it can be read.
+    Raises `InputError` when there is no such file, or it never was a recording; `UnreadableError` when nothing of it
+    can be read.
     """
     require_hdf5(path)
     found = check(path)

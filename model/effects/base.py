@@ -83,76 +83,39 @@ Term = Literal["", "force", "friction", "threshold", "restitution"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """One number of an effect."""
 
-    Parameters
-    ----------
-    name, unit
-        Name with its unit suffix where it has one; ``unit`` as printed for a person ("1" where dimensionless).
-    low, high
-        Bounds of what is physically possible.
-    scale
-        A size at which the effect would matter: the scale for steps of the fit and for detection limits.
-    null_value
-        The value at which the effect does nothing.
-    start_grid
-        Values to try before a local fit, where the effect switches modes or repeats.
-    hint
-        What the data suggest to start from: slow lines of the plate (added to ``start_grid``), the depth and frequency
-        of a modulation (in place of it), or the sign that the phase of the measured second harmonic has.
-    coarse_grid, coarse_step
-        For a number that switches the ball's behaviour: values over its whole range, and first step of the search.
-    calibration
-        One standard deviation to which the number is known without being declared (0: exactly ``null_value``).
-    stated_by
-        Quantity of the profile whose stated uncertainty replaces ``calibration``.
-    calibrated_by
-        Standard deviation that a measurement other than the run would give, by its name ("flip test", "drop test").
-    ordinary
-        Standard deviation by which an ordinary instrument adds to it where no recording can tell: part of its interval.
-    power
-        The fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height, 0.5 where
-        data are squares.
-    is_shape
-        True for a number that only shapes the effect (a frequency, a length): a fit needs the others to be non-zero.
-    plate_only
-        True for a number that changes plate data and never a flight, in an effect that changes both.
-    drifts
-        True where its trend is a candidate of its own from the first round on.
-    carries_term
-        Kind of smooth term whose value this number can take, another one in each flight.
-    covariate
-        Quantity of the flight that stands here, another one in each flight that was measured; never fitted. It is a
-        name of `analysis.residuals.covariates.COVARIATES`, and NaN where a flight's own is not known. Where no flight
-        was measured (free-running predictions) the null value stands here.
-    hook
-        Hook of the plate or the instruments that this number itself is the value of; no function is written for it.
-    meaning
-        For a person, in a few words.
-    """
-
-    name: str
-    unit: str
-    low: float
+    name: str  # with its unit suffix where it has one
+    unit: str  # as printed for a person ("1" where dimensionless)
+    low: float  # bounds of what is physically possible
     high: float
-    scale: float
-    null_value: float = 0.0
-    start_grid: tuple[float, ...] = ()
+    scale: float  # a size at which the effect would matter: the scale for steps of the fit and for detection limits
+    null_value: float = 0.0  # the value at which the effect does nothing
+    start_grid: tuple[float, ...] = ()  # to try before a local fit, where the effect switches modes or repeats
+    # what the data suggest to start from: slow lines of the plate (added to ``start_grid``), the depth and frequency of
+    # a modulation (in place of it), or the sign that the phase of the measured second harmonic has
     hint: Hint = ""
-    coarse_grid: tuple[float, ...] = ()
-    coarse_step: float = 0.0
-    calibration: float = 0.0
-    stated_by: Stated = ""
+    coarse_grid: tuple[float, ...] = ()  # of a number that switches the ball's behaviour: over its whole range
+    coarse_step: float = 0.0  # of such a number: first step of the search
+    calibration: float = 0.0  # one sigma to which it is known without being declared (0: exactly ``null_value``)
+    stated_by: Stated = ""  # quantity of the profile whose stated uncertainty replaces ``calibration``
+    # standard deviation that a measurement other than the run would give, by its name ("flip test", "drop test")
     calibrated_by: Mapping[str, float] = field(default_factory=dict)
+    # standard deviation by which an ordinary instrument adds to it where no recording can tell: part of its interval
     ordinary: float = 0.0
-    is_shape: bool = False
-    plate_only: bool = False
+    is_shape: bool = False  # it only shapes the effect (a frequency, a length): a fit needs the others to be non-zero
+    plate_only: bool = False  # it changes plate data and never a flight, in an effect that changes both
+    # the fit moves in ``value ** (1 / power)``: 3 where a delay goes with the cube root of a height, 0.5 where data are
+    # squares
     power: float = 1.0
-    drifts: bool = False
-    carries_term: Term = ""
+    drifts: bool = False  # its trend is a candidate of its own from the first round on
+    carries_term: Term = ""  # kind of smooth term whose value this number can take, another one in each flight
+    # quantity of the flight that stands here, another one in each flight that was measured; never fitted. It is a name
+    # of `analysis.residuals.covariates.COVARIATES`, and NaN where a flight's own is not known. Where no flight was
+    # measured (free-running predictions) the null value stands here.
     covariate: str = ""
-    hook: str = ""
-    meaning: str = ""
+    hook: str = ""  # hook of the plate or the instruments that this number is the value of; it has no function
+    meaning: str = ""  # for a person, in a few words
 
     def __str__(self) -> str:
         unit = "" if self.unit == "1" else f", {self.unit}"
@@ -161,75 +124,37 @@ class Parameter:
 
 @dataclass(frozen=True)
 class CurveOf:
-    """A smooth term within the flight that an effect can carry.
+    """A smooth term within the flight that an effect can carry."""
 
-    Parameters
-    ----------
-    term
-        Kind of the term.
-    of
-        Quantity of the flight that it depends on.
-    fixed
-        Values of the effect's parameters that select it.
-    """
-
-    term: Term
-    of: str
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    term: Term  # its kind
+    of: str  # quantity of the flight that it depends on
+    fixed: Mapping[str, float] = field(default_factory=dict)  # values of the effect's parameters that select it
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A named cause that the ideal model lacks.
+    """A named cause that the ideal model lacks."""
 
-    Parameters
-    ----------
-    name
-        The name used in files, options and reports: that of its file.
-    summary
-        One sentence for the report.
-    parameters
-        In the order in which hooks find them.
-    reference
-        Where the physics comes from.
-    confused_with
-        Names of effects that look alike on some runs, each with what separates them.
-    nuisance
-        A harmless imperfection of the instrument, always fitted and never reported as an explanation.
-    variants
-        Which parameters are fitted together, simplest first; all of them when empty.
-    tied
-        Parameters that are one number in the simplest case, by the name under which a profile may give that number.
-        A search begins with them equal, and a trend is theirs together.
-    special_cases
-        Effects that are special cases of this one: by name, which of its parameters each of theirs begins from.
-    hides
-        Parameters of instrument effects that this one can hide, with the mean and the standard deviation that they
-        have in an ordinary instrument: nuisances of the last fit, so that this effect's intervals allow for them.
-    substitutes_term
-        Kind of smooth term that takes the place of this effect.
-    curves
-        Smooth terms within the flight that this effect can carry.
-    is_trend
-        True for the effect that stands for a trend of other effects' parameters; it has no hooks.
-    library
-        False for what no search may name.
-    """
-
-    name: str
-    summary: str
-    parameters: tuple[Parameter, ...]
-    reference: str
+    name: str  # used in files, options and reports: that of its file
+    summary: str  # one sentence for the report
+    parameters: tuple[Parameter, ...]  # in the order in which hooks find them
+    reference: str  # where the physics comes from
+    # names of effects that look alike on some runs, each with what separates them
     confused_with: Mapping[str, str] = field(default_factory=dict)
-    nuisance: bool = False
-    variants: tuple[tuple[str, ...], ...] = ()
+    nuisance: bool = False  # a harmless imperfection of the instrument, always fitted and never an explanation
+    variants: tuple[tuple[str, ...], ...] = ()  # which parameters are fitted together, simplest first; empty: all
+    # parameters that are one number in the simplest case, by the name under which a profile may give that number: a
+    # search begins with them equal, and a trend is theirs together
     tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # effects that are special cases of this one: by name, which of its parameters each of theirs begins from
     special_cases: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    # parameters of instrument effects that this one can hide, with the mean and the standard deviation that they have
+    # in an ordinary instrument: nuisances of the last fit, so that this effect's intervals allow for them
     hides: Mapping[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
-    substitutes_term: Term = ""
-    curves: tuple[CurveOf, ...] = ()
-    is_trend: bool = False
-    library: bool = True
+    substitutes_term: Term = ""  # kind of smooth term that takes the place of this effect
+    curves: tuple[CurveOf, ...] = ()  # smooth terms within the flight that this effect can carry
+    is_trend: bool = False  # it stands for a trend of other effects' parameters, and has no hooks
+    library: bool = True  # False for what no search may name
 
     def parameter(self, name: str) -> Parameter:
         """The parameter called ``name``.

@@ -33,7 +33,7 @@ __all__ = [
     "Effect", "Parameter", "Registered", "effect", "null_row", "offsets", "registry", "resolve", "row", "trend_name",
 ]  # fmt: skip
 
-NOT_EFFECTS = frozenset({"base", "curves", "registry", "routing", "user_effects"})
+NOT_EFFECTS = frozenset({"base", "curves", "registry", "user_effects"})
 ENTRY_POINTS = "shakerbench.effects"
 
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from kernels.arrays import Floats
-from model.flight.numerics import compiled, sincos
+from model.flight.numerics import compiled, inlined, sincos
 
 TWO_PI = 2.0 * math.pi
 NARROWEST = 1e-9  # q cannot change by more than its rounding over a stretch this narrow about a turning point
@@ -123,49 +123,53 @@ def crossing(tones: Floats, gamma: float, lo: float, hi: float, rising: bool) ->
 
 @compiled
 def fill_edges(tones: Floats, turning: Floats, gamma: float, edge: Floats) -> int:
-    """Fill ``edge`` with one period's window edges, a window's start first; return the number of windows.
+    """Fill ``edge`` (m + 2,) with one period's window edges, a window's start first; return the number of windows.
 
-    Parameters
-    ----------
-    tones : (k, 3) array
-        A periodic forcing.
-    turning : (m,) array
-        `turning_points` over ``[0, 2 pi)``.
-    gamma : float
-        Drive amplitude.
-    edge : (m + 2,) array
-        On return ``edge[0] < edge[1] < ... < edge[2 w]``: window ``i`` is ``[edge[2 i], edge[2 i + 1])``,
-        ``edge[0]`` is in ``[0, 2 pi)`` and ``edge[2 w] = edge[0] + 2 pi`` closes the period.
+    ``tones`` (k, 3) are a periodic forcing, ``turning`` (m,) its `turning_points` over ``[0, 2 pi)``. On return
+    ``edge[0] < edge[1] < ... < edge[2 w]``: window ``i`` is ``[edge[2 i], edge[2 i + 1])``, ``edge[0]`` is in
+    ``[0, 2 pi)`` and ``edge[2 w] = edge[0] + 2 pi`` closes the period.
     """
     m = turning.shape[0]
     if m == 0 or gamma <= 0.0:
         return 0
-    count = 0
-    shift = 0  # 1 when the first crossing found closes a window
+    count, shift = 0, False
     for i in range(m):
         lo = turning[i]
         hi = turning[i + 1] if i + 1 < m else turning[0] + TWO_PI
         below_lo = gamma * q_and_slope(tones, lo)[0] < 1.0
         below_hi = gamma * q_and_slope(tones, hi)[0] < 1.0
         if below_lo != below_hi:
-            if count == 0 and not below_lo:
-                shift = 1
+            shift = shift or (count == 0 and not below_lo)
             edge[count] = crossing(tones, gamma, lo, hi, below_lo)
             count += 1
+    return arrange(edge, 0, 1, count, shift)
+
+
+@inlined
+def arrange(table: Floats, base: int, row: int, count: int, shift: bool) -> int:
+    """Put the ``count`` crossings of a table from ``base`` on in order, a window's start first; how many windows.
+
+    Each crossing has ``row`` numbers, its phase the first of them; where ``shift`` the first one closes a window. There
+    is room for one crossing more, which closes the period.
+    """
     if count % 2 == 1:  # two turning points equal to rounding disagree about a touch: no window
         count -= 1
     if count == 0:
         return 0
-    if shift == 1:
-        first = edge[0]
-        for i in range(count - 1):
-            edge[i] = edge[i + 1]
-        edge[count - 1] = first + TWO_PI
+    end = base + row * count
+    if shift:
+        for k in range(row):
+            table[end + k] = table[base + k]
+        for k in range(row * count):
+            table[base + k] = table[base + k + row]
+        table[end - row] += TWO_PI
     # the last crossing may lie past the period's end
-    while edge[0] >= TWO_PI:
-        for i in range(count):
-            edge[i] -= TWO_PI
-    edge[count] = edge[0] + TWO_PI
+    while table[base] >= TWO_PI:
+        for k in range(count):
+            table[base + row * k] -= TWO_PI
+    for k in range(row):
+        table[end + k] = table[base + k]
+    table[end] += TWO_PI
     return count // 2
 
 

@@ -265,14 +265,8 @@ class Projected(Protocol):
 class ToneProbe(Protocol):
     """The time intervals and frequencies at which plate tones were measured; projects a mode's motion on them.
 
-    Attributes
-    ----------
-    first
-        Where each step's intervals begin in ``span_s``, and where the last ends, (m + 1,).
-    span_s
-        Intervals of time, in order within a step, (r, 2).
-    omega_radps
-        Angular frequencies, (m, l).
+    ``span_s`` (r, 2) are intervals of time, in order within a step, which begin at ``first`` (m + 1,), where the last
+    ends, too; ``omega_radps`` (m, l) angular frequencies.
     """
 
     @property

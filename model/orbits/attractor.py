@@ -1,8 +1,7 @@
 """What a ball does in the long run at one gamma: cycles, chaos, coexisting attractors.
 
 A cycle with a reset is closed exactly (the threshold repeats); a locked cycle is the root of its
-own equation (Newton) and stable by its multiplier; what is neither within `MAX_FLIGHTS` flights is called chaotic, and
-its exponent is measured.
+own equation (Newton) and stable by its multiplier; what is neither within `MAX_FLIGHTS` flights is called chaotic.
 """
 
 from __future__ import annotations
@@ -41,33 +40,16 @@ class State:
 
 @dataclass(frozen=True)
 class Path:
-    """Flights one after another, arrays of equal length.
+    """Flights one after another, arrays of equal length."""
 
-    Parameters
-    ----------
-    tau, phase, speed
-        Flight time, folded take-off phase, impact speed relative to the plate (1/w, radians, g/w).
-    slope
-        Factor by which the flight stretches a small shift in phase (0 after a reset); NaN where not known.
-    reset
-        Flights that start from rest.
-    chatter
-        Flights that are bounces of a completed chatter.
-    first, periods
-        Where the cycle starts and its length in forcing periods; ``first = -1`` when nothing repeated.
-    last
-        State after the last flight.
-    """
-
-    tau: Floats
-    phase: Floats
-    speed: Floats
-    slope: Floats
-    reset: Bools
-    chatter: Bools
-    first: int
-    periods: int
-    last: State
+    tau: Floats  # flight times, 1/w
+    phase: Floats  # of take-offs, folded, radians
+    speed: Floats  # of impacts, relative to the plate, g/w
+    reset: Bools  # flights that start from rest
+    chatter: Bools  # flights that are bounces of a completed chatter
+    first: int  # where the cycle starts; -1 when nothing repeated
+    periods: int  # its length in forcing periods
+    last: State  # after the last flight
 
 
 @dataclass(frozen=True)
@@ -95,39 +77,19 @@ def locked_cycle(flights: Floats, periods: int, multipliers: Iterable[complex]) 
 
 @dataclass(frozen=True)
 class Attractor:
-    """Where an orbit ends.
+    """Where an orbit ends."""
 
-    Parameters
-    ----------
-    kind
-        ``chattering``: a cycle in which an infinity of ever smaller bounces ends in rest.
-    period
-        In forcing periods; None when chaotic.
-    flights, resets
-        Of one cycle; `resets` of them start from rest. Chaotic: of the flights shown.
-    locked
-        A cycle that never sticks.
-    tau, phase, speed
-        One cycle, from the reset flight on where there is one; the last `CHAOS_SHOWN` flights when chaotic.
-    multiplier
-        Floquet multiplier: 0 with a reset, None when chaotic.
-    exponent
-        Lyapunov exponent per flight; None with a reset (minus infinity) or where unknown.
-    last
-        The state in which it was left, from which a sweep goes on.
-    """
-
-    kind: Kind
-    period: int | None
-    flights: int
-    resets: int
-    locked: bool
-    tau: Floats
-    phase: Floats
-    speed: Floats
-    multiplier: float | None
-    exponent: float | None
-    last: State
+    kind: Kind  # ``chattering``: a cycle in which an infinity of ever smaller bounces ends in rest
+    period: int | None  # in forcing periods; None when chaotic
+    flights: int  # of one cycle; chaotic: those shown
+    resets: int  # how many of them start from rest
+    locked: bool  # a cycle that never sticks
+    # one cycle, from the reset flight on where there is one; the last `CHAOS_SHOWN` flights when chaotic
+    tau: Floats  # flight times, 1/w
+    phase: Floats  # of take-offs, radians
+    speed: Floats  # of impacts, g/w
+    multiplier: float | None  # Floquet's: 0 with a reset, None when chaotic
+    last: State  # in which it was left, from which a sweep goes on
 
     @property
     def label(self) -> str:
@@ -167,35 +129,27 @@ def attractor(ball: Ball, gamma: float, start: State = AT_REST, max_flights: int
     for flights in sorted({min(FEW_FLIGHTS, max_flights), max_flights}):
         path = ball.fly(gamma, start, flights)
         if path.tau.size == 0:
-            return Attractor("periodic", 1, 0, 0, False, none, none, none, 0.0, None, path.last)
+            return Attractor("periodic", 1, 0, 0, False, none, none, none, 0.0, path.last)
         if path.first >= 0:
-            cycle = slice(path.first, None)
-            reset = path.reset[cycle]
+            repeated = slice(path.first, None)
+            reset = path.reset[repeated]
             # several resets: begin at the one with the smallest phase, so that the order does not depend on the start
             starts = np.flatnonzero(reset)
-            shift = -int(starts[np.argmin(np.mod(path.phase[cycle][starts], TWO_PI))])
-            tau, phase, speed = (np.roll(x[cycle], shift) for x in (path.tau, path.phase, path.speed))
+            shift = -int(starts[np.argmin(np.mod(path.phase[repeated][starts], TWO_PI))])
+            tau, phase, speed = (np.roll(x[repeated], shift) for x in (path.tau, path.phase, path.speed))
             phase, resets = np.mod(phase, TWO_PI), int(reset.sum())
-            kind: Kind = "chattering" if bool(path.chatter[cycle].any()) else "periodic"
+            kind: Kind = "chattering" if bool(path.chatter[repeated].any()) else "periodic"
             # a reset forgets where the ball came from: no shift survives it, the multiplier is 0
-            return Attractor(kind, path.periods, tau.size, resets, False, tau, phase, speed, 0.0, None, path.last)
-        tail = _locked(ball, gamma, path)
-        if tail is not None:
-            break
-    if tail is not None:
-        n = tail.tau.size
-        exponent = math.log(abs(tail.multiplier)) / n if tail.multiplier else None
-        return Attractor(
-            "periodic", tail.periods, n, 0, True, tail.tau, tail.phase, tail.speed, tail.multiplier, exponent, path.last
-        )
+            return Attractor(kind, path.periods, tau.size, resets, False, tau, phase, speed, 0.0, path.last)
+        cycle = _locked(ball, gamma, path)
+        if cycle is not None:
+            return Attractor(
+                "periodic", cycle.periods, cycle.tau.size, 0, True, cycle.tau, cycle.phase, cycle.speed,
+                cycle.multiplier, path.last,
+            )  # fmt: skip
     tau, phase, speed = (x[-CHAOS_SHOWN:] for x in (path.tau, path.phase, path.speed))
     resets = int(path.reset[-CHAOS_SHOWN:].sum())
-    # Lyapunov's exponent: the mean of log|slope|, without the first quarter, which is on its way to the attractor
-    slope = path.slope[path.slope.size // 4 :]
-    with np.errstate(divide="ignore"):
-        growth = float(np.mean(np.log(np.abs(slope)))) if slope.size else math.nan
-    exponent = growth if math.isfinite(growth) else None
-    return Attractor("chaotic", None, tau.size, resets, False, tau, phase, speed, None, exponent, path.last)
+    return Attractor("chaotic", None, tau.size, resets, False, tau, phase, speed, None, path.last)
 
 
 def _locked(ball: Ball, gamma: float, path: Path) -> LockedCycle | None:

@@ -53,8 +53,7 @@ class Flown(NamedTuple):
 
 def room_for(n: int) -> Flown:
     """Arrays to be filled, for ``n`` flights."""
-    numbers, integers = np.zeros((3, n)), np.zeros((3, n), dtype=np.int64)
-    return Flown(numbers[0], numbers[1], numbers[2], integers[0], integers[1], integers[2])
+    return Flown(*np.zeros((3, n)), *np.zeros((3, n), dtype=np.int64))
 
 
 @compiled

@@ -101,12 +101,7 @@ class ExactBall:
         if flown.tau.size == 0:
             return resting(last)
         resets, chatters = flown.threshold >= 0, (flown.mark & CHATTERS) > 0
-        slope = self._slopes(gamma, flown)
-        return Path(flown.tau, flown.phase, flown.speed, slope, resets, chatters, first, periods, last)
-
-    def _slopes(self, gamma: float, flown: Flown) -> Floats:
-        """How each flight stretches a small shift of its take-off's phase; NaN where one number does not tell it."""
-        return np.full(flown.tau.size, math.nan)
+        return Path(flown.tau, flown.phase, flown.speed, resets, chatters, first, periods, last)
 
     def itinerary(self, gamma: float, max_flights: int) -> Itinerary:
         """Where the orbit from rest at ``gamma`` goes until it closes."""
@@ -164,13 +159,6 @@ class IdealBall(ExactBall):
 
     cycles: ClassVar[Cycles] = IDEAL
 
-    def _slopes(self, gamma: float, flown: Flown) -> Floats:
-        """``d landing / d take-off = -tau h''(take-off) / impact speed``; 0 at a threshold, where h'' vanishes."""
-        h2 = gamma * _q(self.forcing, flown.phase) - 1.0
-        h2[flown.threshold >= 0] = 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(-flown.tau * h2 / flown.speed)
-
 
 @dataclass(frozen=True)
 class FrictionBall(ExactBall):
@@ -219,7 +207,7 @@ def resting(start: State) -> Path:
     """No flights at all."""
     none = np.empty(0)
     no = np.empty(0, dtype=bool)
-    return Path(none, none, none, none, no, no, -1, 0, State(start.phase))
+    return Path(none, none, none, no, no, -1, 0, State(start.phase))
 
 
 def _q(forcing: Forcing, phase: Floats) -> Floats:

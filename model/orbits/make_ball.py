@@ -108,7 +108,6 @@ class IntegratedBall:
             (landing - takeoff)[done],
             phase[done],
             found.impact_mps[done] / speed_unit,
-            np.full(stop, math.nan),
             reset[done],
             chatter[done],
             first,

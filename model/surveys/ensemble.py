@@ -144,14 +144,8 @@ def run(
 ) -> None:
     """Fly all points of ``job`` into the HDF5 file ``path``; a file begun by the same job is continued.
 
-    Raises `InputError` for a job that cannot be computed, or a file that belongs to another job.
-
-    Parameters
-    ----------
-    workers
-        Processes; 1 computes in this one.
-    cluster
-        Address of a Dask scheduler (``tcp://host:port``), or ``"local"`` for one of ``workers`` processes here.
+    ``workers`` and ``cluster`` are as of `model.surveys.workers.outcomes`. Raises `InputError` for a job that cannot be
+    computed, or a file that belongs to another job.
     """
     check(job)
     # fewer points where flights are long: between chunks progress is shown and a stop is possible

@@ -114,18 +114,10 @@ class StatusReader:
 
 
 class GatedBackend:
-    """A back end whose drive passes through a gate; everything but the heartbeats is the back end's.
+    """A back end ``inner`` whose drive passes through a gate; everything but the heartbeats is the back end's.
 
-    Parameters
-    ----------
-    inner
-        Plays and records. Its looped-back drive is taken before the gate.
-    opener
-        Opens the gate's port; its reads do not wait.
-    limits
-        What the gate is armed with.
-    clock
-        The machine's, or that of a simulation.
+    Its looped-back drive is taken before the gate. ``opener`` opens the gate's port, whose reads do not wait; the gate
+    is armed with ``limits``. A simulation has a ``clock`` of its own.
     """
 
     def __init__(self, inner: Backend, opener: Callable[[], Port], limits: GateLimits, clock: Clock = SYSTEM) -> None:

@@ -7,6 +7,7 @@ run. Frames come behind the drive by what lies in the output buffer, and each bl
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import time
 from collections.abc import Mapping
@@ -27,26 +28,13 @@ FULL = 32767
 
 
 class NiDaqmxBackend:
-    """One NI device.
+    """One NI device, which must be able to sample at exactly ``rate_hz``.
+
+    ``terminals`` are inputs by channel name, as ``{"continuity": "Dev1/ai0", ...}``, in the order of a frame's columns,
+    ``ranges_v`` their full scales; ``output`` is as ``Dev1/ao0``. ``lead_s`` of drive is held in the output buffer: the
+    interlock sees the plate so much later. ``daqmx`` is the package `nidaqmx`; a test hands in one of its own.
 
     Raises `BackendError` when the package, the driver or the device is missing, or the device cannot do what is asked.
-
-    Parameters
-    ----------
-    rate_hz
-        Samples a second; the device must be able to do it exactly.
-    terminals
-        Input by channel name, as ``{"continuity": "Dev1/ai0", ...}``, in the order of a frame's columns.
-    ranges_v
-        Full scale asked for, by channel name.
-    output
-        Where the drive goes, as ``Dev1/ao0``.
-    drive_range_v
-        Full scale of the output.
-    lead_s
-        Drive held in the output buffer; the interlock sees the plate so much later.
-    daqmx
-        The package `nidaqmx`; a test hands in one of its own.
     """
 
     name = "nidaqmx"
@@ -64,7 +52,14 @@ class NiDaqmxBackend:
         lead_s: float = 0.02,
         daqmx: Any = None,
     ) -> None:
-        self._nidaqmx = _package() if daqmx is None else daqmx
+        try:
+            self._nidaqmx = importlib.import_module("nidaqmx") if daqmx is None else daqmx
+            for part in ("constants", "errors", "stream_readers", "stream_writers") if daqmx is None else ():
+                importlib.import_module(f"nidaqmx.{part}")
+        except ImportError as error:
+            raise BackendError(
+                "nidaqmx is not installed: pip install 'shakerbench[nidaqmx]', and NI's driver"
+            ) from error
         self.rate_hz = rate_hz
         self.channels = tuple(terminals)
         self._terminals, self._ranges_v = dict(terminals), dict(ranges_v)
@@ -127,27 +122,18 @@ class NiDaqmxBackend:
 
     def stop(self) -> None:
         """Let go of both tasks and put the output to 0 V; may be called at any time."""
-        was_open, self._inputs, inputs = self._outputs is not None, None, self._inputs
-        outputs, self._outputs = self._outputs, None
+        inputs, outputs, gone = self._inputs, self._outputs, self._nidaqmx.errors.Error
+        self._inputs = self._outputs = None
         for task in (inputs, outputs):
-            if task is not None:
-                self._quietly(task.close)
-        if was_open:
-            self._quietly(self._to_zero)
-
-    def _to_zero(self) -> None:
-        """One sample of 0 V, unbuffered: a task that is closed leaves the output at its last voltage."""
-        with self._nidaqmx.Task() as task:
-            span_v = self._drive_range_v
-            task.ao_channels.add_ao_voltage_chan(self._output, min_val=-span_v, max_val=span_v)
-            task.write(0.0)
-
-    def _quietly(self, what: Any) -> None:
-        """Do it, though the device may be gone already."""
-        try:
-            what()
-        except self._nidaqmx.errors.Error:
-            return
+            with contextlib.suppress(gone):
+                if task is not None:
+                    task.close()
+        if outputs is not None:
+            # one sample of 0 V, unbuffered: a task that is closed leaves the output at its last voltage
+            with contextlib.suppress(gone), self._nidaqmx.Task() as task:
+                span_v = self._drive_range_v
+                task.ao_channels.add_ao_voltage_chan(self._output, min_val=-span_v, max_val=span_v)
+                task.write(0.0)
 
     def _input_task(self) -> Any:
         """A task with every input, in the order of the channels."""
@@ -196,14 +182,3 @@ def open_nidaqmx(profile: Profile, options: OpenOptions) -> NiDaqmxBackend:
         )
     except BackendError as error:
         raise InputError(str(error)) from error
-
-
-def _package() -> Any:
-    """`nidaqmx` with its driver, or what to install."""
-    try:
-        kit = importlib.import_module("nidaqmx")
-        for part in ("constants", "errors", "stream_readers", "stream_writers"):
-            importlib.import_module(f"nidaqmx.{part}")
-    except ImportError as error:
-        raise BackendError("nidaqmx is not installed: pip install 'shakerbench[nidaqmx]', and NI's driver") from error
-    return kit

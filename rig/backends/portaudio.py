@@ -131,29 +131,22 @@ def open_stream(
 
     Raises `BackendError` when there is no such card, or it refuses.
 
-    Parameters
-    ----------
-    device
-        A card's name, or words of it that fit only one card.
-    rate_hz
-        Frames a second.
-    output
-        The output that plays, from 1; those before it stay silent.
-    exchange
-        Called in the driver's thread: heard (n, n_inputs) or None, array (n,) to fill, the driver's count of frames
-        where it skips callbacks when it is late.
-    woke
-        Called after it, with `BlockFlag` bits that the driver claims.
+    ``device`` is a card's name, or words of it that fit only one card; ``output`` the one that plays, from 1 (those
+    before it stay silent). ``exchange`` is called in the driver's thread: heard (n, n_inputs) or None, array (n,) to
+    fill, the driver's count of frames where it skips callbacks when it is late; ``woke`` after it, with the `BlockFlag`
+    bits that the driver claims.
     """
     sounddevice = _scan()
     count: FrameCounter | None = None
     try:
         driver = sounddevice.query_hostapis(sounddevice.query_devices(device, "output")["hostapi"])["name"]
-        count = _counter(driver)
+        # only this driver leaves callbacks out, and says how many by a count of its own
+        count = _counter() if driver == JACK else None
 
         def duplex(heard: Samples | None, out: Samples, frames: int, times: Any, status: Any) -> None:
             exchange(heard, out[:, output - 1], count() if count is not None else None)
-            woke(_flags(status) if status else 0)
+            over = BlockFlag.OVERFLOW if status and status.input_overflow else 0
+            woke(int(over | (BlockFlag.UNDERFLOW if status and status.output_underflow else 0)))
 
         def simplex(out: Samples, frames: int, times: Any, status: Any) -> None:
             duplex(None, out, frames, times, status)
@@ -177,17 +170,8 @@ def open_stream(
     return CardStream(stream, count)
 
 
-def _flags(status: Any) -> int:
-    """The driver's claims as `BlockFlag` bits."""
-    over = BlockFlag.OVERFLOW if status.input_overflow else 0
-    under = BlockFlag.UNDERFLOW if status.output_underflow else 0
-    return int(over) | int(under)
-
-
-def _counter(driver: str) -> FrameCounter | None:
-    """What counts the frames of a driver that leaves callbacks out; None where none is needed, or cannot be had."""
-    if driver != JACK:
-        return None
+def _counter() -> FrameCounter:
+    """What counts the frames of JACK; raises `BackendError` where the package for it is missing."""
     try:
         return FrameCounter()
     except (ImportError, OSError) as error:

@@ -35,25 +35,9 @@ HELD_S = 60.0  # of frames that are not taken, before the reader gives up
 class SerialReader:
     """Drain a port in a thread of its own, and hand out frames by the device's counter.
 
-    Parameters
-    ----------
-    name
-        The port, for `opener` and for messages.
-    channels
-        Values in a row.
-    rate_hz
-        Nominal rate, for how much is held.
-    opener
-        How the port is opened; a test hands in one of its own.
-    clock
-        The machine's, or that of a simulation.
-
-    Attributes
-    ----------
-    newest : int
-        The device's counter after the last row that came.
-    position : int
-        The device's counter at the next row to be taken.
+    ``name`` is the port's for messages, ``channels`` the values in a row, ``rate_hz`` nominal, for how much is held; a
+    test or a simulation hands in its own ``opener`` of the port and ``clock``. ``newest`` is the device's counter after
+    the last row that came, ``position`` that at the next row to be taken.
     """
 
     def __init__(
@@ -181,18 +165,9 @@ class SerialReader:
 class SoundcardSerialBackend:
     """Drive through a card, frames from a serial device: two clocks, joined by the drive looped back into the device.
 
-    Parameters
-    ----------
-    card
-        Plays the drive; of its blocks only the flags are used.
-    reader
-        The serial device.
-    ranges_v
-        Full scale of each of its channels by name, in the order of its rows; ``drive`` must be one of them.
-    marker_v
-        Height of the start marker.
-    frequency_hz
-        Of the forcing.
+    Of the blocks of ``card`` only the flags are used. ``ranges_v`` are the full scales of the channels of the serial
+    device that ``reader`` reads, by name, in the order of its rows; ``drive`` must be one of them. ``marker_v`` is the
+    height of the start marker, ``frequency_hz`` that of the forcing.
     """
 
     name = "soundcard+serial"

@@ -6,7 +6,6 @@ as such; every bad verdict carries a remedy.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from daq.clocks.clock_sync import find_marker, start_marker
 from daq.files.tables import step_row
 from daq.instrument.instrument import examine
 from daq.lock_in import fit_tones
-from kernels.arrays import Floats
+from kernels.arrays import Complexes, Floats
 from rig.backends.base import Backend, running
 from rig.profile import Profile
 from rig.programme.ramp import Fade, PhaseClock, drive_amplitudes, forbidden, peaks, plan, synthesise
@@ -87,17 +86,7 @@ class Finding:
 
 
 class Check:
-    """The findings on one rig.
-
-    Parameters
-    ----------
-    profile
-        Description of the rig.
-    backend
-        Not yet started.
-    ask_tap
-        Called when the table is to be hit; without it there is no tap.
-    """
+    """The findings on one rig; ``ask_tap`` is called when the table is to be hit, without it there is no tap."""
 
     def __init__(self, profile: Profile, backend: Backend, ask_tap: Callable[[], None] | None = None) -> None:
         self._profile, self._backend, self._ask_tap = profile, backend, ask_tap
@@ -113,8 +102,7 @@ class Check:
             rest = self._rest(0.5)
             findings, delay = self._loopback()
             tone, quiet = self._tone(QUIET_PEAK, delay)
-            findings += self._motion(tone, quiet, delay)
-            findings += [*self._contact(rest), *self._instrument]
+            findings += [*self._motion(tone, quiet, delay), *self._contact(rest), *self._instrument]
             findings += self._noise(rest)
             findings += self._margins(quiet)
             if self._ask_tap is not None:
@@ -217,19 +205,18 @@ class Check:
         """Loop-back gain, and the accelerometer's answer to it."""
         profile = self._profile
         tones = [(m, abs(d)) for m, d in profile.forcing.displacement_tones()]
+        frequencies_hz = [m * profile.forcing.frequency_hz for m, _ in tones]
+        fitted = {
+            name: fit_tones(volts[hold], hold.start - delay, profile.sampling.rate_hz, frequencies_hz).amplitudes
+            for name, volts in heard.items()
+        }
         # the tone with the largest acceleration: m^2 times its displacement
         k = max(range(len(tones)), key=lambda i: tones[i][0] ** 2 * tones[i][1])
-        frequencies_hz = [m * profile.forcing.frequency_hz for m, _ in tones]
-        rate_hz = profile.sampling.rate_hz
-        loop, plate = (
-            fit_tones(heard[name][hold], hold.start - delay, rate_hz, frequencies_hz).amplitudes[k]
-            for name in ("drive", "accelerometer")
-        )
-        sent = drive_amplitudes(profile, QUIET_PEAK / self._per_g)[k]
+        loop, plate, sent = fitted["drive"][k], fitted["accelerometer"][k], self._sent[k]
         # what the coupling capacitor leaves of the tone
         passed = 1.0 / (1.0 - 1j * (profile.drive.highpass_hz or 0.0) / frequencies_hz[k])
         gain = abs(loop / (sent * passed))
-        exchanged = self._exchanged(hold, heard, delay, gain)
+        exchanged = self._exchanged(fitted, gain)
         if exchanged is not None:
             return [exchanged]
         remedy = "backend.output_range_v or the drive channel's range_v does not fit; measure both with a voltmeter"
@@ -260,16 +247,15 @@ class Check:
             ),
         ]  # fmt: skip
 
-    def _exchanged(self, hold: slice, heard: dict[str, Floats], delay: int, gain: float) -> Finding | None:
+    @property
+    def _sent(self) -> tuple[complex, ...]:
+        """Drive volts of each tone of the quiet one."""
+        return drive_amplitudes(self._profile, QUIET_PEAK / self._per_g)
+
+    def _exchanged(self, fitted: dict[str, Complexes], gain: float) -> Finding | None:
         """Inputs that read what another should: the drive as it was sent, or the plate's motion at the contact's."""
-        sent = drive_amplitudes(self._profile, QUIET_PEAK / self._per_g)
-        frequencies_hz = [m * self._profile.forcing.frequency_hz for m, _ in self._profile.forcing.displacement_tones()]
-        k = int(np.argmax(np.abs(sent)))
-        size = {
-            name: abs(fit_tones(volts[hold], hold.start - delay, self._profile.sampling.rate_hz, frequencies_hz)
-                      .amplitudes[k]) / abs(sent[k])
-            for name, volts in heard.items()
-        }  # fmt: skip
+        k = int(np.argmax(np.abs(self._sent)))
+        size = {name: abs(amplitudes[k]) / abs(self._sent[k]) for name, amplitudes in fitted.items()}
         scale = self._profile.drive.g_per_volt
         motion = abs(self._profile.channels.accelerometer.volts_per_mps2) * self._profile.g_mps2.value
         asked = motion * scale.value if scale is not None else 0.0  # accelerometer volts a volt of drive
@@ -325,7 +311,7 @@ class Check:
         step = step_row(
             {"first_sample": 0, "n_samples": n, "frequency_hz": forcing.frequency_hz, "ratio": forcing.ratio}
         )
-        read = {name: functools.partial(_part, volts) for name, volts in heard.items()}
+        read = {name: lambda start, stop, volts=volts: volts[start:stop] for name, volts in heard.items()}
         gaps = np.zeros((0, 2), np.int64)
         found = examine(read, n, profile.sampling.rate_hz, step, gaps, profile.setup())
         return [Finding("instrument", line, True) for line in found.in_words()]
@@ -373,8 +359,3 @@ class Check:
             # 3 dB are left for impacts, which a tone without a ball does not show
             findings.append(Finding(f"margin of {name}", seen, margin_db >= 3.0, remedy))
         return findings
-
-
-def _part(volts: Floats, start: int, stop: int) -> Floats:
-    """Samples of a channel that was heard."""
-    return volts[start:stop]

@@ -44,10 +44,7 @@ def achieved_gamma(setup: Setup, measured: Amplitudes) -> tuple[float, float]:
 class AmplitudeLoop:
     """Brings every step's tones to their target before it may hold.
 
-    Attributes
-    ----------
-    worst : float
-        Last judged error over tolerance, the largest of all tones in amplitude and phase; 1 is the edge.
+    ``worst`` is the last judged error over tolerance, the largest of all tones in amplitude and phase; 1 is the edge.
     """
 
     def __init__(self, profile: Profile, control: ControlTable) -> None:

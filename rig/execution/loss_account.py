@@ -29,21 +29,10 @@ from rig.programme.ramp import HighPass
 class LossAccount:
     """The losses of one run.
 
-    Parameters
-    ----------
-    profile
-        Rate and forcing; a replay loops nothing back that was played now, so its drive is not compared.
-    drive_column
-        Column of the looped-back drive in a frame.
-    scale
-        Its ``(volts_per_code, offset_v)``.
-    searcher
-        Runs the searches: at once, or in a thread for a device, which does not wait.
-
-    Attributes
-    ----------
-    lost_before : int
-        Samples known to be missing before the last block, when it came.
+    ``drive_column`` is that of the looped-back drive in a frame, ``scale`` its ``(volts_per_code, offset_v)``; a replay
+    loops nothing back that was played now, so its drive is not compared. ``searcher`` runs the searches: at once, or in
+    a thread for a device, which does not wait. ``lost_before`` samples were known to be missing before the last block,
+    when it came.
     """
 
     def __init__(
@@ -162,13 +151,7 @@ class LossAccount:
 
 
 class ClockLog:
-    """The clock tables of one run.
-
-    Attributes
-    ----------
-    rate : float
-        Played samples a frame, less one, by the last map; 0 before the first.
-    """
+    """The clock tables of one run; ``rate`` is played samples a frame, less one, by the last map (0 before it)."""
 
     def __init__(self, backend: TwoClocked) -> None:
         self.rate = 0.0

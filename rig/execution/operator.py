@@ -14,31 +14,17 @@ from rig.programme.sequencer import State, Stop
 class StopRequest:
     """What the operator asks of a run, by a signal, a page, a terminal or a test; the strongest stop counts.
 
-    Parameters
-    ----------
-    check
-        Raises `daq.setup.errors.InputError` for next steps that cannot be driven. None where nothing follows a run
-        but its end.
-
-    Attributes
-    ----------
-    wanted, why
-        The stop asked for, and the reason that the recording keeps.
-    then
-        What is to be driven after that stop; None where it is the end.
-    pause
-        Whether to pause at the end of the present step.
-    notes
-        Texts to record with the sample at which they are read; the run empties the list.
+    ``check`` raises `daq.setup.errors.InputError` for next steps that cannot be driven; None where nothing follows a
+    run but its end.
     """
 
     def __init__(self, check: Callable[[NextSteps], object] | None = None) -> None:
         self._check = check
-        self.wanted: Stop | None = None
-        self.why = ""
-        self.then: NextSteps | None = None
-        self.pause = False
-        self.notes: list[str] = []
+        self.wanted: Stop | None = None  # the stop asked for
+        self.why = ""  # its reason, which the recording keeps
+        self.then: NextSteps | None = None  # what is to be driven after that stop; None where it is the end
+        self.pause = False  # whether to pause at the end of the present step
+        self.notes: list[str] = []  # to record with the sample at which they are read; the run empties the list
 
     def ask(self, how: Stop, why: str, then: NextSteps | None = None) -> None:
         """Ask for a stop; a weaker request than the present one is ignored, of equal ones the last counts."""

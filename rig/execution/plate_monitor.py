@@ -58,17 +58,8 @@ class ToneMeter:
     Ringing after impacts is masked, always at the same part of the cycle. Where the ball's load bends the plate, the
     masked part differs from the rest: so the load's part in the motion is fitted, too, and put back there.
 
-    Parameters
-    ----------
-    setup
-        Forcing and rate.
-    window_cycles
-        Cycles of a window; the scatter from window to window is part of the uncertainty.
-
-    Attributes
-    ----------
-    windows : list of Amplitudes
-        The windows completed.
+    ``windows`` are those completed, of ``window_cycles`` each; the scatter from one to the next is part of the
+    uncertainty.
     """
 
     def __init__(self, setup: Setup, window_cycles: int) -> None:

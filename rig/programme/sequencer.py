@@ -82,33 +82,9 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
 class Sequencer:
     """Drive samples of a programme, a block at a time.
 
-    Parameters
-    ----------
-    programme
-        The steps.
-    setup
-        Forcing and drive scale.
-    amplitudes
-        Complex drive volts of each tone for a gamma; `rig.programme.ramp.drive_amplitudes` where nothing better is
-        known.
-    controlled
-        Whether a step settles until `settled` is called, instead of for its planned cycles.
-
-    Attributes
-    ----------
-    state : State
-    position : int
-        Index of the next sample to be made.
-    step : Step
-        The step under way (the last one when stopping).
-    marks : list of Step
-        Steps begun (as planned) and ended (with the samples they really had) since the caller last emptied the list.
-    given_up : bool
-        Whether a pause was not ended for `LONGEST_PAUSE_S`, and ended the run.
-    fades : list of Fade
-        Changes of the drive's amplitudes since the caller last emptied the list; together they are the drive.
-    steering : bool
-        Whether every change is one that `steer` asked for, and the programme's own are only planned.
+    ``amplitudes`` gives complex drive volts of each tone for a gamma; `rig.programme.ramp.drive_amplitudes` does where
+    nothing better is known. Where it is ``controlled`` a step settles until `settled` is called, instead of for its
+    planned cycles.
     """
 
     def __init__(
@@ -121,18 +97,20 @@ class Sequencer:
     ) -> None:
         self.programme = programme
         self.state = State.FADING
-        self.position = 0
-        self.step = programme.steps[0]
+        self.position = 0  # index of the next sample to be made
+        self.step = programme.steps[0]  # the one under way, the last one when stopping
+        # steps begun, as planned, and ended, with the samples they really had, since the caller last emptied the list
         self.marks: list[Step] = []
         self._amplitudes = amplitudes or partial(drive_amplitudes, setup)
         self._controlled = controlled
         self._multiples = tuple(m for m, _ in setup.forcing.displacement_tones())
         self._zero = tuple(0j for _ in self._multiples)
+        # given up: a pause was not ended for `LONGEST_PAUSE_S`, and ended the run
         self._finish_step = self._pausing = self.given_up = False
         self._planned = self._fade = Fade(0, self.step.fade_samples, self._zero, self._amplitudes(self.step.gamma))
         self._steered: Fade | None = None
-        self.steering = False
-        self.fades = [self._fade]
+        self.steering = False  # whether every change is one that `steer` asked for, and the programme's own are planned
+        self.fades = [self._fade]  # changes of the drive since the caller last emptied it; together they are the drive
         self._until = self.step.fade_samples
 
     @property

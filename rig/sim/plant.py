@@ -184,26 +184,9 @@ def _run(
 class Plant:
     """A simulated rig with one hidden scenario.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What the rig hides.
-    rate_hz : float
-        Sampling rate of drive and channels.
-    rng : numpy.random.Generator
-        Source of the sensors' noise and of random contact bounce.
-    further : collection of str
-        Channels beyond the first three of `CHANNELS` that are recorded; names that it lacks are left out.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Names of the columns that `exchange` returns.
-    rate_hz : float
-    channel_scales : dict of str to float
-        Volts per code of each channel.
-    scenario_sha256 : str
-        All that a recording may know of the scenario.
+    ``rng`` gives the sensors' noise and random contact bounce. Of `CHANNELS` the first three are recorded, and those
+    named in ``further``; ``channels`` are the columns that `exchange` returns, ``channel_scales`` volts per code of
+    each. ``scenario_sha256`` is all that a recording may know of the scenario.
     """
 
     def __init__(

@@ -111,16 +111,8 @@ def _turned(x: int, bits: int) -> int:
 class FrameFile:
     """Read a frames file, finished or not; only acknowledged blocks count.
 
-    Raises `InputError` when a table is none, or claims more than the file holds.
-
-    Parameters
-    ----------
-    file
-        Open HDF5 file that holds `FRAMES`.
-    path
-        Its name, for errors.
-    without
-        Tables that cannot be read: they are taken as empty.
+    ``file`` is open and holds `FRAMES`; the tables ``without`` cannot be read and are taken as empty. Raises
+    `InputError` when a table is none, or claims more than the file holds.
     """
 
     def __init__(self, file: Any, path: Path, without: Sequence[str] = ()) -> None:

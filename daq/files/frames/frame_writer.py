@@ -104,12 +104,8 @@ class FrameWriter:
     def append(self, *blocks: Block) -> None:
         """Write blocks that follow each other; when this returns they survive the end of the process.
 
-        Raises
-        ------
-        ValueError
-            When a block does not follow the one before, or has another number of channels.
-        OSError
-            When the disk refuses, or the file was removed; what was acknowledged before stays.
+        Raises `ValueError` when a block does not follow the one before, or has another number of channels; `OSError`
+        when the disk refuses, or the file was removed: what was acknowledged before stays.
         """
         expected = self.n_samples
         for block in blocks:

@@ -14,7 +14,7 @@ import numpy as np
 
 from kernels.arrays import Floats
 from kernels.lanes import ROW, WIDTH, any_of, floor, gather, load, root, select, size, spread, store
-from model.flight.branches import TWO_PI
+from model.flight.branches import TWO_PI, arrange
 from model.flight.lanes.plate_lanes import plate
 from model.flight.numerics import Number, compiled, inlined, sincos
 
@@ -97,41 +97,15 @@ def fill_tables(tones: Floats, turning: Floats, gammas: Floats, table: Floats, w
                 store(found, (FOUND * i) * WIDTH, spread(math.nan))
         for lane in range(WIDTH):
             base = (start + lane) * stride
-            windows[start + lane] = _arrange(found, lane, m, table, base)
-
-
-@inlined
-def _arrange(found: Floats, lane: int, m: int, table: Floats, base: int) -> int:
-    """One lane's edges in order, a window's start first."""
-    count = 0
-    shift = False
-    for i in range(m):
-        x = found[FOUND * i * WIDTH + lane]
-        if x == x:
-            if count == 0 and found[(FOUND * i + TABLE) * WIDTH + lane] == 0.0:
-                shift = True
-            for k in range(TABLE):
-                table[base + TABLE * count + k] = found[(FOUND * i + k) * WIDTH + lane]
-            count += 1
-    # two turning points equal to rounding disagree about a touch: no window
-    if count % 2 == 1:
-        count -= 1
-    if count == 0:
-        return 0
-    end = base + TABLE * count
-    if shift:
-        for k in range(TABLE):
-            table[end + k] = table[base + k]  # there is room for one edge more
-        for k in range(TABLE * count):
-            table[base + k] = table[base + k + TABLE]
-        table[end - TABLE] += TWO_PI
-    while table[base] >= TWO_PI:
-        for k in range(count):
-            table[base + TABLE * k] -= TWO_PI
-    for k in range(TABLE):
-        table[end + k] = table[base + k]
-    table[end] += TWO_PI
-    return count // 2
+            count, shift = 0, False
+            for i in range(m):
+                x = found[FOUND * i * WIDTH + lane]
+                if x == x:
+                    shift = shift or (count == 0 and found[(FOUND * i + TABLE) * WIDTH + lane] == 0.0)
+                    for k in range(TABLE):
+                        table[base + TABLE * count + k] = found[(FOUND * i + k) * WIDTH + lane]
+                    count += 1
+            windows[start + lane] = arrange(table, base, TABLE, count, shift)
 
 
 @inlined

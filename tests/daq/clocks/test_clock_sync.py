@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.clocks.clock_sync import ClockTracker, find_marker, fit_clock, played_s, start_marker, window_samples
+from daq.clocks.clock_sync import ClockTracker, find_marker, fit_clock, start_marker, window_samples
 from daq.files.tables import CLOCK_DTYPE
+from tests.fakes.played_time import played_s
 
 RATE = 20000.0
 LATENCY = 311.37

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from benchmarks.daq import hostile_recordings
 from daq.files.frames.marked_frames import MAGIC
-from daq.files.seal import FOOTER, Seal, mended, read_seal, text_crc
+from daq.files.seal import FOOTER, Seal, read_seal, text_crc
 from daq.files.tables import BLOCK_DTYPE, STEP_DTYPE, Holes
 from daq.recording import CHANNELS, Block, open_recording, verify
 from daq.recording.opening import in_subprocess
@@ -67,22 +67,6 @@ def extent(path: Path, column: str, first: int) -> np.void:
     seal = seal_of(path)
     rows = seal.extents
     return rows[(rows["column"] == seal.columns.index(column)) & (rows["first_sample"] == first)][0]
-
-
-@given(data=st.binary(min_size=1, max_size=300), place=st.integers(0, 299), difference=st.integers(1, 255))
-def test_one_changed_byte_is_put_right_by_its_checksum(data: bytes, place: int, difference: int) -> None:
-    """Whatever byte changes, and how: the CRC-32 of what was written finds the place and the value."""
-    place %= len(data)
-    changed = data[:place] + bytes([data[place] ^ difference]) + data[place + 1 :]
-    assert mended(changed, len(data), zlib.crc32(data)) == data
-
-
-def test_more_than_one_changed_byte_is_not_guessed() -> None:
-    """Two changed bytes, or a length that differs, are left as damage."""
-    data = np.random.default_rng(1).bytes(500)
-    changed = bytes([data[0] ^ 1]) + data[1:-1] + bytes([data[-1] ^ 1])
-    assert mended(changed, len(data), zlib.crc32(data)) == b""
-    assert mended(data[:-1], len(data), zlib.crc32(data)) == b""
 
 
 def test_the_seal_covers_every_byte(run: tuple[Path, np.ndarray]) -> None:

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from bench.profiles.find import load
-from daq.clocks.clock_sync import played_s
 from daq.clocks.serial_frames import SerialFrame, encode_frame
 from daq.files.tables import Block, BlockFlag, volts_per_code
 from daq.recording import open_recording, verify
@@ -28,6 +27,7 @@ from rig.execution.run import run_ramp
 from rig.profile import Profile, parse_profile
 from rig.sim.scenario import Scenario
 from rig.virtual import SerialDevice
+from tests.fakes.played_time import played_s
 from tests.fakes.serial_loopback import WiredCard, WiredPort
 
 RATE = 20000.0
