@@ -6,9 +6,11 @@ written, read back and found right; one rename then puts it in their place. Deci
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -22,13 +24,13 @@ from daq.files.frames.frame_file import FrameFile
 from daq.files.frames.frame_writer import FrameWriter
 from daq.files.seal import Checked
 from daq.files.tables import Block, BlockFlag, volts_per_code
-from daq.recording.live_columns import LiveColumns
 from daq.recording.opening import open_checked
-from daq.recording.reader import Recording
+from daq.recording.reader import Recording, gaps_of, timestamps_ns
 from daq.setup.clock import SYSTEM, Clock, now_utc
 from daq.setup.errors import InputError
 from daq.setup.provenance import software_commit, software_version
 from daq.setup.setup import Setup
+from kernels.arrays import Integers
 
 RESERVE_BYTES = 8_000_000
 Ending = Literal["complete", "stopped", "failed"]
@@ -80,6 +82,91 @@ class ClosedRun(Closing):
             self.close("stopped" if isinstance(error, KeyboardInterrupt) else "failed", repr(error))
 
 
+class LiveColumns:
+    """Columns written in addition to the frames while a run lasts, so that closing it has little left to do.
+
+    They are a shortcut and no part of what makes a recording safe: the frames are written first and stay until the end.
+    Where the columns meet anything unexpected (no room to spare, a disk that refuses, samples that are not those of the
+    frames file) they are dropped, and closing writes them from the frames. ``begin`` makes the column file, when the
+    first chunk is full: a short run has none. Decision 190.
+    """
+
+    def __init__(
+        self, begin: Callable[[], ColumnWriter], channels: Sequence[str], rate_hz: float, expected_samples: int
+    ) -> None:
+        self._begin, self._channels, self._rate_hz, self._expected = begin, channels, rate_hz, expected_samples
+        self._columns: ColumnWriter | None = None
+        self._waiting: NDArray[np.int16] = np.empty((CHUNK_SAMPLES, len(channels)), np.int16)
+        self._n_waiting = 0
+        self._n_samples = 0
+        self._gaps: list[tuple[int, int]] = []
+        self._dropped = False
+
+    def append(self, *blocks: Block) -> None:
+        """Take blocks whose frames are safe; never raises for what the disk refuses."""
+        for block in blocks:
+            if block.lost_before > 0:
+                self._gaps.append((block.first_sample, block.lost_before))
+            rest = block.codes
+            while len(rest) and not self._dropped:
+                n = min(len(rest), CHUNK_SAMPLES - self._n_waiting)
+                self._waiting[self._n_waiting : self._n_waiting + n] = rest[:n]
+                self._n_waiting, rest = self._n_waiting + n, rest[n:]
+                if self._n_waiting == CHUNK_SAMPLES:
+                    self._write()
+
+    def _write(self) -> None:
+        """Hand what waits to the column file; drop that where it cannot be."""
+        start, stop = self._n_samples, self._n_samples + self._n_waiting
+        stamps = timestamps_ns(start, stop, self._rate_hz, self._gap_rows())
+        try:
+            if self._columns is None:
+                self._columns = self._begin()
+            spare = RESERVE_BYTES + 2 * len(self._channels) * max(self._expected - stop, 0)
+            if shutil.disk_usage(self._columns.part.parent).free < spare:
+                self.drop()  # what is more important needs the room
+                return
+            waiting = self._waiting[: self._n_waiting]
+            self._columns.append(stamps, {name: waiting[:, i] for i, name in enumerate(self._channels)})
+        except (OSError, RuntimeError, InputError):
+            self.drop()
+            return
+        self._n_samples, self._n_waiting = stop, 0
+
+    def _gap_rows(self) -> Integers:
+        return np.array(self._gaps, np.int64).reshape(-1, 2)
+
+    def drop(self) -> None:
+        """Remove the unfinished file, if there is one and it can be; whatever comes is passed over."""
+        self._dropped, self._n_waiting = True, 0
+        columns, self._columns = self._columns, None
+        if columns is not None:
+            with contextlib.suppress(OSError, RuntimeError):  # a file that cannot be removed is written over at the end
+                columns.abandon()
+
+    def finish(self, recording: Recording, attributes: dict[str, Any]) -> ColumnWriter | None:
+        """The column file of a run that has ended, whole and checked; None where the frames must be asked.
+
+        ``recording`` is the closed frames file: its tables are taken, its samples must be those that came.
+        """
+        frames = recording.frames
+        came = self._n_samples + self._n_waiting  # samples that the columns were given
+        whole = frames is not None and not frames.faults and not frames.lost and frames.n_samples == came
+        if self._columns is None or not whole or not np.array_equal(gaps_of(recording.blocks), self._gap_rows()):
+            self.drop()
+            return None
+        self._write()
+        columns = self._columns
+        try:
+            if columns is not None:
+                columns.check(recording.steps, recording.blocks, recording.side, **attributes)
+        except (OSError, RuntimeError):
+            self.drop()
+            return None
+        self._columns = None
+        return columns
+
+
 class RecordingWriter(ClosedRun):
     """Record one run; raises `InputError` when ``path`` exists, its folder does not, or the disk is too full.
 
@@ -124,15 +211,9 @@ class RecordingWriter(ClosedRun):
         }
         self._frames = FrameWriter(self.path, channels, attributes)
 
-        def columns() -> ColumnWriter:
-            return ColumnWriter(
-                self.path, setup, dict.fromkeys(channels, np.dtype("<i2")), known, attributes, overwrite=True
-            )
-
-        def spare_bytes(n_samples: int) -> int:
-            return RESERVE_BYTES + 2 * len(channels) * max(expected_samples - n_samples, 0)
-
-        self._live = LiveColumns(columns, channels, setup.sampling.rate_hz, spare_bytes)
+        dtypes = dict.fromkeys(channels, np.dtype("<i2"))
+        begin = partial(ColumnWriter, self.path, setup, dtypes, known, attributes, overwrite=True)
+        self._live = LiveColumns(begin, channels, setup.sampling.rate_hz, expected_samples)
 
     @property
     def is_open(self) -> bool:

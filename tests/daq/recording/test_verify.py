@@ -105,9 +105,9 @@ def test_only_a_file_that_is_written_is_waited_for(
     tmp_path: Path, setup: Setup, monkeypatch: pytest.MonkeyPatch, is_written: bool, readings: list[bool]
 ) -> None:
     """A damaged file that was cut off is read once, as if it had ended; one that changes meanwhile is read again."""
-    record(tmp_path / "running.h5", setup)
+    running = record(tmp_path / "running.h5", setup)
     path = tmp_path / "a.h5"
-    path.write_bytes((tmp_path / "running.h5").read_bytes())
+    path.write_bytes(running.path.read_bytes())
     with h5py.File(as_if_ended(path), "r") as file:
         at = h5py.h5o.get_info(file[FRAME_STEPS].id).addr
     with path.open("r+b") as raw:
