@@ -41,12 +41,9 @@ ENTRY_POINTS = "shakerbench.effects"
 def registry() -> tuple[Registered, ...]:
     """All effects in alphabetical order, with their places in the row of all parameters.
 
-    Raises
-    ------
-    EffectFileError
-        A `ValueError`: for a file without ``EFFECT``, a name that is not its file's or is taken, an unknown hook, an
-        effect without hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not
-        exist.
+    Raises `EffectFileError` for a file without ``EFFECT``, a name that is not its file's or is taken, an unknown hook,
+    an effect without hooks, and names in ``variants``, ``tied``, ``special_cases`` or ``confused_with`` that do not
+    exist.
     """
     found: dict[str, tuple[Effect, str, dict[str, Any]]] = {}
     for module in _modules():

@@ -49,16 +49,14 @@ class IntegratedBall:
         """Whether an impact can throw it back."""
         return "restitution" in self.effects
 
-    def _check(self, gamma: float) -> None:
-        """Refuse a gamma at which a flight may be longer than the integration follows it."""
-        if not gamma <= self._most_gamma:
+    def _simulate(self, gamma: float, phase: float, launch: float, flights: int) -> one_step.Orbit:
+        n, b, _ = self.forcing.tones.T
+        most = 0.5 * TWO_PI * LONGEST_PERIODS / float(np.sum(n * b))
+        if not gamma <= most:
             raise InputError(
                 f"gamma = {gamma:g}: with these effects a flight is followed for {LONGEST_PERIODS:g} periods of the "
-                f"forcing, which is enough up to gamma = {self._most_gamma:.4g} on this plate"
+                f"forcing, which is enough up to gamma = {most:.4g} on this plate"
             )
-
-    def _simulate(self, gamma: float, phase: float, launch: float, flights: int) -> one_step.Orbit:
-        self._check(gamma)
         w = self.omega_radps
         tones = self._tones * (1.0, gamma, gamma)
         # the kernel starts at an impact: the speed v whose rebound e0 v - e1 v^2 is the launch
@@ -70,11 +68,6 @@ class IntegratedBall:
             impact = launch / e0 if e1 == 0.0 else (e0 - math.sqrt(max(root, 0.0))) / (2.0 * e1)
         start = (phase / w, impact * self.g_mps2 / w)
         return one_step.flown(self._law, tones, 1.0 / self.frequency_hz, flights, start)
-
-    @cached_property
-    def _most_gamma(self) -> float:
-        n, b, _ = self.forcing.tones.T
-        return 0.5 * TWO_PI * LONGEST_PERIODS / float(np.sum(n * b))
 
     @cached_property
     def _law(self) -> Law:

@@ -22,36 +22,20 @@ class BackendError(RuntimeError):
 
 
 class Backend(Protocol):
-    """A device that plays drive samples and records channels on one clock.
-
-    Attributes
-    ----------
-    name
-        The kind, as ``[backend] kind`` has it.
-    simulated
-        Whether no real plate moves.
-    channels
-        Names, in the order of a frame's columns.
-    scales
-        ``(volts_per_code, offset_v)`` by channel name.
-    rate_hz
-        Samples a second, of drive and frames alike.
-    scenario_sha256
-        Fingerprint of what the simulated rig was given; None for a device.
-    """
+    """A device that plays drive samples and records channels on one clock."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str: ...  # the kind, as ``[backend] kind`` has it
     @property
-    def simulated(self) -> bool: ...
+    def simulated(self) -> bool: ...  # whether no real plate moves
     @property
-    def channels(self) -> tuple[str, ...]: ...
+    def channels(self) -> tuple[str, ...]: ...  # names, in the order of a frame's columns
     @property
-    def scales(self) -> Mapping[str, tuple[float, float]]: ...
+    def scales(self) -> Mapping[str, tuple[float, float]]: ...  # ``(volts_per_code, offset_v)`` by channel name
     @property
-    def rate_hz(self) -> float: ...
+    def rate_hz(self) -> float: ...  # samples a second, of drive and frames alike
     @property
-    def scenario_sha256(self) -> str | None: ...
+    def scenario_sha256(self) -> str | None: ...  # of what the simulated rig was given; None for a device
 
     def start(self) -> None:
         """Open the device; the drive is at 0 V afterwards. Raises `BackendError`."""
@@ -59,12 +43,8 @@ class Backend(Protocol):
     def exchange(self, drive_v: Floats) -> Block:
         """Play ``drive_v`` (n,) and return n frames: same order, indices without holes, losses declared in the block.
 
-        Raises
-        ------
-        BackendError
-            When the device failed, went away, or is not started.
-        ValueError
-            When ``drive_v`` is not one-dimensional, or holds something not finite.
+        Raises `BackendError` when the device failed, went away, or is not started, `ValueError` when ``drive_v`` is not
+        one-dimensional, or holds something not finite.
         """
 
     def stop(self) -> None:
