@@ -121,9 +121,8 @@ class Check:
         with running(self._backend):
             rest = self._rest(0.5)
             findings, delay = self._loopback()
-            tone, quiet = self._tone(QUIET_PEAK, delay)
-            findings += [one for one in self._motion(tone, quiet, delay) if not one.what.endswith("sensitivity")]
-            return [*findings, *self._contact(rest)]
+            motion = self._motion(*self._tone(QUIET_PEAK, delay), delay)
+            return [*findings, *(f for f in motion if not f.what.endswith("sensitivity")), *self._contact(rest)]
 
     def moved(self, move: str, now: Callable[[], object], seconds: float = 4.0) -> Finding:
         """Which input answers what a hand does (one of `MOVES`), for so many seconds; nothing is driven.

@@ -48,23 +48,14 @@ class _Window:
         sums = np.array([len(volts), volts.sum(), volts @ volts, volts @ drive_v, drive_v.sum(), drive_v @ drive_v])
         self.sums[name] = self.sums.get(name, np.zeros(6)) + sums
 
-    def gain(self, name: str) -> float:
-        """Volts of a channel a volt of drive, by what of it follows the drive."""
-        n, v, _, vd, d, dd = self.sums.get(name, np.zeros(6))
-        square = dd - d * d / max(n, 1.0)
-        return float((vd - v * d / n) / square) if square > 0.0 else math.nan
-
-    def coherence(self, name: str) -> float:
-        """What part of a channel's variance follows the drive, 0 to 1."""
-        n, _, _, _, d, dd = self.sums.get(name, np.zeros(6))
-        follows_v = abs(self.gain(name)) * math.sqrt(max(float(dd / max(n, 1.0) - (d / max(n, 1.0)) ** 2), 0.0))
-        whole_v = self.rms_v(name)
-        return (follows_v / whole_v) ** 2 if whole_v > 0.0 else 0.0
-
-    def rms_v(self, name: str) -> float:
-        """Standard deviation of a channel, volts."""
-        n, v, vv, *_ = self.sums.get(name, np.zeros(6))
-        return math.sqrt(max(float(vv / max(n, 1.0) - (v / max(n, 1.0)) ** 2), 0.0))
+    def follows(self, name: str) -> tuple[float, float, float]:
+        """Volts of a channel a volt of drive, the part of its variance that follows the drive, and its sigma, volts."""
+        n, v, vv, vd, d, dd = self.sums.get(name, np.zeros(6))
+        n = max(n, 1.0)
+        variance, drive, both = vv / n - (v / n) ** 2, dd / n - (d / n) ** 2, vd / n - v * d / n**2
+        gain = both / drive if drive > 0.0 else math.nan
+        coherence = gain * both / variance if variance > 0.0 else 0.0
+        return float(gain), float(coherence), math.sqrt(max(float(variance), 0.0))
 
 
 class Interlock:
@@ -232,13 +223,14 @@ class Interlock:
 
     def _exchanged(self, window: _Window) -> str | None:
         """An input other than the looped-back drive's that reads the drive as it was played."""
-        own = window.gain("drive") if self._loops_back else 1.0
+        own = window.follows("drive")[0] if self._loops_back else 1.0
         # a drive that ran dry was not played as asked; an input within 20 % of it is the drive's own
         if window.ran_dry or not abs(own - 1.0) > 0.2:
             return None
         for name in set(self._scales) - {"drive"}:
+            gain, coherence, _ = window.follows(name)
             # volt for volt as it was played, and nothing else in it: that is the drive
-            if abs(window.gain(name) - 1.0) < 0.1 and window.coherence(name) > 0.9:
+            if abs(gain - 1.0) < 0.1 and coherence > 0.9:
                 return (
                     f"exchanged inputs: the {name} input reads the drive as it was played, "
                     f"the drive input {own:.2g} of it; change their plugs, or their terminals in the profile"
@@ -259,7 +251,7 @@ class Interlock:
                 "channels.accelerometer.sensitivity wrong? bench check tells"
             )
         if "continuity" in self._scales:
-            contact = window.rms_v("continuity") / self._volts_per_mps2
+            contact = window.follows("continuity")[2] / self._volts_per_mps2
             if 0.5 * looped < contact < 2.0 * looped:
                 return (
                     f"exchanged inputs: {seen}, the continuity input what would be {contact:.2g}; "

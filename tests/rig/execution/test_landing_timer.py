@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rig.execution.landing_timer import LandingTimer
+from rig.execution.branch_hold import LandingTimer
 
 RATE_HZ = 20000.0
 N = 240
