@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from daq.setup.setup import Setup, Stake
 from daq.setup.values import Frozen, load_toml, parse_toml
-from rig.backends.kinds.find import OptionsByKind
+from rig.backends.kinds.base import OptionsByKind
 from rig.backends.kinds.simulated import SimulatedOptions
 
 MAX_STEPS = 100_000

@@ -7,8 +7,7 @@ import pkgutil
 from daq.setup.errors import InputError
 from rig.backends.base import Backend
 from rig.backends.gate import gated
-from rig.backends.kinds.base import OpenOptions
-from rig.backends.kinds.find import built_in, kind_of
+from rig.backends.kinds.base import OpenOptions, built_in, kind_of
 from rig.backends.kinds.soundcard import CardOptions
 from rig.profile import Profile
 

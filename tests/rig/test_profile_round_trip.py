@@ -9,7 +9,7 @@ import tomlkit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.backends.kinds.find import built_in
+from rig.backends.kinds.base import built_in
 from rig.profile import Profile, parse_profile
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from bench.profiles.find import load
 from daq.setup.errors import InputError
-from rig.backends.kinds import find
-from rig.backends.kinds.base import BackendKind, BackendOptions, OpenOptions
-from rig.backends.kinds.find import built_in, kind_of, names
+from rig.backends.kinds import base
+from rig.backends.kinds.base import BackendKind, BackendOptions, OpenOptions, built_in, kind_of, names
 from rig.backends.registry import open_backend
 from rig.backends.simulated import SimulatedBackend
 from rig.profile import Profile, parse_profile
@@ -48,7 +47,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     def entries(group: str) -> list[EntryPoint]:
         return [EntryPoint(name, value, group) for name, value in offers.items()]
 
-    monkeypatch.setattr(find, "entry_points", entries)
+    monkeypatch.setattr(base, "entry_points", entries)
     return offers
 
 
