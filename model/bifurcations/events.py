@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -144,9 +145,9 @@ def _event(ball: ExactBall, gamma: float, left: Window | None, right: Window | N
     if ball.bounces:
         return Bifurcation(gamma, kind, before, after)
     if kind == "stick lost" and before.resets == 1:  # a locked cycle begins there, however short its window
-        return Bifurcation(gamma, "lock", before, _unstuck(before))
+        return Bifurcation(gamma, "lock", before, replace(before, resets=0))
     if kind == "stick gained" and after.resets == 1:
-        return Bifurcation(gamma, kind, _unstuck(after), after)
+        return Bifurcation(gamma, kind, replace(after, resets=0), after)
     return Bifurcation(gamma, kind, before, after)
 
 
@@ -154,10 +155,6 @@ def _times(side: Side, factor: float) -> Side:
     if side.period is None or side.flights is None:
         return side
     return Side(int(side.period * factor), int(side.flights * factor), side.resets)
-
-
-def _unstuck(side: Side) -> Side:
-    return Side(side.period, side.flights, 0)
 
 
 def change(below: Itinerary, above: Itinerary) -> str:

@@ -54,12 +54,15 @@ class ExactBall:
     @property
     def bounces(self) -> bool:
         """Whether an impact can throw it back; then the state after a landing is a phase and a speed."""
-        return False
+        return self.law.e0 > 0.0 or self.law.e1 < 0.0
 
     @property
     def most_flights(self) -> int:
         """Before an orbit from rest is given up in a search for cycles: the way into the cycle and the cycle."""
-        return 64
+        if not self.bounces:
+            return 64
+        # enough for a cycle of 32 flights, and for the bounces of a chatter
+        return 128 if self.law.e0 < 0.7 and self.law.e1 >= 0.0 else 512
 
     @property
     def coarse(self) -> float:
@@ -189,18 +192,6 @@ class FrictionBall(ExactBall):
     def law(self) -> FrictionRestitution:
         """Friction and restitution as the kernels take them."""
         return FrictionRestitution(float(self.mu_up), float(self.mu_down), float(self.e0), float(self.e1))
-
-    @property
-    def bounces(self) -> bool:
-        """Whether an impact can throw it back."""
-        return self.e0 > 0.0 or self.e1 < 0.0
-
-    @property
-    def most_flights(self) -> int:
-        """Enough for a cycle of 32 flights, and for the bounces of a chatter."""
-        if not self.bounces:
-            return 64
-        return 128 if self.e0 < 0.7 and self.e1 >= 0.0 else 512
 
 
 def resting(start: State) -> Path:

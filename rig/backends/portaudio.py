@@ -110,14 +110,9 @@ def cards() -> list[Card]:
     """Every card that is there now; raises `BackendError` where PortAudio is not installed."""
     sounddevice = _scan()
     drivers = [api["name"] for api in sounddevice.query_hostapis()]
+    keys = "max_input_channels", "max_output_channels", "default_samplerate"
     listed = [
-        Card(
-            name=device["name"],
-            driver=drivers[device["hostapi"]],
-            inputs=device["max_input_channels"],
-            outputs=device["max_output_channels"],
-            rate_hz=device["default_samplerate"],
-        )
+        Card(device["name"], drivers[device["hostapi"]], *(device[key] for key in keys))
         for device in sounddevice.query_devices()
     ]
     _release()

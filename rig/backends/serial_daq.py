@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from typing import cast
 
 import numpy as np
 import serial
@@ -19,7 +20,6 @@ from daq.clocks.clock_sync import ClockTracker, compile_now, find_marker, start_
 from daq.clocks.serial_frames import FrameDecoder, SerialFrame
 from daq.files.tables import CLOCK_DTYPE, Block, BlockFlag, volts_per_code
 from daq.setup.clock import SYSTEM, Clock
-from daq.setup.errors import InputError
 from kernels.arrays import Floats
 from rig.backends.base import Backend, BackendError, Port, checked_drive, open_port
 from rig.backends.kinds.base import OpenOptions
@@ -308,10 +308,8 @@ class SoundcardSerialBackend:
 
 
 def open_soundcard_serial(profile: Profile, options: OpenOptions) -> SoundcardSerialBackend:
-    """Drive through the profile's sound card, channels through its serial device; raises `InputError`."""
-    table = profile.backend
-    if not isinstance(table, SoundcardSerialOptions):
-        raise InputError(f"profile {profile.name!r}: backend.kind is {table.kind}; wanted soundcard+serial")
+    """Drive through the profile's sound card, channels through its serial device."""
+    table = cast(SoundcardSerialOptions, profile.backend)
     ranges_v = {name: channel.range_v for name, channel in profile.channels.recorded().items()}
     rate_hz = profile.sampling.rate_hz
 
