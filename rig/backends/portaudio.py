@@ -79,8 +79,12 @@ class FrameCounter:
     """
 
     def __init__(self) -> None:
-        import jack
-
+        try:
+            import jack
+        except (ImportError, OSError) as error:
+            raise BackendError(
+                f"JACK leaves out callbacks, and what counts them is missing ({error}): pip install JACK-Client"
+            ) from error
         self.gone = False
         jack.set_error_function(lambda text: None)  # what it says is said by exceptions
         try:
@@ -136,7 +140,7 @@ def open_stream(
     try:
         driver = sounddevice.query_hostapis(sounddevice.query_devices(device, "output")["hostapi"])["name"]
         # only this driver leaves callbacks out, and says how many by a count of its own
-        count = _counter() if driver == JACK else None
+        count = FrameCounter() if driver == JACK else None
 
         def duplex(heard: Samples | None, out: Samples, frames: int, times: Any, status: Any) -> None:
             exchange(heard, out[:, output - 1], count() if count is not None else None)
@@ -163,16 +167,6 @@ def open_stream(
             f"({error}); cards that are there: {there}"
         ) from error
     return CardStream(stream, count)
-
-
-def _counter() -> FrameCounter:
-    """What counts the frames of JACK; raises `BackendError` where the package for it is missing."""
-    try:
-        return FrameCounter()
-    except (ImportError, OSError) as error:
-        raise BackendError(
-            f"JACK leaves out callbacks, and what counts them is missing ({error}): pip install JACK-Client"
-        ) from error
 
 
 def _scan() -> Any:

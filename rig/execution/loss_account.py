@@ -51,8 +51,7 @@ class LossAccount:
         self._places: list[tuple[int, int]] = []
         self._frames_to = self._settled_to = 0
         self._short = self._settled_lost = 0
-        self._losses: list[tuple[int, int]] = []
-        self._gaps: list[tuple[int, int]] = []
+        self._gaps: list[tuple[int, int]] = []  # recorded index after each, and all samples lost before it
 
     def lags(self, lag_samples: int) -> None:
         """Set the latency of the loop-back of a device that declares its own losses."""
@@ -124,11 +123,11 @@ class LossAccount:
             return min(index, self._places[k + 1][0]) if k + 1 < len(self._places) else index
         played += self.lag_samples
         lost = 0
-        for first_played, lost_in_all in self._losses:
-            if played >= first_played:
+        for at, lost_in_all in self._gaps:
+            if played >= at + lost_in_all:
                 lost = lost_in_all
-            elif played > first_played - (lost_in_all - lost):
-                return first_played - lost_in_all
+            elif played > at + lost:
+                return at
         return played - lost
 
     def counted(self, recorded: int) -> int:
@@ -145,7 +144,6 @@ class LossAccount:
                 self._settled_to = block.place + len(block.codes)
             if block.lost_before:
                 self._settled_lost += block.lost_before
-                self._losses.append((block.first_sample + self._settled_lost, self._settled_lost))
                 self._gaps.append((block.first_sample, self._settled_lost))
         return blocks
 
