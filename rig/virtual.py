@@ -101,7 +101,7 @@ class JackPlant(PlantClient):
         made(rng.spawn(1)[0]).exchange(np.zeros(64))  # compiled before it counts
         self._plant = made(rng)
         self._log = log
-        self._kept: list[tuple[int, NDArray[np.int16]]] = []
+        self._given: list[tuple[int, NDArray[np.int16]]] = []
         super().__init__(profile, server)
         ports = {number: name for name, number in self._card.inputs.wired(profile.channels).items()}
         self._names = [ports.get(number, "") for number in range(1, max(ports) + 1)]
@@ -125,7 +125,7 @@ class JackPlant(PlantClient):
             for port, name in zip(self._outs, self._names, strict=True):
                 port.get_array()[:] = heard.get(name, 0.0)
             if self._log is not None:
-                self._kept.append((frame, codes))
+                self._given.append((frame, codes))
 
     def __enter__(self) -> Self:
         gc.collect()
@@ -138,7 +138,7 @@ class JackPlant(PlantClient):
         self._client.close()
         if self._log is not None:
             np.savez(
-                self._log, frame=np.array([at for at, _ in self._kept]), codes=np.array([x for _, x in self._kept])
+                self._log, frame=np.array([at for at, _ in self._given]), codes=np.array([x for _, x in self._given])
             )
 
 
