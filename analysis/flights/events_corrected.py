@@ -199,7 +199,7 @@ def _slowness(plate: PlateMotion, g_mps2: float, step: Integers, flight: _Flight
     usual = 0.5 * g_mps2 * (flight.time_s - flight.begin_s)
     whole = -2.0 * start_mps(flight.end_s)
     # a friction of 0.5 g makes 0.1 of a free flight's; a plate known to some percent errs by less than 3 cm/s
-    least = np.where(rested, np.maximum(0.05 * usual, whole - 0.03), np.maximum(np.maximum(0.3 * usual, 0.03), whole))
+    least = np.where(rested, np.maximum(0.0, whole - 0.03), np.maximum(np.maximum(0.3 * usual, 0.03), whole))
     return np.asarray(-start_mps(flight.time_s) - least)
 
 

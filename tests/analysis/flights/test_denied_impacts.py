@@ -102,3 +102,13 @@ def test_what_is_left_of_ringing_cuts_no_flight_and_a_rebound_does(
     found = on_plate(intervals, every[order], host, across_s=across_s)
     assert len(true) >= 20 and len(left) >= 20
     np.testing.assert_array_equal(found, order >= len(true))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.15])
+def test_no_impact_is_believed_just_after_a_ball_at_rest_has_left(friction: float) -> None:
+    """A quarter of a millisecond after it leaves a plate that falls away ever faster no ball meets it again."""
+    intervals, impacts = marched(0.0, friction)
+    long = np.flatnonzero(intervals[:, 1] - intervals[:, 0] > 8e-3)
+    left = np.column_stack([intervals[long, 0] + 2.5e-4, np.full(len(long), 1e-3 * np.median(impacts[:, 1]))])
+    assert len(long) >= 10
+    assert on_plate(intervals, left, long).all()
