@@ -318,9 +318,13 @@ class Regression:
         white = inverse[place] / size * np.mean(left**2)
         to_own = np.array([frequency, damping, 1.0])
         # of a correlated remainder fewer values are independent, by the ratio of both variances
-        correlated = max(float(robust[2, 2] / white[2, 2]), 1.0)
+        # a mode differs from the load where it is slow, and so is a zero that wanders
+        slow = loaded - left
+        of_slow = self._between_pieces((slow * left)[None])[0, 0] / max(float(slow @ slow) * np.mean(left**2), 1e-300)
+        alike = robust[2, 2] / white[2, 2], of_slow
         gain, over_load = (
-            0.5 * (float(x @ x) / float(left @ left) - 1.0) * len(left) / correlated for x in (before, loaded)
+            0.5 * (float(x @ x) / float(left @ left) - 1.0) * len(left) / max(float(k), 1.0)
+            for x, k in zip((before, loaded), alike, strict=True)
         )
         at_bound = not 1.02 * LEAST_DAMPING < damping < 0.98 * MOST_DAMPING
         bound = at_bound or (damping > STRONG_DAMPING and frequency > forcing_hz)

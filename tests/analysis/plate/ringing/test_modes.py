@@ -235,6 +235,21 @@ def test_a_plate_without_springs_that_carries_the_ball_has_no_mode(make: Maker) 
     assert 0.0 < pushed.error(8.0, 0.0, 0.02)[0] < 1e-3
 
 
+def test_a_zero_that_wanders_makes_no_mode_of_a_load() -> None:
+    """1/f noise of the accelerometer is as slow as what would tell a mode of 1.5 Hz from a mass that the plate carries."""
+    n, rng = 30000, np.random.default_rng(1)
+    time_s, level = np.arange(n) * 1e-3, np.repeat(rng.permutation(np.linspace(2.0, 12.0, 20)), n // 20)
+    push = np.where(time_s * 25.0 % 1.0 < 0.6, -9.8 - level * np.sin(50.0 * np.pi * time_s), 0.0)
+    turns = 2.0 * np.pi * np.fft.rfftfreq(n, 1e-3)
+    basis = np.linalg.qr(np.array([np.ones(n), *(level * f(50.0 * np.pi * time_s) for f in (np.cos, np.sin))]).T)[0]
+    for wanders in range(6, 10):
+        rng = np.random.default_rng(wanders)
+        flicker = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) / np.sqrt(np.maximum(turns, 1.0)), n)
+        seen = 0.012 * push + 0.2 * flicker / np.std(flicker) + 0.07 * rng.standard_normal(n)
+        fit = Regression.of(seen, basis, push[None], push, np.ones(n, dtype=np.bool_), 1e-3, [0])
+        assert fit.judged(fit.searched(), 25.0) is None
+
+
 def test_a_mode_that_a_load_nearly_explains_is_identified_with_an_interval_as_wide(tmp_path: Path) -> None:
     """Far below the drive volts tell the mass ratio surely, the frequency hardly; flights made 2.9 Hz of these 1.5."""
     run = drawn(186013, without=False)
