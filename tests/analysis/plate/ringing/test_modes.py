@@ -236,7 +236,7 @@ def test_a_plate_without_springs_that_carries_the_ball_has_no_mode(make: Maker) 
 
 
 def test_a_zero_that_wanders_makes_no_mode_of_a_load() -> None:
-    """1/f noise of the accelerometer is as slow as what would tell a mode of 1.5 Hz from a mass that the plate carries."""
+    """1/f noise is as slow as what would tell a mode of 1.5 Hz from a mass that the plate carries."""
     n, rng = 30000, np.random.default_rng(1)
     time_s, level = np.arange(n) * 1e-3, np.repeat(rng.permutation(np.linspace(2.0, 12.0, 20)), n // 20)
     push = np.where(time_s * 25.0 % 1.0 < 0.6, -9.8 - level * np.sin(50.0 * np.pi * time_s), 0.0)
