@@ -259,3 +259,16 @@ def _sign(key: ParameterId) -> int:
     """The direction in which a parameter can leave its null value; 0 for both."""
     q = parameter_of(key)
     return int(q.null_value <= q.low) - int(q.null_value >= q.high)
+
+
+def probability(test: ChanceTest) -> str:
+    """How likely a candidate gains so much by chance, in words; where no draw did, the bound."""
+    return f"p < {test.p:.1g}" if test.p < 1.5 / DRAWS else f"p = {test.p:.2g}"
+
+
+def best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
+    """The best candidate of the last round against chance, in words; empty where the round had none that gains."""
+    if len(tests) <= depth or not tests[depth].gain > 1.0:
+        return ""
+    best = tests[depth]
+    return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {probability(best)} by chance)"

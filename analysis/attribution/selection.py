@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from analysis.attribution.candidates import Candidate, beyond, candidates_of, parameter_of
-from analysis.attribution.chance import DRAWS, ChanceGains, generator_of
+from analysis.attribution.chance import ChanceGains, best_by_chance, generator_of, probability
 from analysis.attribution.choice import Judge, LogScoreDifference, Pruning, contained_in
 from analysis.attribution.fit import Fitter
 from analysis.attribution.hypothesis import ChanceTest, Hypothesis, Refits, Rejected, Scatter, remaining_candidates
@@ -24,7 +24,7 @@ from analysis.attribution.proposals import Progress, Proposals
 from analysis.residuals.forward_model import ForwardModel
 from analysis.residuals.noise.whitening import Whitener
 from analysis.thresholds import FROZEN, MOVED_SIGMAS, NEAR_CAUSE, Thresholds
-from model.effects.registry import ball_effects, trend_name
+from model.effects.registry import ball_effects, effect, trend_name
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,16 @@ class StepwiseSelection:
         return self.refits.converged((), Whitener.of(self.model, {}), (), {})
 
     def run(self) -> SelectionResult:
-        """The result of all rounds; what could not be fitted is left out of it, by name."""
+        """The result of all rounds; what could not be fitted is left out of it, by name.
+
+        A cause of last resort goes where the others explain as much with as few numbers.
+        """
         found, failed = self._chosen(), sorted(self.refits.failed.items())
+        rare = {name for name in found.best.names if effect(name).effect.last_resort}
+        if rare and found.best.passes(self.limits):
+            library = [c for c in self.library if not rare & set(c.names)]
+            ordinary = StepwiseSelection(self.model, self.fitter, self.limits, self.progress, library)._chosen()
+            found = min(ordinary, found, key=lambda r: (not r.best.passes(self.limits), r.best.numbers))
         left_out = (f"{' + '.join(names)} left out: {why}" for names, why in failed)
         return replace(found, rounds=(*found.rounds, *left_out))
 
@@ -182,7 +190,7 @@ class StepwiseSelection:
             refused += filter(None, [self.judge.rejected(best, found, depth, accepted, null)])
             chance += filter(None, [null.test(accepted, found, self.limits.best_of_all_p)])
             if accepted is None:
-                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{_best_by_chance(chance, depth)}")
+                rounds.append(f"round {depth + 1}: nothing more gains beyond doubt{best_by_chance(chance, depth)}")
                 break
             gain = self.judge.gain(best, accepted)
             first = first or accepted.candidates[-1].names
@@ -220,10 +228,8 @@ class StepwiseSelection:
     def _round(
         self, best: Hypothesis, options: Sequence[Candidate], depth: int, rival: Hypothesis | None = None
     ) -> list[Hypothesis]:
-        def progress(name: str, part: float) -> None:
-            self.progress(name, min((depth + part) / self.limits.most_effects, 1.0))
-
-        return self.proposals.round(best, options, progress, rival)
+        most, say = self.limits.most_effects, self.progress
+        return self.proposals.round(best, options, lambda name, x: say(name, min((depth + x) / most, 1.0)), rival)
 
     def _is_in_place_of_a_cause(
         self, best: Hypothesis, accepted: Hypothesis, found: Sequence[Hypothesis], depth: int
@@ -371,30 +377,12 @@ class StepwiseSelection:
         return tuple(out)
 
 
-def _added(best: Hypothesis, accepted: Hypothesis) -> str:
-    """What an accepted hypothesis adds to the best one, in words, and what it replaces."""
-    gone = [name for name in best.names if name not in accepted.names]
-    if not gone:
-        return " + ".join(accepted.candidates[-1].names)
-    return f"{' + '.join(n for n in accepted.names if n not in best.names)} in place of {' + '.join(gone)}"
-
-
 def _gained(best: Hypothesis, accepted: Hypothesis, gain: LogScoreDifference, test: ChanceTest, shown: bool) -> str:
-    """What an accepted hypothesis adds and gains, in words; ``shown``: recorded volts show it or its like."""
-    why = "recorded volts show it or its like"
-    if not shown:
-        why = f"{_probability(test)} that the best of all candidates does so by chance"
-    return f"{_added(best, accepted)} gains {gain.gain:.0f} +- {gain.error:.0f} nats ({why})"
-
-
-def _probability(test: ChanceTest) -> str:
-    """The probability in words; where no draw gained so much, the bound."""
-    return f"p < {test.p:.1g}" if test.p < 1.5 / DRAWS else f"p = {test.p:.2g}"
-
-
-def _best_by_chance(tests: Sequence[ChanceTest], depth: int) -> str:
-    """The best candidate of the last round against chance, in words; empty where the round had none that gains."""
-    if len(tests) <= depth or not tests[depth].gain > 1.0:
-        return ""
-    best = tests[depth]
-    return f" (the best, {' + '.join(best.names)}, {best.gain:.1f} nats in the fit: {_probability(best)} by chance)"
+    """What an accepted hypothesis adds, replaces and gains, in words; ``shown``: recorded volts show it or its like."""
+    added, gone = accepted.candidates[-1].names, [name for name in best.names if name not in accepted.names]
+    words = " + ".join(added)
+    if gone:
+        words = f"{' + '.join(n for n in accepted.names if n not in best.names)} in place of {' + '.join(gone)}"
+    by_chance = f"{probability(test)} that the best of all candidates does so by chance"
+    why = "recorded volts show it or its like" if shown else by_chance
+    return f"{words} gains {gain.gain:.0f} +- {gain.error:.0f} nats ({why})"

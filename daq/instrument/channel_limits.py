@@ -269,7 +269,8 @@ def ends_in_noise(stretches: Sequence[npt.NDArray[Any]], ends: Ends, rate_hz: fl
         # six standard deviations below the slope of motion, and far below what a harmonic makes of it
         flat = slope + 6.0 * noise / spread < 1.0 and slope < 0.3
         here = float(np.std(values[near]))  # what is flat scatters by noise
-        if flat and math.isinf(ends[side]) and beyond[side] + sign * middle < level + 6.0 * here:
+        # a filter behind the sensor overshoots where an impact is cut off, by a tenth at most
+        if flat and math.isinf(ends[side]) and beyond[side] < 1.1 * (level - sign * middle) + 6.0 * here:
             found[side] = sign * (level - 4.0 * here)
     return found[0], found[1]
 

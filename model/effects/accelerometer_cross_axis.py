@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     confused_with=dict.fromkeys(("accelerometer_high_pass", "contact_latency"), "runs at several frequencies"),
     hides=ORDINARY_LAG,
+    last_resort=True,  # a mode between two tones leads one and lags the other as a coupling and a filter do
     reference="transverse sensitivity of accelerometers (some per cent), rocking modes of tables",
 )  # fmt: skip
 

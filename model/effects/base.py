@@ -155,6 +155,7 @@ class Effect:
     curves: tuple[CurveOf, ...] = ()  # smooth terms within the flight that this effect can carry
     is_trend: bool = False  # it stands for a trend of other effects' parameters, and has no hooks
     library: bool = True  # False for what no search may name
+    last_resort: bool = False  # named only where nothing else explains the data with as few numbers
 
     def parameter(self, name: str) -> Parameter:
         """The parameter called ``name``.

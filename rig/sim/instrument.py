@@ -160,8 +160,8 @@ class Converter:
     ``rig`` has all keys of `rig.sim.scenario.RIG_DEFAULTS`; ``rng`` is for 1/f noise.
     """
 
-    def __init__(self, rig: Mapping[str, float], rate_hz: float, rng: np.random.Generator) -> None:
-        self._rig, self._rate_hz = rig, rate_hz
+    def __init__(self, rig: Mapping[str, float], rate_hz: float, rng: np.random.Generator, mains_hz: float) -> None:
+        self._rig, self._rate_hz, self._mains_hz = rig, rate_hz, mains_hz
         size = int(rig["fir_samples"])
         self._fir = firwin(2 * size + 1, 0.94, window=("kaiser", 8.0)) if size else np.ones(1)
         self._filtered = () if not size else (1,) if rig["fir_accelerometer_only"] else (0, 1, 2)
@@ -195,5 +195,5 @@ class Converter:
         if rig["bias_v"] or rig["warm_up_v"]:
             volts[:, 1] += rig["bias_v"] + rig["warm_up_v"] * np.exp(-time_s / rig["warm_up_s"])
         for channel, (amplitude_v, odd) in self._lines.items():
-            angle = 2.0 * math.pi * 50.0 * time_s + 1.0
+            angle = 2.0 * math.pi * self._mains_hz * time_s + 1.0
             volts[:, channel] += amplitude_v * (np.sin(angle) + sum(odd / k * np.sin(k * angle) for k in (3, 5, 7)))

@@ -200,7 +200,10 @@ class Plant:
         keys = self._rng.integers(2**63, size=2)
         rig = {key: float(self._params[key][0]) for key in RIG_DEFAULTS}
         self._sections, self._memory = sections(rig, self.rate_hz), np.zeros((SECTIONS, 2))
-        self._converter = Converter(rig, self.rate_hz, self._rng.spawn(1)[0])
+        # the grid that hums in the plate or the cable hums in the instrument, too
+        hums_hz = [float(self._params[f"mains_{what}_frequency_hz"][0]) for what in ("pickup", "hum")]
+        grid_hz = next((hz for hz in hums_hz if hz != 50.0), 50.0)
+        self._converter = Converter(rig, self.rate_hz, self._rng.spawn(1)[0], grid_hz)
         self._noises = SUBSTEPS if rig["low_pass_hz"] else 1
         self._limit = 2.0 ** (rig["adc_bits"] - 1.0)
         self._scale_v = rig["adc_range_v"] / self._limit
