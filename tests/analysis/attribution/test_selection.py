@@ -491,3 +491,42 @@ def test_a_candidate_whose_fit_is_not_finite_is_left_out_by_name(
     assert found.best.names == ("coulomb_friction",)
     assert "viscous_damping left out: what it predicts is not finite" in found.rounds
     assert capfd.readouterr() == ("", "")
+
+
+LAG, COUPLING = ("accelerometer_lag", "delay_s"), ("accelerometer_high_pass", "corner_hz")
+SIDEWAYS = ("accelerometer_cross_axis", "lead_s")
+
+
+@pytest.fixture
+def instruments(
+    fly_ramp: Callable[..., ForwardModel], fitter_of: Callable[[ForwardModel], Fitter]
+) -> Callable[[dict[ParameterId, float]], StepwiseSelection]:
+    """The selection among three instruments on a run of twelve steps."""
+
+    def made(truth: dict[ParameterId, float]) -> StepwiseSelection:
+        model = fly_ramp(truth, 1, gammas=(*GAMMAS, *GAMMAS))
+        few = [c for c in candidates_of(model) if set(c.names) <= {LAG[0], COUPLING[0], SIDEWAYS[0]}]
+        return StepwiseSelection(model, fitter_of(model), library=few)
+
+    return made
+
+
+def test_a_sideways_mode_goes_where_other_instruments_explain_with_as_few_numbers(
+    instruments: Callable[[dict[ParameterId, float]], StepwiseSelection], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A coupling with a filter, found with a mode of the table besides, is named without it."""
+    selection, chosen = instruments({COUPLING: 0.6, LAG: 1e-4}), StepwiseSelection._chosen
+    found, mode = selection._chosen(), named(selection, SIDEWAYS[0])
+    options, free = (*found.best.candidates, mode), (*found.best.free, *mode.free)
+    best = selection.refits.converged(options, found.best.whitener, free, found.best.fitted.values)
+    assert best.passes(FROZEN) and len(best.names) == 3
+    more = replace(found, best=best)
+    monkeypatch.setattr(StepwiseSelection, "_chosen", lambda own: more if own is selection else chosen(own))
+    assert set(selection.run().best.names) == {COUPLING[0], LAG[0]}
+
+
+def test_a_sideways_mode_that_nothing_else_explains_is_named(
+    instruments: Callable[[dict[ParameterId, float]], StepwiseSelection],
+) -> None:
+    """Above both tones it leads the faster one more, as no coupling and no filter do."""
+    assert instruments({SIDEWAYS: 3e-5}).run().best.names == (SIDEWAYS[0],)
