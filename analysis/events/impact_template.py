@@ -198,13 +198,15 @@ def even(fine: Floats, rate_hz: float) -> Floats:
     Such motion would be subtracted from the recording after every impact, by the landing's place between two samples.
     """
     half = max(round(0.5 * SLOW_S * rate_hz), 8)  # samples, with a long motion at low rates
-    box = np.ones((2 * half + 1) * FINE + 1)
-    box[[0, -1]] = 0.5
-    every = np.zeros(box.size)
-    every[FINE // 2 :: FINE] = 1.0
-    reach = box.size // 2
-    differs = np.convolve(np.pad(fine, reach, mode="edge"), every / every.sum() - box / box.sum(), mode="valid")
-    return np.asarray(fine - differs)
+    reach = half * FINE
+    whole = np.hanning(2 * reach + 1)  # one that ends in a jump would count ringing by the place of the samples
+    every = np.where(np.arange(whole.size) % FINE == reach % FINE, whole, 0.0)
+    # so would the bend in which an abrupt impact begins: it does not count
+    grid = np.arange(-reach, fine.size + reach)
+    weight = -np.expm1(-0.5 * ((grid - int(np.argmax(np.abs(np.diff(fine))))) / (2 * FINE)) ** 2)
+    counted = weight * np.pad(fine, reach, mode="edge")
+    own, mean = (np.convolve(counted, w, mode="valid") / np.convolve(weight, w, mode="valid") for w in (every, whole))
+    return np.asarray(fine - own + mean)
 
 
 def _continued(fine: Floats, prediction: Floats, samples: int) -> Floats:

@@ -40,6 +40,7 @@ from analysis.plate.step_state import (
     StepState,
     multiples_of,
 )
+from analysis.plate.tone_noise import converter_step
 from analysis.plate.windows import fit_windows, refined_hz
 from analysis.signals import block_means
 from daq.instrument.channel_limits import NO_ENDS, Ends, blocks_at_an_end, drive_is_cut_off
@@ -152,7 +153,9 @@ class StepAccumulator:
                 own = piece.drive_v[max(start - piece.first, 0) : stop - piece.first][:STEP_SAMPLES]
                 # fewer samples of a step that goes on would be a part of a cycle
                 whole = own.size == min(STEP_SAMPLES, stop - start) > 0
-                self.open.drive_cut_off = whole and drive_is_cut_off(own, self.rate_hz)
+                if whole:
+                    self.open.drive_cut_off = drive_is_cut_off(own, self.rate_hz)
+                    self.open.drive_step_v = converter_step(own)
             for a, b in self._unbroken(max(start, piece.first), min(stop, piece.last)):
                 self._add_span(self.open, piece.first, (a, b), means, begins)
             if stop <= piece.last:

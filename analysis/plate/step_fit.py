@@ -60,6 +60,9 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         return None
     # the tones of a drive that is cut off are smaller than what moves the plate
     setup, drive = recording.setup, None if state.drive_cut_off else drive
+    if drive is not None:
+        noise_v = min((float(c.noise[1]) for c in state.chunks), default=drive.rms)
+        drive = with_rounding(drive, state.drive_step_v, noise_v)
     channel = setup.channels.accelerometer
     factor = 1.0 / channel.volts_per_mps2
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0

@@ -249,7 +249,8 @@ class StepState(PlannedStep):
 
     ``first_codes`` are its first accelerometer samples as stored, where they came in one piece; ``ends`` the codes at
     which the accelerometer is at its end, where blocks that reach them are masked. ``drive_cut_off`` says whether the
-    drive's reading is at its end for a part of each cycle. No harmonic beyond ``most_multiple`` is fitted.
+    drive's reading is at its end for a part of each cycle, ``drive_step_v`` its converter's step (0: none is seen). No
+    harmonic beyond ``most_multiple`` is fitted.
     """
 
     last_sample: int
@@ -267,6 +268,7 @@ class StepState(PlannedStep):
     first_codes: npt.NDArray[Any] | None = None
     ends: Ends | None = None
     drive_cut_off: bool = False
+    drive_step_v: float = 0.0
 
     @property
     def rows(self) -> list[int]:

@@ -92,7 +92,11 @@ def converter_step(values: NDArray[Any]) -> float:
     # each value must come four times on average, before the distances of values show a converter's step
     if different.size < 2 or 4 * different.size > len(values):
         return 0.0
-    return median(np.diff(different.astype(np.float64)))
+    apart = np.diff(different.astype(np.float64))
+    step = median(apart)
+    # a drive without noise has few values, too, the same in each cycle: they lie on no lattice
+    steps = apart / step
+    return step if np.mean(np.abs(steps - np.rint(steps)) < 0.1) > 0.9 else 0.0
 
 
 def rounding_sigma(amplitude: float, step: float, noise: float) -> float:

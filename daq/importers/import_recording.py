@@ -33,7 +33,7 @@ from daq.importers.plausibility import (
     refuse_other_unit,
     remarks,
 )
-from daq.importers.timebase import Timebase, timebase_of
+from daq.importers.timebase import Timebase, of_packets, timebase_of
 from daq.instrument.instrument import STORED, Instrument, examine
 from daq.recording.reader import timestamps_ns
 from daq.recording.writer import root_attributes
@@ -197,7 +197,13 @@ def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timeba
     refuse_mixed_rates(path, times, intake.n_rows, intake.rounding_s)
     base = timebase_of(times, intake.n_rows, intake.rounding_s)
     if intake.repeated and not base.uniform:
-        raise InputError(f"{path}: {intake.repeated} comes twice; wanted times that rise.")
+        packets = of_packets(times, intake.n_rows, intake.rounding_s, intake.setup.sampling.rate_hz)
+        if packets is None:
+            raise InputError(
+                f"{path}: {intake.repeated} comes twice; wanted times that rise, or one time a packet of so many "
+                "rows; else take that column out and give --rate HZ."
+            )
+        base = packets
     if rate_hz is not None and abs(base.rate_hz / rate_hz - 1.0) > 0.01:
         raise InputError(
             f"{path}: the time column says {base.rate_hz:.6g} samples/s, not {rate_hz:.6g}; is the unit of "

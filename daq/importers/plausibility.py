@@ -46,6 +46,8 @@ def remarks(
     if not from_drive:
         which = "no drive" if "drive" not in channels else "no steps in the drive"
         said.append(f"{which}: steps were looked for in the accelerometer, and gamma is the plate's")
+    if base.packet > 1:
+        said.append(f"each {base.packet} rows share a time: they are taken as even, at {base.rate_hz:.6g} samples/s")
     if not base.uniform and base.jitter_s * base.rate_hz > JITTER_SHARE:
         said.append(
             f"times are not even and are stored as they came; the analysis counts samples at {base.rate_hz:.6g} "

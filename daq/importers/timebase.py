@@ -30,6 +30,7 @@ class Timebase:
     jitter_s: float  # root mean square distance from the even grid
     # int64 ``(n, 3)``: first sample after the pause, samples missing, standard uncertainty of that number
     gaps: Integers
+    packet: int = 1  # rows that share each time of the column, and are evenly spaced all the same
 
 
 Times = Callable[[int, int], Floats]
@@ -63,6 +64,34 @@ def timebase_of(times: Times, n: int, quantum_s: float) -> Timebase:
     worst, rms = _distance(times, n, runs, step)
     uniform = bool(worst <= max(0.75 * quantum_s + 1e-9, JITTER_SHARE * step)) and not len(gaps)
     return Timebase(1.0 / step, uniform, rms, found[found[:, 1] > 0])
+
+
+def of_packets(times: Times, n: int, quantum_s: float, near_hz: float) -> Timebase | None:
+    """Time base of rows that a card stamps once a packet, each packet as many rows; None where they are not such.
+
+    Packets may scatter by a quarter of their length; missing ones are pauses. The rate is ``near_hz`` where the stamps
+    allow it.
+    """
+    starts, stamps = [np.zeros(1, np.int64)], [times(0, 1)]
+    for start in range(0, n - 1, PIECE):
+        own = times(start, min(start + PIECE + 1, n))
+        new = 1 + np.flatnonzero(np.diff(own) > 0.0)
+        starts.append(start + new)
+        stamps.append(own[new])
+    # the first packet and the last may be cut
+    first, stamp_s = np.concatenate(starts)[1:], np.concatenate(stamps)[1:]
+    length = int(first[1] - first[0]) if len(first) > 8 else 1
+    if length == 1 or np.any(np.diff(first) != length):
+        return None
+    base = timebase_of(lambda a, b: stamp_s[a:b], len(stamp_s), quantum_s)
+    if base.jitter_s * base.rate_hz > 0.25:
+        return None
+    lost = base.gaps[:, 1] * length
+    gaps = np.column_stack([first[base.gaps[:, 0]], lost, np.zeros(len(lost), np.int64)])
+    sigma = base.jitter_s * np.sqrt(12.0 / len(stamp_s)) / (stamp_s[-1] - stamp_s[0])
+    rate_hz = base.rate_hz * length
+    rate_hz = near_hz if abs(rate_hz / near_hz - 1.0) < 3.0 * sigma else rate_hz
+    return Timebase(rate_hz, True, base.jitter_s, gaps, length)
 
 
 def quantum_of(values: Floats) -> float:

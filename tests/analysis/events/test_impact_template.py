@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, ringing_part, template_from_snippets
+from analysis.events.impact_template import FINE, LEAD, MIN_ECHO, even, ringing_part, template_from_snippets
 from daq.instrument.channel_limits import NoiseSpectrum
 
 RATE_HZ = 20_000.0
@@ -55,6 +55,14 @@ def test_what_swings_under_landings_at_one_place_between_samples_is_no_part_of_i
     assert waveform is not None
     after = waveform.fine[(LEAD + 40) * FINE : (LEAD + 60) * FINE].reshape(-1, FINE)
     assert np.ptp(np.mean(after, axis=0)) < 0.005 * np.max(waveform.fine)
+
+
+@pytest.mark.parametrize("ringing_hz", [900.0, 2600.0, 6000.0])
+def test_an_abrupt_beginning_is_no_slow_motion(ringing_hz: float) -> None:
+    """A ringing that begins in a bend is the same waveform at every place between two samples, and stays as it is."""
+    lag_s = (np.arange(60 * FINE) - LEAD * FINE) / FINE / RATE_HZ
+    rings = np.where(lag_s > 0.0, np.exp(-lag_s / 6e-4) * np.sin(2.0 * np.pi * ringing_hz * lag_s), 0.0)
+    assert np.max(np.abs(even(rings, RATE_HZ) - rings)) < 6e-4
 
 
 def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:

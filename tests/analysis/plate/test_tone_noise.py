@@ -25,10 +25,10 @@ def noisier(source: Recording, path: Path, volts: np.ndarray) -> Path:
     return with_codes(source, path, codes + np.rint(volts / source.scale("accelerometer")[0]).astype(codes.dtype))
 
 
-def with_codes(source: Recording, path: Path, accelerometer: np.ndarray) -> Path:
-    """The same recording with other codes of its accelerometer."""
+def with_codes(source: Recording, path: Path, changed: np.ndarray, channel: str = "accelerometer") -> Path:
+    """The same recording with other codes of a channel."""
     codes = np.column_stack([source.codes(name) for name in source.channels])
-    codes[:, source.channels.index("accelerometer")] = accelerometer
+    codes[:, source.channels.index(channel)] = changed
     with RecordingWriter(
         path, source.setup, profile_text="", channels=source.channels, backend="test", simulated=True
     ) as writer:
@@ -140,6 +140,24 @@ def test_the_step_is_read_from_the_values() -> None:
     assert converter_step(STEP * np.round(spiky / STEP)) == pytest.approx(STEP)
     assert converter_step(read) == 0.0
     assert converter_step(np.zeros(4096)) == 0.0
+    assert converter_step(np.tile(np.sin(2.0 * np.pi * np.arange(400) / 400.0), 10)) == 0.0  # a drive without noise
+
+
+def test_rounding_of_the_drive_is_in_the_uncertainty_of_its_tones(make, tmp_path: Path) -> None:
+    """A monitor of 8 bits: its tones are off by more than their noise, and by as much as their uncertainty says."""
+    with open_recording(make(GAMMAS, hold=20).path) as source:
+        fine = plate_of(source)
+        coarse = 0.04 / abs(source.scale("drive")[0])
+        path = with_codes(source, tmp_path / "coarse.h5", coarse * np.rint(source.codes("drive") / coarse), "drive")
+    off, wider = [], []
+    with open_recording(path) as recording:
+        for step, exact in zip(plate_of(recording).steps, fine.steps, strict=True):
+            assert step is not None and step.drive is not None and exact is not None and exact.drive is not None
+            error, sigma = step.drive.amplitudes[0] - exact.drive.amplitudes[0], step.drive.amplitude_sigma()[0]
+            off += [error.real / sigma, error.imag / sigma]
+            wider.append(sigma / exact.drive.amplitude_sigma()[0])
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.5)
+    assert np.median(wider) > 3.0
 
 
 def test_codes_are_counted_as_volts_are_sorted() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.importers.plausibility import refuse_mixed_rates
-from daq.importers.timebase import are_whole, distances, line_sums, longest_step, to_nanoseconds
+from daq.importers.timebase import are_whole, distances, line_sums, longest_step, of_packets, to_nanoseconds
 from daq.setup.errors import InputError
 
 TIMES = np.cumsum(np.random.default_rng(4).uniform(0.5e-3, 1.5e-3, 1000)) + 0.25
@@ -56,3 +56,20 @@ def test_rates_that_scatter_about_one_are_no_mixture(tmp_path) -> None:
     given(np.cumsum(np.random.default_rng(5).uniform(0.5e-3, 1.5e-3, 100_000)))
     with pytest.raises(InputError, match="mixed rates: 1000 samples/s before row 500 or so, 500 after"):
         given(np.append(np.arange(500) * 1e-3, 0.5 + np.arange(500) * 2e-3))
+
+
+def test_rows_stamped_once_a_packet_are_even() -> None:
+    """Packets of 50 rows, each stamped up to .2 ms late and the first one cut, have the rate of all; a lost one is a
+    pause of 50 samples, and rows that share a time by twos and threes are no packets."""
+    sent = np.delete(np.arange(400), 120)
+    stamp_s = 5e-3 * sent + 2e-4 * np.random.default_rng(7).random(sent.size)
+    rows_s = np.repeat(stamp_s, 50)[17:]
+    base = of_packets(lambda a, b: rows_s[a:b], len(rows_s), 1e-7, 10_000.0)
+    assert base is not None
+    assert (base.rate_hz, base.uniform, base.packet) == (10_000.0, True, 50)
+    assert base.gaps.tolist() == [[120 * 50 - 17, 50, 0]]
+    other = of_packets(lambda a, b: rows_s[a:b], len(rows_s), 1e-7, 10_010.0)
+    assert other is not None
+    assert other.rate_hz == pytest.approx(10_000.0, rel=1e-5)
+    uneven_s = np.repeat(stamp_s, np.arange(sent.size) % 2 + 2)
+    assert of_packets(lambda a, b: uneven_s[a:b], len(uneven_s), 1e-7, 500.0) is None
