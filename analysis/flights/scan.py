@@ -23,6 +23,7 @@ from analysis.plate.accumulator import PlatePiece, StepAccumulator
 from analysis.plate.motion import PlateMotion, StepPlate
 from analysis.plate.tone_noise import with_coloured_noise
 from analysis.signals import LEAST_HZ, PAD, HighPass, Piece, Volts, pieces, survey_pieces
+from analysis.statistics import median
 from daq.files.tables import STEP_DTYPE, BlockFlag
 from daq.instrument.channel_limits import NO_ENDS, Ends, NoiseSpectrum, common_ends, ends_in_noise
 from daq.instrument.held_readings import coarse_step, without_rounding
@@ -187,7 +188,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     progress : callable, optional
         Called with the part done, 0 to 1, after each piece.
     high_pass_hz : float, optional
-        Corner of a high-pass behind the accelerometer; None: the declared one.
+        Corner of a high-pass behind the accelerometer; None: the declared one, or that which tails of impacts show.
     """
     channels = _channels(recording)
     known, high_pass = survey(recording, high_pass_hz), high_pass_of(recording, high_pass_hz)
@@ -227,6 +228,10 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     plate = with_coloured_noise(accumulator.finish())
     impacts = detectors[0].impacts().away_from_seams(recording) if detectors else NO_IMPACTS
     noise_v, accelerometer = 0.0 if known.noise is None else known.noise.rms_v, recording.setup.channels.accelerometer
+    if high_pass is None and high_pass_hz is None and accelerometer.coupling == "ac":
+        corner_hz = _corner_of_tails(plate)
+        if corner_hz > LEAST_HZ:
+            return scan(recording, progress, corner_hz)
     return Scan(
         survey=known,
         steps=steps,
@@ -237,6 +242,25 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
         filled_spans_s=_filled_spans_s(recording),
     )
+
+
+def _corner_of_tails(plate: Sequence[StepPlate | None]) -> float:
+    """Corner in Hz of a coupling that the tails of impacts show in the offsets and harmonics of steps; 0 for none.
+
+    Impacts of any size and rate leave ``-2 a / (1 + i m f / corner)`` at the m-th multiple of the forcing, for an
+    offset of ``-a``. Where impacts are at several phases of a cycle, the harmonic is smaller than that.
+    """
+    found = []
+    for s in plate:
+        fit = None if s is None else s.acceleration
+        if s is None or fit is None or abs(fit.offset) < 10.0 * fit.offset_uncertainty:
+            continue
+        k = next((i for i, m in enumerate(s.multiples) if m > 1 and m not in s.forcing_multiples), None)
+        if k is None or abs(fit.amplitudes[k]) < 5.0 * fit.amplitude_sigma()[k]:
+            continue
+        ratio = 2.0 * abs(fit.offset) / abs(fit.amplitudes[k])
+        found.append(s.multiples[k] * s.frequency_hz / math.sqrt(max(ratio**2 - 1.0, 1.0)))
+    return median(np.array(found)) if len(found) >= 4 else 0.0
 
 
 def _cut_off_spans_s(recording: Recording, steps: npt.NDArray[np.void], plate: Sequence[StepPlate | None]) -> Floats:
