@@ -366,5 +366,5 @@ def plausibility_warnings(recording: Recording, flights: Flights, instrument: In
             'are counted: "within one sample" is of the count, not of the times'
         )
     doubts = () if instrument is None else instrument.doubts
-    odd = (*flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand))
+    odd = (*flights.plate.warnings(), *in_words(flights.edges.by_hand))
     return [*found, *(doubt.sentence for doubt in doubts), *odd]

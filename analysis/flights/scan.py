@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from analysis.events.ac_coupling import Coupling, LevelRestorer, measure_coupling
+from analysis.events.contact_leak import contact_leak
 from analysis.events.impact_detection import NO_IMPACTS, Impacts, ImpactScan
 from analysis.events.impact_template import ImpactTemplate
 from analysis.events.levels import OPENS, Crossings, CrossingScan, Levels, measure_levels
@@ -48,6 +49,13 @@ class Survey:
     # volts beyond which the accelerometer does not read; infinite where it does not come to its end
     ends_v: Ends = NO_ENDS
     step_v: float = 0.0  # distance of the accelerometer's readings where it is coarser than the noise
+    leak: float = 0.0  # part of the contact's volts that the accelerometer holds
+
+    def without_leak(self, piece: Piece) -> None:
+        """Take out of a piece's accelerometer what leaks into it from the contact, in place."""
+        if self.leak != 0.0 and self.levels is not None:
+            contact_v = piece.channels["continuity"]
+            piece.channels["accelerometer"] -= np.float32(self.leak) * (contact_v - np.float32(self.levels.closed_v))
 
     def smooth(self, volts: Volts) -> Volts:
         """The accelerometer (n,) without the steps of few bits, which look like impacts; itself where it has more."""
@@ -135,21 +143,29 @@ def survey(recording: Recording, high_pass_hz: float | None = None) -> Survey:
     tones_hz = [multiple * forcing.frequency_hz for multiple in forcing.multiples]
     ends_v = ends_in_noise(stretches, ends_v, recording.rate_hz, tones_hz)
     step_v = coarse_step(stretches)
+    levels, coupling, leak = _circuit(recording, looked)
+    known = Survey(levels, None, None, coupling, ends_v, step_v, 0.0 if step_v > 0.0 else leak)
     for piece in looked:
+        known.without_leak(piece)
         if (high_pass := high_pass_of(recording, high_pass_hz)) is not None:
             high_pass.undo(piece)
         if step_v > 0.0:
             without_rounding(piece.channels["accelerometer"], step_v)
     noise, template = estimate_template(looked, steps, recording.rate_hz, forcing, recording.gaps)
-    contact = recording.setup.channels.continuity
-    if "continuity" not in channels or contact is None:
-        return Survey(None, noise, template, ends_v=ends_v, step_v=step_v)
+    return replace(known, noise=noise, template=template)
+
+
+def _circuit(recording: Recording, looked: list[Piece]) -> tuple[Levels | None, Coupling | None, float]:
+    """Levels and coupling of the contact circuit, and what of it leaks into the accelerometer."""
+    contact, rate_hz = recording.setup.channels.continuity, recording.rate_hz
+    if "continuity" not in recording.channels or contact is None:
+        return None, None, 0.0
     volts = [p.own("continuity") for p in looked]
     if contact.coupling == "ac":
-        coupling = measure_coupling([own.astype(np.float64) for own in volts], contact.swing_v, recording.rate_hz)
-        return Survey(coupling.levels, noise, template, coupling, ends_v, step_v)
+        coupling = measure_coupling([own.astype(np.float64) for own in volts], contact.swing_v, rate_hz)
+        return coupling.levels, coupling, 0.0
     levels = measure_levels(np.concatenate(volts), contact.closed_v.value, contact.open_v.value)
-    return Survey(levels, noise, template, ends_v=ends_v, step_v=step_v)
+    return levels, None, contact_leak(looked, levels, rate_hz)
 
 
 def _by_step(piece: Piece, steps: npt.NDArray[np.void]) -> list[Volts]:
@@ -200,6 +216,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     accumulator = StepAccumulator(recording, steps, known.mask_s, known.ends_v)
     for piece in pieces(recording, channels):
         acceleration_v, drive_v = piece.channels["accelerometer"], piece.channels.get("drive")
+        known.without_leak(piece)
         if high_pass is not None:
             high_pass.undo(piece)
         fraction, landings = None, [np.zeros(0, np.int64)]
@@ -238,7 +255,7 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
         crossings=contact.crossings(),
         starts_open=contact.started_open,
         impacts=impacts.strong_in(_cut_off_spans_s(recording, steps, plate)),
-        plate=PlateMotion(plate, noise_v / abs(accelerometer.volts_per_mps2), rate_hz, recording.gaps),
+        plate=PlateMotion(plate, noise_v / abs(accelerometer.volts_per_mps2), rate_hz, recording.gaps, known.leak),
         missed=np.array([] if restorer is None else restorer.missed, np.int64),
         filled_spans_s=_filled_spans_s(recording),
     )

@@ -276,10 +276,16 @@ class PlateMotion:
     rate_hz: float
     # sample before which samples were lost, and how many, (k, 2)
     gaps: Integers = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    leak: float = 0.0  # part of the contact's volts that was taken out of the accelerometer
 
-    def saturation_warnings(self) -> tuple[str, ...]:
-        """A sentence that names the steps whose accelerometer saturates; none where it does not."""
+    def warnings(self) -> tuple[str, ...]:
+        """What a person ought to know of the accelerometer: the steps in which it saturates, and what leaks into it."""
         found = []
+        if self.leak:
+            found.append(
+                f"{self.leak:.2g} of the contact's volts leak into the accelerometer, and were taken out; give the two "
+                "circuits no wire in common, or leave a grounded channel between them"
+            )
         for usable in (True, False):
             those = [s for s in self.steps if s is not None and s.saturated and s.usable is usable]
             if those:

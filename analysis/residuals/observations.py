@@ -198,7 +198,7 @@ def observed(
     uneven = offset is not None and offset.uneven_edges(flights.edges.opening.tau_s == 0.0)
     weak = weak_mps(measured, steps.plate, flights, keep) if offset else np.full(len(scored), np.inf)
     data, notes = plate_data(fitted, setup)
-    notes = (*notes, *flights.plate.saturation_warnings(), *in_words(flights.edges.by_hand), *left_out)
+    notes = (*notes, *flights.plate.warnings(), *in_words(flights.edges.by_hand), *left_out)
     spans = np.array([(s.first_sample, s.last_sample) for s in fitted], dtype=np.float64).reshape(-1, 2)
     return Observations(
         measured,

@@ -141,7 +141,7 @@ def test_motion_beyond_the_sensors_end_by_some_per_cent_keeps_its_gamma(make) ->
         pulls.append((cut.gamma - own.gamma) / cut.gamma_uncertainty)
     assert np.abs(pulls).max() < 3.0
     assert kept.tolist() == list(range(12))
-    (warning,) = plate.saturation_warnings()
+    (warning,) = plate.warnings()
     assert "in step 9, 10, 11:" in warning and "gamma comes from the rest" in warning
 
 
