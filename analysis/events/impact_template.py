@@ -197,8 +197,7 @@ def even(fine: Floats, rate_hz: float) -> Floats:
 
     Such motion would be subtracted from the recording after every impact, by the landing's place between two samples.
     """
-    half = max(round(0.5 * SLOW_S * rate_hz), 8)  # samples, with a long motion at low rates
-    reach = half * FINE
+    reach = FINE * max(round(0.5 * SLOW_S * rate_hz), 8)  # of samples, with a long motion at low rates
     whole = np.hanning(2 * reach + 1)  # one that ends in a jump would count ringing by the place of the samples
     every = np.where(np.arange(whole.size) % FINE == reach % FINE, whole, 0.0)
     # so would the bend in which an abrupt impact begins: it does not count
@@ -237,8 +236,9 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     begin = int(np.flatnonzero(loud)[0]) - FINE
     brief = min(width, fine.size)  # at the rate of an oscilloscope a template may be shorter
     power = np.convolve(quick**2, np.ones(brief) / brief, mode="same")
-    last = np.flatnonzero(loud & (power > RINGS * sigma_v**2))
-    end = min(max(peak, int(last[-1]) if last.size else 0) + FINE + 1, fine.size)
+    last = np.append(peak, peak + np.flatnonzero((loud & (power > RINGS * sigma_v**2))[peak:]))
+    again = np.flatnonzero(np.diff(last) > 4 * width)  # after 4 ms of silence it is the next impact
+    end = min(int(last[again[0] if again.size else -1]) + FINE + 1, fine.size)
     decay = one_mode(fine, quick, peak, end, width) if end + LEAST_DECAY * width > fine.size else None
     grid = np.arange(fine.size)
     slow = _slow_under(fine, quick, (peak, end), width) if decay is None else _slow_without(fine, decay, width)

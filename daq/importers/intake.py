@@ -108,10 +108,11 @@ class Intake:
             limit_v = FAR_OUTSIDE * described.range_v
             if peak_v > limit_v:
                 index = int(np.argmax(np.abs(values.astype(np.float64) * factor + offset) > limit_v))
+                counts = "; whole numbers may be a converter's counts: write volts" if not np.any(values % 1) else ""
                 raise InputError(
                     f"{self.source.path}: {piece.place(index)}, column {name}: {values[index]:.6g} is far outside the "
                     f"range of the {role} (range_v = {described.range_v:g}); is the unit right (--map "
-                    f"{role}={name}:mV), or range_v of [channels.{role}] too small?"
+                    f"{role}={name}:mV), or range_v of [channels.{role}] too small{counts}?"
                 )
         self.n_rows += len(piece.rows)
         return stamps

@@ -65,6 +65,18 @@ def test_an_abrupt_beginning_is_no_slow_motion(ringing_hz: float) -> None:
     assert np.max(np.abs(even(rings, RATE_HZ) - rings)) < 6e-4
 
 
+def test_what_comes_after_a_silence_is_the_next_impact() -> None:
+    """A ringing of some milliseconds ends where it is silent, though the next impact begins 25 ms after the first."""
+    rng = np.random.default_rng(9)
+    lag_s = (np.arange(512 * FINE) - LEAD * FINE) / FINE / RATE_HZ
+    waves = [
+        np.where((t := lag_s - at) > 0.0, np.exp(-t / 6e-4) * np.sin(5200.0 * np.pi * t), 0.0) for at in (0.0, 0.025)
+    ]
+    ringing = ringing_part(waves[0] + waves[1] + 1e-3 * rng.standard_normal(lag_s.size), 1e-3, RATE_HZ)
+    assert ringing is not None
+    assert ringing.size < (LEAD + 200) * FINE
+
+
 def test_a_weak_landing_alone_does_not_blow_up_what_is_under_it() -> None:
     """Landings at one place between samples, and a weak one at another: the waveform is that of the strong ones."""
     rng = np.random.default_rng(7)

@@ -86,6 +86,13 @@ def test_another_rate_and_another_frequency_are_told(tmp_path: Path, setup: Setu
     assert any("the steps are at 19.0" in s and "25.37" in s for s in said)
 
 
+def test_counts_of_a_converter_are_no_volts(tmp_path: Path, setup: Setup, columns: Columns) -> None:
+    """Whole numbers of 16 bits are refused, with what they may be."""
+    counts = {k: v if k == "time_s" else np.rint(3276.8 * v) for k, v in columns.items()}
+    with pytest.raises(InputError, match="whole numbers may be a converter's counts: write volts"):
+        bring_in(write_csv(tmp_path / "a.csv", counts), setup)
+
+
 @pytest.mark.parametrize("factor", [1e6, 1e305])
 def test_volts_far_outside_the_range(tmp_path: Path, setup: Setup, columns: Columns, factor: float) -> None:
     """A plate at a million g is refused, with the first row and what may be wrong."""
