@@ -12,7 +12,7 @@ import numpy as np
 from analysis.events.levels import Levels
 from analysis.signals import Piece
 
-HALF_S, ALONE_S = 1e-3, 4e-3  # window on each side of an opening, and time before it in which nothing may touch
+HALF_S, QUIET_S = 1e-3, 4e-3  # window on each side of an opening, and time before it in which nothing may touch
 FEWEST = 8  # openings
 SURE = 6.0  # deviations of the openings' median
 LARGEST = 0.03  # a larger step is an impact, under a profile that exchanges open and closed
@@ -20,7 +20,7 @@ LARGEST = 0.03  # a larger step is an impact, under a profile that exchanges ope
 
 def contact_leak(pieces: Sequence[Piece], levels: Levels, rate_hz: float) -> float:
     """Part of the contact's volts that the accelerometer's volts hold; 0 where openings show none that lasts."""
-    half, alone = max(round(HALF_S * rate_hz), 6), max(round(ALONE_S * rate_hz), 12)
+    half, quiet = max(round(HALF_S * rate_hz), 6), max(round(QUIET_S * rate_hz), 12)
     window = np.arange(-half, half + 1)
     whole, late = np.ones(window.size, np.bool_), np.abs(window) > half // 2
     # a cubic is the tones' part of two milliseconds
@@ -31,7 +31,7 @@ def contact_leak(pieces: Sequence[Piece], levels: Levels, rate_hz: float) -> flo
         is_open = (both[0] - levels.closed_v) / (levels.open_v - levels.closed_v) > 0.5
         edges = np.flatnonzero(np.diff(is_open)) + 1
         before, after = np.diff(edges, prepend=0), np.diff(edges, append=is_open.size)
-        opens = edges[is_open[edges] & (before > alone) & (after > 2 * half)]
+        opens = edges[is_open[edges] & (before > quiet) & (after > 2 * half)]
         own = np.zeros((opens.size, 2))
         for k, rows in enumerate((whole, late)):
             contact, acceleration = both[:, opens[:, None] + window[rows]]

@@ -92,10 +92,10 @@ def converter_step(values: NDArray[Any]) -> float:
     # each value must come four times on average, before the distances of values show a converter's step
     if different.size < 2 or 4 * different.size > len(values):
         return 0.0
-    apart = np.diff(different.astype(np.float64))
-    step = median(apart)
+    distances = np.diff(different.astype(np.float64))
+    step = median(distances)
     # a drive without noise has few values, too, the same in each cycle: they lie on no lattice
-    steps = apart / step
+    steps = distances / step
     return step if np.mean(np.abs(steps - np.rint(steps)) < 0.1) > 0.9 else 0.0
 
 
