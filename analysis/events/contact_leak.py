@@ -12,15 +12,11 @@ import numpy as np
 from analysis.events.levels import Levels
 from analysis.signals import Piece
 
-HALF_S, QUIET_S = 1e-3, 4e-3  # window on each side of an opening, and time before it in which nothing may touch
-FEWEST = 8  # openings
-SURE = 6.0  # deviations of the openings' median
-LARGEST = 0.03  # a larger step is an impact, under a profile that exchanges open and closed
-
 
 def contact_leak(pieces: Sequence[Piece], levels: Levels, rate_hz: float) -> float:
     """Part of the contact's volts that the accelerometer's volts hold; 0 where openings show none that lasts."""
-    half, quiet = max(round(HALF_S * rate_hz), 6), max(round(QUIET_S * rate_hz), 12)
+    # a millisecond on each side of an opening, before which nothing may touch for four
+    half, quiet = max(round(1e-3 * rate_hz), 6), max(round(4e-3 * rate_hz), 12)
     window = np.arange(-half, half + 1)
     whole, late = np.ones(window.size, np.bool_), np.abs(window) > half // 2
     # a cubic is the tones' part of two milliseconds
@@ -39,11 +35,12 @@ def contact_leak(pieces: Sequence[Piece], levels: Levels, rate_hz: float) -> flo
             own[:, k] = np.sum(contact * acceleration, axis=1) / np.sum(contact**2, axis=1)
         found.append(own)
     leaks = np.concatenate(found)
-    if len(leaks) < FEWEST:
+    if len(leaks) < 8:
         return 0.0
     leak, lasting = np.median(leaks, axis=0)
     # of the medians of normal numbers
     sigma = 1.86 * np.median(np.abs(leaks - np.array([leak, lasting])), axis=0) / np.sqrt(len(leaks))
-    if not SURE * sigma[0] < abs(leak) < LARGEST or abs(lasting - leak) > max(0.1 * abs(leak), 3.0 * sigma[1]):
+    # a larger step is an impact, under a profile that exchanges open and closed
+    if not 6.0 * sigma[0] < abs(leak) < 0.03 or abs(lasting - leak) > max(0.1 * abs(leak), 3.0 * sigma[1]):
         return 0.0  # what a cable's capacity lets through at an edge does not last
     return float(leak)

@@ -245,10 +245,8 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     plate = with_coloured_noise(accumulator.finish())
     impacts = detectors[0].impacts().away_from_seams(recording) if detectors else NO_IMPACTS
     noise_v, accelerometer = 0.0 if known.noise is None else known.noise.rms_v, recording.setup.channels.accelerometer
-    if high_pass is None and high_pass_hz is None and accelerometer.coupling == "ac":
-        corner_hz = _corner_of_tails(plate)
-        if corner_hz > LEAST_HZ:
-            return scan(recording, progress, corner_hz)
+    if high_pass is None and high_pass_hz is None and (corner_hz := _corner_of_tails(recording, plate)) > LEAST_HZ:
+        return scan(recording, progress, corner_hz)
     return Scan(
         survey=known,
         steps=steps,
@@ -261,14 +259,14 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
     )
 
 
-def _corner_of_tails(plate: Sequence[StepPlate | None]) -> float:
-    """Corner in Hz of a coupling that the tails of impacts show in the offsets and harmonics of steps; 0 for none.
+def _corner_of_tails(recording: Recording, plate: Sequence[StepPlate | None]) -> float:
+    """Corner in Hz that the tails of impacts show in offsets and harmonics of an AC-coupled accelerometer; 0 for none.
 
     Impacts of any size and rate leave ``-2 a / (1 + i m f / corner)`` at the m-th multiple of the forcing, for an
     offset of ``-a``. Where impacts are at several phases of a cycle, the harmonic is smaller than that.
     """
-    found = []
-    for s in plate:
+    found, coupled = [], recording.setup.channels.accelerometer.coupling == "ac"
+    for s in plate if coupled else ():
         fit = None if s is None else s.acceleration
         if s is None or fit is None or abs(fit.offset) < 10.0 * fit.offset_uncertainty:
             continue

@@ -36,6 +36,7 @@ from analysis.plate.step_state import (
     N_MASK_LEVELS,
     NEITHER,
     ChunkFit,
+    DriveReading,
     Span,
     StepState,
     multiples_of,
@@ -149,13 +150,12 @@ class StepAccumulator:
                 self.open = self._begin_step(k)
                 if piece.codes is not None and piece.first <= start <= piece.last - STEP_SAMPLES:
                     self.open.first_codes = piece.codes[start - piece.first :][:STEP_SAMPLES].copy()
-            if piece.drive_v is not None and not self.open.drive_cut_off:
+            if piece.drive_v is not None and not self.open.drive_reads.cut_off:
                 own = piece.drive_v[max(start - piece.first, 0) : stop - piece.first][:STEP_SAMPLES]
                 # fewer samples of a step that goes on would be a part of a cycle
                 whole = own.size == min(STEP_SAMPLES, stop - start) > 0
                 if whole:
-                    self.open.drive_cut_off = drive_is_cut_off(own, self.rate_hz)
-                    self.open.drive_step_v = converter_step(own)
+                    self.open.drive_reads = DriveReading(drive_is_cut_off(own, self.rate_hz), converter_step(own))
             for a, b in self._unbroken(max(start, piece.first), min(stop, piece.last)):
                 self._add_span(self.open, piece.first, (a, b), means, begins)
             if stop <= piece.last:

@@ -59,20 +59,19 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     if drive is not None and drive.shows and not volts.shows:  # a loose plug: nothing is known of the plate's motion
         return None
     # the tones of a drive that is cut off are smaller than what moves the plate
-    setup, drive = recording.setup, None if state.drive_cut_off else drive
+    setup, drive = recording.setup, None if state.drive_reads.cut_off else drive
     if drive is not None:
         noise_v = min((float(c.noise[1]) for c in state.chunks), default=drive.rms)
-        drive = with_rounding(drive, state.drive_step_v, noise_v)
-    channel = setup.channels.accelerometer
+        drive = with_rounding(drive, state.drive_reads.step_v, noise_v)
+    channel, gravity_mps2 = setup.channels.accelerometer, setup.g_mps2.value
     factor = 1.0 / channel.volts_per_mps2
     zero_v = channel.offset_v.value if channel.offset_v is not None else 0.0
     rows, multiples = state.rows, state.multiples
     windows = _windows(state, factor, len(rows))
     noise_mps2 = min((float(c.noise[0]) for c in state.chunks), default=volts.rms) * abs(factor)
-    acceleration = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
-    acceleration = with_line_uncertainty(acceleration, state.mains, factor)
-    some = state.first_codes
-    if some is None:
+    steady = _without_modulation(scaled(volts, factor, zero_v), windows, rows, noise_mps2)
+    acceleration = with_line_uncertainty(steady, state.mains, factor)
+    if (some := state.first_codes) is None:
         some = recording.codes("accelerometer", state.first_sample, state.first_sample + STEP_SAMPLES)
     step_v = converter_step(some) * abs(recording.scale("accelerometer")[0])
     rounded = with_rounding(acceleration, step_v * abs(factor), noise_mps2)
@@ -80,7 +79,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
     wider = float(rounded.amplitude_sigma()[0] / max(acceleration.amplitude_sigma()[0], 1e-300))
     acceleration = rounded
     contact = state.lock_in.part(state.clear_classes((CONTACT,)))
-    unmasked = _unmasked(state.lock_in, total, contact, setup.g_mps2.value / factor) * factor
+    unmasked = _unmasked(state.lock_in, total, contact, gravity_mps2 / factor) * factor
     gamma, period = gamma_of(unmasked, multiples, setup, state.forcing), _period(tuple(multiples[r] for r in rows))
     relative = float(acceleration.amplitude_sigma()[0]) / max(float(np.abs(unmasked[0])), 1e-300)
     total.forget()  # its sums stay with the step until the recording is read to its end
@@ -98,7 +97,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms * wider),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
-        gamma_peak=-float(np.minimum.reduce((period @ unmasked[rows]).real)) / setup.g_mps2.value,
+        gamma_peak=-float(np.minimum.reduce((period @ unmasked[rows]).real)) / gravity_mps2,
         gamma_drive=_drive_gamma(drive, multiples, setup, state.forcing),
         phase0_rad=float(np.mod(np.angle(unmasked[0]) - 0.5 * np.pi, 2 * np.pi)),
         masked=1.0 - total.n / max(state.lock_in.n, 1),

@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -243,14 +243,20 @@ class PlannedStep:
     first_sample: int
 
 
+class DriveReading(NamedTuple):
+    """What the drive's reading can show in a step."""
+
+    cut_off: bool = False  # whether it is at its end for a part of each cycle
+    step_v: float = 0.0  # of its converter; 0 where none is seen
+
+
 @dataclass
 class StepState(PlannedStep):
     """Accumulated state of one step: open spans, tones, normal equations and closed chunks.
 
     ``first_codes`` are its first accelerometer samples as stored, where they came in one piece; ``ends`` the codes at
-    which the accelerometer is at its end, where blocks that reach them are masked. ``drive_cut_off`` says whether the
-    drive's reading is at its end for a part of each cycle, ``drive_step_v`` its converter's step (0: none is seen). No
-    harmonic beyond ``most_multiple`` is fitted.
+    which the accelerometer is at its end, where blocks that reach them are masked. No harmonic beyond ``most_multiple``
+    is fitted.
     """
 
     last_sample: int
@@ -267,8 +273,7 @@ class StepState(PlannedStep):
     chunks: list[ChunkFit] = field(default_factory=list)
     first_codes: npt.NDArray[Any] | None = None
     ends: Ends | None = None
-    drive_cut_off: bool = False
-    drive_step_v: float = 0.0
+    drive_reads: DriveReading = field(default_factory=DriveReading)
 
     @property
     def rows(self) -> list[int]:
