@@ -201,8 +201,8 @@ def even(fine: Floats, rate_hz: float) -> Floats:
     whole = np.hanning(2 * reach + 1)  # one that ends in a jump would count ringing by the place of the samples
     every = np.where(np.arange(whole.size) % FINE == reach % FINE, whole, 0.0)
     # so would the bend in which an abrupt impact begins: it does not count
-    grid = np.arange(-reach, fine.size + reach)
-    weight = -np.expm1(-0.5 * ((grid - int(np.argmax(np.abs(np.diff(fine))))) / (2 * FINE)) ** 2)
+    since = np.arange(-reach, fine.size + reach) - int(np.argmax(np.abs(np.diff(fine))))
+    weight = -np.expm1(-0.5 * (since / (2 * FINE)) ** 2)
     counted = weight * np.pad(fine, reach, mode="edge")
     own, mean = (np.convolve(counted, w, mode="valid") / np.convolve(weight, w, mode="valid") for w in (every, whole))
     return np.asarray(fine - own + mean)
@@ -227,18 +227,18 @@ def ringing_part(fine: Floats, sigma_v: float, rate_hz: float) -> Floats | None:
     be taken for impacts, and landings that stand so far from others as the table rings may be few.
     """
     width = max(round(SLOW_S * rate_hz * FINE), 1)
-    ends = np.pad(fine, width, mode="edge")  # no artificial jump at either end
-    quick = fine - np.convolve(ends, np.ones(width) / width, mode="same")[width:-width]
+    # padded, so that no artificial jump is at either end
+    quick = fine - np.convolve(np.pad(fine, width, mode="edge"), np.ones(width) / width, mode="same")[width:-width]
     loud = np.convolve(quick**2, np.ones(2 * FINE) / (2 * FINE), mode="same") > (LOUD * sigma_v) ** 2
     peak = int(np.argmax(np.abs(quick)))
     if not loud[peak]:
         return None
     begin = int(np.flatnonzero(loud)[0]) - FINE
-    brief = min(width, fine.size)  # at the rate of an oscilloscope a template may be shorter
-    power = np.convolve(quick**2, np.ones(brief) / brief, mode="same")
+    power = np.convolve(quick**2, np.ones(brief := min(width, fine.size)) / brief, mode="same")  # both may be short
     last = np.append(peak, peak + np.flatnonzero((loud & (power > RINGS * sigma_v**2))[peak:]))
-    again = np.flatnonzero(np.diff(last) > 4 * width)  # after 4 ms of silence it is the next impact
-    end = min(int(last[again[0] if again.size else -1]) + FINE + 1, fine.size)
+    # what is loud after 4 ms of silence is the next impact, or, below a thousandth of the power, coarse rounding
+    strong = np.append(power[np.minimum(last[1:] + brief, fine.size - 1)] > 1e-3 * power.max(), True)
+    end = min(int(last[np.argmax((np.diff(last, append=np.inf) > 4 * width) & strong)]) + FINE + 1, fine.size)
     decay = one_mode(fine, quick, peak, end, width) if end + LEAST_DECAY * width > fine.size else None
     grid = np.arange(fine.size)
     slow = _slow_under(fine, quick, (peak, end), width) if decay is None else _slow_without(fine, decay, width)

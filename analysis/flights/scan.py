@@ -232,13 +232,8 @@ def scan(recording: Recording, progress: Progress | None = None, high_pass_hz: f
                 detector.subtract_impacts(volts, piece.first, PAD)
         if high_pass is not None:
             high_pass.redo(piece)
-        trimmed = PlatePiece(
-            piece.first,
-            piece.trim(acceleration_v),
-            None if drive_v is None else piece.trim(drive_v),
-            None if fraction is None else piece.trim(fraction),
-            piece.acceleration_codes,
-        )
+        drive, air = (None if volts is None else piece.trim(volts) for volts in (drive_v, fraction))
+        trimmed = PlatePiece(piece.first, piece.trim(acceleration_v), drive, air, piece.acceleration_codes)
         accumulator.add(trimmed, np.concatenate(landings))
         if progress is not None:
             progress(piece.last / recording.n_samples)

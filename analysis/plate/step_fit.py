@@ -56,7 +56,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         drive = None if "drive" not in recording.channels else fits[1] if fits is not None else total.solve(1)
     except ValueError:
         return None
-    if drive is not None and drive.shows and not volts.shows:  # a loose plug: nothing is known of the plate's motion
+    if drive and drive.shows and not volts.shows:  # a loose plug: nothing is known of the plate's motion
         return None
     # the tones of a drive that is cut off are smaller than what moves the plate
     setup, drive = recording.setup, None if state.drive_reads.cut_off else drive
@@ -91,9 +91,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         frequency_uncertainty_hz=state.frequency_uncertainty_hz,
         nominal_hz=state.nominal_hz,
         forcing_multiples=state.forcing,
-        multiples=multiples,
-        acceleration=acceleration,
-        drive=drive,
+        multiples=multiples, acceleration=acceleration, drive=drive,
         contact_flight=ContactFlightFit(contact, total, tuple(rows), volts.rms * wider),
         gamma=gamma,
         gamma_uncertainty=gamma * relative,
@@ -106,7 +104,7 @@ def step_plate(recording: Recording, state: StepState) -> StepPlate | None:
         windows=windows,
         slow=_slow(state, factor),
         intervals=_intervals(state),
-    )
+    )  # fmt: skip
 
 
 def _unmasked(every: LockIn, total: LockIn, contact: LockIn, gravity_v: float) -> Complexes:
