@@ -7,7 +7,6 @@ that ``z' = turn z + push``: both pushes, the constant one of a block and the im
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +16,6 @@ from scipy.signal import lfilter
 from analysis.linear_algebra import solveh_banded
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import Push
-from analysis.plate.ringing.in_blocks import tones_of
 from kernels import njit
 from kernels.arrays import Bools, Complexes, Floats
 
@@ -52,35 +50,20 @@ def answer(push_mps2: Floats, block_s: float, frequency_hz: float, damping: floa
 
 
 def ringing_after_changes(
-    force_mps2: Floats, block_s: float, tones_hz: Sequence[float], frequency_hz: float, damping: float
+    forces_mps2: Complexes, forces_hz: Floats, block_s: float, frequency_hz: float, damping: float
 ) -> Complexes:
-    """Amplitude at the blocks' edges of a mode under a force (n,), less that under its tones as they are, (1 + n,).
+    """Amplitude at the blocks' edges of a mode under forces, less that under their tones as they are, (1 + n,).
 
-    Where the tones' levels change, the mode lags behind; it then rings on with nothing but its own damping.
+    Where the tones' levels change, the mode lags behind; it then rings on with nothing but its own damping. The forces
+    are analytic signals (l, 1 + n), of so many Hz each.
     """
     turn = turn_of(frequency_hz, damping)
-    n, step = len(force_mps2) + 1, np.exp(turn * block_s)
-    steady = np.zeros(n, dtype=np.complex128)
-    for hz, tone in zip(tones_hz, tones_of(force_mps2, block_s, tones_hz), strict=True):
-        turning = np.exp(2j * np.pi * hz * block_s)
-        steady += 0.5 * (tone / (turning - step) + np.conj(tone) / (np.conj(turning) - step))[:n]
+    step, turning = np.exp(turn * block_s), np.exp(2j * np.pi * forces_hz * block_s)[:, None]
+    steady = 0.5 * np.sum(forces_mps2 / (turning - step) + np.conj(forces_mps2) / (np.conj(turning) - step), axis=0)
+    force = forces_mps2.real.sum(axis=0)[:-1]
     # it begins at rest under the force, as in `answer`
-    lagging = lfilter([1.0], [1.0, -step], np.append(force_mps2[0] / (1.0 - step), force_mps2)) - steady
+    lagging = lfilter([1.0], [1.0, -step], np.append(force[0] / (1.0 - step), force)) - steady
     return np.asarray(np.expm1(turn * block_s) / turn * lagging)
-
-
-def wander(ringing: Complexes, block_s: float, frequency_hz: float, damping: float) -> float:
-    """Variance a second that noise of the drive adds to each part of a mode's amplitude, (1 + n,).
-
-    Where no level changes the mode would ring freely.
-    """
-    turn, many = turn_of(frequency_hz, damping), max(round(0.05 / block_s), 1)  # some ms, or noise of one block counts
-    moved = (ringing[1:] - np.exp(turn * block_s) * ringing[:-1]) * np.exp(
-        -1j * turn.imag * block_s * np.arange(len(ringing) - 1)
-    )
-    sums = moved[: len(moved) // many * many].reshape(-1, many).sum(axis=1)
-    # a square of both parts of noise has a median of log 2 of its mean
-    return 0.5 * float(np.median(np.abs(sums) ** 2)) / math.log(2.0) / (many * block_s)
 
 
 @dataclass(frozen=True)
@@ -96,7 +79,6 @@ class PushedPlate:
     phase: complex = 1.0  # of the mode's mass ratio: see `answer`
     others: tuple[tuple[float, float, complex], ...] = ()  # further modes: frequency, damping, mass ratio
     after_changes: tuple[Complexes, ...] = ()  # of each mode, `ringing_after_changes` of the drive, (1 + n,)
-    wanders: tuple[float, ...] = ()  # of each of these, `wander`
 
     def moved(self, frequency_hz: float, damping: float, mass_ratio: float) -> ModeMotion:
         """The motion of a mode under this push, its kicks corrected by the acceleration; and further modes."""
@@ -109,10 +91,7 @@ class PushedPlate:
             pressed = np.asarray(lfilter([1.0], [1.0, -np.exp(turn * push.block_s)], steps))
             motions.append(ModeMotion(turn, push, complex(ratio), pressed, time_s, kicks))
         for i, ringing in enumerate(self.after_changes):
-            ratio, pressed = motions[i].mass_ratio, motions[i].pressed
-            motions[i] = replace(
-                motions[i], pressed=pressed + ringing / ratio, wanders=self.wanders[i] / abs(ratio) ** 2
-            )
+            motions[i] = replace(motions[i], pressed=motions[i].pressed + ringing / motions[i].mass_ratio)
         for i, motion in enumerate(motions if self.known.any() else ()):
             others = sum((m.gained_mps for m in motions if m is not motion), np.zeros(len(self.known)))
             motions[i] = replace(motion, kicks=motion.kicks + self._correction(motion, others / push.block_s))
@@ -128,16 +107,10 @@ class PushedPlate:
         turn, lasts_s = turn_of(frequency_hz, damping), len(self.known) * self.push.block_s
         # a kick is a change of speed: half of its variance goes to each quadrature, and so does what a block shows
         walk = 0.5 * np.sum(KICK_MPS**2 + (KICK_PART * self.push.impulse_mps) ** 2) / lasts_s
-        walk += sum(self.wanders[:1]) / mass_ratio**2
-        shown = 0.5 * (abs(turn) * mass_ratio / self._seen_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
+        shown = 0.5 * (abs(turn) * mass_ratio / self.noise_mps2) ** 2 * np.count_nonzero(self.known) / lasts_s
         # no error is older than the recording
         rate = math.sqrt(max(turn.real**2, lasts_s**-2) + walk * shown)
         return mass_ratio * math.sqrt(walk / (2.0 * rate)), rate
-
-    @property
-    def _seen_mps2(self) -> float:
-        """Noise of a block of the answer less the motion, which holds the drive's noise as well."""
-        return math.sqrt(self.noise_mps2**2 + 2.0 * sum(self.wanders) / self.push.block_s)
 
     def _correction(self, motion: ModeMotion, others_mps2: Floats) -> Complexes:
         """By how much kicks differ from those of a motion beside others: a smoother of the mode's state, (1 + k,).
@@ -146,11 +119,10 @@ class PushedPlate:
         normal equations are banded.
         """
         turn, time_s, m = motion.turn, motion.time_s, len(motion.time_s)
-        read = (self.answer_mps2 - others_mps2 - motion.gained_mps / self.push.block_s) / self._seen_mps2
-        sums = _shown(self.known, read, time_s, turn, self.push.block_s, motion.mass_ratio / self._seen_mps2)
+        read = (self.answer_mps2 - others_mps2 - motion.gained_mps / self.push.block_s) / self.noise_mps2
+        sums = _shown(self.known, read, time_s, turn, self.push.block_s, motion.mass_ratio / self.noise_mps2)
         total, side = sums[:, :3].T, sums[:, 3:]
-        since_s = np.diff(time_s, prepend=0.0)
-        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2 + motion.wanders * since_s)
+        sure = 1.0 / (KICK_MPS**2 + (KICK_PART * np.abs(motion.kicks)) ** 2)
         for begin_s in (-TORN_S, *self.torn_s):
             # where flights were missed, or before the first sample, the plate may have got any kick
             sure[(time_s >= begin_s) & (time_s <= begin_s + TORN_S)] = 1.0  # m/s
@@ -176,7 +148,6 @@ class ModeMotion:
     time_s: Floats  # the first sample and every impact, (1 + k,)
     kicks: Complexes  # by how much each changes the amplitude, (1 + k,)
     others: tuple[ModeMotion, ...] = ()
-    wanders: float = 0.0  # `wander` of the amplitude for a ball of the mode's mass
 
     @cached_property
     def struck(self) -> Complexes:

@@ -20,7 +20,7 @@ from analysis.linear_algebra import NotFiniteError, lstsq, solve
 from analysis.plate.motion import StepPlate
 from analysis.plate.ringing.ball_push import SHORTEST_REST_S, Push, ball_push, filled_after_impacts
 from analysis.plate.ringing.in_blocks import HUM_HZ, LEAD_S, drive_regressors, unmasked, volts_in_blocks
-from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of, wander
+from analysis.plate.ringing.mode_motion import PushedPlate, answer, ringing_after_changes, turn_of
 from analysis.plate.ringing.regression import CLUSTER_S, SURE_NATS, PlateMode, Regression
 from analysis.signals import restored
 from daq.recording import Recording
@@ -82,10 +82,10 @@ def identified_mode(
             if len(begun) == 1 and not record.promises(seen, found):
                 return Identified(seen.judged(found, forcing_hz))
             # a plate that goes as it is asked feels no force of the drive: none is looked for where noise is left
-            if record.forces and len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
-                other, x = record.settled(begun, None, record.forces)
+            if len(record.driven) and len(begun) == 1 and seen.left_nats(found) > SURE_NATS:
+                other, x = record.settled(begun, None, len(record.driven))
                 if x is not None and other.forced(x):
-                    forces, seen, found = record.forces, other, x
+                    forces, seen, found = len(record.driven), other, x
             elif forces and len(found) == 2 and not seen.forced(found):  # they stood for a flight that was missed
                 seen, found = record.settled(begun, found, forces := 0)
             seen, found = record.second(seen, begun, found, forces, forcing_hz)
@@ -114,24 +114,22 @@ def identified_mode(
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Acceleration (n,), regressors (n, k), of which so many may be ``forces``, unmasked blocks (n,), and flights.
+    """Acceleration (n,), regressors (n, k), unmasked blocks (n,), and flights.
 
+    The first regressors may be forces: ``driven`` are their analytic signals (l, 1 + n), of so many Hz each (l,).
     ``left_s`` is the take-off of a flight that the end cuts off; infinite without one.
     """
 
     acceleration: Floats
     linear: Floats
-    forces: int
     known: Bools
     block_s: float
     takeoff_s: Floats
     landing_s: Floats
     gravity_mps2: float
-    tones_hz: tuple[float, ...]
+    driven: Complexes
+    driven_hz: Floats
     left_s: float = math.inf
-    holds: tuple[
-        tuple[int, int], ...
-    ] = ()  # edges of blocks at which the drive's level does not change, of a whole recording
 
     @classmethod
     def of(
@@ -146,27 +144,26 @@ class _Recorded:
         landed = landing_s < (len(acceleration) - 1) * block_s
         steps, changed = recording.steps, recording.drive_changes["first_sample"]
         begins = steps["first_sample"] + steps["settle_samples"]
-        ends = steps["first_sample"] + steps["n_samples"] + 2 * width  # both edges of the last block
+        ends = steps["first_sample"] + steps["n_samples"]
         spans = np.column_stack([begins, ends]) // width
         quiet = [not np.any((changed >= a * width) & (changed < b * width)) for a, b in spans]
         known = unmasked(len(acceleration), block_s, landing_s, RINGS_ON * mask_s)
         if not landed.all():  # the impulse at the end of the flight before needs this flight
             last = int(np.argmin(landed))
             known[int((landing_s[max(last - 1, 0)] - LEAD_S) / block_s) :] = False
+        linear, driven, driven_hz = drive_regressors(drive, block_s, recording.setup.forcing, spans[quiet])
         return cls(
-            acceleration, *drive_regressors(recording, drive, block_s), known, block_s, takeoff_s[landed],
-            landing_s[landed], recording.setup.g_mps2.value,
-            tuple(recording.setup.forcing.frequency_hz * k for k in recording.setup.forcing.multiples),
-            float(np.min(takeoff_s[~landed], initial=math.inf)), tuple(map(tuple, spans[quiet].tolist())),
+            acceleration, linear, known, block_s, takeoff_s[landed], landing_s[landed], recording.setup.g_mps2.value,
+            driven, driven_hz, float(np.min(takeoff_s[~landed], initial=math.inf)),
         )  # fmt: skip
 
     def last(self, skipped: int) -> _Recorded:
         """Without the first blocks."""
         inside, shift_s = self.takeoff_s > skipped * self.block_s, skipped * self.block_s
         return _Recorded(
-            self.acceleration[skipped:], self.linear[skipped:], self.forces, self.known[skipped:], self.block_s,
-            self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2, self.tones_hz,
-            self.left_s - shift_s,
+            self.acceleration[skipped:], self.linear[skipped:], self.known[skipped:], self.block_s,
+            self.takeoff_s[inside] - shift_s, self.landing_s[inside] - shift_s, self.gravity_mps2,
+            self.driven[:, skipped:], self.driven_hz, self.left_s - shift_s,
         )  # fmt: skip
 
     def without(self, worst: int) -> tuple[_Recorded, int]:
@@ -200,7 +197,7 @@ class _Recorded:
 
     def promises(self, seen: Regression, x: Floats) -> bool:
         """Whether a mode found first, without forces, could become sure, with them or without."""
-        driven = replace(seen, shaken=np.vstack([seen.shaken, self.linear[:, : self.forces].T]))
+        driven = replace(seen, shaken=np.vstack([seen.shaken, self.linear[:, : len(self.driven)].T]))
         # what impacts hide, once known, has raised a gain by 4 parts in 10, never to twice
         return max(seen.gained(x), driven.gained(x)) > 0.5 * SURE_NATS
 
@@ -276,20 +273,14 @@ class _Recorded:
         left = (self.acceleration[skipped:] - seen.answers(x) @ sizes)[seen.known]
         driven, hum = self.made(np.asarray(lstsq(self.linear[skipped:][seen.known], left)[0], dtype=np.float64))
         of_forces, (ratios, jump) = sizes[2 * k - 1 :][: k * forces].reshape(k, forces), seen.ratios(x, sizes)
-        after_changes, wanders = list[Complexes](), list[float]()
+        after_changes = list[Complexes]()
         for mode, own in zip(modes, of_forces, strict=True) if forces else ():
-            force = self.linear[:, :forces] @ own
-            rings = ringing_after_changes(force, self.block_s, self.tones_hz, *mode)
+            rings = ringing_after_changes(own[:, None] * self.driven, self.driven_hz, self.block_s, *mode)
             turn = turn_of(*mode)
             # what is gone within a cycle of the drive is over with the change itself, where flights are not compared
-            rings = rings * (-turn.real < self.tones_hz[0])
+            rings = rings * (-turn.real < self.driven_hz[0])
             lagging_mps = rings.real + turn.real / turn.imag * rings.imag
-            wanders.append(wander(rings, self.block_s, *mode))
-            for begin, end in self.holds:  # noise of a drive that stays as it is makes nothing ring
-                ages = np.exp(turn * self.block_s * np.arange(len(rings[begin:end])))
-                cycle = slice(0, round(1.0 / self.tones_hz[0] / self.block_s))
-                if len(ages) > cycle.stop:
-                    rings[begin:end] = ages * np.mean(rings[begin:end][cycle] / ages[cycle])
+            force = self.linear[:, :forces] @ own
             driven += answer(force, self.block_s, *mode) - np.diff(lagging_mps) / self.block_s
             after_changes.append(rings)
         acceleration = driven + filled_after_impacts(self.acceleration - driven, self.known)
@@ -303,7 +294,6 @@ class _Recorded:
         pushed_by = partial(
             PushedPlate, answer_mps2=self.acceleration - driven, known=self.known, noise_mps2=left_mps2,
             until_s=until_s, torn_s=torn_s, phase=phase, others=tuple(others), after_changes=tuple(after_changes),
-            wanders=tuple(wanders),
         )  # fmt: skip
         for _ in range(ROUNDS):  # impacts are sharper from the motion as modelled: it has no noise
             plate = pushed_by(self.push(acceleration, hum, before, jump, seen.rubs))

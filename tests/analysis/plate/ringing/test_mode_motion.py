@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter
 
 from analysis.plate.ringing.ball_push import Push, ball_push
 from analysis.plate.ringing.mode_motion import (
@@ -18,7 +17,6 @@ from analysis.plate.ringing.mode_motion import (
     answer,
     ringing_after_changes,
     turn_of,
-    wander,
 )
 from analysis.residuals.plate_data.plate_mode import BlockIntegrals
 
@@ -109,9 +107,9 @@ def test_kicks_are_unknown_where_flights_were_missed(motion: ModeMotion) -> None
     assert np.abs(_pushed(missed).moved(HZ, DAMPING, RATIO).state(at_s) - motion.state(at_s)).max() > 5e-3
 
 
-@pytest.mark.parametrize(("noise_mps2", "drive_mps2"), [(0.01, 0.0), (0.1, 0.0), (0.02, 0.05)])
-def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float, drive_mps2: float) -> None:
-    """Kicks that err by what is taken for granted, noise of acceleration and drive: the speed errs as stated."""
+@pytest.mark.parametrize("noise_mps2", [0.01, 0.1])
+def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float) -> None:
+    """Kicks that err by what is taken for granted, and noise of the acceleration: the speed errs as stated."""
     rng, n = np.random.default_rng(4), 40000
     impact_s = np.arange(0.02, n * BLOCK_S, 0.04)
     impulse = -rng.uniform(0.2, 0.4, len(impact_s))
@@ -120,11 +118,7 @@ def test_a_modes_motion_errs_by_as_much_as_it_says(noise_mps2: float, drive_mps2
     blind = PushedPlate(push, np.zeros(n), np.zeros(n, dtype=bool), noise_mps2)
     true = replace(blind, push=replace(push, impulse_mps=impulse + wrong)).moved(HZ, DAMPING, RATIO)
     answer = true.gained_mps / BLOCK_S + noise_mps2 * rng.standard_normal(n)
-    turn, noise = turn_of(HZ, DAMPING), drive_mps2 * BLOCK_S * rng.standard_normal(n + 1)
-    rings = lfilter([1.0], [1.0, -np.exp(turn * BLOCK_S)], noise.astype(complex))
-    wanders = (wander(rings, BLOCK_S, HZ, DAMPING),)
-    known = np.ones(n, dtype=bool)
-    seen = replace(blind, answer_mps2=answer, known=known, after_changes=(rings,), wanders=wanders)
+    seen = replace(blind, answer_mps2=answer, known=np.ones(n, dtype=bool))
     at_s = np.arange(2.0, 38.0, 0.0137)
     error = (seen.moved(HZ, DAMPING, RATIO).state(at_s) - true.state(at_s)) * [2.0 * np.pi * HZ, 1.0]
     assert np.std(error) == pytest.approx(seen.error(HZ, DAMPING, RATIO)[0], rel=0.15)
@@ -151,9 +145,10 @@ def test_a_modes_part_of_a_tone_is_right_though_the_contacts_push_changes_within
 
 def test_where_the_drives_level_changes_a_mode_rings_on_by_itself() -> None:
     """In steady tones nothing is left but its own decay, to the end of the recording."""
-    time_s = (np.arange(4000) + 0.5) * BLOCK_S
+    time_s = (np.arange(4001) + 0.5) * BLOCK_S
     level = 0.8 + 0.5 * np.tanh((time_s - 0.2) / 0.02) + 0.3 * np.tanh((time_s - 1.5) / 0.02)
-    ringing = ringing_after_changes(level * np.sin(160.0 * time_s), BLOCK_S, [80.0 / np.pi], HZ, DAMPING)
+    force = (level * np.exp(160.0j * time_s))[None]
+    ringing = ringing_after_changes(force, np.array([80.0 / np.pi]), BLOCK_S, HZ, DAMPING)
     after = ringing[1650:]
     free = after[0] * np.exp(turn_of(HZ, DAMPING) * BLOCK_S * np.arange(len(after)))
     assert np.max(np.abs(after - free)) < 0.02 * abs(after[0])
@@ -162,9 +157,10 @@ def test_where_the_drives_level_changes_a_mode_rings_on_by_itself() -> None:
 
 def test_what_does_not_ring_on_of_an_answer_is_steady_from_the_beginning_on() -> None:
     """A recording that begins under a force rang with what neither tones nor mode had: flights were .3 mm off."""
-    time_s = (np.arange(4000) + 0.5) * BLOCK_S
-    force = np.sin(160.0 * time_s + 1.0)
-    z, turn = ringing_after_changes(force, BLOCK_S, [80.0 / np.pi], HZ, DAMPING), turn_of(HZ, DAMPING)
+    time_s = (np.arange(4001) + 0.5) * BLOCK_S
+    signal, turn = np.exp(160.0j * time_s + 1.0j)[None], turn_of(HZ, DAMPING)
+    force, time_s = signal[0].real[:-1], time_s[:-1]
+    z = ringing_after_changes(signal, np.array([80.0 / np.pi]), BLOCK_S, HZ, DAMPING)
     lagging = np.diff(z.real + turn.real / turn.imag * z.imag) / BLOCK_S
     steady = (answer(force, BLOCK_S, HZ, DAMPING) - lagging)[:3500]
     tone = np.column_stack([np.cos(160.0 * time_s), np.sin(160.0 * time_s)])[:3500]
