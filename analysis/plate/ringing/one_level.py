@@ -65,20 +65,25 @@ class OneLevel:
 def _splines(angle: Floats, holds: Integers) -> tuple[Floats, Integers]:
     """Cubic splines with two derivatives at angles (n,), (3, n, 4), and which four unknowns they belong to, (n, 4).
 
-    Ten to a turn of the forcing, or one to four blocks; in a hold all have the same unknown.
+    About ten to a turn of the forcing, or one to four blocks; in a hold all have the same unknown. A knot lies at the
+    end of each hold, so that the level is constant up to there and free at once.
     """
     spacing = max(0.2 * np.pi, 4.0 * float(angle[1] - angle[0]))
-    first = np.floor(angle / spacing).astype(np.int64)
-    powers = (angle / spacing - first)[:, None] ** np.arange(4)
+    ends = np.unique([0, *np.minimum(holds[:, 1], len(angle) - 1), len(angle) - 1])
+    counts = np.maximum(np.rint(np.diff(angle[ends]) / spacing), 1.0)
+    place = np.interp(angle, angle[ends], np.append(0.0, np.cumsum(counts)))
+    own = np.clip(np.searchsorted(ends, np.arange(len(angle)), "right") - 1, 0, len(counts) - 1)
+    per_angle = (counts / np.diff(angle[ends]))[own]  # it may differ from one end to the other: there all is constant
+    first = np.minimum(place.astype(np.int64), int(place[-1]) - 1)
+    powers = (place - first)[:, None] ** np.arange(4)
     by_power = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
-    slope = np.diag(np.arange(1.0, 4.0), 1) / spacing
-    splines = np.array([powers @ np.linalg.matrix_power(slope, k) @ by_power for k in range(3)])
+    slope = np.diag(np.arange(1.0, 4.0), 1)
+    splines = np.array([
+        powers @ np.linalg.matrix_power(slope, k) @ by_power * per_angle[:, None] ** k for k in range(3)
+    ])  # fmt: skip
     knot, held = np.arange(first[-1] + 4), np.full(first[-1] + 4, -1)
     for k, (begin, end) in enumerate(holds):
-        # where a step ends is known to half a turn
-        held[
-            ((knot + 1) * spacing > angle[begin]) & ((knot - 3) * spacing < angle[min(end, len(angle) - 1)] - np.pi)
-        ] = k
+        held[(knot + 1 > place[begin]) & (knot - 3 < place[min(end, len(angle) - 1)] - 0.5)] = k
     unknown = np.cumsum((np.diff(held, prepend=-1) != 0) | (held < 0))
     return splines, (unknown - unknown[0])[first[:, None] + np.arange(4)]
 
