@@ -79,10 +79,19 @@ class _Sums(NamedTuple):
 class LockIn:
     """Normal equations of a joint tone fit, accumulated in one pass over any number of pieces.
 
-    ``frequencies_hz`` (k,) are positive and pairwise different; all ``channels`` share the tones and the mask, and
-    there are ``sorts`` of values with sums of their own (`part` gives the fit of some of them). Where values are means
-    over ``boxcar`` recorded samples each, ``rate_hz`` and a value's index are those of the means: the boxcar's gain and
-    delay are taken out exactly.
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of what is handed to `add`.
+    frequencies_hz : array, shape (k,)
+        Positive, pairwise different.
+    channels : int
+        Number of channels, which share the tones and the mask.
+    boxcar : int
+        When the values are means over ``boxcar`` recorded samples each (then ``rate_hz`` is the rate of the means and
+        a value's index is that of its mean): the boxcar's gain and delay are taken out exactly.
+    sorts : int
+        Number of sorts of values with sums of their own (`part` gives the fit of some of them).
     """
 
     def __init__(
@@ -143,9 +152,15 @@ class LockIn:
         return self._response
 
     def add(self, x: npt.ArrayLike, first: int, mask: npt.ArrayLike | None = None) -> None:
-        """Accumulate values ``x``, (n,) or (n, channels), from index ``first`` on; 0 is the recording's first.
+        """Accumulate values ``first, first + 1, ...``.
 
-        ``mask`` (n,) is True where a value counts; or the sort of each value as int8, negative where it does not count.
+        Parameters
+        ----------
+        x : array, shape (n,) or (n, channels)
+        first : int
+            Index of the first value, counted from sample 0 of the recording.
+        mask : bool array, shape (n,), optional
+            True where a value counts; or the sort of each value as int8, negative where it does not count.
         """
         values = np.asarray(x, dtype=np.float64)
         values = values.reshape(values.shape[0], -1)
@@ -268,8 +283,18 @@ def fit_tones(
 ) -> ToneFit:
     """Joint least squares for the complex amplitudes of known tones and a constant.
 
-    ``x`` (n,) are the recording's samples from ``first_sample`` on, to whose sample 0 phases refer; ``mask`` (n,) is
-    True where one counts. Raises `ValueError` for too few samples, or tones too close to be distinguished.
+    Raises `ValueError` for too few samples, or tones too close to be distinguished. Phases refer to sample 0 of the
+    recording.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Samples ``first_sample, first_sample + 1, ...`` of the recording.
+    first_sample : int
+    rate_hz : float
+    frequencies_hz : array, shape (k,)
+    mask : bool array, shape (n,), optional
+        True where a sample counts.
     """
     lock_in = LockIn(rate_hz, frequencies_hz)
     if mask is None:
@@ -281,10 +306,18 @@ def fit_tones(
 
 
 def fit_tones_each(x: npt.ArrayLike, edges: Integers, rate_hz: float, frequencies_hz: npt.ArrayLike) -> ToneFits:
-    """`fit_tones` of each of successive stretches of the recording, of which ``x`` holds the samples.
+    """`fit_tones` of each of successive stretches of the recording.
 
-    ``edges`` (m + 1,) are the first sample of each stretch, and the end of the last. Raises `ValueError` for too few
-    samples in a stretch, or tones too close to be distinguished.
+    Raises `ValueError` for too few samples in a stretch, or tones too close to be distinguished.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Samples ``edges[0], ..., edges[-1] - 1`` of the recording.
+    edges : int array, shape (m + 1,)
+        First sample of each stretch, and the end of the last.
+    rate_hz : float
+    frequencies_hz : array, shape (k,)
     """
     lock_in = LockIn(rate_hz, frequencies_hz, sorts=len(edges) - 1)
     lock_in.add_stretches(x, edges)

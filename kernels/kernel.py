@@ -75,9 +75,23 @@ watchers: list[Watcher] = []
 
 
 class Kernel:
-    """A function that runs as machine code, compiled with ``options`` as `numba.njit` takes them.
+    """A function that runs as machine code.
 
-    ``find`` finds or makes the machine code for arguments of given kinds, of which it gets an example.
+    Parameters
+    ----------
+    function
+        What is compiled.
+    options
+        As `numba.njit` takes them.
+    find
+        Finds or makes the machine code of a kernel for arguments of given kinds, of which it gets an example.
+
+    Attributes
+    ----------
+    py_func, targetoptions
+        Function and options, under the names that numba's own dispatcher has for them.
+    callables : dict
+        The machine code in use, by the kinds of the arguments (`kind`).
     """
 
     def __init__(self, function: Function, options: dict[str, Any], find: Finder) -> None:

@@ -29,8 +29,12 @@ _one_at_a_time = threading.RLock()
 def njit(**options: Any) -> Callable[[Function], Any]:
     """Compile a function at its first call, and keep the machine code for later processes.
 
-    Returns the decorator, which gives a `Kernel`; with ``NUMBA_DISABLE_JIT`` set, the function as it is. ``options``
-    are as `numba.njit` takes them; ``cache`` has no effect: it is always on.
+    Returns the decorator, which gives a `Kernel`; with ``NUMBA_DISABLE_JIT`` set, the function as it is.
+
+    Parameters
+    ----------
+    **options
+        As `numba.njit` takes them; ``cache`` has no effect: it is always on.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return lambda function: function

@@ -58,7 +58,14 @@ def staked(
 
     None where nothing is named, where a drift is (a later run does not share it), or no rival differs anywhere.
 
-    ``options`` are forcings that may be driven, ``steps`` those of a block, ``written`` software and time of writing.
+    Parameters
+    ----------
+    fitted
+        The fits behind the verdict.
+    options, steps
+        Forcings that may be driven, and the steps of a block.
+    written, recordings
+        Software and time of writing, and the recordings that the verdict is on.
     """
     model, best = fitted.model, fitted.selection.best
     if not best.free or any(q.endswith(TREND) for _, q in best.free):

@@ -53,13 +53,25 @@ def join_runs(
     journal: Journal | None = None,
     progress: Progress | None = None,
 ) -> JointVerdict:
-    """Judge many runs of one rig together, each with its own calibrations; ``setup`` replaces what they store.
+    """Judge many runs of one rig together, each with its own calibrations.
 
-    One recording is in memory at a time, and the flights of the first ones. The ``journal`` has every summary, so that
-    a verdict that was interrupted goes on; ``progress`` is called with what is being done and the fraction of the pass.
+    Parameters
+    ----------
+    recordings
+        At least three; one is in memory at a time, and the flights of the first ones.
+    setup
+        Replaces the setups stored in the recordings.
+    journal
+        Keeps every summary, so that a verdict that was interrupted goes on.
+    progress
+        Called with what is being done and the fraction of the pass.
 
-    Raises `InputError` where a file is no recording or shows too little, there are fewer than three, or two hold the
-    same samples; `ValueError` for declared effects that do not exist or are out of bounds.
+    Raises
+    ------
+    InputError
+        Where a file is no recording or shows too little, there are too few, or two hold the same samples.
+    ValueError
+        For declared effects that do not exist or are out of bounds.
     """
     if len(recordings) < 3:  # fewer tell nothing of how runs differ
         raise InputError(

@@ -70,7 +70,10 @@ class Ranked:
 def designs_for(gamma: Floats, ratio: int) -> list[Design]:
     """Candidate runs: other ratios, farther into the irregular range, another order of steps, calibrations with it.
 
-    ``gamma`` (m,) and ``ratio`` are those of the run that was made.
+    Parameters
+    ----------
+    gamma, ratio
+        Of the steps of the run that was made, (m,), and its c.
     """
     low, high = float(np.min(gamma)), float(np.max(gamma))
 

@@ -58,9 +58,14 @@ def level_of_look(look: int) -> float:
 
 
 def judge_so_far(observations: Observations, look: int) -> SoFar | None:
-    """Judge a run by its finished steps so far; None without flights to judge.
+    """Judge a run by what it has recorded so far; None without flights to judge.
 
-    ``look`` is the number of this look at the run, from 1; looks may be left out.
+    Parameters
+    ----------
+    observations
+        Of all finished steps.
+    look
+        The number of this look at the run, from 1; looks may be left out.
     """
     if not observations.scored.any():
         return None

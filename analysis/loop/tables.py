@@ -242,7 +242,17 @@ def _interval(parts: Sequence[tuple[float, float, float]]) -> tuple[float, float
 def loop_json(
     loop: ClosedLoop, next_run: dict[str, object] | None = None, term_effect: TermEffect | None = None
 ) -> dict[str, Any]:
-    """The verdict as JSON values, with the ranked next runs (`ranking_json`) and the discovered term as an effect."""
+    """The verdict as JSON values.
+
+    Parameters
+    ----------
+    loop
+        The closed loop.
+    next_run
+        Ranked next runs, see `analysis.loop.design.ranking_json`.
+    term_effect
+        The discovered term as an effect.
+    """
     return json_object({
         "verdict": loop.verdict,
         "effects": [_effect(e) for e in loop.selection.effects],

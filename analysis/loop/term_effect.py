@@ -94,7 +94,14 @@ def effect_source(loop: ClosedLoop, name: str) -> str:
     """Text of the file of an effect that is the loop's discovered term.
 
     Raises `InputError` where nothing was discovered, or the term was found in place of an effect that the profile
-    declares. ``name`` is that of the effect.
+    declares.
+
+    Parameters
+    ----------
+    loop
+        A closed loop with a discovered term.
+    name
+        Of the effect.
     """
     found = loop.discovered
     if found is None:

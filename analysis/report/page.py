@@ -224,8 +224,16 @@ def write_report(
 
     Raises `InputError` when the folder cannot be written, or the recording cannot be read.
 
-    ``recording`` is the first one: its first bifurcation, measured and predicted, is reported where it is given.
-    ``progress`` is called with what is being done and the fraction done.
+    Parameters
+    ----------
+    loop, folder
+        The closed loop, as computed or as loaded from a file, and a folder, made where it does not exist.
+    recording
+        The first one: its first bifurcation, measured and predicted, is reported where it is given.
+    progress
+        Called with what is being done and the fraction done.
+    term_effect
+        The discovered term as an effect, and the loop with it.
     """
     say = progress or (lambda what, part: None)
     date, version, commit = datetime.date.today().isoformat(), software_version(), software_commit()

@@ -72,9 +72,19 @@ class BlockClock:
 class LossDetector:
     """Follow the looped-back drive block by block and declare what is missing.
 
-    ``chunk`` frames are looked at together, blocks wait until there are so many; ``searcher`` runs the searches: at
-    once, or in a thread for a device, which does not wait. ``heard_samples`` are settled, ``lost_samples`` found lost
-    before them or declared by the device.
+    Parameters
+    ----------
+    rate_hz
+        Samples a second.
+    chunk
+        Frames looked at together; blocks wait until there are so many.
+    searcher
+        Runs the searches: at once, or in a thread for a device, which does not wait.
+
+    Attributes
+    ----------
+    heard_samples, lost_samples : int
+        Frames that are settled, and samples found lost before them or declared by the device.
     """
 
     def __init__(self, rate_hz: float, chunk: int = CHUNK, searcher: Searcher | None = None) -> None:

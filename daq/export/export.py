@@ -278,15 +278,29 @@ AS_RECORDED = ("h5", "uff", "tdms")  # kinds that hold the samples as they were 
 
 
 def export(recording: Recording | Resampled, out: Path, kind: Kind, *, overwrite: bool = False) -> None:
-    """Write an open recording, or a view of it at another rate, to ``out``; an ending ``.gz`` of a CSV packs it.
+    """Write ``out``.
 
-    ``csv``: ``time_s`` and one column in volts a channel; ``parquet``, ``mat`` (MATLAB 7.3) the same. ``npz``: the same
-    as arrays, with ``rate_hz``, ``steps`` and ``setup_json``. ``nc``: NetCDF with units and coordinates. ``uff``:
-    universal file, data set 58, binary. ``tdms``: LabVIEW's. ``h5``: the recording itself, compressed with gzip, which
-    every HDF5 reader knows. To ``overwrite`` is to replace what exists, once the new file is whole.
+    Parameters
+    ----------
+    recording
+        Open recording, or a view of it at another rate (CSV and NPZ).
+    out
+        File to create; an ending ``.gz`` of a CSV packs it.
+    kind
+        ``csv``: ``time_s`` and one column in volts a channel; ``parquet``, ``mat`` (MATLAB 7.3) the same. ``npz``: the
+        same as arrays, with ``rate_hz``, ``steps`` and ``setup_json``. ``nc``: NetCDF with units and coordinates.
+        ``uff``: universal file, data set 58, binary. ``tdms``: LabVIEW's. ``h5``: the recording itself, compressed with
+        gzip, which every HDF5 reader knows.
+    overwrite
+        Replace ``out`` where it exists, once the new file is whole.
 
-    Raises `InputError` when ``out`` exists and is not to be replaced, a package that the kind needs is not installed,
-    or the kind cannot hold another rate; `OSError` when the disk refuses: nothing is left behind.
+    Raises
+    ------
+    InputError
+        When ``out`` exists and is not to be replaced, a package that the kind needs is not installed, or the kind
+        cannot hold another rate.
+    OSError
+        When the disk refuses; nothing is left behind.
     """
     if out.exists() and not overwrite:
         raise InputError(f"{out}: exists already and is never overwritten unasked; choose another name.")

@@ -68,10 +68,22 @@ class ColumnWriter:
 
     Raises `InputError` when ``path`` exists and may not be replaced.
 
-    It works in ``<path>.part`` and renames at the end; a closing run may ``overwrite`` its own frames file. By channel
-    name ``dtypes`` are integer for codes, float for volts, and ``scales`` ``(volts_per_code, offset_v)``;
-    ``attributes`` are the root's (text, numbers, bools). ``compression`` is bitshuffle-LZ4, or ``gzip`` for readers
-    without that plugin.
+    Parameters
+    ----------
+    path
+        Final name. The writer works in ``<path>.part`` and renames at the end.
+    setup
+        What was measured with what.
+    dtypes
+        Channel name to sample type: integer for codes, float for volts.
+    scales
+        Channel name to ``(volts_per_code, offset_v)``.
+    attributes
+        Root attributes (text, numbers, bools).
+    overwrite
+        Whether ``path`` may exist (a closing run replaces its own frames file).
+    compression
+        ``lz4`` (bitshuffle-LZ4) or ``gzip`` for readers without that plugin.
     """
 
     def __init__(

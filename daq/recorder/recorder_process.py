@@ -52,12 +52,23 @@ def spawn(order: Order) -> tuple[Connection, BaseProcess]:
 
 
 class RecorderProcess(ClosedRun):
-    """Record one run in a process of its own, as `RecordingWriter` with the same ``options`` (raises InputError).
+    """Record one run in a process of its own; raises `InputError` as for `RecordingWriter`.
 
-    The ring holds blocks of up to ``block_samples`` for ``ring_s``; None takes what a stalled disk or a stopped
-    recorder needs. `append` waits for room in a full ring for ``patience_s`` before the block counts as lost: 0 for a
-    device, which cannot wait. A ``private`` ring, to which no other process attaches, loses its name once the recorder
-    runs. A simulation has its own ``start`` of the process and ``clock``.
+    Parameters
+    ----------
+    path, setup, options
+        As for `RecordingWriter`.
+    block_samples
+        Largest block that will come.
+    ring_s
+        Seconds that the ring holds; None takes what a stalled disk or a stopped recorder needs.
+    patience_s
+        How long `append` waits for room in a full ring before the block counts as lost; 0 for a device, which cannot
+        wait.
+    private
+        Whether no other process attaches to the ring by its name; it then loses its name once the recorder runs.
+    start, clock
+        How the process is started, and its user's clock; a simulation has its own.
     """
 
     def __init__(

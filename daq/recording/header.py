@@ -114,8 +114,13 @@ class Unread:
 def read_headers(paths: Iterable[Path], *, all_bytes: bool = False) -> Iterator[tuple[Path, Header | Unread]]:
     """Read the headers of recordings, those without a seal last.
 
-    ``paths`` are HDF5 files, recordings or not; one that is no longer there is left out. With ``all_bytes`` samples are
-    compared with the seal too, as `daq.recording.verify.verify` does, whatever the size.
+    ``paths`` are HDF5 files, recordings or not. With ``all_bytes`` samples are compared with the seal too, as
+    `daq.recording.verify.verify` does, whatever the size.
+
+    Yields
+    ------
+    Path, Header or Unread
+        A file that is no longer there is left out.
     """
     later: dict[str, list[str]] = {}  # files that only another process may read, with the faults that are known
     for path in paths:

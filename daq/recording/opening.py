@@ -92,9 +92,14 @@ def require_hdf5(path: Path) -> None:
 def open_checked(path: Path, found: Checked, *, ended: bool = False) -> Recording:
     """Open a recording whose bytes were compared with its seal, or that was read through before, or just written.
 
-    What differs by ``found`` is put right, or left out; ``ended``: a file that was not closed, or is shorter than it
-    says, is read as if its writer had closed it as it is. Raises `InputError` when it is not a recording, or cannot be
-    read.
+    Raises `InputError` when it is not a recording, or cannot be read.
+
+    Parameters
+    ----------
+    found
+        What differs: it is put right, or left out.
+    ended
+        Read a file that was not closed, or is shorter than it says, as if its writer had closed it as it is.
     """
     file = open_file(path, found, ended=ended)
     try:

@@ -54,16 +54,28 @@ def gaps_of(blocks: NDArray[np.void]) -> Integers:
 class Recording(Closing):
     """An open recording; see `daq.recording.opening.open_recording`.
 
-    ``setup`` is that of the measurement, ``rate_hz`` are samples a second, ``n_samples`` those of each of the named
-    ``channels``; ``steps`` and ``blocks`` are `STEP_DTYPE` and `BLOCK_DTYPE` arrays, ``gaps`` int64 ``(n, 2)``: first
-    sample after the gap, samples lost. ``attrs`` are root attributes: note, simulated, backend, scenario_sha256,
-    started, ended, why, extra (a dict), ... ``damage`` has one line for each that was found; what it took is a gap, a
-    channel less, or an empty table.
-
-    Tables that only some runs have are empty in others; ``side`` holds them by name. ``drive_changes`` (`DRIVE_DTYPE`)
-    are every change of the drive's amplitudes, from which the commanded samples follow bit for bit (`rig.programme`).
-    ``clock_readings`` and ``clock_map`` (`CLOCK_DTYPE`, `MAP_DTYPE`) are readings of another clock that played the
-    drive, and the map fitted to them (`daq.clocks.clock_sync`). ``notes`` (`NOTE_DTYPE`) are the operator's.
+    Attributes
+    ----------
+    path, setup, rate_hz, n_samples
+        File, setup of the measurement, samples a second, samples a channel.
+    channels
+        Names of the channels.
+    steps, blocks
+        `STEP_DTYPE` and `BLOCK_DTYPE` arrays.
+    drive_changes
+        `DRIVE_DTYPE` array: every change of the drive's amplitudes, from which the commanded samples follow bit for
+        bit (`rig.programme`); empty in an imported recording.
+    clock_readings, clock_map
+        `CLOCK_DTYPE` and `MAP_DTYPE` arrays: where another clock played the drive, its readings and the map fitted to
+        them (`daq.clocks.clock_sync`); else empty.
+    notes
+        `NOTE_DTYPE` array: the operator's notes during the run. ``side`` holds this table and the three before by name.
+    gaps
+        int64 ``(n, 2)``: first sample after the gap, samples lost.
+    attrs
+        Root attributes: note, simulated, backend, scenario_sha256, started, ended, why, extra (a dict), ...
+    damage
+        One line for each damage that was found; what it took is a gap, a channel less, or an empty table.
     """
 
     def __repr__(self) -> str:
@@ -200,7 +212,12 @@ class Recording(Closing):
     ) -> NDArray[Any]:
         """Raw codes ``(stop - start,)`` of a channel, as stored (volts where the recording was imported).
 
-        ``stop`` None is the end; ``out`` is an array of the stored type to read into, at least as long.
+        Parameters
+        ----------
+        channel, start, stop
+            ``stop`` None is the end.
+        out
+            Array of the stored type to read into, at least as long; saves the allocation.
         """
         stop = self.n_samples if stop is None else min(stop, self.n_samples)
         if self._holes is None:

@@ -34,10 +34,21 @@ def default_out(path: Path) -> Path:
 
 
 def recover(path: Path, out: Path | None = None) -> Recovery:
-    """Write what is sound of ``path``, cut off or damaged, as a closed recording ``out`` (`default_out` by default).
+    """Write what is sound of ``path`` as a closed recording.
 
-    Raises `InputError` when ``path`` is closed and sound already, holds nothing, or cannot be read, or when ``out``
-    exists; `OSError` when the disk refuses.
+    Parameters
+    ----------
+    path
+        Recording that was cut off, or is damaged.
+    out
+        File to create; the default is `default_out`.
+
+    Raises
+    ------
+    InputError
+        When ``path`` is closed and sound already, holds nothing, or cannot be read; when ``out`` exists.
+    OSError
+        When the disk refuses.
     """
     out = out if out is not None else default_out(path)
     recording, looked = examine(path)

@@ -170,10 +170,28 @@ class LiveColumns:
 class RecordingWriter(ClosedRun):
     """Record one run; raises `InputError` when ``path`` exists, its folder does not, or the disk is too full.
 
-    ``channels`` are in the order of a block's columns, their ``scales`` ``(volts_per_code, offset_v)``: by default the
-    channel's range over 16 bits. The rate is ``setup.sampling.rate_hz``, ``profile_text`` the whole profile as its file
-    says it; the other facts are as of `root_attributes`. A run of ``expected_samples`` for which the disk has no room
-    is refused.
+    Parameters
+    ----------
+    path
+        File to create; refused when it exists.
+    setup
+        Its ``sampling.rate_hz`` is the recording's.
+    profile_text
+        The whole profile as its file says it.
+    channels
+        Names in the order of a block's columns.
+    backend, simulated
+        Name of the back end, and whether it is a simulation.
+    note, extra
+        The operator's note and free keys (anything JSON knows).
+    scenario_sha256
+        Hash of a hidden scenario.
+    scales
+        Channel name to ``(volts_per_code, offset_v)``; the default is the channel's range over 16 bits.
+    expected_samples
+        How long the run will be; refused where the disk has no room for it.
+    clock
+        The machine's, or that of a simulation.
     """
 
     def __init__(
@@ -248,12 +266,16 @@ class RecordingWriter(ClosedRun):
     def close(self, how: Ending = "complete", why: str = "", *, expected_samples: int | None = None) -> None:
         """End the recording: finish the column file, check it, rename it into place.
 
-        ``why`` is for a run that was not completed. Where ``expected_samples``, which the device must have given
-        (played, or clocked), are not those recorded and declared as lost, within the uncertainty of the gaps, the
-        recording is marked as suspect.
-
         Raises `OSError` when the column file cannot be written; the frames stay, and `bench recover` can finish the
         job.
+
+        Parameters
+        ----------
+        how, why
+            The reason is for a run that was not completed.
+        expected_samples
+            Samples that the device must have given (played, or clocked). The recording is marked as suspect where
+            recorded and declared as lost do not add up to that, within the uncertainty of the gaps.
         """
         if not self.is_open:
             return

@@ -71,10 +71,17 @@ def observed_bifurcations(
 
     Raises `ValueError` if the range is empty, negative or not finite.
 
-    In a ``sweep``, ``"up"`` or ``"down"``, the state is carried, and `before` and `after` follow it; None: each gamma
-    from rest, upwards. So many ``steps`` are looked at: a window narrower than one is met by chance. ``narrowest`` is
-    the width in gamma down to which windows between two changes in one step are found, ``sharp`` that to which a change
-    is bisected, where less will do than the ball allows.
+    Parameters
+    ----------
+    sweep
+        ``"up"`` or ``"down"``: the state is carried, and `before` and `after` follow the sweep; None: each gamma from
+        rest, upwards.
+    steps
+        Gammas looked at; a window narrower than a step is met by chance.
+    narrowest
+        Width in gamma down to which windows between two changes in one step are found.
+    sharp
+        Width in gamma to which a change is bisected, where less will do than the ball allows.
     """
     check_range(low, high)
     ends = (high, low) if sweep == "down" else (low, high)

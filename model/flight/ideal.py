@@ -21,11 +21,22 @@ RESTS = 4  # the ball does not leave at this phase
 def land(
     tones: Floats, gamma: float, edge: Floats, n_windows: int, phi0: float, a0: float, v0: float
 ) -> tuple[float, float, float, int]:
-    """The first landing after the take-off at the phase ``phi0`` in ``[edge[0], edge[0] + 2 pi)``.
+    """The first landing after the take-off at the folded phase ``phi0``.
 
-    ``edge`` is the table of the forcing (`model.flight.branches.fill_edges`), ``a0`` is ``gamma q(phi0) - 1``, exactly
-    0 at a threshold, ``v0`` the speed relative to the plate, >= 0: with 0 the phase must be inside a window. Returns
-    tau, landing phase (folded into the period of ``edge``), impact speed, flag.
+    Returns tau, landing phase (folded into the period of ``edge``), impact speed, flag.
+
+    Parameters
+    ----------
+    tones, edge, n_windows
+        A periodic forcing and its table (`model.flight.branches.fill_edges`).
+    gamma : float
+        Drive amplitude.
+    phi0 : float
+        Take-off phase in ``[edge[0], edge[0] + 2 pi)``.
+    a0 : float
+        ``gamma q(phi0) - 1``; exactly 0 at a threshold.
+    v0 : float
+        Speed relative to the plate, >= 0; with 0 the phase must be inside a window.
     """
     s0, slope0, _ = shape(tones, phi0)
     segment = Segment(phi0, s0, slope0, a0, v0, 0.0, 1.0)

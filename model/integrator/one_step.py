@@ -123,11 +123,21 @@ def one_ahead(
 ) -> Predicted:
     """Predict each flight's take-off and landing from the measured landing before it.
 
-    ``rows`` are all parameters, (P + 1,) or one row an event (n, P + 1): see `model.effects.registry.row`. ``kick`` is
-    added to a plate mode's displacement (m) and velocity (m/s) wherever the chain of flights begins anew: how the mode
-    rang before is known no better; a part of it where ``pressed_mps`` tells. ``probe`` says how the plate's tones were
-    measured, without one all the time; ``mode`` what a plate mode adds, not projected anew: as measured, or of a
-    prediction of almost the same.
+    Parameters
+    ----------
+    measured, plate
+        The events and the plate's motion.
+    rows
+        All parameters, shape (P + 1,) or one row an event (n, P + 1): see `model.effects.registry.row`.
+    detection
+        What the contact circuit misses.
+    kick
+        Added to a plate mode's displacement (m) and velocity (m/s) wherever the chain of flights begins anew: how the
+        mode rang before is known no better; a part of it where ``pressed_mps`` tells.
+    probe
+        How the plate's tones were measured; without one, all the time.
+    mode
+        What a plate mode adds, not projected anew: as measured, or of a prediction of almost the same.
     """
     rows = for_kernel(rows.reshape(-1, rows.shape[-1]))
     problem = Problem(measured, plate, rows, Detection() if detection is None else detection, kick)
@@ -208,9 +218,18 @@ def simulate(
 ) -> Orbit:
     """Fly ``flights`` flights from an impact; fewer come back when the ball stays on the plate.
 
-    ``effects`` are by name and parameter, ``period_s`` is that of the forcing, ``start`` time (s) and speed (m/s) of
-    the impact; flights shorter than ``unseen_s`` are passed over. Raises `ValueError` for unknown effects or
-    parameters, or values out of bounds.
+    Raises `ValueError` for unknown effects or parameters, or values out of bounds.
+
+    Parameters
+    ----------
+    effects
+        By name and parameter.
+    plate, period_s
+        Its tones, and the period of the forcing.
+    start
+        Time (s) and speed (m/s) of the impact.
+    unseen_s
+        Flights shorter than this are passed over.
     """
     tones = tones_for_kernel(plate.omega_radps, plate.acceleration)
     return flown(law_of(effects, g_mps2), tones, period_s, flights, start, unseen_s)

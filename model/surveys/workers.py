@@ -45,10 +45,18 @@ def outcomes(
 ) -> Iterator[Outcome[Key, Result]]:
     """Outcomes of ``compute(*arguments)`` for every task, in the order in which they end.
 
-    ``compute`` is a function of a module, so that another process finds it; ``tasks`` have a key each, and are taken
-    one by one, so that there may be many. One of the ``workers`` computes in this process; ``cluster`` is the address
-    of a Dask scheduler (``tcp://host:port``), or ``"local"`` for one of ``workers`` processes here. Raises `InputError`
-    where Dask is asked for and not installed.
+    Raises `InputError` where Dask is asked for and not installed.
+
+    Parameters
+    ----------
+    compute
+        A function of a module, so that another process finds it.
+    tasks
+        A key for each, and the arguments; taken one by one, so that there may be many.
+    workers
+        Processes; 1 without a cluster computes in this one.
+    cluster
+        Address of a Dask scheduler (``tcp://host:port``), or ``"local"`` for one of ``workers`` processes here.
     """
     if cluster is not None:
         yield from _on_cluster(compute, tasks, workers, cluster)

@@ -22,7 +22,23 @@ class BackendError(RuntimeError):
 
 
 class Backend(Protocol):
-    """A device that plays drive samples and records channels on one clock."""
+    """A device that plays drive samples and records channels on one clock.
+
+    Attributes
+    ----------
+    name
+        The kind, as ``[backend] kind`` has it.
+    simulated
+        Whether no real plate moves.
+    channels
+        Names, in the order of a frame's columns.
+    scales
+        ``(volts_per_code, offset_v)`` by channel name.
+    rate_hz
+        Samples a second, of drive and frames alike.
+    scenario_sha256
+        Fingerprint of what the simulated rig was given; None for a device.
+    """
 
     @property
     def name(self) -> str: ...  # the kind, as ``[backend] kind`` has it

@@ -28,13 +28,26 @@ FULL = 32767
 
 
 class NiDaqmxBackend:
-    """One NI device, which must be able to sample at exactly ``rate_hz``.
-
-    ``terminals`` are inputs by channel name, as ``{"continuity": "Dev1/ai0", ...}``, in the order of a frame's columns,
-    ``ranges_v`` their full scales; ``output`` is as ``Dev1/ao0``. ``lead_s`` of drive is held in the output buffer: the
-    interlock sees the plate so much later. ``daqmx`` is the package `nidaqmx`; a test hands in one of its own.
+    """One NI device.
 
     Raises `BackendError` when the package, the driver or the device is missing, or the device cannot do what is asked.
+
+    Parameters
+    ----------
+    rate_hz
+        Samples a second; the device must be able to do it exactly.
+    terminals
+        Input by channel name, as ``{"continuity": "Dev1/ai0", ...}``, in the order of a frame's columns.
+    ranges_v
+        Full scale asked for, by channel name.
+    output
+        Where the drive goes, as ``Dev1/ao0``.
+    drive_range_v
+        Full scale of the output.
+    lead_s
+        Drive held in the output buffer; the interlock sees the plate so much later.
+    daqmx
+        The package `nidaqmx`; a test hands in one of its own.
     """
 
     name = "nidaqmx"

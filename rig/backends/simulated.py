@@ -20,11 +20,25 @@ from rig.sim.scenario import Scenario, load_scenario
 
 
 class SimulatedBackend:
-    """A simulated rig that hides ``scenario``, of which the recording gets only the hash.
+    """A simulated rig.
 
-    ``seed`` is that of the sensors' noise and the contact's bounce; in ``real_time`` a block takes as long as it lasts;
-    ``further`` channels are as of `rig.sim.plant.Plant`. ``drive_v`` is the drive at the amplifier now: the last sample
-    played, 0 before the start and after the stop.
+    Parameters
+    ----------
+    rate_hz
+        Samples a second.
+    scenario
+        What the rig hides; the recording gets only its hash.
+    seed
+        Of the sensors' noise and the contact's bounce.
+    real_time
+        Whether a block takes as long as it lasts.
+    further
+        As of `rig.sim.plant.Plant`.
+
+    Attributes
+    ----------
+    drive_v : float
+        Drive at the amplifier now: the last sample played, 0 before the start and after the stop.
     """
 
     name = "simulated"

@@ -31,10 +31,21 @@ FADE_S = 0.1
 class SoundcardBackend:
     """One card, one clock: plays the drive on one output, records continuity, accelerometer and looped-back drive.
 
-    The profile's ``[backend]`` names the card and its channels, ``[channels]`` their ranges. Where it is to
-    ``play_only``, another device records (`rig.backends.serial_daq`). A simulation has its own ``opener`` of the stream
-    and ``clock``. ``lag_samples`` are those from a sample handed over to its frame, measured at the start (NaN before,
-    and where nothing is recorded); of these this back end itself keeps ``output_lag_samples`` ahead.
+    Parameters
+    ----------
+    profile
+        Its ``[backend]`` names the card and its channels, ``[channels]`` their ranges.
+    play_only
+        Whether nothing is recorded: another device does that (`rig.backends.serial_daq`).
+    opener, clock
+        What opens the stream instead of PortAudio, and the machine's clock; a simulation has its own.
+
+    Attributes
+    ----------
+    lag_samples : float
+        From a sample handed over to its frame, measured at the start; NaN before, and where nothing is recorded.
+    output_lag_samples : int
+        Of these, what this back end itself keeps ahead.
     """
 
     name = "soundcard"

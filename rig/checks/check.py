@@ -86,7 +86,17 @@ class Finding:
 
 
 class Check:
-    """The findings on one rig; ``ask_tap`` is called when the table is to be hit, without it there is no tap."""
+    """The findings on one rig.
+
+    Parameters
+    ----------
+    profile
+        Description of the rig.
+    backend
+        Not yet started.
+    ask_tap
+        Called when the table is to be hit; without it there is no tap.
+    """
 
     def __init__(self, profile: Profile, backend: Backend, ask_tap: Callable[[], None] | None = None) -> None:
         self._profile, self._backend, self._ask_tap = profile, backend, ask_tap

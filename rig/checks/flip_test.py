@@ -44,12 +44,21 @@ def flip_test(profile: Profile, backend: Backend, ask: Callable[[bool], None]) -
 
     With ``V = offset + S (a + g)``: ``S = (V_up - V_down) / 2g``, and ``offset = (V_up + V_down) / 2``.
 
-    The profile says scale, unit and sign as believed so far, and the local g. ``ask`` has a person lay the sensor
-    upside down (True) or as mounted (False), and returns once it lies still; a back end that is `FlipsSensor` turns it
-    by itself.
+    Parameters
+    ----------
+    profile
+        Scale, unit and sign as believed so far, and the local g.
+    backend
+        Not yet started. One that is `FlipsSensor` turns its sensor by itself.
+    ask
+        Has a person lay the sensor upside down (True) or as mounted (False), and returns once it lies still.
 
-    Raises `ValueError` where the reading does not change as that of a sensor that feels gravity, `BackendError` where
-    the device fails.
+    Raises
+    ------
+    ValueError
+        Where the reading does not change as that of a sensor that feels gravity.
+    BackendError
+        Where the device fails.
     """
     first, down, again = _readings(profile, backend, ask)
     channel, g = profile.channels.accelerometer, profile.g_mps2

@@ -61,9 +61,14 @@ class _Window:
 class Interlock:
     """The clamp and the watch of one run.
 
-    ``channels`` names a frame's columns; ``scales`` has ``(volts_per_code, offset_v)`` of each. ``limits_in_use`` is
-    what part of each limit (by its name in the profile) the last block used, 1 trips; ``contact_age_cycles`` are those
-    since the ball last showed itself, by contact or impact.
+    ``channels`` names a frame's columns; ``scales`` has ``(volts_per_code, offset_v)`` of each.
+
+    Attributes
+    ----------
+    limits_in_use : dict of str to float
+        What part of each limit (by its name in the profile) the last block used; 1 trips.
+    contact_age_cycles : float
+        Cycles since the ball last showed itself, by contact or impact.
     """
 
     def __init__(self, profile: Profile, channels: tuple[str, ...], scales: Mapping[str, tuple[float, float]]) -> None:

@@ -14,8 +14,22 @@ from rig.programme.sequencer import State, Stop
 class StopRequest:
     """What the operator asks of a run, by a signal, a page, a terminal or a test; the strongest stop counts.
 
-    ``check`` raises `daq.setup.errors.InputError` for next steps that cannot be driven; None where nothing follows a
-    run but its end.
+    Parameters
+    ----------
+    check
+        Raises `daq.setup.errors.InputError` for next steps that cannot be driven. None where nothing follows a run
+        but its end.
+
+    Attributes
+    ----------
+    wanted, why
+        The stop asked for, and the reason that the recording keeps.
+    then
+        What is to be driven after that stop; None where it is the end.
+    pause
+        Whether to pause at the end of the present step.
+    notes
+        Texts to record with the sample at which they are read; the run empties the list.
     """
 
     def __init__(self, check: Callable[[NextSteps], object] | None = None) -> None:

@@ -49,13 +49,26 @@ def run_ramp(
 ) -> RunSummary:
     """Drive ``profile``'s ramp through ``backend`` and record it; closes ``writer``.
 
-    A programme that a limit forbids must have been refused before (`rig.programme.ramp.forbidden`). The back end is not
-    yet started, ``writer`` an open recording without samples, here or in a process of its own; ``stop_request`` is read
-    before each block, ``progress`` called after it; ``hold`` holds the ball on a branch, where it is to be held.
-
     Raises `daq.setup.errors.InputError` before anything moves, where the device's delay exceeds what the branch's
     multiplier allows. The run's end is ``complete``; ``stopped`` when asked to or tripped by the interlock; ``failed``
     when the device or the disk failed. Whatever was recorded stays readable.
+
+    Parameters
+    ----------
+    profile
+        What to drive; a programme that a limit forbids must have been refused before (`rig.programme.ramp.forbidden`).
+    backend
+        Not yet started.
+    writer
+        An open recording without samples, here or in a process of its own.
+    progress
+        Called after each block.
+    stop_request
+        Read before each block.
+    hold
+        What holds the ball on a branch, where it is to be held.
+    clock
+        The machine's, or that of a simulation.
     """
     run = _Run(profile, backend, writer, progress or (lambda status: None), stop_request or StopRequest(), hold, clock)
     began = clock.monotonic_s()

@@ -82,9 +82,33 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
 class Sequencer:
     """Drive samples of a programme, a block at a time.
 
-    ``amplitudes`` gives complex drive volts of each tone for a gamma; `rig.programme.ramp.drive_amplitudes` does where
-    nothing better is known. Where it is ``controlled`` a step settles until `settled` is called, instead of for its
-    planned cycles.
+    Parameters
+    ----------
+    programme
+        The steps.
+    setup
+        Forcing and drive scale.
+    amplitudes
+        Complex drive volts of each tone for a gamma; `rig.programme.ramp.drive_amplitudes` where nothing better is
+        known.
+    controlled
+        Whether a step settles until `settled` is called, instead of for its planned cycles.
+
+    Attributes
+    ----------
+    state : State
+    position : int
+        Index of the next sample to be made.
+    step : Step
+        The step under way (the last one when stopping).
+    marks : list of Step
+        Steps begun (as planned) and ended (with the samples they really had) since the caller last emptied the list.
+    given_up : bool
+        Whether a pause was not ended for `LONGEST_PAUSE_S`, and ended the run.
+    fades : list of Fade
+        Changes of the drive's amplitudes since the caller last emptied the list; together they are the drive.
+    steering : bool
+        Whether every change is one that `steer` asked for, and the programme's own are only planned.
     """
 
     def __init__(

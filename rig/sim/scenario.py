@@ -277,11 +277,24 @@ def sealed_scenario(
 ) -> Scenario:
     """Draw what a rig hides; raises `ValueError` where more effects are asked for than named.
 
-    ``count`` effects (2 for a pair, 0 for a clean rig) are drawn from ``names`` (see `pool`) without repetition, each
-    of a typical residual over the noise floor by `STRENGTHS`. What the uncertainties of the rig's calibrations allow
-    (`left_open`) is no effect yet: one that looks like a calibration has at least as many of them as its strength has
-    noise floors. With ``drift`` the first one's size drifts by half to all of itself in a minute; ``nuisances`` are a
-    contact gap of 0.05 to 0.5 micrometres and contact bounce of up to 0.5 ms. The nonce is fresh.
+    The nonce is fresh.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    names : sequence of str
+        Effects to draw from, without repetition; see `pool`.
+    strength : {"weak", "medium", "strong"}
+        Size of each effect: its typical residual over the noise floor, by `STRENGTHS`.
+    count : int
+        How many effects (2 for a pair, 0 for a clean rig).
+    allowed : mapping
+        Uncertainties of the rig's calibrations, by effect and parameter, from `left_open`: what they allow is no
+        effect yet, so one that looks like a calibration has at least as many of them as its strength has noise floors.
+    drift : bool
+        Let the first effect's size drift by half to all of itself in a minute.
+    nuisances : bool
+        Add a contact gap of 0.05 to 0.5 micrometres and contact bounce of up to 0.5 ms.
     """
     if not 0 <= count <= len(names):
         raise ValueError(f"count: wanted 0 to {len(names)} effects of those named, got {count}")
