@@ -23,12 +23,12 @@ from model.effects.registry import unit_of
 
 def show(loop: ClosedLoop) -> None:
     """Print verdict, errors before and after, and the course of the search."""
-    out = Console(highlight=False)
+    out = Console(highlight=False, markup=False)  # [drive] is a table of the profile
     out.print(f"\nverdict: {wording.verdict_line(loop)}", style="bold", soft_wrap=True)
     for line in wording.why_this_verdict(loop):
         out.print(f"  {line}", soft_wrap=True)
     for line in wording.discovered_in_words(loop):
-        out.print(f"  {line}", soft_wrap=True, markup=False)
+        out.print(f"  {line}", soft_wrap=True)
     if loop.selection.rejected is not None:
         out.print(f"  {wording.rejected_in_words(loop)}", soft_wrap=True)
     others = wording.others_in_words(loop)
@@ -80,7 +80,7 @@ def write_outputs(outputs: Sequence[tuple[str, Callable[[], object]]]) -> bool:
 
 def show_runs(found: JointVerdict) -> None:
     """Print the verdict, what the runs share, what belongs to each, and the course of the search."""
-    out = Console(highlight=False)
+    out = Console(highlight=False, markup=False)
     names = f": {' + '.join(found.names)}" if found.names else ""
     out.print(
         f"\nverdict on {len(found.runs)} runs: {short_verdict(found.verdict)}{names}", style="bold", soft_wrap=True

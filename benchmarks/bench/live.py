@@ -35,7 +35,7 @@ STEPS, FLIGHTS = 100, 1000  # shown from the start: 1e5 flights
 
 def _served(pipe: Any, profile: Any, board: str, folder: str) -> None:
     """The page's process, with earlier flights."""
-    from bench.live.processes import _serve_run, sections
+    from bench.live.processes import SECTIONS, _serve_run
     from bench.live.watched_run import WatchedRun
 
     rng, own = np.random.default_rng(0), WatchedRun.history
@@ -47,7 +47,7 @@ def _served(pipe: Any, profile: Any, board: str, folder: str) -> None:
         message = {"columns": columns, "gamma": 0.5 + 0.02 * k, "asked": 1.0, "final": True, "step": 1000 + k}
         pieces.append(flights_piece(message, 2.0))
     WatchedRun.history = lambda self: [*own(self), *pieces]  # type: ignore[method-assign]
-    _serve_run(pipe, sections(), profile, board, folder, "127.0.0.1", 0)
+    _serve_run(pipe, SECTIONS, profile, board, folder, "127.0.0.1", 0)
 
 
 def _alone(profile: str, out: str) -> None:

@@ -201,7 +201,7 @@ def _timebase(intake: Intake, scratch: Scratch, rate_hz: float | None) -> Timeba
         if packets is None:
             raise InputError(
                 f"{path}: {intake.repeated} comes twice; wanted times that rise, or one time a packet of so many "
-                "rows; else take that column out and give --rate HZ."
+                "rows; else take out the row that is there twice, or that column and give --rate HZ."
             )
         base = packets
     if rate_hz is not None and abs(base.rate_hz / rate_hz - 1.0) > 0.01:

@@ -167,6 +167,14 @@ def test_the_best_rejected_candidate_is_shown(
         assert "restitution, 1729 +- 480 nats" in text and "the steps do not agree on its gain" in text
 
 
+def test_a_table_of_the_profile_in_a_note_is_shown(closed_loop: ClosedLoop, capsys: pytest.CaptureFixture[str]) -> None:
+    """A note's [drive] is the name of a table, and no markup of the terminal."""
+    from bench.terminal.loop_display import show
+
+    show(dataclasses.replace(closed_loop, notes=("the profile declares no [drive] g_per_volt",)))
+    assert "declares no [drive] g_per_volt" in capsys.readouterr().out
+
+
 def test_the_verdict_survives_a_failing_output(
     closed_loop: ClosedLoop, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
